@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+# Three short functions, so that every component's CMakeLists.txt lists sources and nothing else.
+
+# Warnings and sanitizers that every target of the project has in common.
+add_library(axon_options INTERFACE)
+target_compile_options(axon_options INTERFACE -Wall -Wextra -Wpedantic -Wshadow -Wnon-virtual-dtor -Wno-missing-field-initializers)
+target_include_directories(axon_options INTERFACE "$<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/src>")
+if(AXON_SANITIZE) # for every target, generated code included: a sanitizer that sees half of a program lies
+  add_compile_options(-fsanitize=${AXON_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
+  add_link_options(-fsanitize=${AXON_SANITIZE})
+endif()
+
+# axon_library(axon_common SOURCES a.cpp HEADERS a.hpp LINK x y)
+# A static library of the project; includes are written from src/: #include "common/clock.hpp".
+function(axon_library name)
+  cmake_parse_arguments(L "" "" "SOURCES;HEADERS;LINK;PRIVATE_LINK" ${ARGN})
+  add_library(${name} STATIC ${L_SOURCES} ${L_HEADERS})
+  target_link_libraries(${name} PUBLIC ${L_LINK} PRIVATE axon_options ${L_PRIVATE_LINK})
+  target_include_directories(${name} PUBLIC "$<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/src>")
+endfunction()
+
+# axon_program(axon-server SOURCES main.cpp LINK x y)
+function(axon_program name)
+  cmake_parse_arguments(P "" "" "SOURCES;LINK" ${ARGN})
+  add_executable(${name} ${P_SOURCES})
+  target_link_libraries(${name} PRIVATE axon_options ${P_LINK})
+endfunction()
+
+# axon_test(common_test LABEL unit SOURCES a_test.cpp LINK axon_common)
+# Labels are the levels of docs: unit, scenario, property, component, fuzz, e2e, install.
+# One ctest entry per binary; GoogleTest's main is linked in.
+function(axon_test name)
+  if(NOT AXON_TESTS)
+    return()
+  endif()
+  cmake_parse_arguments(T "" "LABEL;TIMEOUT" "SOURCES;LINK;ARGS" ${ARGN})
+  add_executable(${name} ${T_SOURCES})
+  set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/tests")
+  target_link_libraries(${name} PRIVATE axon_options axon_test_support ${T_LINK} GTest::gmock GTest::gtest GTest::gtest_main)
+  add_test(NAME ${name} COMMAND ${name} ${T_ARGS} WORKING_DIRECTORY "${PROJECT_SOURCE_DIR}")
+  if(NOT T_TIMEOUT)
+    set(T_TIMEOUT 120)
+  endif()
+  set_tests_properties(${name} PROPERTIES LABELS "${T_LABEL}" TIMEOUT ${T_TIMEOUT})
+endfunction()
