@@ -9,8 +9,8 @@ namespace axon {
 using Duration = std::chrono::nanoseconds;
 using TimePoint = std::chrono::time_point<std::chrono::steady_clock, Duration>;
 
-/// Where a pure core gets its time from. Tests and simulations inject ManualClock; programs inject SteadyClock.
-/// Threads: now() may be called from any thread.
+/// Where a pure core gets its time from. Tests and simulations inject ManualClock; programs inject
+/// SteadyClock. Threads: now() may be called from any thread.
 class Clock {
   public:
     virtual ~Clock() = default;

@@ -15,7 +15,9 @@ TEST(RefusalCode, NamesAndNumbersAreThoseOfTheContract) {
     }
 }
 
-TEST(RefusalCode, AnUnknownNumberIsInternal) { EXPECT_EQ(refusalName(static_cast<RefusalCode>(9999)), "INTERNAL"); }
+TEST(RefusalCode, AnUnknownNumberIsInternal) {
+    EXPECT_EQ(refusalName(static_cast<RefusalCode>(9999)), "INTERNAL");
+}
 
 }  // namespace
 }  // namespace axon

@@ -8,7 +8,8 @@
 
 namespace axon {
 
-/// A value, or the reason why there is none. Refusals are ordinary outcomes and never exceptions (style, "Errors").
+/// A value, or the reason why there is none. Refusals are ordinary outcomes and never exceptions (style,
+/// "Errors").
 template <class T>
 class [[nodiscard]] Result {
   public:

@@ -6,13 +6,14 @@
 
 namespace axon {
 
-/// Watches the liveness of one peer on the watching side's own clock. Two time-outs: a short one while a task runs
-/// and a long one otherwise (safety.md, "Watchdogs"). I/O-free: the owner tells it of each sign of life and asks it.
-/// States: alive, expired; feed() brings it back to alive.
-/// Threads: none of its own, not thread-safe; the owner confines it.
+/// Watches the liveness of one peer on the watching side's own clock. Two time-outs: a short one while a task
+/// runs and a long one otherwise (safety.md, "Watchdogs"). I/O-free: the owner tells it of each sign of life
+/// and asks it. States: alive, expired; feed() brings it back to alive. Threads: none of its own, not
+/// thread-safe; the owner confines it.
 class Watchdog {
   public:
-    Watchdog(Duration busy, Duration idle, TimePoint now) : busy_timeout_(busy), idle_timeout_(idle), last_(now) {}
+    Watchdog(Duration busy, Duration idle, TimePoint now)
+        : busy_timeout_(busy), idle_timeout_(idle), last_(now) {}
 
     /// A sign of life.
     void feed(TimePoint now) { last_ = now; }

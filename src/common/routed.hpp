@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+#include <cstdint>
+#include <string>
+
+namespace axon {
+
+// The plain mirror of api/slice/axon/commutil.ice, for cores that must not know Ice. The transport layer
+// converts; enumerators and their numbers are the same (transport's conversion test compares them).
+
+enum class Role : std::uint8_t { Observer, Operator, Admin };
+enum class Lane : std::uint8_t { Signal, Data };
+enum class Presence : std::uint8_t { Joined, Changed, Left };
+enum class ClientChange : std::uint8_t { Lost, Resumed, Ended };
+
+/// The nine states of the Entity Manager (thesis 3.3.1), by its tokens.
+enum class EntityState : std::uint8_t { UNAV, INIT, ENVCONN, IDLE, REG, COLLAB, SLAVE, BUSY, ERR };
+
+/// Why a stop was given; numbers are those of axon.proto.StopCause.
+enum class StopCause : std::uint8_t {
+    Unspecified,
+    Requested,
+    ClientLost,
+    Released,
+    Improper,
+    ServerLost,
+    LinkLost,
+    Reset,
+    Clear,
+    Cancel,
+    Shutdown,
+    Fault,
+    Drill
+};
+
+const char* toString(EntityState state);
+const char* toString(StopCause cause);
+const char* toString(Role role);
+
+/// Who sends. Filled in by the server from the session, never taken from the peer (invariant 9).
+struct Sender {
+    std::string id;    ///< session UUID of a client, or UUID of an entity
+    std::string name;  ///< for people: user@host, or the entity's name
+    Role role = Role::Operator;
+
+    bool operator==(const Sender&) const = default;
+};
+
+/// Which lease a command is given under; {0, 0} = none.
+struct LeaseNumber {
+    std::int32_t epoch = 0;
+    std::int32_t number = 0;
+
+    auto operator<=>(const LeaseNumber&) const = default;
+};
+
+/// Header of every routed operation (architecture, section 4).
+struct Header {
+    Sender sender;
+    std::string entity;    ///< UUID
+    std::string msg_type;  ///< the routing key, one of kMsg* below
+    LeaseNumber held;
+    std::int32_t stop_generation = 0;
+    std::int64_t sequence = 0;
+    std::int64_t sent_at_us = 0;
+    std::string proof;
+};
+
+/// What servers may know of an entity: from its registration …
+struct Registration {
+    std::string entity;
+    std::string name;
+    std::string category;
+    std::string type;
+    std::int32_t heartbeat_busy_ms = 50;
+    std::int32_t heartbeat_idle_ms = 2000;
+    std::string direct_endpoint;
+
+    bool operator==(const Registration&) const = default;
+};
+
+/// … and from its status.
+struct EntityStatus {
+    std::string entity;
+    EntityState state = EntityState::UNAV;
+    bool latched = false;
+    std::int32_t stop_generation = 0;
+    Sender holder;
+    LeaseNumber held;
+    std::string reason;
+
+    bool operator==(const EntityStatus&) const = default;
+};
+
+// Routing keys (thesis: msgType). Towards an entity:
+inline constexpr const char* kMsgCheckOut = "CHECKOUT";
+inline constexpr const char* kMsgRelease = "RELEASE";
+inline constexpr const char* kMsgParam = "PARAM";
+inline constexpr const char* kMsgTask = "TASK";
+inline constexpr const char* kMsgTaskControl = "TASK_CONTROL";
+inline constexpr const char* kMsgResource = "RESOURCE";
+inline constexpr const char* kMsgText = "TEXT";
+inline constexpr const char* kMsgRaw = "RAW";
+inline constexpr const char* kMsgRearm = "REARM";
+inline constexpr const char* kMsgStatus = "STATUS";
+inline constexpr const char* kMsgWatch = "WATCH";
+// … and towards a client, besides the above:
+inline constexpr const char* kMsgReply = "REPLY";
+inline constexpr const char* kMsgReceipt = "RECEIPT";
+inline constexpr const char* kMsgStream = "STREAM";
+inline constexpr const char* kMsgService = "SERVICE";
+inline constexpr const char* kMsgPosition = "POSITION";
+
+}  // namespace axon

@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include "common/clock.hpp"
+#include "common/ids.hpp"
+#include "common/routed.hpp"
+#include "entity_manager/ports.hpp"
+#include "entity_manager/stop_gate.hpp"
+
+namespace axon::proto {
+class EiToEm;
+}
+
+namespace axon::entity_manager {
+
+/// Settings of one Entity Manager that its behaviour depends on (docs/reference/configuration.md).
+struct CoreSettings {
+    std::string application;  ///< name of the robot application it is for
+    Duration server_watchdog_busy = std::chrono::milliseconds{250};  ///< 50 ms to 2 s
+    Duration server_watchdog_idle = std::chrono::seconds{10};
+    std::size_t task_queue_bound = 64;
+    std::uint64_t resource_bytes_max = 1ULL << 30U;
+    std::uint64_t resource_window = 512 * 1024;  ///< bytes a client may send ahead
+};
+
+/// The Entity Manager without its sockets: states, latch, profiler, lease, queue (architecture, sections 5
+/// and 6).
+///
+/// Where in the flow: between the entity server (ServerPort) and the robot application's Entity Interfacer
+/// (BackEndPort). An event goes in as one call of on…(); effects leave through the ports before the call
+/// returns. States: the nine of EntityState plus the latch flag; the table is state_table.hpp. Threads: one
+/// strand only. What may be called from elsewhere is StopGate and BackEndPort::stop. Failure: an event that
+/// the table does not list for the present state is refused with WRONG_STATE to whoever sent it; malformed
+/// bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
+class EntityManagerCore {
+  public:
+    EntityManagerCore(CoreSettings settings, Clock& clock, RandomSource& random, BackEndPort& back_end,
+                      ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate);
+    ~EntityManagerCore();
+    EntityManagerCore(const EntityManagerCore&) = delete;
+    EntityManagerCore& operator=(const EntityManagerCore&) = delete;
+
+    // From the link to the robot application.
+    void onLinkUp();
+    void onLinkDown(const std::string& reason);
+    void onLinkMessage(const proto::EiToEm& message);
+
+    // From the server. `bytes` is an axon.proto.ToEntity.
+    void onServerUp();
+    void onServerDown(const std::string& reason);
+    void onClientMsg(const Header& head, std::string_view bytes);
+    /// The signal thread has forwarded the stop to the EI already, under `generation` of the StopGate.
+    void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
+    void onResetSignal(const Header& head);
+    void onClearSignal(const Header& head);
+    void onClientUpdate(const Header& head, ClientChange change);
+    void onServerHeartbeat();
+
+    /// Re-reads nothing, changes nothing but what is due: watchdog, reservations, not_after. Call at
+    /// nextDeadline().
+    void onTimer();
+    TimePoint nextDeadline() const;
+
+    /// The operator of the daemon wants it to end: stop, tell the server, leave.
+    void shutDown();
+
+    EntityState state() const;
+    bool latched() const;
+    const std::string& uuid() const;
+    EntityStatus status() const;
+
+  private:
+    class Machine;
+    std::unique_ptr<Machine> machine_;
+};
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "common/result.hpp"
+#include "common/routed.hpp"
+
+namespace axon::proto {
+class BasicProfile;
+class EmToEi;
+class ResourceOffer;
+class ToClient;
+}  // namespace axon::proto
+
+namespace axon::entity_manager {
+
+// What EntityManagerCore needs from the world, each an interface that the daemon, the benchmark and a
+// simulation implement in their own way. The core calls them from its strand; none may call back into the
+// core before returning.
+
+/// The link to the Entity Interfacer (thesis: BackEndInterface). Implementations: BackEndInterface over TCP;
+/// an in-memory one in tests and benchmarks.
+class BackEndPort {
+  public:
+    virtual ~BackEndPort() = default;
+    /// Data lane, in order. When the link's bounded queue is full the link is closed (control overflow), and
+    /// the core learns of it as onLinkDown.
+    virtual void send(const proto::EmToEi& message) = 0;
+    /// Signal lane. Idempotent by generation: the EI calls the application once per generation.
+    /// Any thread; never blocks, takes no lock that data holds. Does nothing when the link is down (the EI
+    /// has stopped by itself then).
+    virtual void stop(std::uint32_t generation, StopCause cause) = 0;
+    /// Whether a task runs: heartbeat period and watchdog of the link (safety.md: 100 ms and 500 ms).
+    virtual void setBusy(bool busy) = 0;
+};
+
+/// The way to the entity server and through it to clients (thesis: EntityCommunicator, SessionPrx).
+class ServerPort {
+  public:
+    virtual ~ServerPort() = default;
+    /// From now on try for ever, with backoff, to have a session; onServerUp and onServerDown report.
+    /// Not wanted: leave, and stop trying.
+    virtual void wantConnection(bool wanted) = 0;
+    virtual void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) = 0;
+    virtual void sendStatus(const EntityStatus& status) = 0;
+    /// head.sender.id is the recipient, empty = everybody who watches. Lane::Signal for receipts.
+    virtual void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) = 0;
+    /// Stream samples and raw data: may be dropped, oldest first.
+    virtual void sendToClientDataSeq(const Header& head, const proto::ToClient& message) = 0;
+};
+
+/// What must survive a restart: small named values. The daemon keeps a file for each.
+class Storage {
+  public:
+    virtual ~Storage() = default;
+    virtual std::optional<std::string> load(std::string_view key) = 0;
+    virtual void save(std::string_view key, std::string_view value) = 0;
+};
+
+/// Where resources (files) arrive. Names have been checked before any of these is called.
+class ResourceStore {
+  public:
+    virtual ~ResourceStore() = default;
+    /// How many bytes of exactly this content (same hash and size) are here already: 0 to offer.size().
+    virtual Result<std::uint64_t> begin(const proto::ResourceOffer& offer) = 0;
+    /// `offset` continues where the last write of this transfer ended.
+    virtual Result<void> write(std::string_view transfer_id, std::uint64_t offset,
+                               std::string_view content) = 0;
+    /// Checks size and SHA-256 and puts the file in its place; its path, or HASH_MISMATCH (what arrived is
+    /// deleted).
+    virtual Result<std::string> finish(std::string_view transfer_id) = 0;
+    /// Keeps what has arrived, so that a later offer of the same content resumes.
+    virtual void suspend(std::string_view transfer_id) = 0;
+    /// Deletes a resource that is not savable after its task.
+    virtual void remove(std::string_view service, std::string_view resource) = 0;
+    /// Path and facts of a savable resource that is already here.
+    virtual std::optional<std::string> find(std::string_view service, std::string_view resource) = 0;
+};
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <mutex>
+#include <optional>
+#include <string>
+
+namespace axon::entity_manager {
+
+/// The stop generation, shared by the signal thread that raises it and the strand that reads it. A stop is
+/// known by its sender and sequence number: the same stop that arrives by two paths raises the generation
+/// once (architecture, section 7). Threads: any. The mutex is the signal lane's own and is held for a
+/// comparison of a few strings.
+class StopGate {
+  public:
+    explicit StopGate(std::uint32_t first = 0) : generation_(first) {}
+
+    std::uint32_t generation() const { return generation_.load(std::memory_order_acquire); }
+
+    /// The generation of this stop if it is new, nothing if it has been seen before.
+    std::optional<std::uint32_t> raise(const std::string& sender, std::int64_t sequence) {
+        const std::lock_guard lock(mutex_);
+        for (const auto& seen : recent_)
+            if (seen.sequence == sequence && seen.sender == sender) return std::nullopt;
+        recent_[next_] = {sender, sequence};
+        next_ = (next_ + 1) % recent_.size();
+        return raise();
+    }
+    /// A stop of the Entity Manager itself (link or server lost, release, …): always new.
+    std::uint32_t raise() { return generation_.fetch_add(1, std::memory_order_acq_rel) + 1; }
+
+  private:
+    struct Seen {
+        std::string sender;
+        std::int64_t sequence = -1;
+    };
+    std::atomic<std::uint32_t> generation_;
+    std::mutex mutex_;
+    std::array<Seen, 32> recent_;  // guarded by mutex_
+    std::size_t next_ = 0;         // guarded by mutex_
+};
+
+}  // namespace axon::entity_manager
