@@ -1,0 +1,248 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <chrono>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <variant>
+#include <vector>
+
+#include "common/refusal.hpp"
+#include "common/result.hpp"
+#include "common/routed.hpp"
+
+/// The client library: what an operator's program links to use robots (architecture, section 10).
+namespace axon::client {
+
+using Seconds = std::chrono::duration<double>;
+
+/// One value of a parameter. An int64 is accepted where a double is asked for.
+using Value = std::variant<std::int64_t, double, std::string, bool>;
+std::string toText(const Value& value);
+
+/// A parameter given to a task or set on a service: more than one value only for a "multiple" parameter.
+/// With `from_text` the values are strings that are read by the parameter's declared type (a command line).
+struct Argument {
+    std::string name;
+    std::vector<Value> values;
+    std::string units;  ///< optional; refused with WRONG_UNITS when it is not the profile's
+    bool from_text = false;
+};
+
+struct Parameter {
+    std::string name, type, data_type, units,
+        descr;  ///< type INPUT, OUTPUT, CONFIG, FEEDBACK; data_type INT, DBL, STR, BOOL
+    bool ready = false, required = false, savable = false, multiple = false;
+    std::vector<Value> values, choices;
+    std::optional<double> minimum, maximum;
+};
+
+struct Resource {
+    std::string name, descr;
+    bool ready = false, required = false, savable = false;
+    std::uint64_t size = 0;  ///< bytes
+};
+
+struct Service {
+    std::string name, global_id, type, descr, notes;  ///< type SMPL or CMPLX
+    bool active = true, executing = false, blocking = true, pausable = false;
+    std::vector<Parameter> parameters;
+    std::vector<Resource> resources;
+    std::vector<std::string> missing;  ///< what must be set or uploaded before it can run
+};
+
+/// What everybody may see of an entity.
+struct Entity {
+    std::string id;  ///< UUID
+    std::string name, category, type, descr;
+    double x_mm = 0, y_mm = 0, z_mm = 0;
+    EntityState state = EntityState::UNAV;
+    bool latched = false;
+    std::int32_t stop_generation = 0;
+    Sender holder;  ///< id empty when free
+    std::string reason;
+};
+
+enum class TaskState : std::uint8_t {
+    Queued = 1,
+    Dispatched,
+    Running,
+    Paused,
+    Succeeded,
+    Failed,
+    Stopped,
+    Cancelled,
+    Refused,
+    Unknown
+};
+inline bool isFinal(TaskState state) {
+    return state >= TaskState::Succeeded;
+}
+const char* toString(TaskState state);
+
+struct TaskReport {
+    std::string id;  ///< UUID text of the task
+    std::string entity, service;
+    TaskState state = TaskState::Queued;
+    double progress = -1;  ///< 0 to 1; negative = not known
+    std::string feedback;
+    std::map<std::string, std::vector<Value>> results;
+    Refusal reason;  ///< why it failed, was stopped, refused …
+};
+
+/// What became of a stop, stage by stage (architecture, section 7.4). Times since the call, on the client's
+/// clock; a stage that has not answered within the deadline has no time.
+struct Receipt {
+    std::string entity, name;
+    std::int32_t stop_generation = 0;
+    EntityState state = EntityState::UNAV;
+    std::optional<Seconds> server, manager, callback_returned, standstill;
+    bool no_application = false;  ///< no robot application is linked: there was nothing to stop
+    /// The EM and, where there is an application, its stop callback have answered.
+    bool confirmed() const { return manager && (callback_returned || no_application); }
+};
+
+/// One sample of a stream. `json` is the sample's content as JSON text; `raw` the serialized
+/// axon.proto.StreamSample.
+struct Sample {
+    std::string entity, stream;
+    std::uint64_t sequence = 0;
+    std::string json, raw;
+};
+
+struct Options {
+    std::string server = "127.0.0.1:10410";
+    std::string user, password;
+    std::string display_name;  ///< empty = user@host
+    Seconds timeout{5};        ///< of every request that waits for an answer; never infinite
+    bool reconnect = true;
+    /// When set, it is asked before each heartbeat while a task runs; false = do not send it (a live socket
+    /// is not a live operator). Called on the library's heartbeat thread.
+    std::function<bool()> keep_running;
+};
+
+class Client;
+
+/// A task that was asked for. Copies refer to the same task. Dropping the last copy does not cancel it.
+/// Threads: any. Ownership: valid as long as it is held; after the client is gone its state is Unknown.
+class Task {
+  public:
+    const std::string& id() const;
+    TaskReport report() const;
+    /// Until it is final, or the time is up; the newest report either way.
+    TaskReport wait(std::optional<Seconds> time = std::nullopt) const;
+    /// Each change from now on, and the present state at once. On the library's callback thread.
+    void onUpdate(std::function<void(const TaskReport&)> callback) const;
+    Result<void> pause() const;
+    Result<void> resume() const;
+    Result<void> cancel() const;
+
+    struct Shared;
+    explicit Task(std::shared_ptr<Shared> shared) : shared_(std::move(shared)) {}
+
+  private:
+    std::shared_ptr<Shared> shared_;
+};
+
+/// An entity that this client holds. Copies refer to the same lease; release() ends it for all of them. The
+/// lease also ends when the client is destroyed; it does not end when a CheckOut is dropped. Every call is
+/// refused with NOT_HOLDER once the lease is gone, and onLost has said why.
+class CheckOut {
+  public:
+    Entity entity() const;
+    std::vector<Service> services() const;
+    Result<Service> service(std::string_view name_or_global_id) const;
+
+    /// Granted or denied by the robot application; DENIED carries its reason.
+    Result<void> set(std::string_view service, const Argument& argument) const;
+    /// Sends a file in chunks, resuming where an earlier try ended. progress(sent, total) on the library's
+    /// thread.
+    Result<void> upload(std::string_view service, std::string_view resource,
+                        const std::filesystem::path& file,
+                        std::function<void(std::uint64_t, std::uint64_t)> progress = {}) const;
+    /// Returns as soon as the request is on its way; refusals arrive as TaskState::Refused with their reason.
+    Task run(std::string_view service, const std::vector<Argument>& arguments = {},
+             Seconds not_after = Seconds{0}) const;
+
+    Result<void> sendText(std::string_view text) const;
+    Result<void> sendRaw(std::string_view bytes) const;
+    void onText(std::function<void(const std::string&)> callback) const;
+    void onRaw(std::function<void(const std::string&)> callback) const;
+    void onServiceChanged(std::function<void(const Service&)> callback) const;
+    void onLost(std::function<void(const Refusal&)> callback) const;
+
+    /// Stops the running task and goes on with the next of the queue; does not latch (thesis: reset command).
+    Result<void> reset() const;
+    /// Stops the running task and empties the queue; does not latch (thesis: clear command).
+    Result<void> clear() const;
+    Result<void> release() const;
+
+    struct Shared;
+    explicit CheckOut(std::shared_ptr<Shared> shared) : shared_(std::move(shared)) {}
+
+  private:
+    std::shared_ptr<Shared> shared_;
+};
+
+/// A connection to an Axon server, with its own signal lane, heartbeats and reconnection.
+///
+/// Where in the flow: the first station (architecture, section 3).
+/// States: connected; lost (reconnecting with backoff, calls answer NOT_CONNECTED); closed.
+/// Threads: every member may be called from any thread. Callbacks run on one thread of the library, in order;
+/// they may call anything except what waits (Task::wait, checkOut, …). Ownership: closing or destroying it
+/// releases what it holds, in an orderly way. Failure: refusals as Result; nothing throws but misuse
+/// (std::logic_error) and the bad_alloc of the system.
+class Client {
+  public:
+    /// UNAVAILABLE, PERMISSION_DENIED, … with the mend in the message when there is no session within the
+    /// timeout.
+    static Result<std::unique_ptr<Client>> connect(Options options);
+    ~Client();
+    Client(const Client&) = delete;
+    Client& operator=(const Client&) = delete;
+
+    bool connected() const;
+    Sender self() const;
+    std::string server() const;
+
+    std::vector<Entity> entities() const;
+    /// By name, "Name#2" (the second of that name in order of UUID), UUID or unique beginning of one (at
+    /// least 4 characters). AMBIGUOUS_ENTITY names the candidates, UNKNOWN_ENTITY the nearest names.
+    Result<Entity> find(std::string_view name) const;
+    /// Waits until such an entity is there (and is not UNAV, INIT or ERR), or the time is up.
+    Result<Entity> waitFor(std::string_view name, Seconds time) const;
+    void onEntity(std::function<void(Presence, const Entity&)> callback);
+    void onConnection(std::function<void(bool connected, const std::string& reason)> callback);
+
+    /// All of them or none (reserve, then commit or abort). ALREADY_HELD names the holder.
+    Result<std::vector<CheckOut>> checkOut(const std::vector<std::string>& names);
+    Result<CheckOut> checkOut(std::string_view name);
+    /// What this client holds now.
+    std::vector<CheckOut> held() const;
+
+    /// Stops entities, held or not; none named = every entity there is. Waits for the receipts up to the
+    /// deadline.
+    Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline = Seconds{1});
+    Result<void> rearm(std::string_view name);
+    /// Services and parameters of any entity, held or not.
+    Result<std::vector<Service>> services(std::string_view name) const;
+
+    /// Samples of an entity's streams, held or not; no stream named = all. The handle ends the watch when
+    /// dropped.
+    Result<std::shared_ptr<void>> watch(std::string_view name, const std::vector<std::string>& streams,
+                                        std::function<void(const Sample&)> callback);
+    void close();
+
+    class Session;
+
+  private:
+    explicit Client(std::unique_ptr<Session> session);
+    std::unique_ptr<Session> session_;
+};
+
+}  // namespace axon::client
