@@ -1,0 +1,130 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Checks that what the documentation points to exists.
+
+Two things are followed: relative links of every Markdown page of the repository, with the heading they name; and
+paths in `backticks` that look like paths of this repository, in docs/, README.md, ARCHITECTURE.md, CONTRIBUTING.md
+and the components' README.md. Fenced code blocks are not read. Prints `file:line: what: how to mend it` and exits
+with 1 when something is missing, with 0 when not, with 2 when it was called wrongly.
+"""
+import argparse
+import os
+import re
+import sys
+from itertools import product
+from pathlib import Path
+from urllib.parse import unquote
+
+SKIPPED_FOLDERS = {".git", ".cache", "build", "node_modules", "__pycache__"}
+# A path begins with one of these folders, or is one of these files.
+FOLDERS = {"api", "bench", "cmake", "deploy", "docs", "examples", "lab", "robots", "src", "tests", "tools", "LICENSES", ".ci"}
+FILES = {"README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "CMakeLists.txt", "CMakePresets.json",
+         ".clang-format", ".clang-tidy", "demo", "check", "./demo", "./check"}
+LINK = re.compile(r"!?\[[^\]]*\]\(\s*<?([^)>\s]+)>?(?:\s+\"[^\"]*\")?\s*\)")
+CODE = re.compile(r"`([^`\n]+)`")
+
+
+def pages(root):
+    for folder, folders, names in os.walk(root):
+        folders[:] = sorted(f for f in folders if f not in SKIPPED_FOLDERS)
+        for name in sorted(names):
+            if name.endswith(".md"):
+                yield Path(folder) / name
+
+
+def prose(text):
+    """(number, line) of each line outside fenced blocks."""
+    fence = None
+    for number, line in enumerate(text.splitlines(), 1):
+        mark = re.match(r"\s*(```+|~~~+)", line)
+        if mark:
+            if fence is None:
+                fence = mark.group(1)[:3]
+            elif mark.group(1).startswith(fence):
+                fence = None
+            continue
+        if fence is None:
+            yield number, line
+
+
+def anchors(page):
+    """The names by which a page's headings can be linked, as the usual web views make them."""
+    seen = {}
+    result = set()
+    for _, line in prose(page.read_text(encoding="utf-8")):
+        heading = re.match(r"#{1,6}\s+(.*?)\s*#*$", line)
+        if heading:
+            slug = re.sub(r"[^\w\- ]", "", heading.group(1).lower()).replace(" ", "-")
+            count = seen.get(slug, 0)
+            seen[slug] = count + 1
+            result.add(slug if count == 0 else f"{slug}-{count}")
+        result.update(re.findall(r"<a\s+(?:id|name)=\"([^\"]+)\"", line))
+    return result
+
+
+def alternatives(path):
+    """`a/{b,c}.hpp` means a/b.hpp and a/c.hpp."""
+    parts = re.split(r"\{([^{}]*)\}", path)
+    choices = [[part] if i % 2 == 0 else part.split(",") for i, part in enumerate(parts)]
+    return ["".join(choice).strip() for choice in product(*choices)]
+
+
+def looks_like_path(text):
+    if re.search(r"[\s<>$|=()\"'…]", text) or "://" in text:
+        return False
+    if text in FILES:
+        return True
+    first, slash, _ = text.removeprefix("./").partition("/")
+    return bool(slash) and first in FOLDERS
+
+
+def exists(root, text):
+    path = re.sub(r"(:\d+)?(#.*)?$", "", text).removeprefix("./")
+    for one in alternatives(path):
+        if any(c in one for c in "*?["):
+            if not any(True for _ in root.glob(one.rstrip("/"))):
+                return one
+        elif not (root / one).exists():
+            return one
+    return None
+
+
+def findings(root):
+    root = Path(root).resolve()
+    for page in pages(root):
+        shown = page.relative_to(root).as_posix()
+        for number, line in prose(page.read_text(encoding="utf-8")):
+            bare = CODE.sub("", line)
+            for target in LINK.findall(bare if "](" in bare else line):
+                if re.match(r"[a-z][a-z0-9+.-]*:", target):
+                    continue
+                name, _, anchor = unquote(target).partition("#")
+                there = (page.parent / name).resolve() if name else page
+                if not there.exists():
+                    yield shown, number, f"link to {target}, but there is no such file", "correct the path, relative to this page"
+                elif not there.is_relative_to(root):
+                    yield shown, number, f"link to {target} leaves the repository", "link to a page of the repository"
+                elif anchor and there.suffix == ".md" and anchor not in anchors(there):
+                    yield shown, number, f"link to {target}, but that page has no such heading", "use the name of a heading"
+            for text in CODE.findall(line):
+                if looks_like_path(text):
+                    missing = exists(root, text)
+                    if missing:
+                        yield shown, number, f"`{missing}` does not exist", "correct the path, from the root of the repository"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("root", nargs="?", default=Path(__file__).resolve().parent.parent, help="the repository (default: this one)")
+    root = Path(parser.parse_args().root)
+    if not root.is_dir():
+        parser.error(f"{root} is no folder: expected the root of the repository")
+    found = list(findings(root))
+    for path, line, what, how in found:
+        print(f"{path}:{line}: {what}: {how}")
+    print(f"check_docs: {len(found)} finding(s)" if found else "check_docs: everything pointed to is there")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,125 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Shows that check_invariants.py and check_docs.py can fail: one small tree for each rule."""
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.dont_write_bytecode = True
+import check_docs  # noqa: E402
+import check_invariants  # noqa: E402
+
+GPL = "// SPDX-License-Identifier: GPL-2.0-or-later\n"
+MIT = "// SPDX-License-Identifier: MIT\n"
+
+
+class TreeCase(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.root = Path(self.folder.name)
+        (self.root / "src").mkdir()
+
+    def tearDown(self):
+        self.folder.cleanup()
+
+    def write(self, path, text):
+        file = self.root / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+
+
+class Invariants(TreeCase):
+    def found(self):
+        return [f"{path}:{line}: {what}" for path, line, what, _ in check_invariants.findings(self.root)]
+
+    def assertFound(self, start):
+        self.assertTrue([f for f in self.found() if f.startswith(start)], f"{start!r} not in {self.found()}")
+
+    def test_a_clean_tree_has_no_findings(self):
+        self.write("src/entity_server/entity_monitor.cpp", GPL + '#include "common/routed.hpp"\n// never sleep_for( here\n')
+        self.write("src/common/routed.hpp", MIT + "#include <string>\n")
+        self.write("src/entity_server/registry_servant.cpp", GPL + "#include <Ice/Ice.h>\n")
+        self.write("src/entity_interfacer/axon/entity_interfacer.hpp", MIT + "#include <string>\n")
+        self.assertEqual(self.found(), [])
+
+    def test_protobuf_in_a_server_is_found(self):
+        self.write("src/entity_server/entity_monitor.cpp", GPL + '#include "axon/task.pb.h"\n')
+        self.assertFound("src/entity_server/entity_monitor.cpp:2: 1 ")
+
+    def test_protobuf_in_a_server_is_found_behind_another_header(self):
+        self.write("src/messages/text.hpp", MIT + '#include "axon/task.pb.h"\n')
+        self.write("src/front_end_server/client_monitor.hpp", GPL + '#include "messages/text.hpp"\n')
+        self.assertFound("src/front_end_server/client_monitor.hpp:2: 1 ")
+
+    def test_a_server_that_links_protobuf_is_found(self):
+        self.write("src/entity_server/CMakeLists.txt", "# SPDX-License-Identifier: GPL-2.0-or-later\naxon_library(x LINK axon_proto)\n")
+        self.assertFound("src/entity_server/CMakeLists.txt:2: 1 ")
+
+    def test_a_foreign_header_in_the_public_interface_of_the_entity_interfacer_is_found(self):
+        self.write("src/entity_interfacer/axon/entity_interfacer.hpp", MIT + "#include <asio.hpp>\n")
+        self.assertFound("src/entity_interfacer/axon/entity_interfacer.hpp:2: 2 ")
+
+    def test_a_sleeping_test_is_found_and_support_may_sleep(self):
+        text = GPL + "void f() { std::this_thread::sleep_for(x); }\n"
+        self.write("src/client/client_test.cpp", text)
+        self.write("tests/e2e/kill.py", "# SPDX-License-Identifier: GPL-2.0-or-later\ntime.sleep(1)\n")
+        self.write("tests/support/wait.hpp", text)
+        self.assertFound("src/client/client_test.cpp:2: 6 ")
+        self.assertFound("tests/e2e/kill.py:2: 6 ")
+        self.assertEqual(len(self.found()), 2)
+
+    def test_a_singleton_is_found(self):
+        self.write("src/client/registry.hpp", GPL + "static Registry& instance() { static Registry r; return r; }\n")
+        self.assertFound("src/client/registry.hpp:2: 7 ")
+
+    def test_ice_outside_its_place_is_found(self):
+        self.write("src/entity_manager/daemon.cpp", GPL + "#include <Ice/Ice.h>\n")
+        self.write("robots/peoplebot/main.cpp", GPL + "#include <axon/commutil.h>\n")
+        self.assertFound("src/entity_manager/daemon.cpp:2: 8 ")
+        self.assertFound("robots/peoplebot/main.cpp:2: 8 ")
+
+    def test_a_core_with_sockets_or_a_clock_of_its_own_is_found(self):
+        self.write("src/entity_manager/entity_manager_core.cpp",
+                   GPL + "#include <sys/socket.h>\nauto t = std::chrono::steady_clock::now();\n")
+        self.assertFound("src/entity_manager/entity_manager_core.cpp:2: 10 ")
+        self.assertFound("src/entity_manager/entity_manager_core.cpp:3: 10 ")
+
+    def test_a_missing_or_wrong_licence_line_is_found(self):
+        self.write("src/client/a.cpp", "#include <string>\n")
+        self.write("src/common/b.hpp", GPL)
+        self.write("demo", "#!/bin/sh\necho\n")
+        self.assertFound("src/client/a.cpp:1: L ")
+        self.assertFound("src/common/b.hpp:1: L ")
+        self.assertFound("demo:2: L ")
+
+    def test_an_mit_file_that_includes_gpl_code_is_found(self):
+        self.write("src/client/a.hpp", GPL)
+        self.write("src/messages/b.cpp", MIT + '#include "client/a.hpp"\n')
+        self.assertFound("src/messages/b.cpp:2: L ")
+
+
+class Docs(TreeCase):
+    def found(self):
+        return [f"{path}:{line}: {what}" for path, line, what, _ in check_docs.findings(self.root)]
+
+    def test_what_exists_is_not_reported(self):
+        self.write("src/client/a.hpp", GPL)
+        self.write("src/client/b.hpp", GPL)
+        self.write("docs/page.md", "# One, two!\n[x](../README.md#first-steps) `src/client/{a,b}.hpp` `src/*/a.hpp` `src/client/`\n"
+                                   "```\n`src/gone.hpp`\n```\n[here](#one-two) [web](https://example.org/x)\n")
+        self.write("README.md", "## First steps\n")
+        self.assertEqual(self.found(), [])
+
+    def test_missing_paths_links_and_headings_are_reported(self):
+        self.write("README.md", "# A\n`src/gone.hpp`\n[x](docs/gone.md)\n[y](#gone)\n`src/{README,gone}.md`\n")
+        self.assertEqual([f.split(": ")[0] for f in self.found()], ["README.md:2", "README.md:3", "README.md:4", "README.md:5"])
+
+    def test_other_code_is_not_taken_for_a_path(self):
+        self.write("README.md", "`axon run PeopleBot Driving distance=1` `a/b` `build/dev/bin` `http://x/src/y`\n")
+        self.assertEqual(self.found(), [])
+
+
+if __name__ == "__main__":
+    unittest.main()
