@@ -5,6 +5,9 @@
 add_library(axon_options INTERFACE)
 target_compile_options(axon_options INTERFACE -Wall -Wextra -Wpedantic -Wshadow -Wnon-virtual-dtor -Wno-missing-field-initializers)
 target_include_directories(axon_options INTERFACE "$<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/src>")
+if(AXON_FUZZ) # coverage for the fuzzer, in the project's own code only
+  target_compile_options(axon_options INTERFACE -fsanitize=fuzzer-no-link)
+endif()
 if(AXON_SANITIZE) # for every target, generated code included: a sanitizer that sees half of a program lies
   add_compile_options(-fsanitize=${AXON_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
   add_link_options(-fsanitize=${AXON_SANITIZE})

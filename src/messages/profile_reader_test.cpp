@@ -1,0 +1,297 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "messages/profile_reader.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <thread>
+
+#include "messages/profile_command.hpp"
+#include "messages/xml_document.hpp"
+
+namespace axon {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+const std::string kArm =
+    R"(<BasicProfile name="Arm" category="ROBOT" type="STATIONARY" xpos="0" ypos="0" zpos="0"/>)";
+
+std::string listed(const std::vector<Finding>& findings) {
+    std::string out;
+    for (const auto& finding : findings) out += finding.toString() + "\n";
+    return out;
+}
+
+std::string withParam(const std::string& attributes) {
+    return "<ServiceProfile><Service name=\"S\" type=\"SMPL\"><Parameters><Param name=\"P\" " + attributes +
+           "/></Parameters></Service></ServiceProfile>";
+}
+
+TEST(ProfileReader, AFindingReadsFileLineSeverityElementExpectationMend) {
+    const auto reading = readBasicProfile(
+        "<BasicProfile name=\"Arm\"\n category=\"DRONE\" type=\"STATIONARY\"\n"
+        " xpos=\"0\" ypos=\"0\" zpos=\"0\"/>",
+        "arm.xml");
+    EXPECT_EQ(listed(reading.findings),
+              "arm.xml:2: error: BasicProfile \"Arm\" category: one of ROBOT, MACHINE, found \"DRONE\": "
+              "write one of them\n");
+}
+
+TEST(ProfileReader, AllFindingsComeAtOnceInTheOrderOfLines) {
+    const auto reading = readServicesProfile(R"(<ServiceProfile count="9">
+  <Service name="" type="SIMPLE">
+    <Parameters>
+      <Param name="P" type="IN" data_type="FLOAT"
+             required="yes"
+             colour="red"/>
+    </Parameters>
+  </Service>
+</ServiceProfile>)",
+                                             "s.xml");
+    std::vector<int> lines;
+    for (const auto& finding : reading.findings) lines.push_back(finding.line);
+    EXPECT_EQ(lines, (std::vector<int>{1, 2, 2, 4, 4, 5, 6})) << listed(reading.findings);
+    EXPECT_FALSE(reading.ok());
+}
+
+TEST(ProfileReader, UnknownAttributesAndElementsAreWarningsThatSuggestTheRightName) {
+    const auto reading = readBasicProfile(
+        "<BasicProfile name='Arm' category='ROBOT' type='STATIONARY' xpos='0' ypos='0' "
+        "zpoz='0'><extra/></BasicProfile>",
+        "b.xml");
+    EXPECT_TRUE(reading.ok()) << listed(reading.findings);
+    EXPECT_THAT(listed(reading.findings),
+                AllOf(HasSubstr("warning: BasicProfile \"Arm\" zpoz"), HasSubstr("\"zpos\""),
+                      HasSubstr("warning: extra in BasicProfile \"Arm\"")));
+}
+
+TEST(ProfileReader, HintsForEditorsAreNoFindings) {
+    const auto reading = readBasicProfile(
+        "<BasicProfile xmlns:xsi='http://www.w3.org/2001/XMLSchema-instance' "
+        "xsi:noNamespaceSchemaLocation='b.xsd' "
+        "name='Arm' category='ROBOT' type='STATIONARY' xpos='0' ypos='0' zpos='0'/>",
+        "b.xml");
+    EXPECT_THAT(reading.findings, IsEmpty()) << listed(reading.findings);
+}
+
+TEST(ProfileReader, MissingOptionalAttributesHaveTheDefaultsOfTheThesis) {
+    const auto reading = readServicesProfile(withParam("type='INPUT' data_type='INT'"), "s.xml");
+    EXPECT_THAT(reading.findings, IsEmpty()) << listed(reading.findings);
+    const auto& service = reading.message.services(0);
+    EXPECT_TRUE(service.is_active());
+    EXPECT_TRUE(service.is_blocking());
+    EXPECT_FALSE(service.is_pausable());
+    EXPECT_EQ(service.on_client_loss(), proto::STOP_TASK);
+    const auto& param = service.params(0);
+    EXPECT_FALSE(param.ready());
+    EXPECT_FALSE(param.required());
+    EXPECT_FALSE(param.savable());
+    EXPECT_FALSE(param.multiple());
+}
+
+TEST(ProfileReader, AParameterWithAValueIsReady) {
+    const auto reading = readServicesProfile(withParam("type='CONFIG' data_type='DBL' value='2'"), "s.xml");
+    const auto& param = reading.message.services(0).params(0);
+    EXPECT_TRUE(param.ready());
+    EXPECT_EQ(param.initial(0).dbl(), 2.0);
+}
+
+TEST(ProfileReader, ReadyWithoutAValueIsAWarningAndCountsAsNotSet) {
+    const auto reading =
+        readServicesProfile(withParam("type='CONFIG' data_type='DBL' ready='true'"), "s.xml");
+    EXPECT_TRUE(reading.ok());
+    EXPECT_EQ(reading.findings.size(), 1U) << listed(reading.findings);
+    EXPECT_FALSE(reading.message.services(0).params(0).ready());
+}
+
+TEST(ProfileReader, ARequiredOutputIsAWarningAndNotRequired) {
+    const auto reading =
+        readServicesProfile(withParam("type='OUTPUT' data_type='INT' required='true'"), "s.xml");
+    EXPECT_TRUE(reading.ok());
+    EXPECT_EQ(reading.findings.size(), 1U) << listed(reading.findings);
+    EXPECT_FALSE(reading.message.services(0).params(0).required());
+}
+
+TEST(ProfileReader, AnEmptyTextIsAValueAndAnEmptyNumberIsNone) {
+    const auto text = readServicesProfile(withParam("type='INPUT' data_type='STR' value=''"), "s.xml");
+    EXPECT_TRUE(text.message.services(0).params(0).ready());
+    const auto number = readServicesProfile(withParam("type='INPUT' data_type='INT' value=''"), "s.xml");
+    EXPECT_TRUE(number.ok());
+    EXPECT_EQ(number.findings.size(), 1U);
+    EXPECT_FALSE(number.message.services(0).params(0).ready());
+}
+
+TEST(ProfileReader, TheOtherKindOfProfileIsNamed) {
+    const auto reading = readServicesProfile(kArm, "arm.xml");
+    EXPECT_THAT(listed(reading.findings), HasSubstr("this is a basic profile"));
+    EXPECT_FALSE(reading.ok());
+}
+
+TEST(ProfileReader, KindsAreDetectedPastCommentsAndDeclarations) {
+    EXPECT_EQ(detectKind("<?xml version='1.0'?><!-- <GlobalProfile> --><BasicProfile/>"), ProfileKind::Basic);
+    EXPECT_EQ(detectKind("<ServicesProfile>"), ProfileKind::Services);
+    EXPECT_EQ(detectKind("<!DOCTYPE x><GlobalProfile\n>"), ProfileKind::Global);
+    EXPECT_EQ(detectKind("<!-- <BasicProfile/>"), ProfileKind::Unknown);
+    EXPECT_EQ(detectKind("<"), ProfileKind::Unknown);
+    EXPECT_EQ(detectKind(""), ProfileKind::Unknown);
+}
+
+TEST(ProfileReader, WhatIsNoUtf8TextOrNoXmlIsOneFinding) {
+    using namespace std::string_literals;
+    for (const auto& xml :
+         {""s, "   \n"s, "PeopleBot"s, "\xFF\xFE<\0B\0"s, "<B\0asicProfile/>"s, "\x4C\x6F\xA7\x94"s,
+          "<BasicProfile name='Zo\xEB'/>"s, "<"s, "<!"s, "<BasicProfile"s, "<?xml"s}) {
+        const auto reading = readBasicProfile(xml, "x.xml");
+        EXPECT_FALSE(reading.ok()) << xml;
+        EXPECT_GE(reading.findings.size(), 1U);
+    }
+}
+
+TEST(ProfileReader, ABadByteIsFoundInItsLine) {
+    const auto reading = readBasicProfile("<BasicProfile\n name='A'\n descr='Zo\xEB'/>", "x.xml");
+    EXPECT_THAT(listed(reading.findings), HasSubstr("x.xml:3: error: document: UTF-8 text"));
+}
+
+TEST(ProfileReader, AByteOrderMarkIsNoFinding) {
+    EXPECT_THAT(readBasicProfile("\xEF\xBB\xBF" + kArm, "arm.xml").findings, IsEmpty());
+}
+
+TEST(ProfileReader, AttributeLinesSurviveGreaterSignsQuotesAndNewLines) {
+    const auto reading = readBasicProfile(
+        "<!-- <BasicProfile -->\r\n<BasicProfile name='a > b'\r\n\r\n descr=\"it's = 'so'\"\r\n"
+        " category='X' type = 'MOBILE' xpos='0' ypos='0' zpos='0'/>",
+        "x.xml");
+    ASSERT_EQ(reading.findings.size(), 1U) << listed(reading.findings);
+    EXPECT_EQ(reading.findings[0].line, 5);
+    EXPECT_EQ(reading.message.descr(), "it's = 'so'");
+}
+
+TEST(ProfileReader, PredefinedEntitiesAndReferencesAreDecoded) {
+    const auto reading = readBasicProfile(
+        "<BasicProfile name='A&amp;B &lt;1&gt; &#x41;' category='ROBOT' type='MOBILE' xpos='0' ypos='0' "
+        "zpos='0'/>",
+        "x.xml");
+    EXPECT_THAT(reading.findings, IsEmpty()) << listed(reading.findings);
+    EXPECT_EQ(reading.message.name(), "A&B <1> A");
+}
+
+TEST(ProfileReader, LimitsOfSizeElementsAndAttributesAreFindings) {
+    EXPECT_THAT(listed(readBasicProfile(std::string(kMaxXmlBytes + 1, ' '), "x.xml").findings),
+                HasSubstr("at most 1 MiB"));
+    std::string many = "<ServiceProfile>";
+    for (int i = 0; i <= kMaxXmlElements; ++i) many += "<x/>";
+    EXPECT_THAT(listed(readServicesProfile(many + "</ServiceProfile>", "x.xml").findings),
+                HasSubstr("elements"));
+    std::string wide = "<BasicProfile";
+    for (int i = 0; i <= kMaxXmlAttributes; ++i) wide += " a" + std::to_string(i) + " = '1'";
+    EXPECT_THAT(listed(readBasicProfile(wide + "/>", "x.xml").findings), HasSubstr("attributes in one tag"));
+}
+
+TEST(ProfileReader, FindingsAreBoundedAndSayWhatIsLeftOut) {
+    std::string many = "<ServiceProfile>";
+    for (int i = 0; i < 1000; ++i) many += "<x/>";
+    const auto reading = readServicesProfile(many + "</ServiceProfile>", "x.xml");
+    EXPECT_EQ(reading.findings.size(), kMaxFindings + 1);
+    EXPECT_THAT(reading.findings.back().toString(), HasSubstr("501 more"));
+    EXPECT_TRUE(reading.ok()) << "warnings only, however many";
+}
+
+TEST(ProfileReader, AnErrorThatIsLeftOutStillIsAnError) {
+    std::string many = "<ServiceProfile>";
+    for (int i = 0; i < 1000; ++i) many += "<x/>";
+    EXPECT_FALSE(readServicesProfile(many + "<Service/></ServiceProfile>", "x.xml").ok());
+}
+
+TEST(ProfileReader, ALongChainOfCompositesIsNoRecursion) {
+    std::string xml = "<ServiceProfile>";
+    for (int i = 0; i < 4000; ++i)
+        xml += "<Service name='s" + std::to_string(i) + "' type='CMPLX'><Services><ServiceRef name='s" +
+               std::to_string(i + 1) + "'/></Services></Service>";
+    xml += "<Service name='s4000' type='SMPL'/></ServiceProfile>";
+    const auto reading = readServicesProfile(xml, "x.xml");
+    EXPECT_THAT(reading.findings, IsEmpty()) << listed(reading.findings);
+    EXPECT_EQ(reading.message.services(7).service_list(0), "s8");
+}
+
+TEST(ProfileReader, AGlobalIdThatIsAnotherServicesNameIsAWarning) {
+    const auto reading = readServicesProfile(
+        "<ServiceProfile><Service name='Go' type='SMPL'/><Service name='Walk' global_id='Go' "
+        "type='SMPL'/></ServiceProfile>",
+        "s");
+    EXPECT_TRUE(reading.ok());
+    EXPECT_EQ(reading.findings.size(), 1U) << listed(reading.findings);
+}
+
+TEST(ProfileReader, ThreadsReadAtTheSameTime) {
+    std::vector<std::thread> threads;
+    std::vector<std::size_t> findings(4, 99);
+    for (std::size_t i = 0; i < findings.size(); ++i) {
+        threads.emplace_back([&findings, i] {
+            std::size_t total = 0;
+            for (int round = 0; round < 50; ++round) {
+                total += readBasicProfile(kArm, "a.xml").findings.size();
+                total += readBasicProfile("<BasicProfile", "b.xml").findings.empty() ? 1 : 0;
+            }
+            findings[i] = total;
+        });
+    }
+    for (auto& thread : threads) thread.join();
+    EXPECT_EQ(findings, std::vector<std::size_t>(4, 0));
+}
+
+class ProfileCheckCommand : public ::testing::Test {
+  protected:
+    void SetUp() override {
+        std::string name = (std::filesystem::temp_directory_path() / "axon-profile-XXXXXX").string();
+        ASSERT_NE(::mkdtemp(name.data()), nullptr);
+        folder_ = name;
+    }
+    void TearDown() override { std::filesystem::remove_all(folder_); }
+
+    std::string file(const std::string& name, const std::string& text) {
+        std::ofstream(folder_ / name) << text;
+        return (folder_ / name).string();
+    }
+
+    std::filesystem::path folder_;
+    std::ostringstream out_;
+};
+
+TEST_F(ProfileCheckCommand, WarningsAloneAreSuccess) {
+    EXPECT_EQ(checkProfiles({file("a.xml", kArm), "api/schema/samples/valid/figure_a_1.xml"}, false, out_),
+              0);
+    EXPECT_THAT(out_.str(), HasSubstr("2 files: 0 errors, 1 warning\n"));
+}
+
+TEST_F(ProfileCheckCommand, ErrorsAreStatusOneAndAllFilesAreChecked) {
+    const auto bad = file("bad.xml", "<BasicProfile/>");
+    EXPECT_EQ(checkProfiles({bad, file("worse.xml", "nothing")}, false, out_), 1);
+    EXPECT_THAT(out_.str(), AllOf(HasSubstr("bad.xml:1: error: BasicProfile name:"),
+                                  HasSubstr("worse.xml:1: error: document:")));
+}
+
+TEST_F(ProfileCheckCommand, UnreadableFilesAreStatusTwo) {
+    EXPECT_EQ(checkProfiles({(folder_ / "none.xml").string()}, false, out_), 2);
+    EXPECT_EQ(checkProfiles({folder_.string()}, false, out_), 2);
+    EXPECT_EQ(checkProfiles({"/dev/zero"}, false, out_), 2);
+    EXPECT_EQ(checkProfiles({}, false, out_), 2);
+}
+
+TEST_F(ProfileCheckCommand, JsonHasOneObjectForEachFindingAndOneThatCounts) {
+    const auto bad = file("b\"a\td.xml",
+                          "<BasicProfile name='A' category='ROBOT' type='FAST' xpos='0' ypos='0' zpos='0'/>");
+    EXPECT_EQ(checkProfiles({bad}, true, out_), 1);
+    EXPECT_THAT(out_.str(), AllOf(HasSubstr("b\\\"a\\u0009d.xml\",\"line\":1,\"severity\":\"error\","
+                                            "\"element\":\"BasicProfile \\\"A\\\" type\""),
+                                  HasSubstr("{\"ok\":false,\"files\":1,\"errors\":1,\"warnings\":0}\n")));
+}
+
+}  // namespace
+}  // namespace axon
