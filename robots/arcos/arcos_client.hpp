@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "robots/arcos/byte_stream.hpp"
+#include "robots/arcos/client_session.hpp"
+
+namespace axon::arcos {
+
+/// A connection to one ARCOS robot that never gives up: connects, shakes hands, keeps the robot's watchdog
+/// fed, offers the newest RobotState, and after a loss tries again for ever (after 100 ms, doubling up to 2
+/// s).
+///
+/// Between a robot application's service logic above and a ByteStream (TCP, later serial) below; the protocol
+/// itself is ClientSession. Threads: one of its own, on which all callbacks run; they must not block. state()
+/// and the commands may be called from any thread; a command is written to the link by the calling thread,
+/// without a queue, so a stop is on the wire when the call returns. Destruction stops the robot, closes the
+/// session and joins the thread; not from a callback. Failure: onLost with the reason. A command while the
+/// robot is lost returns false and does nothing.
+class ArcosClient {
+  public:
+    struct Callbacks {
+        std::function<void(const RobotIdentity&)> on_online;
+        std::function<void(const RobotState&)> on_state;         ///< ten times a second
+        std::function<void(const std::string& reason)> on_lost;  ///< also for each failed attempt to connect
+    };
+
+    ArcosClient(StreamOpener open, Callbacks callbacks);
+    ~ArcosClient();
+    ArcosClient(const ArcosClient&) = delete;
+    ArcosClient& operator=(const ArcosClient&) = delete;
+
+    RobotState state() const;
+
+    bool command(Command command);
+    bool command(Command command, int argument);
+    /// Forward speed and rotation to the left, rounded to ARCOS's whole mm/s and deg/s.
+    bool drive(double forward_mm_s, double left_deg_s);
+    /// STOP with the robot's full deceleration (ESTOP): for the stop thread.
+    bool stop();
+
+  private:
+    class Worker;
+    std::unique_ptr<Worker> worker_;
+};
+
+}  // namespace axon::arcos

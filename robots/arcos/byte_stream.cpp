@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "robots/arcos/byte_stream.hpp"
+
+#include <fcntl.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <charconv>
+#include <cstring>
+#include <stdexcept>
+
+namespace axon::arcos {
+namespace {
+
+class TcpStream final : public ByteStream {
+  public:
+    explicit TcpStream(int fd) : fd_(fd) {}
+    ~TcpStream() override { ::close(fd_); }
+    TcpStream(const TcpStream&) = delete;
+    TcpStream& operator=(const TcpStream&) = delete;
+
+    int descriptor() const override { return fd_; }
+
+    int read(std::span<std::uint8_t> into) override {
+        const auto got = ::recv(fd_, into.data(), into.size(), MSG_DONTWAIT);
+        if (got > 0) return static_cast<int>(got);
+        return got < 0 && (errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR) ? 0 : -1;
+    }
+
+    bool write(std::span<const std::uint8_t> bytes) override {
+        const auto sent = ::send(fd_, bytes.data(), bytes.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+        return sent == static_cast<ssize_t>(bytes.size());
+    }
+
+  private:
+    int fd_;
+};
+
+Refusal notConnected(const std::string& address, const char* why) {
+    return {RefusalCode::NotConnected, "cannot connect to the robot at " + address + ": " + why, {}};
+}
+
+Result<std::unique_ptr<ByteStream>> connectTo(const std::string& address, const std::string& host,
+                                              const std::string& port, Duration timeout) {
+    addrinfo hints{};
+    hints.ai_socktype = SOCK_STREAM;
+    addrinfo* found = nullptr;
+    if (const int error = ::getaddrinfo(host.c_str(), port.c_str(), &hints, &found); error != 0) {
+        return notConnected(address, ::gai_strerror(error));
+    }
+    const std::unique_ptr<addrinfo, decltype(&::freeaddrinfo)> addresses(found, &::freeaddrinfo);
+    int error = EHOSTUNREACH;
+    for (const auto* candidate = found; candidate != nullptr; candidate = candidate->ai_next) {
+        const int fd = ::socket(candidate->ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+        if (fd < 0) {
+            error = errno;
+            continue;
+        }
+        auto stream = std::make_unique<TcpStream>(fd);
+        const int one = 1;
+        ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &one, sizeof one);
+        if (::connect(fd, candidate->ai_addr, candidate->ai_addrlen) == 0)
+            return std::unique_ptr<ByteStream>(std::move(stream));
+        error = errno;
+        if (error != EINPROGRESS) continue;
+        pollfd waiting{fd, POLLOUT, 0};
+        const auto ms = std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count();
+        if (::poll(&waiting, 1, static_cast<int>(ms)) <= 0) {
+            error = ETIMEDOUT;
+            continue;
+        }
+        socklen_t size = sizeof error;
+        ::getsockopt(fd, SOL_SOCKET, SO_ERROR, &error, &size);
+        if (error == 0) return std::unique_ptr<ByteStream>(std::move(stream));
+    }
+    return notConnected(address, std::strerror(error));
+}
+
+}  // namespace
+
+StreamOpener tcpStreams(const std::string& address) {
+    const auto colon = address.rfind(':');
+    const auto port = colon == std::string::npos ? std::string{} : address.substr(colon + 1);
+    int number = 0;
+    const auto parsed = std::from_chars(port.data(), port.data() + port.size(), number);
+    if (colon == 0 || parsed.ec != std::errc{} || parsed.ptr != port.data() + port.size() || number < 1 ||
+        number > 65535) {
+        throw std::invalid_argument(
+            "robot address \"" + address +
+            "\": expected host:port with a port from 1 to 65535, for example 127.0.0.1:8101");
+    }
+    return [address, host = address.substr(0, colon), port](Duration timeout) {
+        return connectTo(address, host, port, timeout);
+    };
+}
+
+}  // namespace axon::arcos

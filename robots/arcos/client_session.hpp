@@ -1,0 +1,126 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <array>
+#include <optional>
+#include <string>
+
+#include "robots/arcos/server_information.hpp"
+
+namespace axon::arcos {
+
+/// Who the robot says it is, in its answer to SYNC2.
+struct RobotIdentity {
+    std::string name;
+    std::string type;     ///< the class of robots: "Pioneer"
+    std::string subtype;  ///< the model: "peoplebot-sh"
+
+    bool operator==(const RobotIdentity&) const = default;
+};
+
+/// What the robot last said of itself, in units a person thinks in. A value type.
+struct RobotState {
+    static constexpr int kSonars = 32;
+    struct Sonar {
+        int range_mm = kNoEcho_mm;
+        TimePoint heard{};  ///< the epoch: never
+    };
+
+    bool online = false;
+    std::uint64_t sequence = 0;  ///< of the server information packet, from 1 per connection
+    TimePoint taken{};           ///< when that packet arrived
+    double x_mm = 0;             ///< odometry since OPEN, accumulated over the 15-bit wrap of the wire
+    double y_mm = 0;
+    double heading_deg = 0;  ///< accumulated over full turns; positive is to the left
+    double left_mm_s = 0;
+    double right_mm_s = 0;
+    double rotation_deg_s = 0;
+    bool moving = false;
+    bool motors_on = false;
+    bool left_stall = false;
+    bool right_stall = false;
+    unsigned front_bumpers = 0;  ///< bit 0 is segment 1
+    unsigned rear_bumpers = 0;
+    bool table_left = false;  ///< the infrared table sensors see something
+    bool table_right = false;
+    double battery_v = 0;
+    std::array<Sonar, kSonars> sonars{};
+
+    double speed_mm_s() const { return (left_mm_s + right_mm_s) / 2; }
+};
+
+/// The client's half of an ARCOS session: shakes hands (SYNC0, SYNC1, SYNC2, OPEN), sends PULSE when nothing
+/// else was sent, turns packets into a RobotState, and says when the robot is lost.
+///
+/// | state | means | leaves on |
+/// |---|---|---|
+/// | Closed | no link | begin() → Synchronising |
+/// | Synchronising | SYNCn sent, its echo awaited; repeated after kSyncTimeout, from SYNC0 after kSyncTries |
+/// third echo → Opening; kSyncRounds used up → Closed, onLost | | Opening | OPEN sent, the first server
+/// information awaited for kOpenTimeout | it arrives → Online, onOnline; else → Closed, onLost | | Online | |
+/// no server information for kSilenceTimeout, or end() → Closed, onLost |
+///
+/// Threads: none, not thread-safe; the owner confines it (ArcosClient does). I/O-free: time comes in with
+/// each call, bytes leave through the port. Failure: only onLost, with a reason for a person.
+class ClientSession {
+  public:
+    enum class State { Closed, Synchronising, Opening, Online };
+
+    class Port {
+      public:
+        virtual ~Port() = default;
+        virtual void send(const Bytes& bytes) = 0;
+        virtual void onOnline(const RobotIdentity& identity) = 0;
+        virtual void onState(const RobotState& state) = 0;
+        virtual void onLost(const std::string& reason) = 0;
+    };
+
+    static constexpr Duration kSyncTimeout = std::chrono::milliseconds{500};
+    static constexpr int kSyncTries = 3;
+    static constexpr int kSyncRounds = 4;
+    static constexpr Duration kOpenTimeout = std::chrono::seconds{2};
+    static constexpr Duration kSilenceTimeout = std::chrono::milliseconds{500};  // five packets missing
+    static constexpr Duration kPulsePeriod =
+        std::chrono::milliseconds{500};  // a quarter of the robot's watchdog
+
+    explicit ClientSession(Port& port) : port_(port) {}
+
+    /// There is a link: start shaking hands.
+    void begin(TimePoint now);
+    /// The link is gone; onLost(reason) unless the session was closed already.
+    void end(const std::string& reason);
+    void receive(std::span<const std::uint8_t> bytes, TimePoint now);
+    /// To be called at least every 50 ms.
+    void tick(TimePoint now);
+    /// Something else was sent by the owner: no PULSE is needed for a while.
+    void commandSent(TimePoint now) { last_sent_ = now; }
+
+    State state() const { return state_; }
+    const RobotIdentity& identity() const { return identity_; }
+    const RobotState& robot() const { return robot_; }
+    const std::optional<RobotConfig>& config() const { return config_; }
+    const PacketReader& reader() const { return reader_; }
+
+  private:
+    void sendSync(TimePoint now);
+    void send(const Bytes& bytes, TimePoint now);
+    void onPacket(const Packet& packet, TimePoint now);
+    void onSync(const Packet& packet, TimePoint now);
+    void onServerInformation(const ServerInformation& sip, TimePoint now);
+
+    Port& port_;
+    State state_ = State::Closed;
+    PacketReader reader_;
+    RobotIdentity identity_;
+    RobotState robot_;
+    std::optional<RobotConfig> config_;
+    int sync_ = 0;   // which of SYNC0 to SYNC2 is awaited
+    int tries_ = 0;  // of this one
+    int rounds_ = 0;
+    TimePoint last_sent_{};
+    TimePoint last_heard_{};
+    // What the wire last said, to accumulate differences.
+    std::optional<ServerInformation> previous_;
+    bool table_sensors_by_io_ = false;
+};
+
+}  // namespace axon::arcos

@@ -1,0 +1,166 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "robots/arcos/client_session.hpp"
+
+#include <gtest/gtest.h>
+
+namespace axon::arcos {
+namespace {
+
+using std::chrono::milliseconds;
+
+/// Plays the robot by hand: notes what the session sends, and answers when told to.
+class ClientSessionTest : public ::testing::Test, public ClientSession::Port {
+  protected:
+    void send(const Bytes& bytes) override {
+        for (auto& packet : wire_.feed(bytes, clock_.now())) sent_.push_back(packet);
+    }
+    void onOnline(const RobotIdentity& identity) override { online_ = identity; }
+    void onState(const RobotState& state) override { robot_ = state; }
+    void onLost(const std::string& reason) override { lost_.push_back(reason); }
+
+    void answer(const Packet& packet) { session_.receive(encode(packet), clock_.now()); }
+    void tell(ServerInformation sip) { answer(toPacket(sip)); }
+    void pass(milliseconds time) {
+        for (; time.count() > 0; time -= milliseconds{25}) {
+            clock_.advance(milliseconds{25});
+            session_.tick(clock_.now());
+        }
+    }
+    void shakeHands() {
+        session_.begin(clock_.now());
+        answer({0, {}});
+        answer({1, {}});
+        answer({2, FieldWriter{}.text("Ann").text("Pioneer").text("peoplebot-sh").take()});
+    }
+    int countSent(Command command) const {
+        int count = 0;
+        for (const auto& packet : sent_) count += packet.id == static_cast<std::uint8_t>(command) ? 1 : 0;
+        return count;
+    }
+
+    ManualClock clock_;
+    PacketReader wire_;
+    std::vector<Packet> sent_;
+    std::optional<RobotIdentity> online_;
+    RobotState robot_;
+    std::vector<std::string> lost_;
+    ClientSession session_{*this};
+};
+
+TEST_F(ClientSessionTest, IsOnlineWithTheFirstServerInformation) {
+    shakeHands();
+    EXPECT_EQ(session_.state(), ClientSession::State::Opening);
+    EXPECT_FALSE(online_);
+    tell({});
+    EXPECT_EQ(session_.state(), ClientSession::State::Online);
+    EXPECT_EQ(online_, (RobotIdentity{"Ann", "Pioneer", "peoplebot-sh"}));
+    EXPECT_TRUE(robot_.online);
+}
+
+TEST_F(ClientSessionTest, RepeatsSync0AndFinallyGivesUp) {
+    session_.begin(clock_.now());
+    pass(milliseconds{600});
+    EXPECT_EQ(sent_.size(), 2U);
+    pass(milliseconds{10000});
+    ASSERT_EQ(lost_.size(), 1U);
+    EXPECT_NE(lost_[0].find("SYNC"), std::string::npos);
+    EXPECT_EQ(session_.state(), ClientSession::State::Closed);
+}
+
+TEST_F(ClientSessionTest, StartsAgainFromSync0WhenAnEchoIsLost) {
+    session_.begin(clock_.now());
+    answer({0, {}});
+    sent_.clear();
+    pass(milliseconds{500});
+    ASSERT_EQ(sent_.size(), 1U);
+    EXPECT_EQ(sent_[0].id, 0);
+}
+
+TEST_F(ClientSessionTest, IgnoresServerInformationOfAnEarlierSessionWhileShakingHands) {
+    session_.begin(clock_.now());
+    tell({});
+    EXPECT_EQ(session_.state(), ClientSession::State::Synchronising);
+    EXPECT_FALSE(online_);
+}
+
+TEST_F(ClientSessionTest, SendsAPulseOnlyWhenNothingElseWasSent) {
+    shakeHands();
+    sent_.clear();
+    for (int i = 0; i < 20; ++i) {
+        tell({});
+        pass(milliseconds{100});
+    }
+    EXPECT_EQ(countSent(Command::Pulse), 4);
+    sent_.clear();
+    for (int i = 0; i < 20; ++i) {
+        tell({});
+        session_.commandSent(clock_.now());
+        pass(milliseconds{100});
+    }
+    EXPECT_EQ(countSent(Command::Pulse), 0);
+}
+
+TEST_F(ClientSessionTest, TheRobotIsLostAfterExactly500MillisecondsOfSilence) {
+    shakeHands();
+    tell({});
+    clock_.advance(milliseconds{499});
+    session_.tick(clock_.now());
+    EXPECT_TRUE(lost_.empty());
+    clock_.advance(milliseconds{1});
+    session_.tick(clock_.now());
+    ASSERT_EQ(lost_.size(), 1U);
+    EXPECT_FALSE(session_.robot().online);
+    session_.end("again");
+    EXPECT_EQ(lost_.size(), 1U);
+}
+
+TEST_F(ClientSessionTest, PositionAccumulatesOverTheWrapOfFifteenBits) {
+    shakeHands();
+    int x = 0;
+    for (; x < 100000; x += 3000) {
+        ServerInformation sip;
+        sip.x = static_cast<std::uint16_t>(x & 0x7FFF);
+        sip.y = static_cast<std::uint16_t>(-x & 0x7FFF);
+        tell(sip);
+        EXPECT_DOUBLE_EQ(robot_.x_mm, x);
+        EXPECT_DOUBLE_EQ(robot_.y_mm, -x);
+    }
+}
+
+TEST_F(ClientSessionTest, HeadingAccumulatesOverFullTurns) {
+    shakeHands();
+    for (int step = 0; step <= 48; ++step) {
+        int units = step * 256 % 4096;
+        if (units > 2047) units -= 4096;
+        ServerInformation sip;
+        sip.theta = static_cast<std::int16_t>(units);
+        tell(sip);
+    }
+    EXPECT_NEAR(robot_.heading_deg, 3 * 360, 0.2);
+}
+
+TEST_F(ClientSessionTest, TableSensorsAreActiveLowAndTheFourthInputByteOverrules) {
+    shakeHands();
+    ServerInformation sip;
+    sip.digital_in = 0xFD;
+    tell(sip);
+    EXPECT_TRUE(robot_.table_left);
+    EXPECT_FALSE(robot_.table_right);
+    answer(toPacket(InputsOutputs{{0xFF, 0xFF, 0xFF, 0xFE}, {}, {}}));
+    tell(sip);
+    EXPECT_FALSE(robot_.table_left);
+    EXPECT_TRUE(robot_.table_right);
+}
+
+TEST_F(ClientSessionTest, RemembersWhenEachSonarWasHeard) {
+    shakeHands();
+    ServerInformation sip;
+    sip.sonars = {{3, 412}, {200, 1}};
+    tell(sip);
+    EXPECT_EQ(robot_.sonars[3].range_mm, 412);
+    EXPECT_EQ(robot_.sonars[3].heard, clock_.now());
+    EXPECT_EQ(robot_.sonars[4].heard, TimePoint{});
+}
+
+}  // namespace
+}  // namespace axon::arcos

@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "common/clock.hpp"
+
+/// ARCOS, the protocol of the Pioneer family's onboard controller, as this project speaks it: on the side of
+/// the robot application (ClientSession) and on the side of the virtual robot (lab/arcos_server.hpp).
+namespace axon::arcos {
+
+using Bytes = std::vector<std::uint8_t>;
+
+/// What travels between client and robot: an id and at most kMaximumData bytes. On the wire
+///     FA FB | count | id | data ... | checksum, high byte first
+/// where count is everything after itself. All integers inside the data are little-endian.
+struct Packet {
+    std::uint8_t id = 0;
+    Bytes data;
+
+    bool operator==(const Packet&) const = default;
+};
+
+inline constexpr std::size_t kMaximumData = 255 - 3;  // count is one byte and includes id and checksum
+
+/// The sum over id and data of big-endian byte pairs modulo 2^16; an odd last byte is combined by exclusive
+/// or.
+std::uint16_t checksum(std::span<const std::uint8_t> id_and_data);
+
+/// The packet's wire form. Data longer than kMaximumData is a bug of the caller (assertion).
+Bytes encode(const Packet& packet);
+
+/// What a client orders. The numbers are ARCOS's; SYNC0 to SYNC2 share theirs with PULSE, OPEN and CLOSE, the
+/// state of the session tells them apart.
+enum class Command : std::uint8_t {
+    Pulse = 0,
+    Open = 1,
+    Close = 2,
+    Enable = 4,
+    SetA = 5,
+    SetV = 6,
+    SetO = 7,
+    Move = 8,
+    Rotate = 9,
+    SetRv = 10,
+    Vel = 11,
+    Head = 12,
+    DHead = 13,
+    Config = 18,
+    Encoder = 19,
+    RVel = 21,
+    SetRa = 23,
+    Sonar = 28,
+    Stop = 29,
+    DigOut = 30,
+    Vel2 = 32,
+    IoRequest = 40,
+    BumpStall = 44,
+    JoyDrive = 47,
+    EStop = 55,
+    QStop = 57,
+    BatteryInfo = 62,
+};
+
+/// What a robot sends.
+inline constexpr std::uint8_t kStandingPacket = 0x32;  // server information, motors at rest
+inline constexpr std::uint8_t kMovingPacket = 0x33;
+inline constexpr std::uint8_t kConfigPacket = 0x20;
+inline constexpr std::uint8_t kIoPacket = 0xF0;
+
+/// A command without, with an integer, with a text argument. Integers are sent as sign and magnitude, clamped
+/// to 16 bits.
+Bytes encodeCommand(Command command);
+Bytes encodeCommand(Command command, int argument);
+Bytes encodeCommand(Command command, std::string_view argument);
+
+/// The argument of a command as it arrived.
+struct Argument {
+    enum class Kind { None, Integer, Text, Malformed };
+    Kind kind = Kind::None;
+    int value = 0;          ///< Integer: with its sign
+    std::uint16_t raw = 0;  ///< Integer: the two bytes as sent, for commands that pack two values
+    std::string text;       ///< Text
+};
+Argument parseArgument(const Packet& command);
+
+/// Reads little-endian fields off packet data. Never reads beyond the end: it then gives zero and remembers
+/// that the packet was too short.
+class FieldReader {
+  public:
+    explicit FieldReader(std::span<const std::uint8_t> data) : rest_(data) {}
+
+    std::uint8_t u8();
+    std::uint16_t u16();
+    std::int16_t i16() { return static_cast<std::int16_t>(u16()); }
+    /// Up to and without the terminating zero.
+    std::string text();
+    bool atEnd() const { return rest_.empty(); }
+    bool truncated() const { return truncated_; }
+
+  private:
+    std::span<const std::uint8_t> rest_;
+    bool truncated_ = false;
+};
+
+/// The counterpart of FieldReader.
+class FieldWriter {
+  public:
+    FieldWriter& u8(unsigned value);
+    FieldWriter& u16(int value);  ///< signed values in two's complement
+    FieldWriter& text(std::string_view value);
+    Bytes take() { return std::move(data_); }
+
+  private:
+    Bytes data_;
+};
+
+/// Finds packets in a stream of bytes: skips garbage, ignores and counts packets with a wrong checksum, and
+/// looks for the next packet right after the false start, so one damaged byte never costs more than the
+/// packet it is in. The rest of a packet that does not follow within kPartialTimeout is given up. Holds at
+/// most one packet's bytes. I/O-free, not thread-safe.
+class PacketReader {
+  public:
+    static constexpr Duration kPartialTimeout = std::chrono::milliseconds{200};
+
+    /// All packets completed by these bytes, in order.
+    std::vector<Packet> feed(std::span<const std::uint8_t> bytes, TimePoint now);
+    /// Forgets a partial packet: for a new connection.
+    void reset() { buffer_.clear(); }
+
+    std::uint64_t badChecksums() const { return bad_checksums_; }
+    std::uint64_t garbageBytes() const { return garbage_bytes_; }
+
+  private:
+    Bytes buffer_;
+    TimePoint last_feed_{};
+    std::uint64_t bad_checksums_ = 0;
+    std::uint64_t garbage_bytes_ = 0;
+};
+
+}  // namespace axon::arcos
