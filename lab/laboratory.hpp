@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include "lab/physics.hpp"
+
+namespace axon::lab {
+
+/// A whole virtual laboratory without sockets and clocks: the physics, and for each robot its controller.
+/// Bytes of clients come in, bytes of robots go out, and time passes only in step(). The same laboratory runs
+/// behind TCP in real time (LabServer) and in tests as fast as it can. Threads: none, not thread-safe.
+class Laboratory {
+  public:
+    /// What robot number k tells its client. Must not call back into the laboratory.
+    using Send = std::function<void(std::size_t robot, const arcos::Bytes& bytes)>;
+
+    /// Throws BadDescription.
+    Laboratory(const WorldDescription& world, Send send);
+    ~Laboratory();
+    Laboratory(const Laboratory&) = delete;
+    Laboratory& operator=(const Laboratory&) = delete;
+
+    /// Advances the world by Physics::kPeriod.
+    void step();
+    /// The laboratory's own time, which began at the construction.
+    TimePoint now() const { return now_; }
+    Duration age() const { return now_ - TimePoint{}; }
+
+    std::size_t robots() const { return controllers_.size(); }
+    void clientConnected(std::size_t robot);
+    void clientLost(std::size_t robot);
+    void receive(std::size_t robot, std::span<const std::uint8_t> bytes);
+    const ArcosServer& controller(std::size_t robot) const;
+    Truth truth(std::size_t robot) const { return physics_.truth(robot); }
+
+  private:
+    struct Controller;
+    Physics physics_;
+    TimePoint now_{};
+    std::vector<std::unique_ptr<Controller>> controllers_;
+};
+
+}  // namespace axon::lab

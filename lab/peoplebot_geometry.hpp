@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <array>
+
+/// The PeopleBot in numbers: millimetres and degrees in the robot's frame, x forward, y left, origin on the
+/// floor midway between the wheels. Sources are the vendor's parameter file peoplebot-sh.p and the models of
+/// MobileSim; what neither tells is marked as assumed.
+namespace axon::lab::peoplebot {
+
+inline constexpr double kWheelRadius_mm = 95.5;
+inline constexpr double kHalfLength_mm = 256.5;  // with bumpers
+inline constexpr double kCentre_mm = -44.65;     // of the outline, behind the axle
+inline constexpr double kSwingRadius_mm = 340;
+inline constexpr double kHeight_mm = 1115;
+inline constexpr double kMass_kg = 19;        // commonly quoted, no source found
+inline constexpr double kMotorTorque_nm = 5;  // assumed: pushes hard, stalls before the tyres slip
+inline constexpr int kBumperSegments = 5;  // front and rear; segment 1 is on the robot's left in front, and
+                                           // the numbers go on clockwise, as those of the sonars do
+inline constexpr double kBumperPitch_deg = 36;  // assumed: the five segments cover half a circle
+
+struct SonarPose {
+    double x_mm, y_mm, direction_deg;
+};
+inline constexpr double kSonarMinimum_mm = 100;
+inline constexpr double kSonarMaximum_mm = 5000;
+inline constexpr double kSonarHalfCone_deg = 15;
+inline constexpr double kBaseSonarHeight_mm = 250;  // assumed
+inline constexpr double kTopSonarHeight_mm = 1000;  // assumed
+/// 0 to 7 base front, 8 to 15 base rear, 16 to 23 top front. Each array of eight fires one sonar per
+/// kSonarPeriod.
+inline constexpr std::array<SonarPose, 24> kSonars{{
+    {69, 136, 90},     {114, 119, 50},    {148, 78, 30},   {166, 27, 10},     {166, -27, -10},
+    {148, -78, -30},   {114, -119, -50},  {69, -136, -90}, {-157, -136, -90}, {-203, -119, -130},
+    {-237, -78, -150}, {-255, -27, -170}, {-255, 27, 170}, {-237, 78, 150},   {-203, 119, 130},
+    {-157, 136, 90},   {-20, 136, 90},    {24, 119, 50},   {58, 78, 30},      {77, 27, 10},
+    {77, -27, -10},    {58, -78, -30},    {24, -119, -50}, {-20, -136, -90},
+}};
+inline constexpr int kSonarPeriod_ms = 40;
+
+/// The table sensors look upwards from here.
+inline constexpr double kTableSensorX_mm = 333;
+inline constexpr double kTableSensorY_mm = 233;
+inline constexpr double kTableSensorHeight_mm = 300;  // assumed
+inline constexpr double kTableSensorRange_mm = 600;   // assumed
+
+inline constexpr double kBatteryFull_v = 12.9;
+inline constexpr double kBatteryEmpty_v = 11.0;
+inline constexpr double kBatteryIdle_v_per_h = 0.3;     // assumed
+inline constexpr double kBatteryDriving_v_per_h = 0.4;  // assumed, more at 750 mm/s
+
+}  // namespace axon::lab::peoplebot
