@@ -22,6 +22,7 @@ namespace {
 using Severity = Finding::Severity;
 
 constexpr std::size_t kMaxNameCharacters = 128;
+constexpr std::size_t kMaxChoices = 256;  // each value is compared with each choice
 constexpr double kLongestDuration_s = 24 * 3600;
 
 /// Where the findings of one file come together.
@@ -488,6 +489,13 @@ class ParamReader {
         if (param_.data_type() == proto::BOOL) {
             reader_.error(choices_.front().second, "choices",
                           "choices only for INT, DBL and STR; a BOOL has its two", "remove the choices");
+            return;
+        }
+        if (choices_.size() > kMaxChoices) {
+            reader_.error(choices_.front().second, "choices",
+                          "at most " + std::to_string(kMaxChoices) + " choices, found " +
+                              std::to_string(choices_.size()),
+                          "give a range by minimum and maximum instead");
             return;
         }
         proto::CtrlParam without_choices = param_;

@@ -194,6 +194,27 @@ TEST(ProfileReader, LimitsOfSizeElementsAndAttributesAreFindings) {
     EXPECT_THAT(listed(readBasicProfile(wide + "/>", "x.xml").findings), HasSubstr("attributes in one tag"));
 }
 
+TEST(ProfileReader, ChoicesAreBounded) {
+    std::string choices = "0";
+    for (int i = 1; i < 256; ++i) choices += "|" + std::to_string(i);
+    const std::string attributes = "type='INPUT' data_type='INT' choices='";
+    EXPECT_TRUE(readServicesProfile(withParam(attributes + choices + "'"), "x.xml").ok());
+    const auto reading = readServicesProfile(withParam(attributes + choices + "|256'"), "x.xml");
+    EXPECT_THAT(listed(reading.findings), HasSubstr("at most 256 choices, found 257"));
+}
+
+/// A megabyte that makes every reference look for near names among thousands of long ones.
+TEST(ProfileReader, AHostileProfileIsReadInBoundedWork) {
+    std::string xml = "<ServiceProfile><Service name='c' type='CMPLX'><Services>";
+    const std::string tail(110, 'x');
+    for (int i = 0; i < 600; ++i) xml += "<ServiceRef name='r" + std::to_string(i) + tail + "'/>";
+    xml += "</Services></Service>";
+    for (int i = 0; xml.size() < kMaxXmlBytes - 200; ++i)
+        xml += "<Service name='s" + std::to_string(i) + tail + "' type='SMPL'/>";
+    const auto reading = readServicesProfile(xml + "</ServiceProfile>", "x.xml");
+    EXPECT_EQ(reading.findings.size(), kMaxFindings + 1);
+}
+
 TEST(ProfileReader, FindingsAreBoundedAndSayWhatIsLeftOut) {
     std::string many = "<ServiceProfile>";
     for (int i = 0; i < 1000; ++i) many += "<x/>";

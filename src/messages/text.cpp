@@ -32,6 +32,10 @@ char lower(char c) {
     return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
 }
 
+/// Cells of edit distance that one search may cost: two hundred ordinary names, and still nothing to wait
+/// for when a hostile profile asks for hundreds of searches among thousands of long ones.
+constexpr std::size_t kSearchBudget = 50000;
+
 std::size_t editDistance(std::string_view a, std::string_view b) {
     std::vector<std::size_t> row(b.size() + 1);
     for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
@@ -95,11 +99,14 @@ std::vector<std::string> nearNames(std::string_view name, const std::vector<std:
     // Longer names than a profile allows come from the wire and are nobody's slip of the finger.
     if (name.empty() || name.size() > 512) return {};
     const std::size_t limit = std::max<std::size_t>(2, name.size() / 3);
+    std::size_t budget = kSearchBudget;
     std::vector<std::pair<std::size_t, std::string_view>> near;
     for (const auto candidate : candidates) {
         const std::size_t longer = std::max(candidate.size(), name.size());
         const std::size_t shorter = std::min(candidate.size(), name.size());
         if (candidate.empty() || longer - shorter > limit) continue;
+        if (name.size() * candidate.size() > budget) break;
+        budget -= name.size() * candidate.size();
         const std::size_t distance = editDistance(name, candidate);
         if (distance <= limit && distance < longer) near.emplace_back(distance, candidate);
     }

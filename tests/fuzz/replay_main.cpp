@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Runs a fuzz target over stored inputs without libFuzzer, so that every finding of the past is an ordinary test.
-// usage: NAME_replay FOLDER...   Exit status 2 where a folder is missing or holds no input.
+// Runs a fuzz target over stored inputs without libFuzzer, so that every finding of the past is an ordinary
+// test. usage: NAME_replay FOLDER...   Exit status 2 where a folder is missing or holds no input.
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
