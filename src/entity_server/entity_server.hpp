@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "common/clock.hpp"
+#include "common/ids.hpp"
+#include "entity_server/entity_server_core.hpp"
+
+namespace Ice {
+class Communicator;
+}
+namespace Axon::EntityComm {
+class EntityToFrontEndCommPrx;
+}
+namespace Axon::FrontEndComm {
+class FrontEndToEntityCommPrx;
+}
+
+namespace axon::entity_server {
+
+struct EntityServerSettings {
+    CoreSettings core;
+    std::string data_endpoint = "tcp -h 127.0.0.1 -p 10412";
+    std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10413";
+};
+
+/// The entity server on Ice: two adapters, EntityServer and EntityServerSignal, each with a communicator and
+/// threads of its own; the registry behind them; one timer thread. Thesis: EntityServer.
+///
+/// Life: construct, publishTo(), activate(), and before it is destroyed, destroy both communicators.
+class EntityServer {
+  public:
+    /// Throws std::runtime_error where it cannot listen (misconfiguration).
+    EntityServer(EntityServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
+                 const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
+                 EntityServerCore::Note note);
+    ~EntityServer();
+
+    /// Where front-end servers in this process reach it; with IceStorm, what subscribes to the topic.
+    std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> subscriber(Lane lane) const;
+    /// Where it publishes to: collocated proxies, or IceStorm's publishers.
+    void publishTo(std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> data,
+                   std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> signal);
+    void activate();
+    /// "127.0.0.1:10412", with the port that was taken where 0 was asked for.
+    std::string address(Lane lane) const;
+    EntityServerCore& core();
+
+  private:
+    class Rim;
+    std::unique_ptr<Rim> rim_;
+};
+
+}  // namespace axon::entity_server

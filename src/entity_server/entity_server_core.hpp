@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <atomic>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <queue>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+#include "common/clock.hpp"
+#include "common/ids.hpp"
+#include "common/result.hpp"
+#include "common/routed.hpp"
+#include "common/snapshot.hpp"
+#include "common/watchdog.hpp"
+#include "entity_server/ports.hpp"
+#include "transport/rate_limit.hpp"
+
+namespace axon::entity_server {
+
+struct CoreSettings {
+    int heartbeats_missed = 5;  ///< periods of its registration until an EM is given up
+    std::size_t entities_max = 65536;
+    std::size_t profile_bytes_max = 1024 * 1024;
+    std::uint32_t messages_per_second = 100'000;  ///< control messages of one EM; above is a flood
+};
+
+/// The registry and router of all connected entities (thesis: EntityMonitor), without its sockets.
+///
+/// Where in the flow: between the Entity Managers (EntityOutbox, EntitySessionServant) and the front-end
+/// servers (FrontEndTopic, FrontEndToEntityServant). An event goes in as one call; effects leave through the
+/// ports before it returns, except that publications about one entity may be made by another thread that is
+/// publishing already.
+///
+/// States of a session: opened ─ attach() ► two lanes ─ sendBasicPrfl() ► registered ─ leave() ► gone.
+///
+/// It holds of each entity: UUID → outboxes, UUID → registration, basic profile bytes and last status.
+/// Payloads are opaque. Threads: any, concurrently; calls for one lane of one session come one after the
+/// other. Routing reads immutable tables, of which each lane has its own reference; the registry's mutex is
+/// taken when entities join, change and leave and for heartbeats, never by a message or a signal. Failure:
+/// refusals are returned or sent back; nothing throws.
+class EntityServerCore {
+  public:
+    class Session;
+    using SessionRef = std::shared_ptr<Session>;
+    using Note = std::function<void(const std::string& line)>;
+
+    /// `note` gets a line for people; `wake` is called when onTimer() is due earlier than it said.
+    EntityServerCore(CoreSettings settings, const Clock& clock, RandomSource& random, FrontEndTopic& topic,
+                     Note note, std::function<void()> wake);
+    ~EntityServerCore();
+
+    // From an Entity Manager. `session` is never null.
+    SessionRef open(std::shared_ptr<EntityOutbox> data);
+    static const std::string& token(const Session& session);
+    Result<SessionRef> attach(const std::string& token, std::shared_ptr<EntityOutbox> signal);
+    Result<void> sendBasicPrfl(const SessionRef& session, Registration registration,
+                               std::string_view profile);
+    void sendStatus(const SessionRef& session, EntityStatus status);
+    void sendSvcPrflRecord(const SessionRef& session, Header head, std::int32_t record_id, std::int32_t count,
+                           std::string_view record);
+    void sendToClient(const SessionRef& session, Lane lane, Header head, std::string_view message);
+    void sendToClientDataSeq(const SessionRef& session, Header head, std::string_view data);
+    void sendToPeer(const SessionRef& session, Header head, std::string_view message);
+    void keepAlive(const SessionRef& session);
+    /// The session is over: destroyed (orderly), its connection closed, silent or dropped. Idempotent.
+    void leave(const SessionRef& session, bool orderly, const std::string& why);
+
+    // From the front-end servers. `head.sender` has been vouched for.
+    void clientMsg(const Header& head, std::string_view message);
+    void clientMsgDataSeq(const Header& head, std::string_view data);
+    /// STATUS: everything that is known is published again.
+    void clientRequest(const Header& head);
+    void clientUpdate(const Header& head, ClientChange change);
+    void stopSignal(const Header& head, StopCause cause);
+    void resetSignal(const Header& head);
+    void clearSignal(const Header& head);
+
+    /// Sends the heartbeats that are due and gives up silent EMs; returns when it wants to be called again.
+    TimePoint onTimer();
+
+    std::size_t entities() const;
+
+  private:
+    /// What the front-end servers know of an entity, replaced whole.
+    struct Record {
+        Registration registration;
+        std::shared_ptr<const std::string> profile;
+        EntityStatus status;
+        std::uint64_t session = 0;
+    };
+    using RecordRef = std::shared_ptr<const Record>;
+    /// Keys point into the sessions' own strings.
+    using Table = std::unordered_map<std::string_view, SessionRef>;
+    struct Due {
+        TimePoint at;
+        std::uint64_t revision;
+        std::weak_ptr<Session> session;
+        bool operator<(const Due& other) const { return at > other.at; }  // earliest on top
+    };
+
+    template <class Send>
+    void toEntities(const Header& head, Send&& send);
+    void refuseUnknown(Lane lane, const Header& head);
+    bool flooded(const SessionRef& session);
+    void rebuildTables();
+    void schedule(const SessionRef& session, TimePoint at);
+    void publish(const std::string& entity);
+    void publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now);
+
+    const CoreSettings settings_;
+    const Clock& clock_;
+    RandomSource& random_;
+    FrontEndTopic& topic_;
+    const Note note_;
+    const std::function<void()> wake_;
+
+    Snapshot<Table> data_table_;
+    Snapshot<Table> signal_table_;  // the same tables, behind a lock of their own
+
+    mutable std::mutex mutex_;
+    // Guarded by mutex_:
+    std::uint64_t sessions_opened_ = 0;
+    std::unordered_map<std::string, std::weak_ptr<Session>> tokens_;
+    std::unordered_map<std::string, SessionRef> registered_;
+    std::priority_queue<Due> due_;
+    std::unordered_map<std::string, RecordRef> published_;
+    std::deque<std::string> to_publish_;  // each UUID at most once, so bounded by the number of entities
+    std::unordered_map<std::string, bool> waiting_to_publish_;
+    bool publishing_ = false;
+};
+
+}  // namespace axon::entity_server

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include "common/refusal.hpp"
+#include "common/routed.hpp"
+
+namespace axon::entity_server {
+
+// What EntityServerCore needs from the world. The core calls these with none of its locks held; none may
+// block, none throws, and none may call back into the core before it returns.
+
+/// The way to one Entity Manager on one lane (thesis: EntityMonitorCallbackAdapter).
+class EntityOutbox {
+  public:
+    virtual ~EntityOutbox() = default;
+    virtual void newClientMsg(const Header& head, std::string_view message) = 0;
+    virtual void newClientMsgDataSeq(const Header& head, std::string_view data) = 0;
+    virtual void stopSignal(const Header& head, StopCause cause) = 0;
+    virtual void resetSignal(const Header& head) = 0;
+    virtual void clearSignal(const Header& head) = 0;
+    virtual void newClientUpdate(const Header& head, ClientChange change) = 0;
+    virtual void newRefusalMsg(const Header& head, const Refusal& refusal) = 0;
+    virtual void newHeartbeat(std::int64_t sequence) = 0;
+    /// Ends the connection: orderly, after replies that are under way, or at once.
+    virtual void disconnect(bool orderly, const std::string& why) = 0;
+};
+
+/// The topic towards the front-end servers (thesis figure 3.14). `head.sender` is the recipient, its id empty
+/// for all.
+class FrontEndTopic {
+  public:
+    virtual ~FrontEndTopic() = default;
+    /// Null profile where the entity left.
+    virtual void entityBasicPrflUpdate(Presence presence, const Registration& registration,
+                                       std::string_view profile) = 0;
+    virtual void entityUpdate(const EntityStatus& status) = 0;
+    virtual void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
+                                 std::string_view record) = 0;
+    virtual void entityMsg(Lane lane, const Header& head, std::string_view message) = 0;
+    virtual void entityMsgDataSeq(const Header& head, std::string_view data) = 0;
+    virtual void entityRefusal(Lane lane, const Header& head, const Refusal& refusal) = 0;
+};
+
+}  // namespace axon::entity_server

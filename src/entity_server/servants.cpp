@@ -1,0 +1,279 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_server/servants.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <utility>
+
+#include "transport/communicator.hpp"
+
+namespace axon::entity_server {
+
+using transport::ByteRange;
+using transport::fromIce;
+using transport::toIce;
+using transport::toRange;
+using transport::toView;
+using transport::Traffic;
+using Prx = Axon::EntityComm::EntityCallbackPrx;
+using Failed = std::function<void(std::exception_ptr)>;
+using Sent = std::function<void(bool)>;
+using IceHeader = Axon::CommUtil::Header;
+
+IceEntityOutbox::IceEntityOutbox(std::shared_ptr<Prx> callback, transport::OutboxLimits limits,
+                                 std::shared_ptr<transport::PeerConnection> peer)
+    : peer_(std::move(peer)), sender_(std::move(callback), limits, [peer = peer_](const std::string& why) {
+          peer->disconnect({true, why}, false);
+      }) {}
+
+void IceEntityOutbox::newClientMsg(const Header& head, std::string_view message) {
+    sender_.send(Traffic::Control, head, message,
+                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Failed f, Sent s) {
+                     prx.newClientMsgAsync(h, bytes, nullptr, std::move(f), std::move(s));
+                 });
+}
+
+void IceEntityOutbox::newClientMsgDataSeq(const Header& head, std::string_view data) {
+    sender_.send(Traffic::Data, head, data,
+                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Failed f, Sent s) {
+                     prx.newClientMsgDataSeqAsync(h, bytes, nullptr, std::move(f), std::move(s));
+                 });
+}
+
+void IceEntityOutbox::stopSignal(const Header& head, StopCause cause) {
+    sender_.send(Traffic::Signal, head, {},
+                 [its_cause = toIce(cause)](Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
+                     prx.stopSignalAsync(h, its_cause, nullptr, std::move(f), std::move(s));
+                 });
+}
+
+void IceEntityOutbox::resetSignal(const Header& head) {
+    sender_.send(Traffic::Signal, head, {}, [](Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
+        prx.resetSignalAsync(h, nullptr, std::move(f), std::move(s));
+    });
+}
+
+void IceEntityOutbox::clearSignal(const Header& head) {
+    sender_.send(Traffic::Signal, head, {}, [](Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
+        prx.clearSignalAsync(h, nullptr, std::move(f), std::move(s));
+    });
+}
+
+void IceEntityOutbox::newClientUpdate(const Header& head, ClientChange change) {
+    sender_.send(Traffic::Signal, head, {},
+                 [its_change = toIce(change)](Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
+                     prx.newClientUpdateAsync(h, its_change, nullptr, std::move(f), std::move(s));
+                 });
+}
+
+void IceEntityOutbox::newRefusalMsg(const Header& head, const Refusal& refusal) {
+    sender_.send(Traffic::Control, head, {},
+                 [code = static_cast<int>(refusal.code), reason = refusal.message](
+                     Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
+                     prx.newRefusalMsgAsync(h, code, reason, nullptr, std::move(f), std::move(s));
+                 });
+}
+
+void IceEntityOutbox::newHeartbeat(std::int64_t sequence) {
+    sender_.send(Traffic::Heartbeat, 0, [sequence](Prx& prx, Failed f, Sent s) {
+        prx.newHeartbeatAsync(static_cast<double>(sequence), nullptr, std::move(f), std::move(s));
+    });
+}
+
+void IceEntityOutbox::disconnect(bool orderly, const std::string& why) {
+    if (const auto dropped = sender_.counts().dropped; dropped > 0) {
+        spdlog::info("entity server: {} messages to {} were dropped, it did not read them in time", dropped,
+                     peer_->peer());
+    }
+    peer_->disconnect({false, why}, orderly);
+    sender_.close();
+}
+
+void IceFrontEndTopic::set(Prx data, Prx signal) {
+    data_ = std::move(data);
+    signal_ = std::move(signal);
+}
+
+namespace {
+
+/// A publication never fails for its publisher; a front-end server that is gone is noticed elsewhere.
+template <class Call>
+void publish(Call&& call) {
+    try {
+        call();
+    } catch (const std::exception&) {
+        spdlog::debug("entity server: not published: {}",
+                      transport::translate(std::current_exception()).message);
+    }
+}
+
+}  // namespace
+
+void IceFrontEndTopic::entityBasicPrflUpdate(Presence presence, const Registration& registration,
+                                             std::string_view profile) {
+    publish([&] { data_->entityBasicPrflUpdate(toIce(presence), toIce(registration), toRange(profile)); });
+}
+void IceFrontEndTopic::entityUpdate(const EntityStatus& status) {
+    publish([&] { data_->entityUpdate(toIce(status)); });
+}
+void IceFrontEndTopic::entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
+                                       std::string_view record) {
+    publish([&] { data_->entitySvcRecord(toIce(head), record_id, count, toRange(record)); });
+}
+void IceFrontEndTopic::entityMsg(Lane lane, const Header& head, std::string_view message) {
+    publish([&] {
+        (lane == Lane::Signal ? signal_ : data_)->entityMsg(toIce(lane), toIce(head), toRange(message));
+    });
+}
+void IceFrontEndTopic::entityMsgDataSeq(const Header& head, std::string_view data) {
+    publish([&] { data_->entityMsgDataSeq(toIce(head), toRange(data)); });
+}
+void IceFrontEndTopic::entityRefusal(Lane lane, const Header& head, const Refusal& refusal) {
+    publish([&] {
+        (lane == Lane::Signal ? signal_ : data_)
+            ->entityRefusal(toIce(head), static_cast<int>(refusal.code), refusal.message);
+    });
+}
+
+void EntitySessionServant::end(bool orderly, const std::string& why) {
+    EntityServerCore::SessionRef session;
+    {
+        const std::lock_guard lock(mutex_);
+        if (ended_) return;
+        ended_ = true;
+        why_ = why;
+        session = session_;
+    }
+    if (session) lane_.core.leave(session, orderly, why);
+}
+
+void EntitySessionServant::adopt(EntityServerCore::SessionRef session) {
+    bool ended = false;
+    std::string why;
+    {
+        const std::lock_guard lock(mutex_);
+        session_ = session;
+        ended = ended_;
+        why = why_;
+    }
+    ready_ = true;
+    if (ended)
+        lane_.core.leave(session, false, why);  // the connection ended while the session was being set up
+}
+
+const EntityServerCore::SessionRef& EntitySessionServant::session(const Ice::Current& current) const {
+    peer_->require(current);
+    if (!ready_)
+        throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
+    return session_;
+}
+
+Axon::EntityComm::SessionFacts EntitySessionServant::setCallback(std::shared_ptr<Prx> callback,
+                                                                 const Ice::Current& current) {
+    peer_->require(current);
+    auto proxy = transport::callbackProxy(callback, current);
+    if (!proxy)
+        throw toIce(
+            Refusal{RefusalCode::Malformed, "the callback is null; give a proxy of an EntityCallback", {}});
+    if (lane_.lane != Lane::Data || ready_) {
+        throw toIce(
+            Refusal{RefusalCode::WrongState, "setCallback is for a new session on the data port, once", {}});
+    }
+    auto session = lane_.core.open(std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, peer_));
+    const auto token = EntityServerCore::token(*session);
+    adopt(std::move(session));
+    const auto address = peer_->localAddress();
+    return {token, address.empty() ? "" : "tcp -h " + address + " -p " + std::to_string(lane_.signal_port)};
+}
+
+void EntitySessionServant::attachSignalLane(std::string token, std::shared_ptr<Prx> callback,
+                                            const Ice::Current& current) {
+    peer_->require(current);
+    auto proxy = transport::callbackProxy(callback, current);
+    if (!proxy)
+        throw toIce(
+            Refusal{RefusalCode::Malformed, "the callback is null; give a proxy of an EntityCallback", {}});
+    if (lane_.lane != Lane::Signal || ready_) {
+        throw toIce(Refusal{
+            RefusalCode::WrongState, "attachSignalLane is for a new session on the signal port, once", {}});
+    }
+    adopt(transport::valueOrThrow(
+        lane_.core.attach(token, std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, peer_))));
+}
+
+void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registration, ByteRange profile,
+                                         const Ice::Current& current) {
+    transport::valueOrThrow(
+        lane_.core.sendBasicPrfl(session(current), fromIce(std::move(registration)), toView(profile)));
+}
+void EntitySessionServant::sendStatus(Axon::CommUtil::EntityStatus status, const Ice::Current& current) {
+    lane_.core.sendStatus(session(current), fromIce(std::move(status)));
+}
+void EntitySessionServant::sendSvcPrflRecord(IceHeader head, int record_id, int count, ByteRange record,
+                                             const Ice::Current& current) {
+    lane_.core.sendSvcPrflRecord(session(current), fromIce(std::move(head)), record_id, count,
+                                 toView(record));
+}
+void EntitySessionServant::sendToClient(IceHeader head, ByteRange message, const Ice::Current& current) {
+    lane_.core.sendToClient(session(current), lane_.lane, fromIce(std::move(head)), toView(message));
+}
+void EntitySessionServant::sendToClientDataSeq(IceHeader head, ByteRange data, const Ice::Current& current) {
+    lane_.core.sendToClientDataSeq(session(current), fromIce(std::move(head)), toView(data));
+}
+void EntitySessionServant::sendToPeer(IceHeader head, ByteRange message, const Ice::Current& current) {
+    lane_.core.sendToPeer(session(current), fromIce(std::move(head)), toView(message));
+}
+void EntitySessionServant::keepAlive(double, const Ice::Current& current) {
+    lane_.core.keepAlive(session(current));
+}
+
+void EntitySessionServant::destroy(const Ice::Current& current) {
+    peer_->require(current);
+    end(true, "it ended its session");
+    peer_->disconnect({false, "it ended its session"}, true);
+}
+
+std::shared_ptr<Axon::EntityComm::EntitySessionPrx> EntityGateServant::open(std::string, std::string,
+                                                                            const Ice::Current& current) {
+    auto peer = std::make_shared<transport::PeerConnection>(current.con);
+    auto servant = std::make_shared<EntitySessionServant>(lane_, peer);
+    transport::valueOrThrow(lane_.sessions.add(peer->get(), servant));
+    auto proxy =
+        Ice::uncheckedCast<Axon::EntityComm::EntitySessionPrx>(current.adapter->addWithUUID(servant));
+    peer->onClosed([&lane = lane_, servant, peer, adapter = current.adapter,
+                    id = proxy->ice_getIdentity()](const transport::CloseReason& reason) {
+        lane.sessions.remove(peer->get());
+        servant->end(false, reason.text);
+        try {
+            adapter->remove(id);
+        } catch (const Ice::LocalException&) {  // the adapter is being destroyed, and its servants with it
+        }
+    });
+    return proxy;
+}
+
+void FrontEndToEntityServant::clientMsg(IceHeader head, ByteRange message, const Ice::Current&) {
+    core_.clientMsg(fromIce(std::move(head)), toView(message));
+}
+void FrontEndToEntityServant::clientMsgDataSeq(IceHeader head, ByteRange data, const Ice::Current&) {
+    core_.clientMsgDataSeq(fromIce(std::move(head)), toView(data));
+}
+void FrontEndToEntityServant::clientRequest(IceHeader head, const Ice::Current&) {
+    core_.clientRequest(fromIce(std::move(head)));
+}
+void FrontEndToEntityServant::clientUpdate(IceHeader head, Axon::CommUtil::ClientChange change,
+                                           const Ice::Current&) {
+    core_.clientUpdate(fromIce(std::move(head)), fromIce(change));
+}
+void FrontEndToEntityServant::stopSignal(IceHeader head, Axon::CommUtil::StopCause cause,
+                                         const Ice::Current&) {
+    core_.stopSignal(fromIce(std::move(head)), fromIce(cause));
+}
+void FrontEndToEntityServant::resetSignal(IceHeader head, const Ice::Current&) {
+    core_.resetSignal(fromIce(std::move(head)));
+}
+void FrontEndToEntityServant::clearSignal(IceHeader head, const Ice::Current&) {
+    core_.clearSignal(fromIce(std::move(head)));
+}
+
+}  // namespace axon::entity_server

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <axon/entitycomm.h>
+#include <axon/frontendcomm.h>
+
+#include <atomic>
+#include <memory>
+#include <mutex>
+#include <string>
+
+#include "entity_server/entity_server_core.hpp"
+#include "entity_server/ports.hpp"
+#include "transport/callback_sender.hpp"
+#include "transport/open_sessions.hpp"
+#include "transport/peer_connection.hpp"
+
+// The rim of the entity server: Ice's calls in, EntityServerCore's effects out. No decisions are made here
+// but whether a call came over the right connection.
+namespace axon::entity_server {
+
+/// EntityOutbox over an EM's callback proxy.
+class IceEntityOutbox final : public EntityOutbox {
+  public:
+    IceEntityOutbox(std::shared_ptr<Axon::EntityComm::EntityCallbackPrx> callback,
+                    transport::OutboxLimits limits, std::shared_ptr<transport::PeerConnection> peer);
+    void newClientMsg(const Header& head, std::string_view message) override;
+    void newClientMsgDataSeq(const Header& head, std::string_view data) override;
+    void stopSignal(const Header& head, StopCause cause) override;
+    void resetSignal(const Header& head) override;
+    void clearSignal(const Header& head) override;
+    void newClientUpdate(const Header& head, ClientChange change) override;
+    void newRefusalMsg(const Header& head, const Refusal& refusal) override;
+    void newHeartbeat(std::int64_t sequence) override;
+    void disconnect(bool orderly, const std::string& why) override;
+
+  private:
+    const std::shared_ptr<transport::PeerConnection> peer_;
+    const transport::CallbackSender<Axon::EntityComm::EntityCallbackPrx> sender_;
+};
+
+/// FrontEndTopic over two publishers, one for each lane: collocated proxies, or IceStorm's.
+class IceFrontEndTopic final : public FrontEndTopic {
+  public:
+    using Prx = std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx>;
+    /// Before anything is published.
+    void set(Prx data, Prx signal);
+    void entityBasicPrflUpdate(Presence presence, const Registration& registration,
+                               std::string_view profile) override;
+    void entityUpdate(const EntityStatus& status) override;
+    void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
+                         std::string_view record) override;
+    void entityMsg(Lane lane, const Header& head, std::string_view message) override;
+    void entityMsgDataSeq(const Header& head, std::string_view data) override;
+    void entityRefusal(Lane lane, const Header& head, const Refusal& refusal) override;
+
+  private:
+    Prx data_;
+    Prx signal_;
+};
+
+class EntitySessionServant;
+
+/// What the servants of one lane share. Outlives them.
+struct EntityLane {
+    EntityServerCore& core;
+    Lane lane;
+    transport::OutboxLimits limits;
+    int signal_port = 0;
+    transport::OpenSessions<EntitySessionServant> sessions;
+};
+
+/// One session of an Entity Manager on one lane (thesis: Session_Impl). States: opened, ready (setCallback or
+/// attachSignalLane), closed. Answers only on the connection that opened it.
+class EntitySessionServant final : public Axon::EntityComm::EntitySession,
+                                   public std::enable_shared_from_this<EntitySessionServant> {
+  public:
+    EntitySessionServant(EntityLane& lane, std::shared_ptr<transport::PeerConnection> peer)
+        : lane_(lane), peer_(std::move(peer)) {}
+
+    bool ready() const { return ready_; }
+    void disconnect(const std::string& why) { peer_->disconnect({false, why}, false); }
+    /// The session is over; idempotent.
+    void end(bool orderly, const std::string& why);
+
+    Axon::EntityComm::SessionFacts setCallback(std::shared_ptr<Axon::EntityComm::EntityCallbackPrx> callback,
+                                               const Ice::Current& current) override;
+    void attachSignalLane(std::string token, std::shared_ptr<Axon::EntityComm::EntityCallbackPrx> callback,
+                          const Ice::Current& current) override;
+    void sendBasicPrfl(Axon::CommUtil::Registration registration, transport::ByteRange profile,
+                       const Ice::Current& current) override;
+    void sendStatus(Axon::CommUtil::EntityStatus status, const Ice::Current& current) override;
+    void sendSvcPrflRecord(Axon::CommUtil::Header head, int record_id, int count, transport::ByteRange record,
+                           const Ice::Current& current) override;
+    void sendToClient(Axon::CommUtil::Header head, transport::ByteRange message,
+                      const Ice::Current& current) override;
+    void sendToClientDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,
+                             const Ice::Current& current) override;
+    void sendToPeer(Axon::CommUtil::Header head, transport::ByteRange message,
+                    const Ice::Current& current) override;
+    void keepAlive(double sequence, const Ice::Current& current) override;
+    void destroy(const Ice::Current& current) override;
+
+  private:
+    const EntityServerCore::SessionRef& session(const Ice::Current& current) const;
+    void adopt(EntityServerCore::SessionRef session);
+
+    EntityLane& lane_;
+    const std::shared_ptr<transport::PeerConnection> peer_;
+    std::mutex mutex_;
+    bool ended_ = false;                    // guarded by mutex_
+    std::string why_;                       // guarded by mutex_
+    EntityServerCore::SessionRef session_;  // written once, before ready_ is
+    std::atomic<bool> ready_{false};
+};
+
+/// Where Entity Managers without a router come in (thesis: SessionManager).
+class EntityGateServant final : public Axon::EntityComm::EntityGate {
+  public:
+    explicit EntityGateServant(EntityLane& lane) : lane_(lane) {}
+    std::shared_ptr<Axon::EntityComm::EntitySessionPrx> open(std::string user, std::string password,
+                                                             const Ice::Current& current) override;
+
+  private:
+    EntityLane& lane_;
+};
+
+/// Listens to the front-end servers on one lane (thesis figure 3.15).
+class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntityComm {
+  public:
+    explicit FrontEndToEntityServant(EntityServerCore& core) : core_(core) {}
+    void clientMsg(Axon::CommUtil::Header head, transport::ByteRange message, const Ice::Current&) override;
+    void clientMsgDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,
+                          const Ice::Current&) override;
+    void clientRequest(Axon::CommUtil::Header head, const Ice::Current&) override;
+    void clientUpdate(Axon::CommUtil::Header head, Axon::CommUtil::ClientChange change,
+                      const Ice::Current&) override;
+    void stopSignal(Axon::CommUtil::Header head, Axon::CommUtil::StopCause cause,
+                    const Ice::Current&) override;
+    void resetSignal(Axon::CommUtil::Header head, const Ice::Current&) override;
+    void clearSignal(Axon::CommUtil::Header head, const Ice::Current&) override;
+
+  private:
+    EntityServerCore& core_;
+};
+
+}  // namespace axon::entity_server

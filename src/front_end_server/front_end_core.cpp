@@ -1,0 +1,447 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "front_end_server/front_end_core.hpp"
+
+#include <algorithm>
+#include <utility>
+
+namespace axon::front_end_server {
+
+class FrontEndCore::Client {
+  public:
+    Client(Sender its_sender, std::string its_token, std::shared_ptr<ClientOutbox> its_data,
+           const CoreSettings& settings, TimePoint now)
+        : me(std::move(its_sender)),
+          token(std::move(its_token)),
+          data(std::move(its_data)),
+          rate(settings.messages_per_second),
+          watchdog(settings.watchdog_busy, settings.watchdog_idle, now),
+          next_heartbeat(now + settings.heartbeat_idle) {}
+
+    // Constant after construction.
+    const Sender me;
+    const std::string token;
+    const std::shared_ptr<ClientOutbox> data;
+
+    RateLimit rate;
+    Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
+
+    // Guarded by the core's mutex.
+    Watchdog watchdog;
+    TimePoint next_heartbeat;
+    std::int64_t heartbeats = 0;
+    bool warned = false;
+    bool gone = false;
+
+    /// The signal lane, or the only one there is.
+    std::shared_ptr<ClientOutbox> signalOutbox() const {
+        const auto own = *signal.load();
+        return own ? own : data;
+    }
+};
+
+namespace {
+
+Refusal refuse(RefusalCode code, std::string message) {
+    return {code, std::move(message), {}};
+}
+
+StopCause causeOf(Ending ending) {
+    switch (ending) {
+        case Ending::Ended:
+            return StopCause::Released;
+        case Ending::Lost:
+            return StopCause::ClientLost;
+        case Ending::Improper:
+            return StopCause::Improper;
+    }
+    return StopCause::ClientLost;
+}
+
+}  // namespace
+
+FrontEndCore::FrontEndCore(CoreSettings settings, const Clock& clock, RandomSource& random,
+                           EntityTopic& topic, Note note, std::function<void()> wake)
+    : settings_(settings),
+      clock_(clock),
+      random_(random),
+      topic_(topic),
+      note_(std::move(note)),
+      wake_(std::move(wake)) {}
+
+FrontEndCore::~FrontEndCore() = default;
+
+const Sender& FrontEndCore::me(const Client& client) {
+    return client.me;
+}
+const std::string& FrontEndCore::token(const Client& client) {
+    return client.token;
+}
+
+Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& display_name, Role role,
+                                                          std::shared_ptr<ClientOutbox> data) {
+    ClientRef client;
+    {
+        const std::lock_guard lock(mutex_);
+        if (clients_.size() >= settings_.clients_max) {
+            return refuse(RefusalCode::Overloaded, "the server has its " +
+                                                       std::to_string(settings_.clients_max) +
+                                                       " clients; raise FrontEndServer.ClientsMax");
+        }
+        Sender me{Id128::uuid(random_).toString(),
+                  display_name.empty() ? "unnamed" : display_name.substr(0, 256), role};
+        client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
+                                          settings_, clock_.now());
+        clients_.emplace(client->me.id, client);
+        tokens_.emplace(client->token, client);
+        rebuildClients();
+    }
+    wake_();
+    note_("client " + client->me.name + " joined (" + client->me.id + ")");
+    pushAll(*client->data, {});
+    return client;
+}
+
+Result<FrontEndCore::ClientRef> FrontEndCore::attach(const std::string& token,
+                                                     std::shared_ptr<ClientOutbox> signal) {
+    const std::lock_guard lock(mutex_);
+    const auto found = tokens_.find(token);
+    auto client = found == tokens_.end() ? nullptr : found->second.lock();
+    if (!client || client->gone) {
+        return refuse(RefusalCode::NotConnected,
+                      "no session waits for this token (it is for one use); open a new session and set its "
+                      "callback first");
+    }
+    tokens_.erase(found);
+    client->signal.store(std::make_shared<const std::shared_ptr<ClientOutbox>>(std::move(signal)));
+    return client;
+}
+
+// No lock is held while a client is told, so something may change meanwhile and be told by another thread
+// first. Therefore again, until what was told is what is: the last word about each entity is then the true
+// one.
+void FrontEndCore::pushAll(ClientOutbox& to, Records told) {
+    while (true) {
+        Records now;
+        {
+            const std::lock_guard lock(mutex_);
+            now = records_;
+        }
+        bool changed = false;
+        for (const auto& [entity, record] : now) {
+            const auto before = told.find(entity);
+            if (before != told.end() && before->second == record) continue;
+            changed = true;
+            to.newBasicPrflMsg(before == told.end() ? Presence::Joined : Presence::Changed,
+                               record->registration, *record->profile);
+            to.newStatusMsg(record->status);
+        }
+        for (const auto& [entity, record] : told) {
+            if (now.contains(entity)) continue;
+            changed = true;
+            to.newBasicPrflMsg(Presence::Left, record->registration, {});
+        }
+        if (!changed) return;
+        told = std::move(now);
+    }
+}
+
+bool FrontEndCore::flooded(const ClientRef& client) {
+    if (client->rate.admit(clock_.now())) return false;
+    leave(client, Ending::Improper,
+          "it flooded the server (more than " + std::to_string(settings_.messages_per_second) +
+              " messages in a second)");
+    return true;
+}
+
+void FrontEndCore::sendRequest(const ClientRef& client, Header head) {
+    if (flooded(client)) return;
+    if (head.msg_type == kMsgStatus) {
+        pushAll(*client->data, {});
+        return;
+    }
+    client->data->newRefusalMsg(
+        head, refuse(RefusalCode::NotSupported,
+                     "the server has no request '" + head.msg_type.substr(0, 64) + "'; expected STATUS"));
+}
+
+void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
+    if (flooded(client)) return;
+    head.sender = client->me;
+    topic_.clientMsg(head, message);
+}
+
+void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data) {
+    head.sender = client->me;
+    topic_.clientMsgDataSeq(head, data);
+}
+
+std::size_t FrontEndCore::stopTargets(const std::string& entity) const {
+    const auto known = signal_known_.load();
+    return entity.empty() ? known->size() : known->count(entity);
+}
+
+void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCause cause) {
+    head.sender = client->me;
+    // What only servers may say is not taken from a client.
+    if (cause != StopCause::Drill) cause = StopCause::Requested;
+    topic_.stopSignal(head, cause);
+    const auto targets = stopTargets(head.entity);
+    client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
+    note_("stop by " + client->me.name + " to " +
+          (head.entity.empty() ? "all " + std::to_string(targets) + " entities"
+                               : "entity " + head.entity.substr(0, 64)));
+    flooded(client);  // after the stop: also the last one of a flood is a stop
+}
+
+void FrontEndCore::sendResetSignal(const ClientRef& client, Header head) {
+    head.sender = client->me;
+    topic_.resetSignal(head);
+    flooded(client);
+}
+
+void FrontEndCore::sendClearSignal(const ClientRef& client, Header head) {
+    head.sender = client->me;
+    topic_.clearSignal(head);
+    flooded(client);
+}
+
+void FrontEndCore::keepAlive(const ClientRef& client) {
+    const std::lock_guard lock(mutex_);
+    client->watchdog.feed(clock_.now());
+    client->warned = false;
+}
+
+void FrontEndCore::settle(const Sender& client, Ending ending, const std::string& entity, bool busy) {
+    Header head;
+    head.sender = client;
+    head.entity = entity;
+    head.sent_at_us = toMicroseconds(clock_.now());
+    if (ending != Ending::Ended || busy) topic_.stopSignal(head, causeOf(ending));
+    topic_.clientUpdate(head, ending == Ending::Ended ? ClientChange::Ended : ClientChange::Lost);
+}
+
+void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::string& why) {
+    std::map<std::string, bool> held;
+    {
+        const std::lock_guard lock(mutex_);
+        if (client->gone) return;
+        client->gone = true;
+        clients_.erase(client->me.id);
+        tokens_.erase(client->token);
+        if (const auto found = holdings_.find(client->me.id); found != holdings_.end()) held = found->second;
+        gone_.emplace(client->me.id, Gone{client->me, ending});
+        gone_order_.push_back(client->me.id);
+        if (gone_order_.size() > settings_.clients_remembered) {
+            gone_.erase(gone_order_.front());
+            gone_order_.pop_front();
+        }
+        rebuildClients();
+    }
+    for (const auto& [entity, busy] : held) settle(client->me, ending, entity, busy);
+    client->data->disconnect(ending == Ending::Ended, why);
+    if (const auto signal = *client->signal.load()) signal->disconnect(ending == Ending::Ended, why);
+    const char* how = ending == Ending::Ended  ? " left"
+                      : ending == Ending::Lost ? " is lost"
+                                               : " was dropped";
+    note_("client " + client->me.name + how + ": " + why +
+          (held.empty()
+               ? ""
+               : "; it held " + std::to_string(held.size()) + (held.size() == 1 ? " entity" : " entities")));
+}
+
+void FrontEndCore::rebuildClients() {
+    auto table = std::make_shared<Table>();
+    table->reserve(clients_.size());
+    for (const auto& [id, client] : clients_) table->emplace(client->me.id, client);
+    data_clients_.store(table);
+    signal_clients_.store(std::move(table));
+}
+
+void FrontEndCore::rebuildKnown() {
+    auto known = std::make_shared<Known>();
+    known->reserve(records_.size());
+    for (const auto& [entity, record] : records_) known->emplace(record->registration.entity, record);
+    signal_known_.store(std::move(known));
+}
+
+template <class Send>
+void FrontEndCore::toClients(Lane lane, const std::string& recipient, Send&& send) {
+    const auto table = (lane == Lane::Signal ? signal_clients_ : data_clients_).load();
+    const auto to = [&](const ClientRef& client) {
+        if (lane == Lane::Signal) {
+            send(*client->signalOutbox());
+        } else {
+            send(*client->data);
+        }
+    };
+    if (recipient.empty()) {
+        for (const auto& [id, client] : *table) to(client);
+    } else if (const auto client = table->find(recipient); client != table->end()) {
+        to(client->second);
+    }
+}
+
+void FrontEndCore::updateHolding(const std::string& holder) {
+    const auto client = clients_.find(holder);
+    if (client == clients_.end()) return;
+    const auto held = holdings_.find(holder);
+    const bool busy =
+        held != holdings_.end() && std::any_of(held->second.begin(), held->second.end(),
+                                               [](const auto& entity) { return entity.second; });
+    auto& watched = *client->second;
+    const auto now = clock_.now();
+    if (busy && !watched.watchdog.busy()) watched.next_heartbeat = now;
+    watched.watchdog.setBusy(busy, now);
+}
+
+void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registration,
+                                         std::string_view profile) {
+    bool told = true;
+    RecordRef record;
+    {
+        const std::lock_guard lock(mutex_);
+        const auto found = records_.find(registration.entity);
+        if (presence == Presence::Left) {
+            if (found == records_.end()) return;
+            record = found->second;
+            const auto holder = record->status.holder.id;
+            records_.erase(found);
+            rebuildKnown();
+            if (const auto held = holdings_.find(holder); held != holdings_.end()) {
+                held->second.erase(registration.entity);
+                if (held->second.empty()) holdings_.erase(held);
+                updateHolding(holder);
+            }
+        } else if (found != records_.end() && found->second->registration == registration &&
+                   *found->second->profile == profile) {
+            told = false;  // published again for somebody else
+        } else {
+            const bool known = found != records_.end();
+            auto next = known ? std::make_shared<Record>(*found->second) : std::make_shared<Record>();
+            next->profile = std::make_shared<const std::string>(profile);
+            next->status.entity = registration.entity;
+            next->registration = std::move(registration);
+            record = next;
+            records_[record->registration.entity] = record;
+            presence = known ? Presence::Changed : Presence::Joined;
+            if (!known) rebuildKnown();
+        }
+    }
+    if (!told) return;
+    const std::string_view bytes = presence == Presence::Left ? std::string_view() : *record->profile;
+    toClients(Lane::Data, {},
+              [&](ClientOutbox& client) { client.newBasicPrflMsg(presence, record->registration, bytes); });
+}
+
+void FrontEndCore::entityUpdate(EntityStatus status) {
+    const bool busy = status.state == EntityState::BUSY;
+    std::optional<Gone> late;
+    std::string entity;
+    {
+        const std::lock_guard lock(mutex_);
+        const auto found = records_.find(status.entity);
+        if (found == records_.end() || found->second->status == status) return;
+        entity = status.entity;
+        const auto before = found->second->status.holder.id;
+        const auto holder = status.holder.id;
+        auto next = std::make_shared<Record>(*found->second);
+        next->status = status;
+        found->second = std::move(next);
+        if (before != holder && !before.empty()) {
+            if (const auto held = holdings_.find(before); held != holdings_.end()) {
+                held->second.erase(entity);
+                if (held->second.empty()) holdings_.erase(held);
+            }
+            updateHolding(before);
+        }
+        if (!holder.empty()) {
+            if (clients_.contains(holder)) {
+                holdings_[holder][entity] = busy;
+                updateHolding(holder);
+            } else if (before != holder) {
+                // Granted to a client that was gone before the grant was known here.
+                if (const auto gone = gone_.find(holder); gone != gone_.end()) late = gone->second;
+            }
+        }
+    }
+    if (late) settle(late->sender, late->ending, entity, busy);
+    if (busy) wake_();
+    toClients(Lane::Data, {}, [&](ClientOutbox& client) { client.newStatusMsg(status); });
+}
+
+void FrontEndCore::entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
+                                   std::string_view record) {
+    toClients(Lane::Data, head.sender.id,
+              [&](ClientOutbox& client) { client.newSvcRecordMsg(head, record_id, count, record); });
+}
+
+void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view message) {
+    toClients(lane, head.sender.id, [&](ClientOutbox& client) { client.newEntityMsg(lane, head, message); });
+}
+
+void FrontEndCore::entityMsgDataSeq(const Header& head, std::string_view data) {
+    toClients(Lane::Data, head.sender.id,
+              [&](ClientOutbox& client) { client.newEntityMsgDataSeq(head, data); });
+}
+
+void FrontEndCore::entityRefusal(Lane lane, const Header& head, const Refusal& refusal) {
+    if (head.sender.id.empty()) return;
+    toClients(lane, head.sender.id, [&](ClientOutbox& client) { client.newRefusalMsg(head, refusal); });
+}
+
+TimePoint FrontEndCore::onTimer() {
+    std::vector<std::pair<ClientRef, Duration>> silent;
+    std::vector<std::pair<ClientRef, std::int64_t>> heartbeats;
+    std::vector<std::string> warnings;
+    TimePoint next;
+    {
+        const std::lock_guard lock(mutex_);
+        const auto now = clock_.now();
+        next = now + std::chrono::seconds{1};
+        for (const auto& [id, client] : clients_) {
+            if (client->watchdog.expired(now)) {
+                silent.emplace_back(client, client->watchdog.timeout());
+                continue;
+            }
+            if (client->watchdog.busy() && !client->warned && client->watchdog.margin(now) < 0.4) {
+                client->warned = true;
+                warnings.push_back("client " + client->me.name +
+                                   " is late with its heartbeat while a task of its runs");
+            }
+            if (client->next_heartbeat <= now) {
+                heartbeats.emplace_back(client, ++client->heartbeats);
+                client->next_heartbeat =
+                    now + (client->watchdog.busy() ? settings_.heartbeat_busy : settings_.heartbeat_idle);
+            }
+            next = std::min({next, client->next_heartbeat, client->watchdog.deadline()});
+        }
+    }
+    for (const auto& [client, timeout] : silent) {
+        leave(client, Ending::Lost,
+              "nothing was heard of it for " +
+                  std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count()) +
+                  " ms");
+    }
+    for (const auto& [client, sequence] : heartbeats) client->signalOutbox()->newHeartbeat(sequence);
+    for (const auto& warning : warnings) note_(warning);
+    return next;
+}
+
+void FrontEndCore::shutDown() {
+    const auto table = data_clients_.load();
+    for (const auto& [id, client] : *table) {
+        client->data->newUpdateMsg(RefusalCode::Unavailable, "the server is shutting down");
+    }
+}
+
+std::size_t FrontEndCore::clients() const {
+    const std::lock_guard lock(mutex_);
+    return clients_.size();
+}
+
+std::size_t FrontEndCore::entities() const {
+    const std::lock_guard lock(mutex_);
+    return records_.size();
+}
+
+}  // namespace axon::front_end_server

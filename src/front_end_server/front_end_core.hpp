@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <atomic>
+#include <deque>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+#include "common/clock.hpp"
+#include "common/ids.hpp"
+#include "common/result.hpp"
+#include "common/routed.hpp"
+#include "common/snapshot.hpp"
+#include "common/watchdog.hpp"
+#include "front_end_server/ports.hpp"
+#include "transport/rate_limit.hpp"
+
+namespace axon::front_end_server {
+
+struct CoreSettings {
+    Duration watchdog_busy = std::chrono::milliseconds{250};  ///< safety.md, "Watchdogs"
+    Duration watchdog_idle = std::chrono::seconds{10};
+    Duration heartbeat_busy = std::chrono::milliseconds{50};
+    Duration heartbeat_idle = std::chrono::seconds{2};
+    std::size_t clients_max = 4096;
+    std::size_t clients_remembered = 1024;  ///< that are gone, and might be granted an entity late
+    std::uint32_t messages_per_second =
+        100'000;  ///< control messages of one client, and signals; above is a flood
+};
+
+/// How a session ended.
+enum class Ending : std::uint8_t {
+    Ended,    ///< the client said so
+    Lost,     ///< its connection closed, or it fell silent
+    Improper  ///< it was dropped for its behaviour
+};
+
+/// The clients and their check-outs, and the front-end's copy of what entities there are (thesis:
+/// ClientMonitor), without its sockets.
+///
+/// Where in the flow: between the clients (ClientOutbox, ClientSessionServant) and the entity servers
+/// (EntityTopic, EntityToFrontEndServant). An event goes in as one call, effects leave through the ports
+/// before it returns.
+///
+/// States of a client: setCallback() ► here ─ attach() ► with two lanes ─ leave() ► gone. Its check-outs are
+/// what entities' statuses say of their holders; a client that goes is stopped for on each of them, even
+/// where the status that names it comes late.
+///
+/// Threads: any, concurrently; calls for one lane of one client, and those from one entity server about
+/// entities, come one after the other. Routing reads immutable tables, of which each lane has its own
+/// reference; the mutex is taken for joins, statuses, leaves and keepAlives, never by a message or a client's
+/// signal. Failure: refusals are sent back; nothing throws.
+class FrontEndCore {
+  public:
+    class Client;
+    using ClientRef = std::shared_ptr<Client>;
+    using Note = std::function<void(const std::string& line)>;
+
+    FrontEndCore(CoreSettings settings, const Clock& clock, RandomSource& random, EntityTopic& topic,
+                 Note note, std::function<void()> wake);
+    ~FrontEndCore();
+
+    // From a client.
+    /// A client is here: it is told of every entity, now and from now on. `user` and `role` come from the
+    /// login.
+    Result<ClientRef> setCallback(const std::string& display_name, Role role,
+                                  std::shared_ptr<ClientOutbox> data);
+    Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);
+    static const Sender& me(const Client& client);
+    static const std::string& token(const Client& client);
+    /// STATUS: everything that is known is sent again.
+    void sendRequest(const ClientRef& client, Header head);
+    void sendToEntity(const ClientRef& client, Header head, std::string_view message);
+    void sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data);
+    void sendStopSignal(const ClientRef& client, Header head, StopCause cause);
+    void sendResetSignal(const ClientRef& client, Header head);
+    void sendClearSignal(const ClientRef& client, Header head);
+    void keepAlive(const ClientRef& client);
+    /// Idempotent; the first ending counts.
+    void leave(const ClientRef& client, Ending ending, const std::string& why);
+
+    // From the entity servers. `head.sender` is the recipient, its id empty for all.
+    void entityBasicPrflUpdate(Presence presence, Registration registration, std::string_view profile);
+    void entityUpdate(EntityStatus status);
+    void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
+                         std::string_view record);
+    void entityMsg(Lane lane, const Header& head, std::string_view message);
+    void entityMsgDataSeq(const Header& head, std::string_view data);
+    void entityRefusal(Lane lane, const Header& head, const Refusal& refusal);
+
+    /// Gives up silent clients and sends heartbeats; returns when it wants to be called again.
+    TimePoint onTimer();
+    /// Tells every client that the server goes.
+    void shutDown();
+
+    std::size_t clients() const;
+    std::size_t entities() const;
+    const CoreSettings& settings() const { return settings_; }
+
+  private:
+    struct Record {
+        Registration registration;
+        std::shared_ptr<const std::string> profile;
+        EntityStatus status;
+    };
+    using RecordRef = std::shared_ptr<const Record>;
+    using Records = std::unordered_map<std::string, RecordRef>;
+    using Table = std::unordered_map<std::string_view, ClientRef>;
+    using Known = std::unordered_map<std::string_view, RecordRef>;
+    struct Gone {
+        Sender sender;
+        Ending ending;
+    };
+
+    template <class Send>
+    void toClients(Lane lane, const std::string& recipient, Send&& send);
+    bool flooded(const ClientRef& client);
+    void pushAll(ClientOutbox& to, Records told);
+    std::size_t stopTargets(const std::string& entity) const;
+    void settle(const Sender& client, Ending ending, const std::string& entity, bool busy);
+    void rebuildClients();
+    void rebuildKnown();
+    void updateHolding(const std::string& holder);
+
+    const CoreSettings settings_;
+    const Clock& clock_;
+    RandomSource& random_;
+    EntityTopic& topic_;
+    const Note note_;
+    const std::function<void()> wake_;
+
+    Snapshot<Table> data_clients_;
+    Snapshot<Table> signal_clients_;  // the same tables, behind a lock of their own
+    Snapshot<Known> signal_known_;
+
+    mutable std::mutex mutex_;
+    // Guarded by mutex_:
+    std::unordered_map<std::string, ClientRef> clients_;
+    std::unordered_map<std::string, std::weak_ptr<Client>> tokens_;
+    Records records_;
+    std::unordered_map<std::string, std::map<std::string, bool>>
+        holdings_;  // client → entities, whether BUSY
+    std::unordered_map<std::string, Gone> gone_;
+    std::deque<std::string> gone_order_;
+};
+
+}  // namespace axon::front_end_server

@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "front_end_server/front_end_server.hpp"
+
+#include "front_end_server/servants.hpp"
+#include "transport/adapter.hpp"
+#include "transport/timer_thread.hpp"
+
+namespace axon::front_end_server {
+
+namespace {
+
+transport::OutboxLimits signalLimits() {
+    transport::OutboxLimits limits;
+    limits.window_bytes = 64 * 1024;
+    return limits;
+}
+
+}  // namespace
+
+class FrontEndServer::Rim {
+  public:
+    Rim(FrontEndServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
+        const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
+        FrontEndCore::Note note)
+        : core(settings.core, clock, random, topic, std::move(note), [this] { wake(); }),
+          data_lane{core, Lane::Data, {}, 0, transport::OpenSessions<ClientSessionServant>(clock)},
+          signal_lane{core, Lane::Signal, signalLimits(), 0,
+                      transport::OpenSessions<ClientSessionServant>(clock)},
+          data_adapter(transport::listen(*data, "FrontEndServer", settings.data_endpoint)),
+          signal_adapter(transport::listen(*signal, "FrontEndServerSignal", settings.signal_endpoint)),
+          data_topic(data->createObjectAdapter("")),
+          signal_topic(signal->createObjectAdapter("")) {
+        const auto gate = Ice::stringToIdentity("ClientGate");
+        data_lane.signal_port = transport::portOf(*signal_adapter);
+        data_adapter->add(std::make_shared<ClientGateServant>(data_lane), gate);
+        signal_adapter->add(std::make_shared<ClientGateServant>(signal_lane), gate);
+        const auto subscriber = [this](Ice::ObjectAdapter& adapter, Lane lane) {
+            return Ice::uncheckedCast<Axon::EntityComm::EntityToFrontEndCommPrx>(
+                       adapter.addWithUUID(std::make_shared<EntityToFrontEndServant>(core, lane)))
+                ->ice_invocationTimeout(-1);
+        };
+        data_subscriber = subscriber(*data_topic, Lane::Data);
+        signal_subscriber = subscriber(*signal_topic, Lane::Signal);
+        data_topic->activate();
+        signal_topic->activate();
+        timer = std::make_unique<transport::TimerThread>("axon-fe-timer", clock, [this] {
+            return std::min({core.onTimer(), data_lane.sessions.expire(), signal_lane.sessions.expire()});
+        });
+        timer_ready = timer.get();
+    }
+
+    void wake() {
+        if (auto* thread = timer_ready.load()) thread->wake();
+    }
+
+    IceEntityTopic topic;
+    FrontEndCore core;
+    ClientLane data_lane;
+    ClientLane signal_lane;
+    std::shared_ptr<Ice::ObjectAdapter> data_adapter;
+    std::shared_ptr<Ice::ObjectAdapter> signal_adapter;
+    std::shared_ptr<Ice::ObjectAdapter> data_topic;
+    std::shared_ptr<Ice::ObjectAdapter> signal_topic;
+    std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> data_subscriber;
+    std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> signal_subscriber;
+    std::atomic<transport::TimerThread*> timer_ready{nullptr};
+    std::unique_ptr<transport::TimerThread> timer;
+};
+
+FrontEndServer::FrontEndServer(FrontEndServerSettings settings,
+                               const std::shared_ptr<Ice::Communicator>& data,
+                               const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock,
+                               RandomSource& random, FrontEndCore::Note note)
+    : rim_(std::make_unique<Rim>(std::move(settings), data, signal, clock, random, std::move(note))) {}
+
+FrontEndServer::~FrontEndServer() = default;
+
+std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> FrontEndServer::subscriber(Lane lane) const {
+    return lane == Lane::Signal ? rim_->signal_subscriber : rim_->data_subscriber;
+}
+
+void FrontEndServer::publishTo(std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> data,
+                               std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> signal) {
+    rim_->topic.set(std::move(data), std::move(signal));
+}
+
+void FrontEndServer::activate() {
+    rim_->signal_adapter->activate();
+    rim_->data_adapter->activate();
+}
+
+std::string FrontEndServer::address(Lane lane) const {
+    return transport::addressOf(lane == Lane::Signal ? *rim_->signal_adapter : *rim_->data_adapter);
+}
+
+FrontEndCore& FrontEndServer::core() {
+    return rim_->core;
+}
+
+}  // namespace axon::front_end_server

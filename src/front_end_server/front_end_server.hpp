@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <memory>
+#include <string>
+
+#include "common/clock.hpp"
+#include "common/ids.hpp"
+#include "front_end_server/front_end_core.hpp"
+
+namespace Ice {
+class Communicator;
+}
+namespace Axon::EntityComm {
+class EntityToFrontEndCommPrx;
+}
+namespace Axon::FrontEndComm {
+class FrontEndToEntityCommPrx;
+}
+
+namespace axon::front_end_server {
+
+struct FrontEndServerSettings {
+    CoreSettings core;
+    std::string data_endpoint = "tcp -h 127.0.0.1 -p 10410";
+    std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10411";
+};
+
+/// The front-end server on Ice: two adapters, FrontEndServer and FrontEndServerSignal, each with a
+/// communicator and threads of its own; the clients behind them; one timer thread. Thesis: FrontEndServer.
+///
+/// Life: construct, publishTo(), activate(), and before it is destroyed, destroy both communicators.
+class FrontEndServer {
+  public:
+    /// Throws std::runtime_error where it cannot listen (misconfiguration).
+    FrontEndServer(FrontEndServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
+                   const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
+                   FrontEndCore::Note note);
+    ~FrontEndServer();
+
+    /// Where entity servers in this process reach it; with IceStorm, what subscribes to the topic.
+    std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> subscriber(Lane lane) const;
+    /// Where it publishes to: collocated proxies, or IceStorm's publishers.
+    void publishTo(std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> data,
+                   std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> signal);
+    void activate();
+    /// "127.0.0.1:10410", with the port that was taken where 0 was asked for.
+    std::string address(Lane lane) const;
+    FrontEndCore& core();
+
+  private:
+    class Rim;
+    std::unique_ptr<Rim> rim_;
+};
+
+}  // namespace axon::front_end_server

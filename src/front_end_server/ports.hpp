@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include "common/refusal.hpp"
+#include "common/routed.hpp"
+
+namespace axon::front_end_server {
+
+// What FrontEndCore needs from the world. The core calls these with none of its locks held; none may block,
+// none throws, and none may call back into the core before it returns.
+
+/// The way to one client on one lane (thesis: ClientMonitorCallbackAdapter).
+class ClientOutbox {
+  public:
+    virtual ~ClientOutbox() = default;
+    virtual void newBasicPrflMsg(Presence presence, const Registration& registration,
+                                 std::string_view profile) = 0;
+    virtual void newStatusMsg(const EntityStatus& status) = 0;
+    virtual void newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
+                                 std::string_view record) = 0;
+    /// `lane`: a receipt on the signal lane never waits behind other messages.
+    virtual void newEntityMsg(Lane lane, const Header& head, std::string_view message) = 0;
+    virtual void newEntityMsgDataSeq(const Header& head, std::string_view data) = 0;
+    virtual void newRefusalMsg(const Header& head, const Refusal& refusal) = 0;
+    virtual void newStopAccepted(const Header& head, std::int32_t entities) = 0;
+    virtual void newUpdateMsg(RefusalCode code, const std::string& text) = 0;
+    virtual void newHeartbeat(std::int64_t sequence) = 0;
+    /// Ends the connection: orderly, after replies that are under way, or at once.
+    virtual void disconnect(bool orderly, const std::string& why) = 0;
+};
+
+/// The topic towards the entity servers (thesis figure 3.15). `head.sender` is the client, vouched for by
+/// this server.
+class EntityTopic {
+  public:
+    virtual ~EntityTopic() = default;
+    virtual void clientMsg(const Header& head, std::string_view message) = 0;
+    virtual void clientMsgDataSeq(const Header& head, std::string_view data) = 0;
+    virtual void clientRequest(const Header& head) = 0;
+    virtual void clientUpdate(const Header& head, ClientChange change) = 0;
+    virtual void stopSignal(const Header& head, StopCause cause) = 0;
+    virtual void resetSignal(const Header& head) = 0;
+    virtual void clearSignal(const Header& head) = 0;
+};
+
+}  // namespace axon::front_end_server

@@ -1,0 +1,303 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "front_end_server/servants.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <utility>
+
+#include "transport/communicator.hpp"
+
+namespace axon::front_end_server {
+
+using transport::ByteRange;
+using transport::fromIce;
+using transport::toIce;
+using transport::toRange;
+using transport::toView;
+using transport::Traffic;
+using Prx = Axon::FrontEndComm::ClientCallbackPrx;
+using Failed = std::function<void(std::exception_ptr)>;
+using Sent = std::function<void(bool)>;
+using IceHeader = Axon::CommUtil::Header;
+
+IceClientOutbox::IceClientOutbox(std::shared_ptr<Prx> callback, transport::OutboxLimits limits,
+                                 std::shared_ptr<transport::PeerConnection> peer)
+    : peer_(std::move(peer)), sender_(std::move(callback), limits, [peer = peer_](const std::string& why) {
+          peer->disconnect({true, why}, false);
+      }) {}
+
+void IceClientOutbox::newBasicPrflMsg(Presence presence, const Registration& registration,
+                                      std::string_view profile) {
+    sender_.send(Traffic::Control, {}, profile,
+                 [its_presence = toIce(presence), its_registration = toIce(registration)](
+                     Prx& prx, const IceHeader&, ByteRange bytes, Failed f, Sent s) {
+                     prx.newBasicPrflMsgAsync(its_presence, its_registration, bytes, nullptr, std::move(f),
+                                              std::move(s));
+                 });
+}
+
+void IceClientOutbox::newStatusMsg(const EntityStatus& status) {
+    sender_.send(Traffic::Control, 0, [its_status = toIce(status)](Prx& prx, Failed f, Sent s) {
+        prx.newStatusMsgAsync(its_status, nullptr, std::move(f), std::move(s));
+    });
+}
+
+void IceClientOutbox::newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
+                                      std::string_view record) {
+    sender_.send(Traffic::Control, head, record,
+                 [record_id, count](Prx& prx, const IceHeader& h, ByteRange bytes, Failed f, Sent s) {
+                     prx.newSvcRecordMsgAsync(h, record_id, count, bytes, nullptr, std::move(f),
+                                              std::move(s));
+                 });
+}
+
+void IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message) {
+    sender_.send(lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
+                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Failed f, Sent s) {
+                     prx.newEntityMsgAsync(h, bytes, nullptr, std::move(f), std::move(s));
+                 });
+}
+
+void IceClientOutbox::newEntityMsgDataSeq(const Header& head, std::string_view data) {
+    sender_.send(Traffic::Data, head, data,
+                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Failed f, Sent s) {
+                     prx.newEntityMsgDataSeqAsync(h, bytes, nullptr, std::move(f), std::move(s));
+                 });
+}
+
+void IceClientOutbox::newRefusalMsg(const Header& head, const Refusal& refusal) {
+    sender_.send(Traffic::Control, head, {},
+                 [code = static_cast<int>(refusal.code), reason = refusal.message](
+                     Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
+                     prx.newRefusalMsgAsync(h, code, reason, nullptr, std::move(f), std::move(s));
+                 });
+}
+
+void IceClientOutbox::newStopAccepted(const Header& head, std::int32_t entities) {
+    sender_.send(Traffic::Signal, head, {},
+                 [entities](Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
+                     prx.newStopAcceptedAsync(h, entities, nullptr, std::move(f), std::move(s));
+                 });
+}
+
+void IceClientOutbox::newUpdateMsg(RefusalCode code, const std::string& text) {
+    sender_.send(Traffic::Control, text.size(),
+                 [its_code = static_cast<int>(code), text](Prx& prx, Failed f, Sent s) {
+                     prx.newUpdateMsgAsync(its_code, text, nullptr, std::move(f), std::move(s));
+                 });
+}
+
+void IceClientOutbox::newHeartbeat(std::int64_t sequence) {
+    sender_.send(Traffic::Heartbeat, 0, [sequence](Prx& prx, Failed f, Sent s) {
+        prx.newHeartbeatAsync(static_cast<double>(sequence), nullptr, std::move(f), std::move(s));
+    });
+}
+
+void IceClientOutbox::disconnect(bool orderly, const std::string& why) {
+    if (const auto dropped = sender_.counts().dropped; dropped > 0) {
+        spdlog::info("front-end server: {} messages to {} were dropped, it did not read them in time",
+                     dropped, peer_->peer());
+    }
+    peer_->disconnect({false, why}, orderly);
+    sender_.close();
+}
+
+void IceEntityTopic::set(Prx data, Prx signal) {
+    data_ = std::move(data);
+    signal_ = std::move(signal);
+}
+
+namespace {
+
+/// A publication never fails for its publisher; an entity server that is gone is noticed elsewhere.
+template <class Call>
+void publish(Call&& call) {
+    try {
+        call();
+    } catch (const std::exception&) {
+        spdlog::debug("front-end server: not published: {}",
+                      transport::translate(std::current_exception()).message);
+    }
+}
+
+}  // namespace
+
+void IceEntityTopic::clientMsg(const Header& head, std::string_view message) {
+    publish([&] { data_->clientMsg(toIce(head), toRange(message)); });
+}
+void IceEntityTopic::clientMsgDataSeq(const Header& head, std::string_view data) {
+    publish([&] { data_->clientMsgDataSeq(toIce(head), toRange(data)); });
+}
+void IceEntityTopic::clientRequest(const Header& head) {
+    publish([&] { data_->clientRequest(toIce(head)); });
+}
+void IceEntityTopic::clientUpdate(const Header& head, ClientChange change) {
+    publish([&] { signal_->clientUpdate(toIce(head), toIce(change)); });
+}
+void IceEntityTopic::stopSignal(const Header& head, StopCause cause) {
+    publish([&] { signal_->stopSignal(toIce(head), toIce(cause)); });
+}
+void IceEntityTopic::resetSignal(const Header& head) {
+    publish([&] { signal_->resetSignal(toIce(head)); });
+}
+void IceEntityTopic::clearSignal(const Header& head) {
+    publish([&] { signal_->clearSignal(toIce(head)); });
+}
+
+void ClientSessionServant::end(Ending ending, const std::string& why) {
+    FrontEndCore::ClientRef client;
+    {
+        const std::lock_guard lock(mutex_);
+        if (ended_) return;
+        ended_ = true;
+        ending_ = ending;
+        why_ = why;
+        client = client_;
+    }
+    if (client) lane_.core.leave(client, ending, why);
+}
+
+void ClientSessionServant::adopt(FrontEndCore::ClientRef client) {
+    bool ended = false;
+    Ending ending = Ending::Lost;
+    std::string why;
+    {
+        const std::lock_guard lock(mutex_);
+        client_ = client;
+        ended = ended_;
+        ending = ending_;
+        why = why_;
+    }
+    ready_ = true;
+    if (ended)
+        lane_.core.leave(client, ending, why);  // the connection ended while the session was being set up
+}
+
+const FrontEndCore::ClientRef& ClientSessionServant::client(const Ice::Current& current) const {
+    peer_->require(current);
+    if (!ready_)
+        throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
+    return client_;
+}
+
+Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_ptr<Prx> callback,
+                                                                   const Ice::Current& current) {
+    peer_->require(current);
+    auto proxy = transport::callbackProxy(callback, current);
+    if (!proxy)
+        throw toIce(
+            Refusal{RefusalCode::Malformed, "the callback is null; give a proxy of a ClientCallback", {}});
+    if (lane_.lane != Lane::Data || ready_) {
+        throw toIce(
+            Refusal{RefusalCode::WrongState, "setCallback is for a new session on the data port, once", {}});
+    }
+    const auto entities = static_cast<int>(lane_.core.entities());
+    auto client = transport::valueOrThrow(lane_.core.setCallback(
+        display_name_, role_, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, peer_)));
+    Axon::FrontEndComm::SessionFacts facts;
+    facts.me = toIce(FrontEndCore::me(*client));
+    facts.token = FrontEndCore::token(*client);
+    facts.entities = entities;
+    const auto milliseconds = [](Duration duration) {
+        return static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(duration).count());
+    };
+    facts.watchdogBusyMs = milliseconds(lane_.core.settings().watchdog_busy);
+    facts.watchdogIdleMs = milliseconds(lane_.core.settings().watchdog_idle);
+    const auto address = peer_->localAddress();
+    if (!address.empty())
+        facts.signalEndpoint = "tcp -h " + address + " -p " + std::to_string(lane_.signal_port);
+    adopt(std::move(client));
+    return facts;
+}
+
+void ClientSessionServant::attachSignalLane(std::string token, std::shared_ptr<Prx> callback,
+                                            const Ice::Current& current) {
+    peer_->require(current);
+    auto proxy = transport::callbackProxy(callback, current);
+    if (!proxy)
+        throw toIce(
+            Refusal{RefusalCode::Malformed, "the callback is null; give a proxy of a ClientCallback", {}});
+    if (lane_.lane != Lane::Signal || ready_) {
+        throw toIce(Refusal{
+            RefusalCode::WrongState, "attachSignalLane is for a new session on the signal port, once", {}});
+    }
+    adopt(transport::valueOrThrow(
+        lane_.core.attach(token, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, peer_))));
+}
+
+void ClientSessionServant::sendRequest(IceHeader head, ByteRange, const Ice::Current& current) {
+    lane_.core.sendRequest(client(current), fromIce(std::move(head)));
+}
+void ClientSessionServant::sendToEntity(IceHeader head, ByteRange message, const Ice::Current& current) {
+    lane_.core.sendToEntity(client(current), fromIce(std::move(head)), toView(message));
+}
+void ClientSessionServant::sendToEntityDataSeq(IceHeader head, ByteRange data, const Ice::Current& current) {
+    lane_.core.sendToEntityDataSeq(client(current), fromIce(std::move(head)), toView(data));
+}
+void ClientSessionServant::sendStopSignal(IceHeader head, Axon::CommUtil::StopCause cause,
+                                          const Ice::Current& current) {
+    lane_.core.sendStopSignal(client(current), fromIce(std::move(head)), fromIce(cause));
+}
+void ClientSessionServant::sendResetSignal(IceHeader head, const Ice::Current& current) {
+    lane_.core.sendResetSignal(client(current), fromIce(std::move(head)));
+}
+void ClientSessionServant::sendClearSignal(IceHeader head, const Ice::Current& current) {
+    lane_.core.sendClearSignal(client(current), fromIce(std::move(head)));
+}
+void ClientSessionServant::keepAlive(double, const Ice::Current& current) {
+    lane_.core.keepAlive(client(current));
+}
+
+void ClientSessionServant::destroy(const Ice::Current& current) {
+    peer_->require(current);
+    end(Ending::Ended, "it ended its session");
+    peer_->disconnect({false, "it ended its session"}, true);
+}
+
+std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> ClientGateServant::open(std::string, std::string,
+                                                                              std::string display_name,
+                                                                              const Ice::Current& current) {
+    auto peer = std::make_shared<transport::PeerConnection>(current.con);
+    // Without users (loopback only) whoever is on this machine may administer.
+    auto servant = std::make_shared<ClientSessionServant>(lane_, peer, std::move(display_name), Role::Admin);
+    transport::valueOrThrow(lane_.sessions.add(peer->get(), servant));
+    auto proxy =
+        Ice::uncheckedCast<Axon::FrontEndComm::ClientSessionPrx>(current.adapter->addWithUUID(servant));
+    peer->onClosed([&lane = lane_, servant, peer, adapter = current.adapter,
+                    id = proxy->ice_getIdentity()](const transport::CloseReason& reason) {
+        lane.sessions.remove(peer->get());
+        servant->end(reason.improper ? Ending::Improper : Ending::Lost, reason.text);
+        try {
+            adapter->remove(id);
+        } catch (const Ice::LocalException&) {  // the adapter is being destroyed, and its servants with it
+        }
+    });
+    return proxy;
+}
+
+void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence presence,
+                                                    Axon::CommUtil::Registration registration,
+                                                    ByteRange profile, const Ice::Current&) {
+    core_.entityBasicPrflUpdate(fromIce(presence), fromIce(std::move(registration)), toView(profile));
+}
+void EntityToFrontEndServant::entityUpdate(Axon::CommUtil::EntityStatus status, const Ice::Current&) {
+    core_.entityUpdate(fromIce(std::move(status)));
+}
+void EntityToFrontEndServant::entitySvcRecord(IceHeader head, int record_id, int count, ByteRange record,
+                                              const Ice::Current&) {
+    core_.entitySvcRecord(fromIce(std::move(head)), record_id, count, toView(record));
+}
+void EntityToFrontEndServant::entityMsg(Axon::CommUtil::Lane lane, IceHeader head, ByteRange message,
+                                        const Ice::Current&) {
+    core_.entityMsg(fromIce(lane), fromIce(std::move(head)), toView(message));
+}
+void EntityToFrontEndServant::entityMsgDataSeq(IceHeader head, ByteRange data, const Ice::Current&) {
+    core_.entityMsgDataSeq(fromIce(std::move(head)), toView(data));
+}
+void EntityToFrontEndServant::entityRefusal(IceHeader head, int code, std::string reason,
+                                            const Ice::Current&) {
+    core_.entityRefusal(lane_, fromIce(std::move(head)),
+                        {static_cast<RefusalCode>(code), std::move(reason), {}});
+}
+
+}  // namespace axon::front_end_server

@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <axon/entitycomm.h>
+#include <axon/frontendcomm.h>
+
+#include <atomic>
+#include <memory>
+#include <mutex>
+#include <string>
+
+#include "front_end_server/front_end_core.hpp"
+#include "front_end_server/ports.hpp"
+#include "transport/callback_sender.hpp"
+#include "transport/open_sessions.hpp"
+#include "transport/peer_connection.hpp"
+
+// The rim of the front-end server: Ice's calls in, FrontEndCore's effects out. No decisions are made here but
+// whether a call came over the right connection.
+namespace axon::front_end_server {
+
+/// ClientOutbox over a client's callback proxy.
+class IceClientOutbox final : public ClientOutbox {
+  public:
+    IceClientOutbox(std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx> callback,
+                    transport::OutboxLimits limits, std::shared_ptr<transport::PeerConnection> peer);
+    void newBasicPrflMsg(Presence presence, const Registration& registration,
+                         std::string_view profile) override;
+    void newStatusMsg(const EntityStatus& status) override;
+    void newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
+                         std::string_view record) override;
+    void newEntityMsg(Lane lane, const Header& head, std::string_view message) override;
+    void newEntityMsgDataSeq(const Header& head, std::string_view data) override;
+    void newRefusalMsg(const Header& head, const Refusal& refusal) override;
+    void newStopAccepted(const Header& head, std::int32_t entities) override;
+    void newUpdateMsg(RefusalCode code, const std::string& text) override;
+    void newHeartbeat(std::int64_t sequence) override;
+    void disconnect(bool orderly, const std::string& why) override;
+
+  private:
+    const std::shared_ptr<transport::PeerConnection> peer_;
+    const transport::CallbackSender<Axon::FrontEndComm::ClientCallbackPrx> sender_;
+};
+
+/// EntityTopic over two publishers, one for each lane: collocated proxies, or IceStorm's.
+class IceEntityTopic final : public EntityTopic {
+  public:
+    using Prx = std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx>;
+    /// Before anything is published.
+    void set(Prx data, Prx signal);
+    void clientMsg(const Header& head, std::string_view message) override;
+    void clientMsgDataSeq(const Header& head, std::string_view data) override;
+    void clientRequest(const Header& head) override;
+    void clientUpdate(const Header& head, ClientChange change) override;
+    void stopSignal(const Header& head, StopCause cause) override;
+    void resetSignal(const Header& head) override;
+    void clearSignal(const Header& head) override;
+
+  private:
+    Prx data_;
+    Prx signal_;
+};
+
+class ClientSessionServant;
+
+/// What the servants of one lane share. Outlives them.
+struct ClientLane {
+    FrontEndCore& core;
+    Lane lane;
+    transport::OutboxLimits limits;
+    int signal_port = 0;
+    transport::OpenSessions<ClientSessionServant> sessions;
+};
+
+/// One session of a client on one lane (thesis: Session_Impl). States: opened, ready (setCallback or
+/// attachSignalLane), closed. Answers only on the connection that opened it.
+class ClientSessionServant final : public Axon::FrontEndComm::ClientSession {
+  public:
+    ClientSessionServant(ClientLane& lane, std::shared_ptr<transport::PeerConnection> peer,
+                         std::string display_name, Role role)
+        : lane_(lane), peer_(std::move(peer)), display_name_(std::move(display_name)), role_(role) {}
+
+    bool ready() const { return ready_; }
+    void disconnect(const std::string& why) { peer_->disconnect({false, why}, false); }
+    /// The session is over; idempotent.
+    void end(Ending ending, const std::string& why);
+
+    Axon::FrontEndComm::SessionFacts setCallback(
+        std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx> callback,
+        const Ice::Current& current) override;
+    void attachSignalLane(std::string token, std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx> callback,
+                          const Ice::Current& current) override;
+    void sendRequest(Axon::CommUtil::Header head, transport::ByteRange message,
+                     const Ice::Current& current) override;
+    void sendToEntity(Axon::CommUtil::Header head, transport::ByteRange message,
+                      const Ice::Current& current) override;
+    void sendToEntityDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,
+                             const Ice::Current& current) override;
+    void sendStopSignal(Axon::CommUtil::Header head, Axon::CommUtil::StopCause cause,
+                        const Ice::Current& current) override;
+    void sendResetSignal(Axon::CommUtil::Header head, const Ice::Current& current) override;
+    void sendClearSignal(Axon::CommUtil::Header head, const Ice::Current& current) override;
+    void keepAlive(double sequence, const Ice::Current& current) override;
+    void destroy(const Ice::Current& current) override;
+
+  private:
+    const FrontEndCore::ClientRef& client(const Ice::Current& current) const;
+    void adopt(FrontEndCore::ClientRef client);
+
+    ClientLane& lane_;
+    const std::shared_ptr<transport::PeerConnection> peer_;
+    const std::string display_name_;
+    const Role role_;
+    std::mutex mutex_;
+    bool ended_ = false;              // guarded by mutex_
+    Ending ending_ = Ending::Lost;    // guarded by mutex_
+    std::string why_;                 // guarded by mutex_
+    FrontEndCore::ClientRef client_;  // written once, before ready_ is
+    std::atomic<bool> ready_{false};
+};
+
+/// Where clients without a router come in (thesis: SessionManager).
+class ClientGateServant final : public Axon::FrontEndComm::ClientGate {
+  public:
+    explicit ClientGateServant(ClientLane& lane) : lane_(lane) {}
+    std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> open(std::string user, std::string password,
+                                                               std::string display_name,
+                                                               const Ice::Current& current) override;
+
+  private:
+    ClientLane& lane_;
+};
+
+/// Listens to the entity servers on one lane (thesis figure 3.14).
+class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndComm {
+  public:
+    EntityToFrontEndServant(FrontEndCore& core, Lane lane) : core_(core), lane_(lane) {}
+    void entityBasicPrflUpdate(Axon::CommUtil::Presence presence, Axon::CommUtil::Registration registration,
+                               transport::ByteRange profile, const Ice::Current&) override;
+    void entityUpdate(Axon::CommUtil::EntityStatus status, const Ice::Current&) override;
+    void entitySvcRecord(Axon::CommUtil::Header head, int record_id, int count, transport::ByteRange record,
+                         const Ice::Current&) override;
+    void entityMsg(Axon::CommUtil::Lane lane, Axon::CommUtil::Header head, transport::ByteRange message,
+                   const Ice::Current&) override;
+    void entityMsgDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,
+                          const Ice::Current&) override;
+    void entityRefusal(Axon::CommUtil::Header head, int code, std::string reason,
+                       const Ice::Current&) override;
+
+  private:
+    FrontEndCore& core_;
+    const Lane lane_;
+};
+
+}  // namespace axon::front_end_server

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include <csignal>
+#include <cstdio>
+#include <exception>
+#include <utility>
+
+#include "server/options.hpp"
+#include "server/server.hpp"
+
+int main(int argc, char** argv) {
+    // Before any thread exists, so that all inherit it: the two signals are waited for below.
+    sigset_t ends;
+    sigemptyset(&ends);
+    sigaddset(&ends, SIGINT);
+    sigaddset(&ends, SIGTERM);
+    pthread_sigmask(SIG_BLOCK, &ends, nullptr);
+    std::signal(SIGPIPE, SIG_IGN);
+
+    spdlog::set_default_logger(spdlog::stderr_color_mt("axon-server"));
+    spdlog::set_pattern("%Y-%m-%d %H:%M:%S.%e %^%l%$ %v");
+    try {
+        auto parsed = axon::server::parseOptions(argc, argv);
+        if (!parsed.options) return parsed.exit_code;
+        spdlog::set_level(spdlog::level::from_str(parsed.options->log_level));
+        const axon::server::Server server(std::move(parsed.options->settings));
+        std::printf("%s\n", server.readyLine().c_str());
+        std::fflush(stdout);
+
+        int received = 0;
+        sigwait(&ends, &received);
+        spdlog::info("shutting down on {}", received == SIGINT ? "SIGINT" : "SIGTERM");
+    } catch (const std::exception& error) {
+        std::fprintf(stderr, "axon-server: %s\n", error.what());
+        return 2;
+    }
+    return 0;
+}

@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "server/options.hpp"
+
+#include <Ice/Ice.h>
+#include <CLI/CLI.hpp>
+
+#include <charconv>
+#include <fstream>
+#include <functional>
+#include <map>
+#include <regex>
+#include <stdexcept>
+
+#include "server/version.hpp"
+
+namespace axon::server {
+namespace {
+
+/// HOST:PORT of either "HOST:PORT" or Ice's "tcp -h HOST -p PORT".
+std::string hostAndPort(const std::string& text) {
+    static const std::regex kIce(R"(\s*tcp\s+-h\s+(\S+)\s+-p\s+(\d+)\s*)");
+    std::smatch parts;
+    if (std::regex_match(text, parts, kIce)) return parts[1].str() + ":" + parts[2].str();
+    return text;
+}
+
+long number(const std::string& where, const std::string& text, long least, long most) {
+    long value = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+    if (error != std::errc{} || end != text.data() + text.size() || value < least || value > most) {
+        throw std::runtime_error(where + ": '" + text + "': expected a number from " + std::to_string(least) +
+                                 " to " + std::to_string(most));
+    }
+    return value;
+}
+
+}  // namespace
+
+void readConfiguration(const std::string& file, ServerSettings& settings) {
+    if (!std::ifstream(file))
+        throw std::runtime_error(file + ": cannot be read; expected a file of lines KEY=VALUE");
+    const auto properties = Ice::createProperties();
+    try {
+        properties->load(file);
+    } catch (const Ice::Exception& error) {
+        throw std::runtime_error(file + ": not understood (" + error.ice_id() +
+                                 "); expected lines KEY=VALUE");
+    }
+    const auto milliseconds = [](Duration& to, long most) {
+        return [&to, most](const std::string& where, const std::string& text) {
+            to = std::chrono::milliseconds{number(where, text, 10, most)};
+        };
+    };
+    const auto endpoint = [](std::string& to) {
+        return [&to](const std::string&, const std::string& text) { to = hostAndPort(text); };
+    };
+    const std::map<std::string, std::function<void(const std::string&, const std::string&)>> keys = {
+        {"FrontEndServer.Endpoints", endpoint(settings.client_endpoint)},
+        {"FrontEndServerSignal.Endpoints", endpoint(settings.client_signal_endpoint)},
+        {"EntityServer.Endpoints", endpoint(settings.entity_endpoint)},
+        {"EntityServerSignal.Endpoints", endpoint(settings.entity_signal_endpoint)},
+        {"FrontEndServer.WatchdogBusyMs", milliseconds(settings.front_end.watchdog_busy, 2000)},
+        {"FrontEndServer.WatchdogIdleMs", milliseconds(settings.front_end.watchdog_idle, 600'000)},
+        {"FrontEndServer.ClientsMax",
+         [&](const auto& where, const auto& text) {
+             settings.front_end.clients_max = static_cast<std::size_t>(number(where, text, 1, 1'000'000));
+         }},
+        {"EntityServer.EntitiesMax",
+         [&](const auto& where, const auto& text) {
+             settings.entity.entities_max = static_cast<std::size_t>(number(where, text, 1, 1'000'000));
+         }},
+        {"Server.DataThreads",
+         [&](const auto& where, const auto& text) {
+             settings.data_threads = static_cast<int>(number(where, text, 1, 256));
+         }},
+        {"Server.SignalThreads",
+         [&](const auto& where, const auto& text) {
+             settings.signal_threads = static_cast<int>(number(where, text, 1, 256));
+         }},
+    };
+    for (const auto& [key, value] : properties->getPropertiesForPrefix("")) {
+        if (key.rfind("Ice.", 0) == 0 || key.rfind("IceSSL.", 0) == 0) {
+            settings.ice_properties[key] = value;
+            continue;
+        }
+        const auto found = keys.find(key);
+        if (found == keys.end()) {
+            std::string known;
+            for (const auto& [name, set] : keys) known += (known.empty() ? "" : ", ") + name;
+            throw std::runtime_error(file + ": '" + key + "' is not known; expected one of " + known +
+                                     ", or a property of Ice");
+        }
+        found->second(file + ": " + key, value);
+    }
+}
+
+Parsed parseOptions(int argc, char** argv) {
+    CLI::App app{
+        "The server of Axon: entities and clients meet here. Without options it serves this machine only."};
+    app.name("axon-server");
+    app.set_version_flag("--version", std::string("axon-server ") + kVersion);
+    std::vector<std::string> files;
+    std::string listen;
+    std::string role = "both";
+    std::map<std::string, std::string> endpoints;
+    Options options;
+    app.add_option("--config", files,
+                   "frontendserver.cfg, entityserver.cfg: lines KEY=VALUE (docs/reference/configuration.md)");
+    app.add_option("--listen", listen, "Address for all four ports (127.0.0.1)");
+    app.add_option("--client-endpoint", endpoints["client"],
+                   "HOST:PORT for clients (127.0.0.1:10410); port 0 takes a free one");
+    app.add_option("--client-signal-endpoint", endpoints["client-signal"],
+                   "HOST:PORT for clients' signal lane (127.0.0.1:10411)");
+    app.add_option("--entity-endpoint", endpoints["entity"],
+                   "HOST:PORT for Entity Managers (127.0.0.1:10412)");
+    app.add_option("--entity-signal-endpoint", endpoints["entity-signal"],
+                   "HOST:PORT for Entity Managers' signal lane (127.0.0.1:10413)");
+    app.add_option("--role", role, "both (servers in separate processes are not in this version)");
+    app.add_option("--log-level", options.log_level, "debug, info, warn or error")
+        ->check(CLI::IsMember({"debug", "info", "warn", "error"}));
+    try {
+        app.parse(argc, argv);
+    } catch (const CLI::ParseError& error) {
+        return {std::nullopt, app.exit(error) == 0 ? 0 : 2};
+    }
+    if (role != "both") {
+        throw std::runtime_error("--role " + role +
+                                 ": this version runs both servers in one process; leave --role out");
+    }
+    auto& settings = options.settings;
+    for (const auto& file : files) readConfiguration(file, settings);
+    for (const auto& [name, to] :
+         std::map<std::string, std::string*>{{"client", &settings.client_endpoint},
+                                             {"client-signal", &settings.client_signal_endpoint},
+                                             {"entity", &settings.entity_endpoint},
+                                             {"entity-signal", &settings.entity_signal_endpoint}}) {
+        if (!endpoints[name].empty()) {
+            *to = endpoints[name];
+        } else if (!listen.empty()) {
+            *to = listen + to->substr(to->rfind(':'));
+        }
+        checkLoopback(*to);
+    }
+    return {std::move(options), 0};
+}
+
+}  // namespace axon::server

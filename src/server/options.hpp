@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "server/server.hpp"
+
+namespace axon::server {
+
+struct Options {
+    ServerSettings settings;
+    std::string log_level = "info";
+};
+
+/// The command line of `axon-server` and the files that it names. An int instead of options is the exit code
+/// of what has been answered already (--help, --version, a wrong option). Throws std::runtime_error for
+/// misconfiguration.
+struct Parsed {
+    std::optional<Options> options;
+    int exit_code = 0;
+};
+Parsed parseOptions(int argc, char** argv);
+
+/// Reads a file in Ice property syntax (frontendserver.cfg, entityserver.cfg) into the settings;
+/// docs/reference/ configuration.md lists the keys. Throws std::runtime_error naming file, key, expectation
+/// and mend.
+void readConfiguration(const std::string& file, ServerSettings& settings);
+
+}  // namespace axon::server

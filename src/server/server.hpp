@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <map>
+#include <memory>
+#include <string>
+
+#include "entity_server/entity_server_core.hpp"
+#include "front_end_server/front_end_core.hpp"
+
+namespace axon::server {
+
+/// Settings of `axon-server`; docs/reference/ports.md and configuration.md.
+struct ServerSettings {
+    std::string client_endpoint = "127.0.0.1:10410";
+    std::string client_signal_endpoint = "127.0.0.1:10411";
+    std::string entity_endpoint = "127.0.0.1:10412";
+    std::string entity_signal_endpoint = "127.0.0.1:10413";
+    int data_threads = 2;    ///< of each adapter of the data lane
+    int signal_threads = 1;  ///< of each adapter of the signal lane
+    front_end_server::CoreSettings front_end;
+    entity_server::CoreSettings entity;
+    std::map<std::string, std::string> ice_properties;  ///< win over the defaults
+};
+
+/// Throws std::runtime_error, with the mend, for an endpoint that is no HOST:PORT or not on loopback: without
+/// authentication nobody from outside may move a robot.
+void checkLoopback(const std::string& endpoint);
+
+/// Both servers in one process, the embedded default: each publishes to the other by collocated calls, which
+/// run in the caller's thread, one lane apart from the other. The only place that knows so.
+///
+/// The constructor returns when both listen. The destructor tells the clients, closes their sessions and
+/// joins all threads. Throws std::runtime_error for misconfiguration.
+class Server {
+  public:
+    explicit Server(ServerSettings settings);
+    ~Server();
+    Server(const Server&) = delete;
+    Server& operator=(const Server&) = delete;
+
+    /// The addresses that were taken, as HOST:PORT.
+    std::string clientAddress(Lane lane) const;
+    std::string entityAddress(Lane lane) const;
+    /// "ready client=… client-signal=… entity=… entity-signal=…".
+    std::string readyLine() const;
+
+    entity_server::EntityServerCore& entityCore();
+    front_end_server::FrontEndCore& frontEndCore();
+
+  private:
+    class Parts;
+    std::unique_ptr<Parts> parts_;
+};
+
+}  // namespace axon::server

@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+#include <memory>
+#include <string>
+
+namespace axon::transport {
+
+/// An object adapter that listens, not active yet. Throws std::runtime_error with the mend where it cannot.
+std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, const std::string& name,
+                                           const std::string& endpoint);
+
+/// The port that was taken, where 0 was asked for.
+int portOf(const Ice::ObjectAdapter& adapter);
+/// "127.0.0.1:10410".
+std::string addressOf(const Ice::ObjectAdapter& adapter);
+
+}  // namespace axon::transport

@@ -1,0 +1,131 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "transport/communicator.hpp"
+
+#include <axon/commutil.h>
+#include <pthread.h>
+#include <sched.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <atomic>
+#include <charconv>
+#include <stdexcept>
+
+namespace axon::transport {
+namespace {
+
+constexpr int kSignalPriority = 10;  // above ordinary threads, below the kernel's own interrupt threads (50)
+
+void requestRealTime(std::atomic<bool>& said) {
+    sched_param parameters{};
+    parameters.sched_priority = kSignalPriority;
+    const int error = pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
+    if (error != 0 && !said.exchange(true)) {
+        spdlog::info(
+            "signal lane: no permission for real-time scheduling, ordinary threads are used; stops are "
+            "slower under "
+            "full load (to mend: LimitRTPRIO=30 in the systemd unit, or 'ulimit -r 30')");
+    }
+}
+
+}  // namespace
+
+Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
+    Ice::InitializationData init;
+    init.properties = Ice::createProperties();
+    const std::map<std::string, std::string> defaults = {
+        {"Ice.MessageSizeMax", std::to_string(kMessageSizeMaxKib)},
+        {"Ice.RetryIntervals", "-1"},
+        {"Ice.IPv6", "0"},
+        {"Ice.Warn.Connections", "0"},
+        {"Ice.Warn.Dispatch", "0"},
+        {"Ice.Default.InvocationTimeout", "5000"},  // twoway calls; oneway proxies have none
+        // The client side keeps idle connections alive, the server side closes what is silent: half-open
+        // ones.
+        {"Ice.ACM.Timeout", "60"},
+        {"Ice.ACM.Client.Close", "0"},
+        {"Ice.ACM.Client.Heartbeat", "3"},
+        {"Ice.ACM.Server.Close", "4"},
+        {"Ice.ACM.Server.Heartbeat", "0"},
+        {"Ice.ThreadPool.Server.Size", std::to_string(settings.server_threads)},
+        {"Ice.ThreadPool.Server.Serialize", settings.server_threads > 1 ? "1" : "0"},
+        {"Ice.ThreadPool.Client.Size", std::to_string(settings.client_threads)},
+        {"Ice.ThreadPool.Client.Serialize", settings.client_threads > 1 ? "1" : "0"},
+    };
+    for (const auto& [key, value] : defaults) init.properties->setProperty(key, value);
+    for (const auto& [key, value] : settings.properties) init.properties->setProperty(key, value);
+
+    // Ice runs the hook in each thread that it starts for this communicator.
+    auto said = std::make_shared<std::atomic<bool>>(false);
+    init.threadStart = [name = settings.name.substr(0, 15), lane = settings.lane, said] {
+        pthread_setname_np(pthread_self(), name.c_str());
+        if (lane == Lane::Signal) requestRealTime(*said);
+    };
+    try {
+        return Ice::CommunicatorHolder(init);
+    } catch (const Ice::Exception& error) {
+        throw std::runtime_error(std::string("Ice does not accept its properties: ") + error.what());
+    }
+}
+
+Refusal translate(std::exception_ptr error) {
+    try {
+        std::rethrow_exception(std::move(error));
+    } catch (const Axon::CommUtil::RequestRefused& refused) {
+        return {static_cast<RefusalCode>(refused.code), refused.reason, {}};
+    } catch (const Ice::TimeoutException&) {
+        return {
+            RefusalCode::TimedOut, "the other side did not answer in time; is it overloaded or stopped?", {}};
+    } catch (const Ice::MemoryLimitException&) {
+        return {
+            RefusalCode::TooLarge,
+            "the message is larger than " + std::to_string(kMessageSizeMaxKib) + " KiB; send it in chunks",
+            {}};
+    } catch (const Ice::ConnectFailedException&) {
+        return {RefusalCode::NotConnected,
+                "nothing listens there; is axon-server running, and is the port right?",
+                {}};
+    } catch (const Ice::DNSException& unknown) {
+        return {
+            RefusalCode::NotConnected, "the host " + unknown.host + " is not known; check the address", {}};
+    } catch (const Ice::ObjectNotExistException&) {
+        return {RefusalCode::NotConnected, "the session has ended; connect again", {}};
+    } catch (const Ice::ConnectionManuallyClosedException&) {
+        return {RefusalCode::NotConnected, "the connection was closed", {}};
+    } catch (const Ice::SocketException&) {
+        return {RefusalCode::NotConnected, "the connection was lost; connect again", {}};
+    } catch (const Ice::CloseConnectionException&) {
+        return {RefusalCode::NotConnected, "the other side closed the connection", {}};
+    } catch (const Ice::ProtocolException& protocol) {
+        return {RefusalCode::Malformed, std::string("not understood as Ice: ") + protocol.ice_id(), {}};
+    } catch (const Ice::CommunicatorDestroyedException&) {
+        return {RefusalCode::NotConnected, "this program is shutting down", {}};
+    } catch (const Ice::Exception& other) {
+        return {RefusalCode::Internal, other.what(), {}};
+    } catch (const std::exception& other) {
+        return {RefusalCode::Internal, other.what(), {}};
+    }
+}
+
+std::string tcpEndpoint(const std::string& host_and_port) {
+    const auto colon = host_and_port.rfind(':');
+    const auto fail = [&] {
+        return std::invalid_argument(
+            "'" + host_and_port +
+            "': expected HOST:PORT with a port from 0 to 65535, such as 127.0.0.1:10410");
+    };
+    if (colon == std::string::npos || colon == 0) throw fail();
+    const auto host = host_and_port.substr(0, colon);
+    const auto text = host_and_port.substr(colon + 1);
+    unsigned port = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), port);
+    if (error != std::errc{} || end != text.data() + text.size() || port > 65535) throw fail();
+    // The host becomes part of an endpoint string: nothing that Ice would read as an option may be in it.
+    const bool plain = std::all_of(host.begin(), host.end(), [](unsigned char c) {
+        return std::isalnum(c) != 0 || c == '.' || c == '-' || c == '_';
+    });
+    if (!plain || host.front() == '-') throw fail();
+    return "tcp -h " + host + " -p " + std::to_string(port);
+}
+
+}  // namespace axon::transport

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "transport/convert.hpp"
+
+namespace axon::transport {
+
+Sender fromIce(ice::Sender&& sender) {
+    return {std::move(sender.id), std::move(sender.name), static_cast<Role>(sender.role)};
+}
+
+Header fromIce(ice::Header&& head) {
+    Header out;
+    out.sender = fromIce(std::move(head.sender));
+    out.entity = std::move(head.entity);
+    out.msg_type = std::move(head.msgType);
+    out.held = {head.held.epoch, head.held.number};
+    out.stop_generation = head.stopGeneration;
+    // A double from a peer may be anything; converting what does not fit would be undefined.
+    const auto whole = [](double value) {
+        constexpr double kLargest = 9007199254740992.0;  // 2^53
+        return value >= 0 && value <= kLargest ? static_cast<std::int64_t>(value) : std::int64_t{0};
+    };
+    out.sequence = whole(head.seq);
+    out.sent_at_us = whole(head.sentAt);
+    out.proof.assign(head.proof.begin(), head.proof.end());
+    return out;
+}
+
+Registration fromIce(ice::Registration&& registration) {
+    return {std::move(registration.entity),        std::move(registration.name),
+            std::move(registration.category),      std::move(registration.type),
+            registration.heartbeatBusyMs,          registration.heartbeatIdleMs,
+            std::move(registration.directEndpoint)};
+}
+
+EntityStatus fromIce(ice::EntityStatus&& status) {
+    return {std::move(status.entity),
+            static_cast<EntityState>(status.state),
+            status.latched,
+            status.stopGeneration,
+            fromIce(std::move(status.holder)),
+            {status.held.epoch, status.held.number},
+            std::move(status.reason)};
+}
+
+ice::Sender toIce(const Sender& sender) {
+    return {sender.id, sender.name, static_cast<ice::Role>(sender.role)};
+}
+
+ice::Header toIce(const Header& head) {
+    return {toIce(head.sender),
+            head.entity,
+            head.msg_type,
+            {head.held.epoch, head.held.number},
+            head.stop_generation,
+            static_cast<double>(head.sequence),
+            static_cast<double>(head.sent_at_us),
+            {head.proof.begin(), head.proof.end()}};
+}
+
+ice::Registration toIce(const Registration& registration) {
+    return {registration.entity,
+            registration.name,
+            registration.category,
+            registration.type,
+            registration.heartbeat_busy_ms,
+            registration.heartbeat_idle_ms,
+            registration.direct_endpoint};
+}
+
+ice::EntityStatus toIce(const EntityStatus& status) {
+    return {status.entity,        static_cast<ice::EntityState>(status.state),
+            status.latched,       status.stop_generation,
+            toIce(status.holder), {status.held.epoch, status.held.number},
+            status.reason};
+}
+
+ice::RequestRefused toIce(const Refusal& refusal) {
+    return {static_cast<int>(refusal.code), refusal.message};
+}
+
+}  // namespace axon::transport

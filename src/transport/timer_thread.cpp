@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "transport/timer_thread.hpp"
+
+#include <pthread.h>
+#include <sched.h>
+
+namespace axon::transport {
+
+TimerThread::TimerThread(std::string name, const Clock& clock, std::function<TimePoint()> tick)
+    : name_(std::move(name)), clock_(clock), tick_(std::move(tick)), thread_([this] { run(); }) {}
+
+TimerThread::~TimerThread() {
+    {
+        const std::lock_guard lock(mutex_);
+        stopping_ = true;
+    }
+    changed_.notify_one();
+    thread_.join();
+}
+
+void TimerThread::wake() {
+    {
+        const std::lock_guard lock(mutex_);
+        woken_ = true;
+    }
+    changed_.notify_one();
+}
+
+void TimerThread::run() {
+    pthread_setname_np(pthread_self(), name_.c_str());
+    sched_param parameters{};
+    parameters.sched_priority = 10;
+    // Refused where not permitted; the signal lane's communicator says so for both.
+    pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
+    while (true) {
+        const auto due = tick_();
+        // A duration, and wait_until on the steady clock: the injected clock only says how long.
+        const auto pause = due - clock_.now();
+        std::unique_lock lock(mutex_);
+        changed_.wait_until(lock, std::chrono::steady_clock::now() + pause,
+                            [this] { return woken_ || stopping_; });
+        if (stopping_) return;
+        woken_ = false;
+    }
+}
+
+}  // namespace axon::transport
