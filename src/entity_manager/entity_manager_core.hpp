@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -26,6 +28,17 @@ struct CoreSettings {
     std::uint64_t resource_window = 512 * 1024;  ///< bytes a client may send ahead
 };
 
+/// What has been dropped without an answer, because there is nobody to answer or because the answer would be
+/// a flood.
+struct CoreCounters {
+    std::uint64_t unexpected = 0;  ///< facts without a row, and reports of tasks that are not known
+    std::uint64_t malformed = 0;   ///< messages that could not be read
+    std::uint64_t anonymous = 0;   ///< messages without a sender
+    std::uint64_t undelivered =
+        0;  ///< texts, raw data and samples that nobody held or watched the entity for
+    std::uint64_t raw_refused = 0;  ///< raw data of somebody who may not send it
+};
+
 /// The Entity Manager without its sockets: states, latch, profiler, lease, queue (architecture, sections 5
 /// and 6).
 ///
@@ -47,6 +60,8 @@ class EntityManagerCore {
     void onLinkUp();
     void onLinkDown(const std::string& reason);
     void onLinkMessage(const proto::EiToEm& message);
+    /// The same without a copy of bulk data; the message is left in some valid state.
+    void onLinkMessage(proto::EiToEm&& message);
 
     // From the server. `bytes` is an axon.proto.ToEntity.
     void onServerUp();
@@ -71,6 +86,7 @@ class EntityManagerCore {
     bool latched() const;
     const std::string& uuid() const;
     EntityStatus status() const;
+    const CoreCounters& counters() const;
 
   private:
     class Machine;

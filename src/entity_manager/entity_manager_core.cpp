@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/entity_manager_core.hpp"
+
+#include <utility>
+
+#include "entity_manager/machine.hpp"
+
+namespace axon::entity_manager {
+
+EntityManagerCore::EntityManagerCore(CoreSettings settings, Clock& clock, RandomSource& random,
+                                     BackEndPort& back_end, ServerPort& server, Storage& storage,
+                                     ResourceStore& resources, StopGate& stop_gate)
+    : machine_(std::make_unique<Machine>(std::move(settings), clock, random, back_end, server, storage,
+                                         resources, stop_gate)) {}
+
+EntityManagerCore::~EntityManagerCore() = default;
+
+void EntityManagerCore::onLinkUp() {
+    machine_->onLinkUp();
+}
+void EntityManagerCore::onLinkDown(const std::string& reason) {
+    machine_->onLinkDown(reason);
+}
+void EntityManagerCore::onLinkMessage(const proto::EiToEm& message) {
+    auto copy = message;
+    machine_->onLinkMessage(copy);
+}
+void EntityManagerCore::onLinkMessage(proto::EiToEm&& message) {
+    machine_->onLinkMessage(message);
+}
+void EntityManagerCore::onServerUp() {
+    machine_->onServerUp();
+}
+void EntityManagerCore::onServerDown(const std::string& reason) {
+    machine_->onServerDown(reason);
+}
+void EntityManagerCore::onClientMsg(const Header& head, std::string_view bytes) {
+    machine_->onClientMsg(head, bytes);
+}
+void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
+    machine_->onStopSignal(head, cause, generation);
+}
+void EntityManagerCore::onResetSignal(const Header& head) {
+    machine_->onSignal(Event::Reset, head);
+}
+void EntityManagerCore::onClearSignal(const Header& head) {
+    machine_->onSignal(Event::Clear, head);
+}
+void EntityManagerCore::onClientUpdate(const Header& head, ClientChange change) {
+    machine_->onClientUpdate(head, change);
+}
+void EntityManagerCore::onServerHeartbeat() {
+    machine_->onServerHeartbeat();
+}
+void EntityManagerCore::onTimer() {
+    machine_->onTimer();
+}
+TimePoint EntityManagerCore::nextDeadline() const {
+    return machine_->nextDeadline();
+}
+void EntityManagerCore::shutDown() {
+    machine_->shutDown();
+}
+EntityState EntityManagerCore::state() const {
+    return machine_->state();
+}
+bool EntityManagerCore::latched() const {
+    return machine_->latched();
+}
+const std::string& EntityManagerCore::uuid() const {
+    return machine_->uuid();
+}
+EntityStatus EntityManagerCore::status() const {
+    return machine_->status();
+}
+const CoreCounters& EntityManagerCore::counters() const {
+    return machine_->counters();
+}
+
+}  // namespace axon::entity_manager

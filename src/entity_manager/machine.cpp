@@ -1,0 +1,1059 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/machine.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <utility>
+
+#include "messages/text.hpp"
+#include "messages/values.hpp"
+
+namespace axon::entity_manager {
+
+namespace {
+
+constexpr Duration kReserveDefault = std::chrono::seconds{2};
+constexpr Duration kReserveMax = std::chrono::seconds{30};
+/// How long a check-out waits for the robot to confirm its last stop.
+constexpr Duration kStandstillWait = std::chrono::seconds{5};
+constexpr Duration kPositionPeriod = std::chrono::milliseconds{200};
+constexpr Duration kRawRefusalPeriod = std::chrono::milliseconds{200};
+constexpr std::size_t kOpenStops = 16;
+constexpr std::size_t kReasonMax = 2000;
+
+std::string loadUuid(Storage& storage, RandomSource& random) {
+    if (const auto stored = storage.load("uuid"))
+        if (const auto id = Id128::parse(*stored)) return id->toString();
+    const auto made = Id128::uuid(random).toString();
+    storage.save("uuid", made);
+    return made;
+}
+
+std::string named(const Sender& sender) {
+    return sender.name.empty() ? sender.id : sender.name;
+}
+
+template <class Message>
+std::string errorsOf(const std::optional<Reading<Message>>& reading) {
+    std::string text;
+    for (const auto& finding : reading->findings)
+        if (finding.severity == Finding::Severity::Error)
+            text += (text.empty() ? "" : "\n") + finding.toString();
+    return text;
+}
+
+Event eventOf(const proto::ToEntity& message) {
+    switch (message.body_case()) {
+        case proto::ToEntity::kCheckOut:
+            return Event::CheckOut;
+        case proto::ToEntity::kRelease:
+            return Event::Release;
+        case proto::ToEntity::kSetParam:
+            return Event::SetParam;
+        case proto::ToEntity::kTask:
+            return Event::Task;
+        case proto::ToEntity::kResourceOffer:
+        case proto::ToEntity::kResourceChunk:
+            return Event::Resource;
+        case proto::ToEntity::kText:
+            return Event::Text;
+        case proto::ToEntity::kRaw:
+            return Event::Raw;
+        case proto::ToEntity::kRearm:
+            return Event::Rearm;
+        case proto::ToEntity::kStatusRequest:
+            return Event::Status;
+        case proto::ToEntity::kWatch:
+            return Event::Watch;
+        case proto::ToEntity::kTaskControl:
+            if (message.task_control().action() == proto::PAUSE) return Event::Pause;
+            if (message.task_control().action() == proto::RESUME) return Event::Resume;
+            if (message.task_control().action() == proto::CANCEL) return Event::Cancel;
+            break;
+        case proto::ToEntity::BODY_NOT_SET:
+            break;
+    }
+    return Event::Quit;  // no client can ask for this one: the caller takes it for "none"
+}
+
+}  // namespace
+
+EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomSource& random,
+                                    BackEndPort& back_end, ServerPort& server, Storage& storage,
+                                    ResourceStore& resources, StopGate& stop_gate)
+    : settings_(std::move(settings)),
+      clock_(clock),
+      back_end_(back_end),
+      server_(server),
+      store_(resources),
+      stop_gate_(stop_gate),
+      uuid_(loadUuid(storage, random)),
+      reason_("waiting for the robot application " + inQuotes(settings_.application)),
+      server_watchdog_(settings_.server_watchdog_busy, settings_.server_watchdog_idle, clock.now()),
+      lease_(storage, random),
+      generation_(stop_gate.generation()),
+      required_(generation_),
+      queue_(settings_.task_queue_bound),
+      uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {}
+
+// -- rows
+// -----------------------------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::fire(Incident& incident) {
+    const auto* row = findRow(state_, incident.event);
+    if (row == nullptr) {
+        refuse(incident, refusalFor(state_, incident.event, reason_));
+        return;
+    }
+    const auto before = state_;
+    if (row->next.kind == Next::Kind::To) state_ = row->next.state;
+    if (row->next.kind == Next::Kind::Previous) state_ = previous_;
+    if (state_ == EntityState::BUSY && before != EntityState::BUSY) previous_ = before;
+    if (state_ != before && state_ != EntityState::UNAV && state_ != EntityState::ERR) reason_.clear();
+    for (const auto action : row->actions) perform(action, incident);
+}
+
+/// A request: the row, then what it must prove, then the row's actions.
+void EntityManagerCore::Machine::process(Event event, const Header& head, proto::ToEntity* body) {
+    Incident incident{event, &head, body};
+    if (head.sender.id.empty()) {
+        ++counters_.anonymous;  // an answer without a recipient would go to everybody
+        return;
+    }
+    if (findRow(state_, event) != nullptr) {
+        if (const auto refusal = guard(event, head); !refusal.ok()) {
+            refuse(incident, refusal);
+            return;
+        }
+        if (event == Event::Release || event == Event::Clear)
+            incident.reason = {RefusalCode::Stopped,
+                               named(head.sender) +
+                                   (event == Event::Clear ? " cleared all tasks." : " released the entity."),
+                               {}};
+        if (event == Event::Release) incident.cause = StopCause::Released;
+        if (event == Event::Clear) incident.cause = StopCause::Clear;
+        if (event == Event::Reset) incident.cause = StopCause::Reset;
+    }
+    fire(incident);
+}
+
+Refusal EntityManagerCore::Machine::guard(Event event, const Header& head) const {
+    const auto needs = needsOf(event);
+    if (needs.holder) {
+        auto refusal = lease_.check(head.sender, head.held);
+        if (!refusal.ok() && !(needs.admin_may && head.sender.role == Role::Admin)) return refusal;
+    }
+    if (needs.stop_generation) {
+        const auto seen = static_cast<std::uint32_t>(head.stop_generation);
+        // A stop that the signal thread has passed on already and that is still on its way to this strand
+        // counts.
+        const auto newest = stopsAreHandled() ? required_ : stop_gate_.generation();
+        if (seen < newest || !stopsAreHandled())
+            return {RefusalCode::OldGeneration,
+                    "It was sent before the newest stop was known (stop generation " + std::to_string(seen) +
+                        ", now " + std::to_string(newest) + "). Look at the entity, then send it again.",
+                    {}};
+        if (seen > generation_)
+            return {RefusalCode::Malformed,
+                    "Stop generation " + std::to_string(seen) + " does not exist yet; the newest is " +
+                        std::to_string(generation_) + ".",
+                    {}};
+    }
+    if (needs.not_latched && latched_)
+        return {RefusalCode::Latched,
+                "The entity has been stopped. Rearm it first; that starts nothing by itself.",
+                {}};
+    return {};
+}
+
+void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
+    switch (action) {
+        case Action::AwaitProfiles:
+            basic_.reset();
+            services_.reset();
+            break;
+        case Action::ConsiderProfiles:
+            considerProfiles();
+            break;
+        case Action::ReportProfiles: {
+            proto::EmToEi message;
+            *message.mutable_profile_error() = toProto(Refusal{RefusalCode::Malformed, reason_, {}});
+            back_end_.send(message);
+            break;
+        }
+        case Action::SeekServer:
+            seekServer();
+            break;
+        case Action::Register:
+            registerEntity();
+            break;
+        case Action::LeaveServer:
+            server_.wantConnection(false);
+            break;
+        case Action::ConsiderCheckOut:
+            considerCheckOut(incident);
+            break;
+        case Action::SendGrant:
+            sendGrant(incident.phase);
+            break;
+        case Action::StopApplication:
+            stopApplication(incident);
+            break;
+        case Action::Latch:
+            // The server's stop on behalf of a client that leaves in an orderly way is not a call for help.
+            if (incident.cause == StopCause::Released && holder() != nullptr && incident.head != nullptr &&
+                holder()->id == incident.head->sender.id)
+                break;
+            latched_ = true;
+            break;
+        case Action::Unlatch:
+            latched_ = false;
+            reply(incident.head->sender, incident.body->rearm().request_id(), {});
+            break;
+        case Action::Acknowledge:
+            acknowledge(incident);
+            break;
+        case Action::VoidQueue:
+            voidQueue(incident);
+            break;
+        case Action::EndTasks:
+            endTasks(incident, proto::TASK_STOPPED, true);
+            break;
+        case Action::LoseTasks:
+            endTasks(incident, proto::TASK_UNKNOWN, false);
+            break;
+        case Action::HaltTasks:
+            for (auto& active : active_) active.halted = true;
+            break;
+        case Action::DispatchNext:
+            dispatchNext();
+            break;
+        case Action::CancelTask:
+        case Action::PauseTask:
+        case Action::ResumeTask:
+            controlTask(incident);
+            break;
+        case Action::AdmitTask:
+            admitTask(incident);
+            break;
+        case Action::AskParameter:
+            askParameter(incident);
+            break;
+        case Action::CarryResource:
+            carryResource(incident);
+            break;
+        case Action::SuspendUploads:
+            suspendUploads(incident.reason);
+            break;
+        case Action::AbandonRequests:
+            abandonRequests(incident.reason);
+            break;
+        case Action::EndLease:
+            endLease(incident);
+            break;
+        case Action::DropReservation:
+            dropReservation(incident);
+            break;
+        case Action::PassText:
+            passText(incident);
+            break;
+        case Action::PassRaw:
+            passRaw(incident);
+            break;
+        case Action::AnswerStatus:
+            answerStatus(incident);
+            break;
+        case Action::NoteWatch:
+            noteWatch(incident);
+            break;
+        case Action::TellStatus:
+            tellStatus();
+            break;
+    }
+}
+
+/// After each event: what follows from the state as a whole.
+void EntityManagerCore::Machine::settle() {
+    const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_;
+    if (occupied != busy_told_) {
+        busy_told_ = occupied;
+        if (link_up_) back_end_.setBusy(occupied);
+    }
+    // The server sends its heartbeats in the short period while the status it knows is BUSY.
+    server_watchdog_.setBusy(state_ == EntityState::BUSY, clock_.now());
+    tellStatus();
+}
+
+// -- the link to the robot application
+// ------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::onLinkUp() {
+    if (quit_) return;
+    if (link_up_) onLinkDown("the robot application has connected anew");
+    link_up_ = true;
+    commanded_ = confirmed_ = generation_;  // it has stopped by itself when its last link ended
+    lingering_.clear();
+    application_busy_ = false;
+    fire(Event::LinkUp);
+    busy_told_ = false;
+    settle();
+}
+
+void EntityManagerCore::Machine::onLinkDown(const std::string& reason) {
+    if (quit_) return;
+    link_up_ = false;
+    reason_ = "the link to the robot application is down: " + reason;
+    Incident incident{Event::LinkDown};
+    incident.cause = StopCause::LinkLost;
+    incident.reason = {RefusalCode::Unavailable, "The link to the robot application was lost: " + reason, {}};
+    lingering_.clear();
+    application_busy_ = false;
+    for (auto& open : open_stops_) {
+        open.receipt.set_stage(proto::StopReceipt::NO_APPLICATION);
+        proto::ToClient message;
+        *message.mutable_receipt() = open.receipt;
+        message.mutable_receipt()->set_at_us(toMicroseconds(clock_.now()));
+        for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+    }
+    open_stops_.clear();
+    fire(incident);
+    settle();
+}
+
+void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
+    if (quit_ || !link_up_) {
+        ++counters_.unexpected;
+        return;
+    }
+    switch (message.body_case()) {
+        case proto::EiToEm::kStopDone:
+            stopDone(message.stop_done());
+            break;
+        case proto::EiToEm::kBeat:
+            if (message.beat().stopped()) confirmStop(message.beat().stop_generation());
+            break;
+        case proto::EiToEm::kProfile: {
+            const auto& upload = message.profile();
+            if (findRow(state_, Event::ProfileUploaded) != nullptr) {
+                if (upload.services())
+                    services_ = readServicesProfile(upload.xml(), upload.file_name());
+                else
+                    basic_ = readBasicProfile(upload.xml(), upload.file_name());
+            }
+            Incident incident{Event::ProfileUploaded};
+            incident.reason = {
+                RefusalCode::Unavailable, "Its profiles are being read anew. Try again in a moment.", {}};
+            fire(incident);
+            break;
+        }
+        case proto::EiToEm::kAnswer:
+            answer(message.answer());
+            break;
+        case proto::EiToEm::kTaskAnswer:
+            taskAnswer(message.task_answer());
+            break;
+        case proto::EiToEm::kTask:
+            taskUpdate(*message.mutable_task()->mutable_event());
+            break;
+        case proto::EiToEm::kActive:
+            if (const auto service =
+                    profiler_.setActive(message.active().service(), message.active().active()))
+                sendService(service.value());
+            else
+                ++counters_.unexpected;
+            break;
+        case proto::EiToEm::kStatus:
+            applicationStatus(message.status());
+            break;
+        case proto::EiToEm::kPosition:
+            basic_profile_.set_xpos(message.position().xpos());
+            basic_profile_.set_ypos(message.position().ypos());
+            basic_profile_.set_zpos(message.position().zpos());
+            position_waits_ = true;
+            sendPosition();
+            break;
+        case proto::EiToEm::kText: {
+            if (holder() == nullptr) {
+                ++counters_.undelivered;
+                break;
+            }
+            proto::ToClient text;
+            text.mutable_text()->mutable_text()->swap(*message.mutable_text()->mutable_text());
+            tell(*holder(), kMsgText, text);
+            break;
+        }
+        case proto::EiToEm::kRaw: {
+            if (holder() == nullptr || !server_up_) {
+                ++counters_.undelivered;
+                break;
+            }
+            data_to_client_.mutable_raw()->mutable_data()->Swap(message.mutable_raw()->mutable_data());
+            server_.sendToClientDataSeq(headFor(*holder(), kMsgRaw), data_to_client_);
+            break;
+        }
+        case proto::EiToEm::kSample:
+            sendSample(*message.mutable_sample());
+            break;
+        case proto::EiToEm::kWelcome:
+            break;  // the link's own business
+        case proto::EiToEm::BODY_NOT_SET:
+            ++counters_.malformed;
+            break;
+    }
+    settle();
+}
+
+void EntityManagerCore::Machine::considerProfiles() {
+    if (!basic_ || !services_) return;
+    if (!basic_->ok() || !services_->ok()) {
+        const auto basic = errorsOf(basic_);
+        const auto services = errorsOf(services_);
+        reason_ = basic + (basic.empty() || services.empty() ? "" : "\n") + services;
+        if (reason_.size() > kReasonMax) {
+            const auto line = reason_.rfind('\n', kReasonMax);
+            reason_.resize(line == std::string::npos ? kReasonMax : line);
+            reason_ += "\n… and more";
+        }
+        fire(Event::ProfilesBad);
+        return;
+    }
+    const bool moved = position_waits_;  // the robot has told its position before its profiles were good
+    auto profile = basic_->message;
+    if (moved) {
+        profile.set_xpos(basic_profile_.xpos());
+        profile.set_ypos(basic_profile_.ypos());
+        profile.set_zpos(basic_profile_.zpos());
+    }
+    basic_profile_ = std::move(profile);
+    basic_profile_.set_entity_id(uuid_);
+    profiler_.load(services_->message, uuid_, store_);
+    Registration registration;
+    registration.entity = uuid_;
+    registration.name = basic_profile_.name();
+    registration.category = proto::Category_Name(basic_profile_.category());
+    registration.type = proto::Mobility_Name(basic_profile_.type());
+    const auto fifth = [](Duration watchdog) {
+        return static_cast<std::int32_t>(
+            std::chrono::duration_cast<std::chrono::milliseconds>(watchdog).count() / 5);
+    };
+    registration.heartbeat_busy_ms = fifth(settings_.server_watchdog_busy);
+    registration.heartbeat_idle_ms = fifth(settings_.server_watchdog_idle);
+    registration_ = std::move(registration);
+    switchStreams(watches_.present());
+    fire(Event::ProfilesGood);
+}
+
+void EntityManagerCore::Machine::sendPosition() {
+    const auto now = clock_.now();
+    if (!position_waits_ || !registration_ || !server_up_) return;
+    if (now < position_sent_ + kPositionPeriod) return;
+    position_sent_ = now;
+    position_waits_ = false;
+    server_.sendBasicPrfl(*registration_, basic_profile_);
+}
+
+void EntityManagerCore::Machine::applicationStatus(const proto::StatusNote& note) {
+    if (!note.text().empty()) {
+        if (holder() != nullptr) {
+            proto::ToClient text;
+            text.mutable_text()->set_text(note.text());
+            tell(*holder(), kMsgText, text);
+        } else {
+            ++counters_.undelivered;
+        }
+    }
+    if (note.busy() == application_busy_) return;
+    application_busy_ = note.busy();
+    if (application_busy_)
+        fire(Event::ApplicationBusy);
+    else
+        fire(state_ == EntityState::BUSY && active_.empty() ? Event::LastTaskEnded : Event::ApplicationReady);
+}
+
+// -- the server
+// -----------------------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::seekServer() {
+    if (!registration_) return;
+    server_.wantConnection(true);
+    if (server_up_ && state_ == EntityState::ENVCONN) fire(Event::ServerUp);
+}
+
+void EntityManagerCore::Machine::registerEntity() {
+    if (!registration_) return;
+    server_.sendBasicPrfl(*registration_, basic_profile_);
+    position_sent_ = clock_.now();
+    position_waits_ = false;
+    status_told_.reset();
+}
+
+void EntityManagerCore::Machine::onServerUp() {
+    if (quit_) return;
+    if (server_up_) serverLost("the session with the server was replaced");
+    server_up_ = true;
+    server_watchdog_.feed(clock_.now());
+    status_told_.reset();
+    fire(Event::ServerUp);
+    settle();
+}
+
+void EntityManagerCore::Machine::onServerDown(const std::string& reason) {
+    if (quit_ || !server_up_) return;
+    serverLost(reason);
+    settle();
+}
+
+void EntityManagerCore::Machine::serverLost(const std::string& reason) {
+    server_up_ = false;
+    Incident incident{Event::ServerDown};
+    incident.cause = StopCause::ServerLost;
+    incident.reason = {RefusalCode::NotConnected, "The Entity Manager lost the server: " + reason, {}};
+    fire(incident);
+}
+
+void EntityManagerCore::Machine::onServerHeartbeat() {
+    server_watchdog_.feed(clock_.now());
+}
+
+EntityStatus EntityManagerCore::Machine::status() const {
+    EntityStatus status;
+    status.entity = uuid_;
+    status.state = state_;
+    status.latched = latched_;
+    status.stop_generation = static_cast<std::int32_t>(generation_);
+    if (const auto& held = lease_.held()) {
+        status.holder = held->holder;
+        status.held = held->number;
+    }
+    if (state_ == EntityState::UNAV || state_ == EntityState::ERR) status.reason = reason_;
+    return status;
+}
+
+void EntityManagerCore::Machine::tellStatus() {
+    if (!server_up_ || !registration_) return;
+    auto now = status();
+    if (status_told_ == now) return;
+    server_.sendStatus(now);
+    status_told_ = std::move(now);
+}
+
+// -- stop, reset, clear
+// ---------------------------------------------------------------------------------------------
+
+/// Notes that a stop has had its effect here. `internal`: raised by this strand, not by the signal thread.
+void EntityManagerCore::Machine::handled(std::uint32_t generation, bool internal, bool voids) {
+    if (link_up_) commanded_ = std::max(commanded_, generation);
+    if (internal && generation != generation_ + 1) {
+        early_.push_back(generation);  // the one between is on its way here
+    } else {
+        generation_ = std::max(generation_, generation);
+        while (std::erase(early_, generation_ + 1) > 0) ++generation_;
+    }
+    if (voids) required_ = std::max(required_, generation);
+    // A task that a stop should have voided must not become valid again: only when none is under way.
+    if (stopsAreHandled()) queue_.restamp(generation_);
+}
+
+void EntityManagerCore::Machine::stopApplication(Incident& incident) {
+    incident.generation = stop_gate_.raise();
+    back_end_.stop(incident.generation, incident.cause);
+    handled(incident.generation, true, incident.event != Event::Reset);
+    if (incident.event != Event::Reset) application_busy_ = false;
+}
+
+void EntityManagerCore::Machine::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
+    if (quit_) return;
+    Incident incident{Event::Stop, &head};
+    incident.cause = cause;
+    incident.generation = generation;
+    if (cause == StopCause::Drill) {
+        // Not a row: a drill measures the way of a stop and changes nothing.
+        handled(generation, false, false);
+        acknowledge(incident);
+    } else {
+        handled(generation, false, true);
+        incident.reason = {
+            RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
+        application_busy_ = false;
+        fire(incident);
+    }
+    settle();
+}
+
+void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
+    if (quit_) return;
+    process(event, head, nullptr);
+    settle();
+}
+
+void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
+    OpenStop open;
+    auto& receipt = open.receipt;
+    receipt.set_stop_id(incident.head->sender.id + ':' + std::to_string(incident.head->sequence));
+    receipt.set_cause(static_cast<proto::StopCause>(incident.cause));
+    receipt.set_stop_generation(incident.generation);
+    receipt.set_by(named(incident.head->sender));
+    receipt.set_stage(proto::StopReceipt::MANAGER);
+    receipt.set_at_us(toMicroseconds(clock_.now()));
+    receipt.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
+    if (!incident.head->sender.id.empty()) open.to.push_back(incident.head->sender);
+    if (holder() != nullptr && holder()->id != incident.head->sender.id) open.to.push_back(*holder());
+
+    proto::ToClient message;
+    *message.mutable_receipt() = receipt;
+    for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+    if (!link_up_) {
+        message.mutable_receipt()->set_stage(proto::StopReceipt::NO_APPLICATION);
+        for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+        return;
+    }
+    if (open_stops_.size() == kOpenStops) open_stops_.pop_front();
+    open_stops_.push_back(std::move(open));
+}
+
+void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
+    if (done.stop_generation() > stop_gate_.generation()) {
+        ++counters_.unexpected;
+        return;
+    }
+    proto::ToClient message;
+    const auto now = toMicroseconds(clock_.now());
+    for (auto& open : open_stops_) {
+        // The Entity Interfacer answers the newest of several stops for all of them.
+        if (open.receipt.stop_generation() > done.stop_generation() || open.receipt.stage() >= done.stage())
+            continue;
+        open.receipt.set_stage(done.stage());
+        *message.mutable_receipt() = open.receipt;
+        message.mutable_receipt()->set_at_us(now);
+        message.mutable_receipt()->set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
+        for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+    }
+    while (!open_stops_.empty() && open_stops_.front().receipt.stage() >= proto::StopReceipt::STANDSTILL)
+        open_stops_.pop_front();
+    if (done.stage() >= proto::StopReceipt::CALLBACK_RETURNED) confirmStop(done.stop_generation());
+}
+
+void EntityManagerCore::Machine::confirmStop(std::uint32_t generation) {
+    if (generation <= confirmed_ || generation > stop_gate_.generation()) return;
+    confirmed_ = generation;
+    if (!standing()) return;
+    if (waiting_grant_) {
+        const auto waiting = std::move(*waiting_grant_);
+        waiting_grant_.reset();
+        grantWhenStanding(waiting.client, waiting.request_id, waiting.phase);
+    }
+    dispatchNext();
+}
+
+// -- leases
+// ---------------------------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::considerCheckOut(const Incident& incident) {
+    const auto& request = incident.body->check_out();
+    const auto& sender = incident.head->sender;
+    const auto& id = request.request_id();
+    const auto phase = request.phase();
+    const auto refuseWith = [&](const Refusal& refusal) { replyCheckOut(sender, id, phase, refusal); };
+    if (!Id128::fromBytes(id)) {
+        refuseWith({RefusalCode::Malformed, "request_id must be 16 bytes.", {}});
+        return;
+    }
+    const auto& held = lease_.held();
+    const bool mine = held && held->holder.id == sender.id && held->request_id == id;
+    const bool waits =
+        waiting_grant_ && waiting_grant_->client.id == sender.id && waiting_grant_->request_id == id;
+    switch (phase) {
+        case proto::TAKE:
+        case proto::COMMIT: {
+            if (waits) return;  // asked again: the one answer is still to come
+            if (mine) {
+                sendGrant(phase);
+                return;
+            }
+            const auto refusal =
+                phase == proto::TAKE ? lease_.mayTake(sender, id) : lease_.mayCommit(sender, id);
+            if (refusal.ok())
+                grantWhenStanding(sender, id, phase);
+            else
+                refuseWith(refusal);
+            return;
+        }
+        case proto::RESERVE: {
+            if (const auto refusal = lease_.mayTake(sender, id); !refusal.ok()) {
+                refuseWith(refusal);
+                return;
+            }
+            const auto asked = request.reserve_s();
+            Duration time = kReserveDefault;
+            if (asked > 0)
+                time = asked >= std::chrono::duration<double>(kReserveMax).count()
+                           ? kReserveMax
+                           : std::chrono::duration_cast<Duration>(std::chrono::duration<double>(asked));
+            lease_.reserve(sender, id, clock_.now() + time);
+            replyCheckOut(sender, id, phase, {});
+            return;
+        }
+        case proto::ABORT: {
+            // Committed here, refused elsewhere: all or none.
+            if (mine) {
+                Incident ended{Event::ClientEnded, incident.head};
+                ended.cause = StopCause::Released;
+                ended.reason = {RefusalCode::Stopped, "The check-out was aborted.", {}};
+                fire(ended);
+            }
+            const auto& reservation = lease_.reservation();
+            if (reservation && reservation->by.id == sender.id && reservation->request_id == id) {
+                Incident dropped{Event::CheckOut, incident.head};
+                dropped.reason = {RefusalCode::Cancelled, "The check-out was aborted.", {}};
+                dropReservation(dropped);
+            }
+            replyCheckOut(sender, id, phase, {});
+            return;
+        }
+        default:
+            refuseWith({RefusalCode::Malformed, "The phase must be TAKE, RESERVE, COMMIT or ABORT.", {}});
+    }
+}
+
+void EntityManagerCore::Machine::grantWhenStanding(const Sender& client, const std::string& request_id,
+                                                   proto::CheckOutPhase phase) {
+    if (!standing()) {
+        // Never hand over a robot that has not confirmed its last stop. Meanwhile it is reserved.
+        lease_.reserve(client, request_id, clock_.now() + kStandstillWait);
+        waiting_grant_ = WaitingGrant{client, request_id, phase};
+        return;
+    }
+    lease_.grant(client, request_id);
+    Incident granted{Event::CheckOutGranted};
+    granted.phase = phase;
+    fire(granted);
+    if (application_busy_) fire(Event::ApplicationBusy);
+}
+
+void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
+    const auto& held = *lease_.held();
+    proto::ToClient message;
+    auto& reply = *message.mutable_check_out();
+    reply.set_request_id(held.request_id);
+    reply.set_phase(phase);
+    reply.mutable_lease()->set_epoch(static_cast<std::uint32_t>(held.number.epoch));
+    reply.mutable_lease()->set_number(static_cast<std::uint32_t>(held.number.number));
+    reply.mutable_lease()->set_key(held.key.bytes());
+    reply.set_stop_generation(generation_);
+    reply.set_latched(latched_);
+    *reply.mutable_services() = profiler_.profile();
+    tell(held.holder, kMsgCheckOut, message);
+}
+
+void EntityManagerCore::Machine::replyCheckOut(const Sender& to, const std::string& request_id,
+                                               proto::CheckOutPhase phase, const Refusal& refusal) {
+    proto::ToClient message;
+    auto& reply = *message.mutable_check_out();
+    reply.set_request_id(request_id);
+    reply.set_phase(phase);
+    if (!refusal.ok()) *reply.mutable_refusal() = toProto(refusal);
+    reply.set_stop_generation(generation_);
+    reply.set_latched(latched_);
+    tell(to, kMsgCheckOut, message);
+}
+
+void EntityManagerCore::Machine::endLease(const Incident& incident) {
+    if (!lease_.held()) return;
+    const auto held = *lease_.held();
+    const bool own_wish = incident.event == Event::Release || incident.event == Event::ClientEnded;
+    proto::ToClient message;
+    auto& ended = *message.mutable_lease_ended();
+    ended.mutable_lease()->set_epoch(static_cast<std::uint32_t>(held.number.epoch));
+    ended.mutable_lease()->set_number(static_cast<std::uint32_t>(held.number.number));
+    *ended.mutable_reason() = toProto(own_wish ? Refusal{RefusalCode::Ok, "Released.", {}} : incident.reason);
+    tell(held.holder, kMsgRelease, message);
+    lease_.end(own_wish ? RefusalCode::NotHolder : RefusalCode::RevokedLease,
+               own_wish ? "it was released." : incident.reason.message);
+}
+
+/// Of the incident's own client, where it is about one; of anybody else.
+void EntityManagerCore::Machine::dropReservation(const Incident& incident) {
+    const auto& reservation = lease_.reservation();
+    if (!reservation) return;
+    if (incident.head != nullptr && reservation->by.id != incident.head->sender.id) return;
+    lease_.dropReservation();
+    if (!waiting_grant_) return;
+    const auto waiting = std::move(*waiting_grant_);
+    waiting_grant_.reset();
+    replyCheckOut(waiting.client, waiting.request_id, waiting.phase, incident.reason);
+}
+
+void EntityManagerCore::Machine::onClientUpdate(const Header& head, ClientChange change) {
+    if (quit_) return;
+    Incident incident{Event::ClientResumed, &head};
+    const bool lost = change == ClientChange::Lost;
+    if (change != ClientChange::Resumed) {
+        incident.event = lost ? Event::ClientLost : Event::ClientEnded;
+        incident.cause = lost ? StopCause::ClientLost : StopCause::Released;
+        incident.reason = {lost ? RefusalCode::ClientLost : RefusalCode::Stopped,
+                           named(head.sender) + (lost ? " was lost." : " has left."),
+                           {}};
+        switchStreams(watches_.forget(head.sender.id));
+        // Of a client that is not the holder only its reservation is left to end.
+        if (holder() != nullptr && holder()->id != head.sender.id) {
+            settle();
+            return;
+        }
+    }
+    fire(incident);
+    settle();
+}
+
+// -- messages
+// -------------------------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_view bytes) {
+    if (quit_) return;
+    if (!from_client_.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
+        ++counters_.malformed;
+        reply(head.sender, {},
+              {RefusalCode::Malformed, "The message could not be read as an axon.proto.ToEntity.", {}});
+        return;
+    }
+    const auto event = eventOf(from_client_);
+    if (event == Event::Quit) {
+        const bool control = from_client_.has_task_control();
+        reply(head.sender, control ? from_client_.task_control().task_id() : std::string(),
+              {control ? RefusalCode::Malformed : RefusalCode::NotSupported,
+               "The Entity Manager does not know this kind of request. Is the client newer than it?",
+               {}});
+        return;
+    }
+    process(event, head, &from_client_);
+    settle();
+}
+
+Header EntityManagerCore::Machine::headFor(const Sender& to, const char* type) {
+    Header head;
+    head.sender = to;
+    head.entity = uuid_;
+    head.msg_type = type;
+    if (const auto& held = lease_.held()) head.held = held->number;
+    head.stop_generation = static_cast<std::int32_t>(generation_);
+    head.sequence = ++sequence_;
+    head.sent_at_us = toMicroseconds(clock_.now());
+    return head;
+}
+
+void EntityManagerCore::Machine::tell(const Sender& to, const char* type, const proto::ToClient& message,
+                                      Lane lane) {
+    if (!server_up_ || to.id.empty()) return;
+    server_.sendToClient(lane, headFor(to, type), message);
+}
+
+void EntityManagerCore::Machine::reply(const Sender& to, const std::string& request_id,
+                                       const Refusal& refusal, Lane lane) {
+    proto::ToClient message;
+    message.mutable_reply()->set_request_id(request_id);
+    if (!refusal.ok()) *message.mutable_reply()->mutable_refusal() = toProto(refusal);
+    tell(to, kMsgReply, message, lane);
+}
+
+/// Each kind of request is refused with its own kind of answer.
+void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal& refusal) {
+    if (incident.event == Event::ProfileUploaded) {
+        proto::EmToEi message;
+        *message.mutable_profile_error() = toProto(refusal);
+        back_end_.send(message);
+        return;
+    }
+    if (incident.head == nullptr || !isRequest(incident.event)) {
+        ++counters_.unexpected;
+        return;
+    }
+    const auto& to = incident.head->sender;
+    switch (incident.event) {
+        case Event::CheckOut:
+            replyCheckOut(to, incident.body->check_out().request_id(), incident.body->check_out().phase(),
+                          refusal);
+            return;
+        case Event::Task: {
+            proto::ToClient message;
+            auto& event = *message.mutable_task();
+            event.set_task_id(incident.body->task().task_id());
+            event.set_service(incident.body->task().service());
+            event.set_state(proto::TASK_REFUSED);
+            event.set_progress(-1);
+            *event.mutable_reason() = toProto(refusal);
+            tell(to, kMsgTask, message);
+            return;
+        }
+        case Event::SetParam:
+            reply(to, incident.body->set_param().request_id(), refusal);
+            return;
+        case Event::Rearm:
+            reply(to, incident.body->rearm().request_id(), refusal);
+            return;
+        case Event::Status:
+            reply(to, incident.body->status_request().request_id(), refusal);
+            return;
+        case Event::Pause:
+        case Event::Resume:
+        case Event::Cancel:
+            reply(to, incident.body->task_control().task_id(), refusal);
+            return;
+        case Event::Resource:
+            if (incident.body->has_resource_offer()) {
+                const auto& offer = incident.body->resource_offer();
+                sendResourceDone(to, offer.transfer_id(), offer.resource(), refusal);
+            } else if (!uploads_.endedLately(incident.body->resource_chunk().transfer_id())) {
+                sendResourceDone(to, incident.body->resource_chunk().transfer_id(), {}, refusal);
+            }
+            return;
+        case Event::Raw:
+            // A stream of raw data is not answered with a stream of refusals.
+            ++counters_.raw_refused;
+            if (clock_.now() < raw_refused_ + kRawRefusalPeriod) return;
+            raw_refused_ = clock_.now();
+            reply(to, {}, refusal);
+            return;
+        case Event::Reset:
+        case Event::Clear:
+            reply(to, to.id + ':' + std::to_string(incident.head->sequence), refusal, Lane::Signal);
+            return;
+        default:
+            reply(to, {}, refusal);
+    }
+}
+
+void EntityManagerCore::Machine::passText(const Incident& incident) {
+    proto::EmToEi message;
+    message.mutable_text()->mutable_text()->swap(*incident.body->mutable_text()->mutable_text());
+    message.mutable_text()->set_from(incident.head->sender.name);
+    back_end_.send(message);
+}
+
+void EntityManagerCore::Machine::passRaw(const Incident& incident) {
+    auto& raw = *raw_to_link_.mutable_raw();
+    raw.mutable_data()->Swap(incident.body->mutable_raw()->mutable_data());
+    if (raw.from() != incident.head->sender.name) raw.set_from(incident.head->sender.name);
+    back_end_.send(raw_to_link_);
+}
+
+void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
+    proto::ToClient message;
+    auto& status = *message.mutable_status();
+    status.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
+    status.set_latched(latched_);
+    status.set_stop_generation(generation_);
+    if (holder() != nullptr) status.set_holder(named(*holder()));
+    if (state_ == EntityState::UNAV || state_ == EntityState::ERR) status.set_reason(reason_);
+    status.set_request_id(incident.body->status_request().request_id());
+    if (incident.body->status_request().with_services())
+        *status.mutable_services() = profiler_.profile().services();
+    for (const auto& active : active_) {
+        auto& task = *status.add_tasks();
+        task.set_task_id(active.task.id.bytes());
+        task.set_service(active.task.service);
+        task.set_state(active.phase == Active::Phase::Dispatched ? proto::TASK_DISPATCHED
+                       : active.phase == Active::Phase::Paused   ? proto::TASK_PAUSED
+                                                                 : proto::TASK_RUNNING);
+        task.set_progress(-1);
+    }
+    for (const auto& waiting : queue_.waiting()) {
+        auto& task = *status.add_tasks();
+        task.set_task_id(waiting.id.bytes());
+        task.set_service(waiting.service);
+        task.set_state(proto::TASK_QUEUED);
+        task.set_progress(-1);
+    }
+    tell(incident.head->sender, kMsgStatus, message);
+}
+
+void EntityManagerCore::Machine::noteWatch(const Incident& incident) {
+    const auto& watch = incident.body->watch();
+    const std::vector<std::string> streams(watch.streams().begin(), watch.streams().end());
+    if (!watch.on()) {
+        switchStreams(watches_.unwatch(incident.head->sender.id, streams));
+        return;
+    }
+    const auto switches = watches_.watch(incident.head->sender.id, streams);
+    if (switches)
+        switchStreams(switches.value());
+    else
+        refuse(incident, switches.refusal());
+}
+
+void EntityManagerCore::Machine::switchStreams(const std::vector<StreamWatches::Switch>& switches) {
+    if (!link_up_) return;  // what is on is told when the application has come
+    proto::EmToEi message;
+    for (const auto& change : switches) {
+        message.mutable_stream()->set_stream(change.stream);
+        message.mutable_stream()->set_on(change.on);
+        back_end_.send(message);
+    }
+}
+
+void EntityManagerCore::Machine::sendSample(proto::StreamSample& sample) {
+    const auto clients =
+        watches_.watchersOf(sample.stream(), holder() != nullptr ? holder()->id : std::string());
+    if (clients.empty() || !server_up_) {
+        ++counters_.undelivered;
+        return;
+    }
+    data_to_client_.mutable_sample()->Swap(&sample);
+    Sender to;
+    for (const auto& client : clients) {
+        to.id = client;
+        server_.sendToClientDataSeq(headFor(to, kMsgStream), data_to_client_);
+    }
+}
+
+// -- time
+// -----------------------------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::onTimer() {
+    if (quit_) return;
+    const auto now = clock_.now();
+    if (server_up_ && server_watchdog_.expired(now)) {
+        serverLost(
+            "it has been silent for " +
+            std::to_string(
+                std::chrono::duration_cast<std::chrono::milliseconds>(server_watchdog_.timeout()).count()) +
+            " ms");
+        // A session that is silent but not closed is given up, so that a new one can be made.
+        server_.wantConnection(false);
+        server_.wantConnection(true);
+    }
+    if (lease_.expire(now) && waiting_grant_) {
+        const auto waiting = std::move(*waiting_grant_);
+        waiting_grant_.reset();
+        replyCheckOut(
+            waiting.client, waiting.request_id, waiting.phase,
+            {RefusalCode::TimedOut,
+             "The robot application has not confirmed its last stop. Look at the robot, then try again.",
+             {}});
+    }
+    expireTasks();
+    sendPosition();
+    settle();
+}
+
+TimePoint EntityManagerCore::Machine::nextDeadline() const {
+    auto next = TimePoint::max();
+    if (quit_) return next;
+    if (server_up_) next = std::min(next, server_watchdog_.deadline());
+    if (lease_.reservation()) next = std::min(next, lease_.reservation()->until);
+    if (const auto expiry = queue_.nextExpiry()) next = std::min(next, *expiry);
+    if (position_waits_ && server_up_ && registration_)
+        next = std::min(next, position_sent_ + kPositionPeriod);
+    return next;
+}
+
+void EntityManagerCore::Machine::shutDown() {
+    if (quit_) return;
+    reason_ = "the Entity Manager has been ended by its operator";
+    Incident incident{Event::Quit};
+    incident.cause = StopCause::Shutdown;
+    incident.reason = {RefusalCode::Unavailable, "The Entity Manager has been ended by its operator.", {}};
+    fire(incident);
+    if (busy_told_ && link_up_) back_end_.setBusy(false);
+    quit_ = true;
+}
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,237 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <axon/link.pb.h>
+#include <axon/messages.pb.h>
+
+#include <deque>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/watchdog.hpp"
+#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/lease_book.hpp"
+#include "entity_manager/service_profiler.hpp"
+#include "entity_manager/state_table.hpp"
+#include "entity_manager/stream_watches.hpp"
+#include "entity_manager/task_queue.hpp"
+#include "entity_manager/upload_desk.hpp"
+#include "messages/profile_reader.hpp"
+
+namespace axon::entity_manager {
+
+/// The inside of EntityManagerCore: it finds the row of each event in the state table and has one function
+/// for each Action. Private to the core; machine.cpp has states, leases and messages, machine_tasks.cpp tasks
+/// and resources.
+class EntityManagerCore::Machine {
+  public:
+    Machine(CoreSettings settings, Clock& clock, RandomSource& random, BackEndPort& back_end,
+            ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate);
+
+    void onLinkUp();
+    void onLinkDown(const std::string& reason);
+    void onLinkMessage(proto::EiToEm& message);
+    void onServerUp();
+    void onServerDown(const std::string& reason);
+    void onClientMsg(const Header& head, std::string_view bytes);
+    void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
+    void onSignal(Event event, const Header& head);
+    void onClientUpdate(const Header& head, ClientChange change);
+    void onServerHeartbeat();
+    void onTimer();
+    TimePoint nextDeadline() const;
+    void shutDown();
+
+    EntityState state() const { return state_; }
+    bool latched() const { return latched_; }
+    const std::string& uuid() const { return uuid_; }
+    EntityStatus status() const;
+    const CoreCounters& counters() const { return counters_; }
+
+  private:
+    /// One event on its way through a row.
+    struct Incident {
+        Event event;
+        const Header* head = nullptr;     ///< of who asked, where somebody did
+        proto::ToEntity* body = nullptr;  ///< of a client's message
+        StopCause cause = StopCause::Unspecified;
+        std::uint32_t generation = 0;  ///< of the stop, once it is known
+        Refusal reason;                ///< what those are told who lose a task or a lease
+        proto::CheckOutPhase phase = proto::CHECK_OUT_UNSPECIFIED;  ///< of a check-out that is granted
+    };
+    /// A task that the robot application has been given.
+    struct Active {
+        enum class Phase : std::uint8_t { Dispatched, Running, Paused };
+        Task task;
+        Phase phase = Phase::Dispatched;
+        bool halted = false;  ///< by a reset: its end lets the queue go on
+    };
+    /// A task whose end has been told to the client, and of which the robot application has not yet said that
+    /// its handler has returned. Nothing that excludes it is dispatched before.
+    struct Lingering {
+        Id128 id;
+        std::string service;
+        bool blocking;
+    };
+    /// A stop whose later receipts are still to come.
+    struct OpenStop {
+        proto::StopReceipt receipt;
+        std::vector<Sender> to;
+    };
+    /// A question to the robot application: a parameter or a resource.
+    struct Question {
+        Sender asker;
+        LeaseNumber lease;
+        std::string request_id;  ///< or the transfer's id
+        int service = 0;
+        proto::Param param;
+        int resource = -1;  ///< of a resource, else -1
+        std::string service_name, resource_name, path, sha256;
+        std::uint64_t size = 0;
+    };
+    /// A granted check-out that waits until the robot has confirmed its last stop.
+    struct WaitingGrant {
+        Sender client;
+        std::string request_id;
+        proto::CheckOutPhase phase;
+    };
+
+    // Rows.
+    void process(Event event, const Header& head, proto::ToEntity* body);
+    void fire(Incident& incident);
+    void fire(Event event) {
+        Incident incident{event};
+        fire(incident);
+    }
+    void perform(Action action, Incident& incident);
+    Refusal guard(Event event, const Header& head) const;
+    void settle();
+
+    // States, profiles, server.
+    void considerProfiles();
+    void seekServer();
+    void registerEntity();
+    void tellStatus();
+    void serverLost(const std::string& reason);
+    void sendPosition();
+
+    // Stop.
+    bool stopsAreHandled() const { return stop_gate_.generation() == generation_; }
+    void handled(std::uint32_t generation, bool internal, bool voids);
+    void stopApplication(Incident& incident);
+    void acknowledge(const Incident& incident);
+    void stopDone(const proto::StopDone& done);
+    void confirmStop(std::uint32_t generation);
+    bool standing() const { return !link_up_ || confirmed_ >= commanded_; }
+
+    // Leases.
+    void considerCheckOut(const Incident& incident);
+    void grantWhenStanding(const Sender& client, const std::string& request_id, proto::CheckOutPhase phase);
+    void sendGrant(proto::CheckOutPhase phase);
+    void replyCheckOut(const Sender& to, const std::string& request_id, proto::CheckOutPhase phase,
+                       const Refusal& refusal);
+    void endLease(const Incident& incident);
+    void dropReservation(const Incident& incident);
+
+    // Tasks (machine_tasks.cpp).
+    void admitTask(const Incident& incident);
+    void dispatchNext();
+    bool admissible(const Task& task) const;
+    void dispatch(Task task);
+    void taskAnswer(const proto::TaskAnswer& answer);
+    void taskUpdate(proto::TaskEvent& update);
+    void granted(Active& active);
+    void endTask(std::size_t at, proto::TaskEvent event);
+    void endTasks(const Incident& incident, proto::TaskState state, bool linger);
+    void voidQueue(const Incident& incident);
+    void leaveService(const Task& task, bool clear);
+    void controlTask(const Incident& incident);
+    void expireTasks();
+    bool lingeringEnded(const Id128& id);
+    void applicationStatus(const proto::StatusNote& note);
+    Active* findActive(const Id128& id);
+    void sendTask(const Task& task, proto::TaskState state, const Refusal& reason);
+
+    // Parameters and resources (machine_tasks.cpp).
+    void askParameter(const Incident& incident);
+    void carryResource(const Incident& incident);
+    void uploadProgress(const std::string& transfer_id, const UploadDesk::Progress& progress);
+    void answer(const proto::RequestAnswer& answer);
+    void conclude(const Question& question, const Refusal& refusal);
+    void abandonRequests(const Refusal& reason);
+    void suspendUploads(const Refusal& reason);
+    void sendService(int service);
+    void sendResourceDone(const Sender& to, const std::string& transfer_id, const std::string& resource,
+                          const Refusal& refusal);
+
+    // Messages.
+    void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane = Lane::Data);
+    void reply(const Sender& to, const std::string& request_id, const Refusal& refusal,
+               Lane lane = Lane::Data);
+    void refuse(const Incident& incident, const Refusal& refusal);
+    void passText(const Incident& incident);
+    void passRaw(const Incident& incident);
+    void answerStatus(const Incident& incident);
+    void noteWatch(const Incident& incident);
+    void switchStreams(const std::vector<StreamWatches::Switch>& switches);
+    void sendSample(proto::StreamSample& sample);
+    Header headFor(const Sender& to, const char* type);
+    const Sender* holder() const { return lease_.held() ? &lease_.held()->holder : nullptr; }
+
+    const CoreSettings settings_;
+    Clock& clock_;
+    BackEndPort& back_end_;
+    ServerPort& server_;
+    ResourceStore& store_;
+    StopGate& stop_gate_;
+    std::string uuid_;
+
+    EntityState state_ = EntityState::UNAV;
+    EntityState previous_ = EntityState::REG;  ///< where BUSY returns to
+    bool latched_ = false;
+    bool link_up_ = false;
+    bool server_up_ = false;
+    bool application_busy_ = false;  ///< by its own account (setStatus)
+    bool busy_told_ = false;
+    bool quit_ = false;
+    std::string reason_;
+
+    std::optional<Reading<proto::BasicProfile>> basic_;
+    std::optional<Reading<proto::ServicesProfile>> services_;
+    proto::BasicProfile basic_profile_;
+    std::optional<Registration> registration_;  ///< once the profiles have been good
+    TimePoint position_sent_{};
+    bool position_waits_ = false;
+    Watchdog server_watchdog_;
+    std::optional<EntityStatus> status_told_;
+
+    LeaseBook lease_;
+    std::optional<WaitingGrant> waiting_grant_;
+
+    std::uint32_t generation_;  ///< all stops up to this one have been handled here
+    std::uint32_t required_;    ///< a command must have seen at least this one
+    std::vector<std::uint32_t>
+        early_;  ///< own stops above generation_, while one of the signal thread is under way
+    std::uint32_t commanded_ = 0;  ///< newest stop that the robot application must have been told
+    std::uint32_t confirmed_ = 0;  ///< newest stop whose callback has returned
+    std::deque<OpenStop> open_stops_;
+
+    ServiceProfiler profiler_;
+    TaskQueue queue_;
+    std::vector<Active> active_;
+    std::vector<Lingering> lingering_;
+    UploadDesk uploads_;
+    std::map<std::uint64_t, Question> questions_;
+    std::uint64_t next_question_ = 1;
+    StreamWatches watches_;
+    TimePoint raw_refused_{};
+
+    std::int64_t sequence_ = 0;
+    proto::ToEntity from_client_;  ///< kept for its memory
+    proto::EmToEi raw_to_link_;
+    proto::ToClient data_to_client_;
+    CoreCounters counters_;
+};
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,476 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <utility>
+
+#include "entity_manager/machine.hpp"
+#include "messages/text.hpp"
+#include "messages/values.hpp"
+
+namespace axon::entity_manager {
+
+namespace {
+
+constexpr std::size_t kQuestions = 64;
+constexpr double kLongestNotAfter_s = 1e6;
+
+bool isFinal(proto::TaskState state) {
+    return state >= proto::TASK_SUCCEEDED;
+}
+
+}  // namespace
+
+// -- tasks
+// ----------------------------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::admitTask(const Incident& incident) {
+    const auto& request = incident.body->task();
+    const auto id = Id128::fromBytes(request.task_id());
+    if (!id || id->isZero()) {
+        refuse(incident, {RefusalCode::Malformed, "task_id must be 16 bytes that are not all zero.", {}});
+        return;
+    }
+    if (!std::isfinite(request.not_after_s()) || request.not_after_s() < 0) {
+        refuse(incident, {RefusalCode::Malformed, "not_after_s must be a number of seconds from 0 on.", {}});
+        return;
+    }
+    if (const auto refusal = queue_.mayPush(*id); !refusal.ok()) {
+        refuse(incident, refusal);
+        return;
+    }
+    auto order = profiler_.prepare(request.service(), request.params());
+    if (!order) {
+        refuse(incident, order.refusal());
+        return;
+    }
+    const auto& service = profiler_.record(order->service);
+    Task task;
+    task.id = *id;
+    task.service = service.name();
+    task.blocking = service.is_blocking();
+    task.order = std::move(order).value();
+    task.generation = generation_;
+    if (request.not_after_s() > 0 && request.not_after_s() < kLongestNotAfter_s)
+        task.not_after = clock_.now() + std::chrono::duration_cast<Duration>(
+                                            std::chrono::duration<double>(request.not_after_s()));
+    queue_.push(std::move(task));
+    dispatchNext();
+    if (!queue_.empty() && queue_.waiting().back().id == *id)
+        sendTask(queue_.waiting().back(), proto::TASK_QUEUED, {});
+}
+
+bool EntityManagerCore::Machine::admissible(const Task& task) const {
+    const auto excludes = [&](bool blocking, const std::string& service) {
+        return blocking || task.blocking || service == task.service;
+    };
+    for (const auto& active : active_)
+        if (active.halted || excludes(active.task.blocking, active.task.service)) return false;
+    for (const auto& lingering : lingering_)
+        if (excludes(lingering.blocking, lingering.service)) return false;
+    return true;
+}
+
+/// In order of arrival: a task that must wait holds back those behind it, or it might wait for ever.
+void EntityManagerCore::Machine::dispatchNext() {
+    // After a stop nothing starts before its callback has returned: on its own lane it could arrive after the
+    // task and end that one.
+    while (!queue_.empty() && !latched_ && link_up_ && holder() != nullptr && !application_busy_ &&
+           standing()) {
+        if (queue_.front().not_after && clock_.now() >= *queue_.front().not_after) {
+            expireTasks();
+            continue;
+        }
+        // A stop that the signal thread has passed on and that has not come here yet: it voids the queue.
+        if (queue_.front().generation != stop_gate_.generation()) return;
+        if (!admissible(queue_.front())) return;
+        dispatch(queue_.pop());
+    }
+}
+
+void EntityManagerCore::Machine::dispatch(Task task) {
+    if (!busy_told_) {
+        // Before the task, so that the short watchdog is running when the robot starts.
+        busy_told_ = true;
+        back_end_.setBusy(true);
+    }
+    proto::EmToEi message;
+    auto& order = *message.mutable_task();
+    order.set_task_id(task.id.bytes());
+    order.set_service(task.service);
+    order.set_stop_generation(task.generation);
+    for (const auto& param : task.order.params) *order.add_params() = param;
+    for (const auto& resource : task.order.resources) *order.add_resources() = resource;
+    profiler_.setExecuting(task.order.service, true);
+    active_.push_back({std::move(task)});
+    back_end_.send(message);
+    sendTask(active_.back().task, proto::TASK_DISPATCHED, {});
+}
+
+EntityManagerCore::Machine::Active* EntityManagerCore::Machine::findActive(const Id128& id) {
+    for (auto& active : active_)
+        if (active.task.id == id) return &active;
+    return nullptr;
+}
+
+void EntityManagerCore::Machine::granted(Active& active) {
+    active.phase = Active::Phase::Running;
+    const Task task = active.task;  // the row may dispatch, and then `active` moves
+    fire(Event::TaskGranted);
+    sendTask(task, proto::TASK_RUNNING, {});
+}
+
+void EntityManagerCore::Machine::taskAnswer(const proto::TaskAnswer& answer) {
+    const auto id = Id128::fromBytes(answer.task_id());
+    auto* active = id ? findActive(*id) : nullptr;
+    const bool denied = answer.has_refusal() && answer.refusal().code() != proto::OK;
+    if (active == nullptr) {
+        if (!(id && denied && lingeringEnded(*id))) ++counters_.unexpected;
+        return;
+    }
+    if (active->phase != Active::Phase::Dispatched) {
+        ++counters_.unexpected;
+        return;
+    }
+    if (!denied) {
+        granted(*active);
+        return;
+    }
+    proto::TaskEvent event;
+    event.set_state(active->halted ? proto::TASK_STOPPED : proto::TASK_REFUSED);
+    event.set_progress(-1);
+    auto reason = toRefusal(answer.refusal());
+    if (refusalName(reason.code) == refusalName(RefusalCode::Internal)) reason.code = RefusalCode::Denied;
+    if (reason.message.empty()) reason.message = "The robot application denied the task without a reason.";
+    if (active->halted) reason.code = RefusalCode::Stopped;
+    *event.mutable_reason() = toProto(reason);
+    endTask(static_cast<std::size_t>(active - active_.data()), std::move(event));
+}
+
+void EntityManagerCore::Machine::taskUpdate(proto::TaskEvent& update) {
+    const auto id = Id128::fromBytes(update.task_id());
+    auto* active = id ? findActive(*id) : nullptr;
+    if (active == nullptr) {
+        // A task whose end has been told already: it was stopped, and now its handler has returned.
+        if (!(id && isFinal(update.state()) && lingeringEnded(*id))) ++counters_.unexpected;
+        return;
+    }
+    if (isFinal(update.state())) {
+        endTask(static_cast<std::size_t>(active - active_.data()), std::move(update));
+        return;
+    }
+    if (active->phase == Active::Phase::Dispatched) {
+        granted(*active);  // it runs, so it was granted
+        active = findActive(*id);
+        if (active == nullptr) return;
+    }
+    if (update.state() == proto::TASK_PAUSED) active->phase = Active::Phase::Paused;
+    if (update.state() == proto::TASK_RUNNING) active->phase = Active::Phase::Running;
+    update.set_state(active->phase == Active::Phase::Paused ? proto::TASK_PAUSED : proto::TASK_RUNNING);
+    update.set_service(active->task.service);
+    proto::ToClient message;
+    message.mutable_task()->Swap(&update);
+    if (holder() != nullptr) tell(*holder(), kMsgTask, message);
+}
+
+bool EntityManagerCore::Machine::lingeringEnded(const Id128& id) {
+    if (std::erase_if(lingering_, [&](const Lingering& lingering) { return lingering.id == id; }) == 0)
+        return false;
+    fire(Event::TaskEnded);
+    return true;
+}
+
+/// The robot application has said how it ended.
+void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskEvent event) {
+    const Task task = std::move(active_[at].task);
+    active_.erase(active_.begin() + static_cast<std::ptrdiff_t>(at));
+    leaveService(task, event.state() != proto::TASK_REFUSED);
+    event.set_task_id(task.id.bytes());
+    event.set_service(task.service);
+    proto::ToClient message;
+    message.mutable_task()->Swap(&event);
+    if (holder() != nullptr) tell(*holder(), kMsgTask, message);
+    const bool last = active_.empty() && !application_busy_ && state_ == EntityState::BUSY;
+    fire(last ? Event::LastTaskEnded : Event::TaskEnded);
+}
+
+/// This side ends them. `linger`: the robot application still has to say that their handlers have returned.
+void EntityManagerCore::Machine::endTasks(const Incident& incident, proto::TaskState state, bool linger) {
+    auto ended = std::exchange(active_, {});
+    auto reason = incident.reason;
+    if (state == proto::TASK_UNKNOWN) reason.code = RefusalCode::OutcomeUnknown;
+    for (auto& active : ended) {
+        leaveService(active.task, true);
+        sendTask(active.task, state, reason);
+        if (linger && link_up_)
+            lingering_.push_back({active.task.id, active.task.service, active.task.blocking});
+    }
+}
+
+void EntityManagerCore::Machine::leaveService(const Task& task, bool clear) {
+    const auto service = task.order.service;
+    profiler_.setExecuting(service, std::any_of(active_.begin(), active_.end(), [&](const Active& active) {
+                               return active.task.order.service == service;
+                           }));
+    if (!clear) return;
+    const auto cleared = profiler_.clearAfterTask(task.order);
+    for (const auto& resource : cleared.files) store_.remove(task.service, resource);
+    if (cleared.changed) sendService(service);
+}
+
+void EntityManagerCore::Machine::voidQueue(const Incident& incident) {
+    const auto state = incident.event == Event::Clear      ? proto::TASK_CANCELLED
+                       : incident.event == Event::LinkDown ? proto::TASK_REFUSED
+                                                           : proto::TASK_STOPPED;
+    auto reason = incident.reason;
+    if (incident.event == Event::Clear) reason.code = RefusalCode::Cancelled;
+    for (const auto& task : queue_.clear()) sendTask(task, state, reason);
+}
+
+void EntityManagerCore::Machine::expireTasks() {
+    for (const auto& task : queue_.expire(clock_.now()))
+        sendTask(
+            task, proto::TASK_REFUSED,
+            {RefusalCode::Expired, "It waited longer than its not_after allows and was not started.", {}});
+}
+
+void EntityManagerCore::Machine::controlTask(const Incident& incident) {
+    const auto& control = incident.body->task_control();
+    const auto& to = incident.head->sender;
+    const auto id = Id128::fromBytes(control.task_id());
+    auto* active = id ? findActive(*id) : nullptr;
+    if (active == nullptr) {
+        if (id && incident.event == Event::Cancel) {
+            if (const auto task = queue_.remove(*id)) {
+                reply(to, control.task_id(), {});
+                sendTask(*task, proto::TASK_CANCELLED,
+                         {RefusalCode::Cancelled, "Cancelled while it waited.", {}});
+                dispatchNext();
+                return;
+            }
+        }
+        refuse(
+            incident,
+            {RefusalCode::UnknownTask, "No task with this id is running or, to be cancelled, waiting.", {}});
+        return;
+    }
+    proto::EmToEi message;
+    if (incident.event == Event::Cancel) {
+        message.mutable_cancel()->set_task_id(control.task_id());
+    } else {
+        if (!profiler_.record(active->task.order.service).is_pausable()) {
+            refuse(incident, {RefusalCode::NotPausable,
+                              "Service " + inQuotes(active->task.service) + " cannot be paused. Cancel it.",
+                              {}});
+            return;
+        }
+        const bool resume = incident.event == Event::Resume;
+        const auto needed = resume ? Active::Phase::Paused : Active::Phase::Running;
+        if (active->phase != needed) {
+            refuse(incident, {RefusalCode::WrongState,
+                              resume ? "The task is not paused." : "The task is not running.",
+                              {}});
+            return;
+        }
+        message.mutable_pause()->set_task_id(control.task_id());
+        message.mutable_pause()->set_resume(resume);
+    }
+    back_end_.send(message);
+    reply(to, control.task_id(), {});
+}
+
+void EntityManagerCore::Machine::sendTask(const Task& task, proto::TaskState state, const Refusal& reason) {
+    if (holder() == nullptr || !server_up_) return;
+    proto::ToClient message;
+    auto& event = *message.mutable_task();
+    event.set_task_id(task.id.bytes());
+    event.set_service(task.service);
+    event.set_state(state);
+    event.set_progress(-1);
+    if (!reason.ok()) *event.mutable_reason() = toProto(reason);
+    tell(*holder(), kMsgTask, message);
+}
+
+// -- parameters and resources
+// ---------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::askParameter(const Incident& incident) {
+    const auto& request = incident.body->set_param();
+    auto checked = profiler_.checkParam(request.service(), request.param());
+    if (!checked) {
+        refuse(incident, checked.refusal());
+        return;
+    }
+    if (questions_.size() >= kQuestions) {
+        refuse(incident, {RefusalCode::Overloaded,
+                          "The robot application has " + std::to_string(kQuestions) +
+                              " requests to answer already. Wait for some answers.",
+                          {}});
+        return;
+    }
+    Question question;
+    question.asker = incident.head->sender;
+    question.lease = incident.head->held;
+    question.request_id = request.request_id();
+    question.service = checked->first;
+    question.param = std::move(checked->second);
+    const auto number = next_question_++;
+    proto::EmToEi message;
+    auto& ask = *message.mutable_param();
+    ask.set_request(number);
+    ask.set_service(profiler_.record(question.service).name());
+    *ask.mutable_param() = question.param;
+    questions_.emplace(number, std::move(question));
+    back_end_.send(message);
+}
+
+void EntityManagerCore::Machine::answer(const proto::RequestAnswer& answer) {
+    const auto at = questions_.find(answer.request());
+    if (at == questions_.end()) {
+        ++counters_.unexpected;
+        return;
+    }
+    const auto question = std::move(at->second);
+    questions_.erase(at);
+    Refusal refusal;
+    if (answer.has_refusal() && answer.refusal().code() != proto::OK) {
+        refusal = toRefusal(answer.refusal());
+        if (refusalName(refusal.code) == refusalName(RefusalCode::Internal))
+            refusal.code = RefusalCode::Denied;
+        if (refusal.message.empty()) refusal.message = "The robot application denied it without a reason.";
+    }
+    // Between question and answer the lease may have ended; what was meant for it is not kept for the next
+    // holder.
+    const bool present = lease_.held() && lease_.held()->number == question.lease;
+    if (refusal.ok() && !present)
+        refusal = {
+            RefusalCode::RevokedLease, "The lease ended before the robot application had answered.", {}};
+    if (question.resource >= 0) {
+        if (refusal.ok())
+            profiler_.storeResource(question.service, question.resource, question.path, question.sha256,
+                                    question.size);
+        else
+            store_.remove(question.service_name, question.resource_name);
+    } else if (refusal.ok()) {
+        profiler_.storeParam(question.service, question.param);
+    }
+    conclude(question, refusal);
+    if (refusal.ok()) sendService(question.service);
+}
+
+void EntityManagerCore::Machine::conclude(const Question& question, const Refusal& refusal) {
+    if (question.resource >= 0)
+        sendResourceDone(question.asker, question.request_id, question.resource_name, refusal);
+    else
+        reply(question.asker, question.request_id, refusal);
+}
+
+void EntityManagerCore::Machine::abandonRequests(const Refusal& reason) {
+    for (const auto& [number, question] : std::exchange(questions_, {})) conclude(question, reason);
+}
+
+void EntityManagerCore::Machine::carryResource(const Incident& incident) {
+    const auto& to = incident.head->sender;
+    if (incident.body->has_resource_offer()) {
+        const auto& offer = incident.body->resource_offer();
+        const auto place = profiler_.findResource(offer.service(), offer.resource());
+        if (!place) {
+            refuse(incident, place.refusal());
+            return;
+        }
+        // The names of the profile, not the spelling of the client: they become a path.
+        auto named = offer;
+        const auto& service = profiler_.record(place->first);
+        named.set_service(service.name());
+        named.set_resource(service.resources(place->second).name());
+        const auto progress = uploads_.offer(named, place->first, place->second);
+        if (!progress)
+            refuse(incident, progress.refusal());
+        else
+            uploadProgress(offer.transfer_id(), progress.value());
+        return;
+    }
+    const auto& chunk = incident.body->resource_chunk();
+    const auto* upload = uploads_.find(chunk.transfer_id());
+    const std::string resource = upload != nullptr ? upload->offer.resource() : std::string();
+    const auto progress = uploads_.chunk(chunk);
+    if (progress) {
+        uploadProgress(chunk.transfer_id(), progress.value());
+    } else if (upload != nullptr) {
+        sendResourceDone(to, chunk.transfer_id(), resource, progress.refusal());
+    } else {
+        refuse(incident, progress.refusal());
+    }
+}
+
+void EntityManagerCore::Machine::uploadProgress(const std::string& transfer_id,
+                                                const UploadDesk::Progress& progress) {
+    if (progress.window > 0 && holder() != nullptr) {
+        proto::ToClient message;
+        auto& credit = *message.mutable_resource_credit();
+        credit.set_transfer_id(transfer_id);
+        credit.set_offset(progress.offset);
+        credit.set_window(progress.window);
+        tell(*holder(), kMsgResource, message);
+    }
+    if (!progress.complete || holder() == nullptr) return;
+    const auto upload = *uploads_.find(transfer_id);
+    const auto path = uploads_.finish(transfer_id);
+    if (!path) {
+        sendResourceDone(*holder(), transfer_id, upload.offer.resource(), path.refusal());
+        return;
+    }
+    Question question;
+    question.asker = *holder();
+    question.lease = lease_.held()->number;
+    question.request_id = transfer_id;
+    question.service = upload.service;
+    question.resource = upload.resource;
+    question.service_name = upload.offer.service();
+    question.resource_name = upload.offer.resource();
+    question.path = path.value();
+    question.sha256 = upload.offer.sha256();
+    question.size = upload.offer.size();
+    if (questions_.size() >= kQuestions) {
+        store_.remove(question.service_name, question.resource_name);
+        conclude(question, {RefusalCode::Overloaded,
+                            "The robot application has too many requests to answer. Try again.",
+                            {}});
+        return;
+    }
+    const auto number = next_question_++;
+    proto::EmToEi message;
+    auto& ask = *message.mutable_resource();
+    ask.set_request(number);
+    ask.set_service(question.service_name);
+    ask.set_resource(question.resource_name);
+    ask.set_path(question.path);
+    ask.set_size(question.size);
+    questions_.emplace(number, std::move(question));
+    back_end_.send(message);
+}
+
+void EntityManagerCore::Machine::suspendUploads(const Refusal& reason) {
+    for (const auto& upload : uploads_.suspendAll())
+        if (holder() != nullptr)
+            sendResourceDone(*holder(), upload.offer.transfer_id(), upload.offer.resource(), reason);
+}
+
+void EntityManagerCore::Machine::sendService(int service) {
+    if (holder() == nullptr || !server_up_) return;
+    proto::ToClient message;
+    *message.mutable_service() = profiler_.record(service);
+    tell(*holder(), kMsgService, message);
+}
+
+void EntityManagerCore::Machine::sendResourceDone(const Sender& to, const std::string& transfer_id,
+                                                  const std::string& resource, const Refusal& refusal) {
+    proto::ToClient message;
+    auto& done = *message.mutable_resource_done();
+    done.set_transfer_id(transfer_id);
+    done.set_resource(resource);
+    if (!refusal.ok()) *done.mutable_refusal() = toProto(refusal);
+    tell(to, kMsgResource, message);
+}
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/service_profiler.hpp"
+
+#include "entity_manager/ports.hpp"
+#include "messages/text.hpp"
+#include "messages/values.hpp"
+
+namespace axon::entity_manager {
+
+namespace {
+
+bool settable(const proto::CtrlParam& meta) {
+    return meta.type() == proto::INPUT || meta.type() == proto::CONFIG;
+}
+
+Refusal notSettable(const proto::Service& service, const proto::CtrlParam& meta) {
+    return {RefusalCode::WrongType,
+            "Parameter " + inQuotes(meta.name()) + " of " + inQuotes(service.name()) + " is " +
+                (meta.type() == proto::OUTPUT ? "OUTPUT" : "FEEDBACK") +
+                ": the robot tells it. Only INPUT and CONFIG parameters can be set.",
+            {}};
+}
+
+}  // namespace
+
+void ServiceProfiler::load(proto::ServicesProfile profile, const std::string& entity_id,
+                           ResourceStore& store) {
+    profile_ = std::move(profile);
+    stamps_.clear();
+    for (int i = 0; i < profile_.services_size(); ++i) {
+        auto& service = *profile_.mutable_services(i);
+        service.set_entity_id(entity_id);
+        service.set_id(i);
+        service.set_is_exec(false);
+        for (auto& param : *service.mutable_params()) param.set_ready(param.initial_size() > 0);
+        for (auto& resource : *service.mutable_resources()) {
+            if (!resource.savable()) continue;
+            if (auto path = store.find(service.name(), resource.name())) {
+                resource.set_url(*path);
+                resource.set_ready(true);
+            }
+        }
+        stamps_.push_back({std::vector<std::uint64_t>(static_cast<std::size_t>(service.params_size())),
+                           std::vector<std::uint64_t>(static_cast<std::size_t>(service.resources_size()))});
+        refreshMissing(i);
+    }
+}
+
+void ServiceProfiler::refreshMissing(int index) {
+    auto& service = *profile_.mutable_services(index);
+    service.clear_missing();
+    for (const auto& param : service.params())
+        if (param.required() && settable(param) && !param.ready()) service.add_missing(param.name());
+    for (const auto& resource : service.resources())
+        if (resource.required() && !resource.ready()) service.add_missing(resource.name());
+}
+
+Result<int> ServiceProfiler::find(std::string_view service) const {
+    return findServiceIndex(profile_, service);
+}
+
+Result<std::pair<int, proto::Param>> ServiceProfiler::checkParam(std::string_view service,
+                                                                 const proto::Param& param) const {
+    const auto index = find(service);
+    if (!index) return index.refusal();
+    const auto& record = this->record(index.value());
+    const auto at = findParamIndex(record, param.name());
+    if (!at) return at.refusal();
+    const auto& meta = record.params(at.value());
+    if (!settable(meta)) return notSettable(record, meta);
+    auto accepted = acceptParam(meta, param);
+    if (!accepted) return accepted.refusal();
+    return std::pair{index.value(), std::move(accepted).value()};
+}
+
+void ServiceProfiler::storeParam(int service, const proto::Param& param) {
+    const auto at = findParamIndex(record(service), param.name());
+    if (!at) return;
+    auto& meta = *profile_.mutable_services(service)->mutable_params(at.value());
+    *meta.mutable_initial() = param.values();
+    meta.set_ready(true);
+    stamps_[static_cast<std::size_t>(service)].params[static_cast<std::size_t>(at.value())] = ++clock_;
+    refreshMissing(service);
+}
+
+Result<std::pair<int, int>> ServiceProfiler::findResource(std::string_view service,
+                                                          std::string_view resource) const {
+    const auto index = find(service);
+    if (!index) return index.refusal();
+    const auto at = findResourceIndex(record(index.value()), resource);
+    if (!at) return at.refusal();
+    return std::pair{index.value(), at.value()};
+}
+
+void ServiceProfiler::storeResource(int service, int resource, std::string path, std::string sha256,
+                                    std::uint64_t size) {
+    auto& record = *profile_.mutable_services(service)->mutable_resources(resource);
+    record.set_url(std::move(path));
+    record.set_sha256(std::move(sha256));
+    record.set_size(size);
+    record.set_ready(true);
+    stamps_[static_cast<std::size_t>(service)].resources[static_cast<std::size_t>(resource)] = ++clock_;
+    refreshMissing(service);
+}
+
+Result<ServiceProfiler::Order> ServiceProfiler::prepare(
+    std::string_view service, const google::protobuf::RepeatedPtrField<proto::Param>& given) const {
+    const auto index = find(service);
+    if (!index) return index.refusal();
+    const auto& record = this->record(index.value());
+    if (!record.is_active())
+        return Refusal{
+            RefusalCode::InactiveService,
+            "Service " + inQuotes(record.name()) + " is switched off by the robot application at present.",
+            {}};
+    if (record.type() == proto::CMPLX)
+        return Refusal{RefusalCode::NotSupported,
+                       "Service " + inQuotes(record.name()) +
+                           " is composite (CMPLX), which this version cannot run. Run its parts one by one.",
+                       {}};
+    Order order;
+    order.service = index.value();
+    order.stamp = clock_;
+    std::vector<const proto::Param*> own(static_cast<std::size_t>(record.params_size()), nullptr);
+    std::vector<proto::Param> accepted;
+    accepted.reserve(static_cast<std::size_t>(given.size()));
+    for (const auto& param : given) {
+        const auto at = findParamIndex(record, param.name());
+        if (!at) return at.refusal();
+        const auto& meta = record.params(at.value());
+        if (!settable(meta)) return notSettable(record, meta);
+        auto value = acceptParam(meta, param);
+        if (!value) return value.refusal();
+        auto*& slot = own[static_cast<std::size_t>(at.value())];
+        if (slot != nullptr)
+            return Refusal{
+                RefusalCode::Malformed, "Parameter " + inQuotes(meta.name()) + " is given twice.", {}};
+        accepted.push_back(std::move(value).value());
+        slot = &accepted.back();
+    }
+    std::string missing;
+    const auto lack = [&missing](const std::string& what, const std::string& name) {
+        missing += (missing.empty() ? "" : ", ") + what + " " + inQuotes(name);
+    };
+    for (int i = 0; i < record.params_size(); ++i) {
+        const auto& meta = record.params(i);
+        if (!settable(meta)) continue;
+        if (const auto* param = own[static_cast<std::size_t>(i)]) {
+            order.params.push_back(*param);
+        } else if (meta.ready()) {
+            auto& stored = order.params.emplace_back();
+            stored.set_name(meta.name());
+            stored.set_units(meta.units());
+            *stored.mutable_values() = meta.initial();
+        } else if (meta.required()) {
+            lack("parameter", meta.name());
+        }
+    }
+    for (const auto& resource : record.resources()) {
+        if (resource.ready())
+            order.resources.push_back(resource);
+        else if (resource.required())
+            lack("resource", resource.name());
+    }
+    if (!missing.empty())
+        return Refusal{RefusalCode::MissingDependency,
+                       "Service " + inQuotes(record.name()) + " still needs: " + missing +
+                           ". Give the parameters with the task or set them first, and upload the resources.",
+                       {}};
+    return order;
+}
+
+Result<int> ServiceProfiler::setActive(std::string_view service, bool active) {
+    const auto index = find(service);
+    if (index) profile_.mutable_services(index.value())->set_is_active(active);
+    return index;
+}
+
+void ServiceProfiler::setExecuting(int service, bool executing) {
+    profile_.mutable_services(service)->set_is_exec(executing);
+}
+
+ServiceProfiler::Cleared ServiceProfiler::clearAfterTask(const Order& order) {
+    Cleared cleared;
+    auto& service = *profile_.mutable_services(order.service);
+    const auto& stamps = stamps_[static_cast<std::size_t>(order.service)];
+    for (int i = 0; i < service.params_size(); ++i) {
+        auto& param = *service.mutable_params(i);
+        if (param.savable() || !settable(param) || !param.ready() ||
+            stamps.params[static_cast<std::size_t>(i)] > order.stamp)
+            continue;
+        param.clear_initial();
+        param.set_ready(false);
+        cleared.changed = true;
+    }
+    for (int i = 0; i < service.resources_size(); ++i) {
+        auto& resource = *service.mutable_resources(i);
+        const auto stamp = stamps.resources[static_cast<std::size_t>(i)];
+        // Stamp 0: it was never uploaded; a file that the robot's owner has put there is not ours to delete.
+        if (resource.savable() || !resource.ready() || stamp > order.stamp) continue;
+        resource.set_ready(false);
+        cleared.changed = true;
+        if (stamp == 0) continue;
+        resource.clear_url();
+        cleared.files.push_back(resource.name());
+    }
+    refreshMissing(order.service);
+    return cleared;
+}
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,445 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/state_table.hpp"
+
+#include <algorithm>
+#include <array>
+#include <initializer_list>
+#include <map>
+#include <utility>
+
+namespace axon::entity_manager {
+
+namespace {
+
+using S = EntityState;
+using E = Event;
+using A = Action;
+
+constexpr Next kStay{};
+constexpr Next kPrevious{Next::Kind::Previous, S::UNAV};
+constexpr Next to(S state) {
+    return {Next::Kind::To, state};
+}
+
+constexpr std::array kAllStates{S::UNAV,   S::INIT,  S::ENVCONN, S::IDLE, S::REG,
+                                S::COLLAB, S::SLAVE, S::BUSY,    S::ERR};
+
+class Rows {
+  public:
+    void add(std::initializer_list<S> states, E event, std::vector<A> actions, Next next) {
+        for (const auto state : states) rows_.push_back({state, event, actions, next});
+    }
+    std::vector<Row> take() { return std::move(rows_); }
+
+  private:
+    std::vector<Row> rows_;
+};
+
+std::vector<Row> makeRows() {
+    Rows rows;
+    const auto linked = {S::INIT, S::ENVCONN, S::IDLE, S::REG, S::COLLAB, S::SLAVE, S::BUSY, S::ERR};
+    const auto unready = {S::UNAV, S::INIT, S::ERR};
+    const auto held = {S::REG, S::COLLAB, S::SLAVE, S::BUSY};
+    const auto any = {S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::REG, S::COLLAB, S::SLAVE, S::BUSY, S::ERR};
+
+    // The rule above all states: a stop. The signal thread has written it to the Entity Interfacer already.
+    rows.add({S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::ERR, S::REG}, E::Stop,
+             {A::Latch, A::Acknowledge, A::EndTasks, A::VoidQueue, A::TellStatus}, kStay);
+    rows.add({S::COLLAB, S::SLAVE, S::BUSY}, E::Stop,
+             {A::Latch, A::Acknowledge, A::EndTasks, A::VoidQueue, A::TellStatus}, to(S::REG));
+
+    // The link to the robot application. Its end ends everything but the session with the server; the Entity
+    // Interfacer stops the robot by itself.
+    rows.add({S::UNAV}, E::LinkUp, {A::AwaitProfiles, A::TellStatus}, to(S::INIT));
+    rows.add(linked, E::LinkDown,
+             {A::LoseTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads, A::DropReservation,
+              A::EndLease, A::TellStatus},
+             to(S::UNAV));
+    rows.add({S::UNAV}, E::LinkDown, {A::TellStatus}, kStay);
+
+    rows.add({S::INIT}, E::ProfileUploaded, {A::ConsiderProfiles}, kStay);
+    rows.add({S::ERR, S::ENVCONN, S::IDLE}, E::ProfileUploaded,
+             {A::DropReservation, A::TellStatus, A::ConsiderProfiles}, to(S::INIT));
+    rows.add({S::INIT}, E::ProfilesGood, {A::TellStatus, A::SeekServer}, to(S::ENVCONN));
+    rows.add({S::INIT}, E::ProfilesBad, {A::ReportProfiles, A::TellStatus}, to(S::ERR));
+
+    // The server. Where the session outlived the robot application, the entity is made known again at once.
+    rows.add({S::ENVCONN}, E::ServerUp, {A::Register, A::TellStatus}, to(S::IDLE));
+    rows.add(unready, E::ServerUp, {A::Register, A::TellStatus}, kStay);
+    rows.add({S::IDLE}, E::ServerDown, {A::StopApplication, A::DropReservation, A::SeekServer, A::TellStatus},
+             to(S::ENVCONN));
+    rows.add(held, E::ServerDown,
+             {A::StopApplication, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease, A::SeekServer,
+              A::TellStatus},
+             to(S::ENVCONN));
+    rows.add({S::UNAV, S::INIT, S::ENVCONN, S::ERR}, E::ServerDown, {A::SeekServer}, kStay);
+
+    // Check-out, its end, and the loss of a client.
+    rows.add({S::IDLE, S::REG, S::COLLAB, S::SLAVE, S::BUSY}, E::CheckOut, {A::ConsiderCheckOut}, kStay);
+    rows.add({S::IDLE}, E::CheckOutGranted, {A::TellStatus, A::SendGrant}, to(S::REG));
+    for (const auto event : {E::Release, E::ClientEnded})
+        rows.add(
+            held, event,
+            {A::StopApplication, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease, A::TellStatus},
+            to(S::IDLE));
+    rows.add(held, E::ClientLost,
+             {A::StopApplication, A::Latch, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease,
+              A::TellStatus},
+             to(S::IDLE));
+    for (const auto event : {E::ClientLost, E::ClientEnded})
+        rows.add({S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::ERR}, event, {A::DropReservation}, kStay);
+    rows.add(any, E::ClientResumed, {}, kStay);
+
+    // The holder's work.
+    rows.add(held, E::SetParam, {A::AskParameter}, kStay);
+    rows.add(held, E::Resource, {A::CarryResource}, kStay);
+    rows.add(held, E::Text, {A::PassText}, kStay);
+    rows.add(held, E::Raw, {A::PassRaw}, kStay);
+    rows.add({S::REG, S::BUSY}, E::Task, {A::AdmitTask}, kStay);
+    rows.add({S::REG, S::COLLAB, S::SLAVE}, E::TaskGranted, {A::TellStatus}, to(S::BUSY));
+    rows.add({S::BUSY}, E::TaskGranted, {}, kStay);
+    rows.add({S::IDLE, S::REG, S::COLLAB, S::SLAVE, S::BUSY}, E::TaskEnded, {A::DispatchNext}, kStay);
+    rows.add({S::BUSY}, E::LastTaskEnded, {A::TellStatus, A::DispatchNext}, kPrevious);
+    rows.add({S::REG, S::COLLAB, S::SLAVE}, E::ApplicationBusy, {A::TellStatus}, to(S::BUSY));
+    rows.add({S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::BUSY, S::ERR}, E::ApplicationBusy, {}, kStay);
+    rows.add(any, E::ApplicationReady, {A::DispatchNext}, kStay);
+    rows.add(held, E::Pause, {A::PauseTask}, kStay);
+    rows.add(held, E::Resume, {A::ResumeTask}, kStay);
+    rows.add(held, E::Cancel, {A::CancelTask}, kStay);
+    rows.add({S::IDLE, S::REG, S::COLLAB, S::SLAVE, S::BUSY}, E::Rearm, {A::Unlatch, A::TellStatus}, kStay);
+
+    // The other two commands. Neither latches.
+    rows.add({S::REG, S::BUSY}, E::Reset,
+             {A::HaltTasks, A::StopApplication, A::Acknowledge, A::TellStatus, A::DispatchNext}, kStay);
+    rows.add(held, E::Clear, {A::StopApplication, A::Acknowledge, A::EndTasks, A::VoidQueue, A::TellStatus},
+             to(S::REG));
+
+    // Anyone, always.
+    rows.add(any, E::Status, {A::AnswerStatus}, kStay);
+    rows.add(any, E::Watch, {A::NoteWatch}, kStay);
+
+    // Collaboration.
+    rows.add({S::REG}, E::CollaborativeTask, {A::TellStatus}, to(S::COLLAB));
+    rows.add({S::REG}, E::CollaborationRequest, {A::TellStatus}, to(S::SLAVE));
+    rows.add({S::COLLAB, S::SLAVE}, E::CollaborationEnded, {A::TellStatus}, to(S::REG));
+    rows.add({S::SLAVE, S::BUSY}, E::MasterGone,
+             {A::StopApplication, A::EndTasks, A::VoidQueue, A::TellStatus}, to(S::REG));
+
+    rows.add(any, E::Quit,
+             {A::StopApplication, A::EndTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads,
+              A::DropReservation, A::EndLease, A::TellStatus, A::LeaveServer},
+             to(S::UNAV));
+    return rows.take();
+}
+
+struct Table {
+    Table() : rows(makeRows()) {
+        for (const auto& row : rows)
+            index[static_cast<std::size_t>(row.state)][static_cast<std::size_t>(row.event)] = &row;
+    }
+    const std::vector<Row> rows;
+    std::array<std::array<const Row*, kEvents>, kStates> index{};
+};
+
+const Table& table() {
+    static const Table kTable;
+    return kTable;
+}
+
+const char* wish(E event) {
+    switch (event) {
+        case E::CheckOut:
+            return "be checked out";
+        case E::Release:
+            return "be released";
+        case E::SetParam:
+            return "take parameters";
+        case E::Resource:
+            return "take resources";
+        case E::Task:
+            return "take tasks";
+        case E::Pause:
+            return "pause a task";
+        case E::Resume:
+            return "resume a task";
+        case E::Cancel:
+            return "cancel a task";
+        case E::Rearm:
+            return "be rearmed";
+        case E::Text:
+            return "take texts";
+        case E::Raw:
+            return "take raw data";
+        case E::Reset:
+            return "be reset";
+        case E::Clear:
+            return "be cleared";
+        case E::ProfileUploaded:
+            return "take new profiles";
+        case E::CollaborativeTask:
+        case E::CollaborationRequest:
+            return "collaborate";
+        default:
+            return "do that";
+    }
+}
+
+}  // namespace
+
+std::span<const Row> stateTable() {
+    return table().rows;
+}
+
+const Row* findRow(EntityState state, Event event) {
+    return table().index[static_cast<std::size_t>(state)][static_cast<std::size_t>(event)];
+}
+
+Refusal refusalFor(EntityState state, Event event, const std::string& reason) {
+    const std::string because = reason.empty() ? "" : ": " + reason;
+    const std::string cannot = std::string("The entity cannot ") + wish(event) + " now";
+    if (event == E::ProfileUploaded)
+        return {
+            RefusalCode::WrongState,
+            cannot + ": it is checked out. Upload again after its release, or restart the robot application.",
+            {}};
+    if (!isRequest(event))
+        return {RefusalCode::WrongState,
+                std::string(toString(event)) + " is not expected in " + toString(state) + ".",
+                {}};
+    switch (state) {
+        case S::UNAV:
+            return {RefusalCode::Unavailable,
+                    cannot + because + ". Start the robot application; the entity comes back by itself.",
+                    {}};
+        case S::INIT:
+            return {RefusalCode::Unavailable,
+                    cannot + ": its profiles are being read. Try again in a moment.",
+                    {}};
+        case S::ERR:
+            return {RefusalCode::Unavailable,
+                    cannot + ": its profiles have errors" + because +
+                        ". Mend the files; they are read again by themselves.",
+                    {}};
+        case S::ENVCONN:
+            return {RefusalCode::NotConnected, cannot + ": it is not registered with the server yet.", {}};
+        case S::IDLE:
+            return {RefusalCode::NotHolder, cannot + ": nobody has checked it out. Check it out first.", {}};
+        case S::COLLAB:
+        case S::SLAVE:
+            return {RefusalCode::WrongState,
+                    cannot + ": it takes part in a collaboration. Wait for its end, or stop it.",
+                    {}};
+        case S::REG:
+        case S::BUSY:
+            break;
+    }
+    return {RefusalCode::WrongState, cannot + " (state " + toString(state) + ").", {}};
+}
+
+Needs needsOf(Event event) {
+    switch (event) {
+        case E::Release:
+        case E::Resource:
+        case E::Text:
+        case E::Pause:
+        case E::Cancel:
+        case E::Clear:
+            return {.holder = true};
+        case E::Reset:
+            return {.holder = true, .not_latched = true};
+        case E::SetParam:
+            return {.holder = true, .stop_generation = true};
+        case E::Rearm:
+            return {.holder = true, .admin_may = true, .stop_generation = true};
+        case E::Task:
+        case E::Resume:
+        // Raw data may move the robot (a joystick): what a stop has overtaken must not arrive after it.
+        case E::Raw:
+            return {.holder = true, .stop_generation = true, .not_latched = true};
+        default:
+            return {};
+    }
+}
+
+bool isRequest(Event event) {
+    switch (event) {
+        case E::CheckOut:
+        case E::Release:
+        case E::SetParam:
+        case E::Resource:
+        case E::Task:
+        case E::Pause:
+        case E::Resume:
+        case E::Cancel:
+        case E::Rearm:
+        case E::Text:
+        case E::Raw:
+        case E::Status:
+        case E::Watch:
+        case E::Stop:
+        case E::Reset:
+        case E::Clear:
+        case E::CollaborativeTask:
+        case E::CollaborationRequest:
+            return true;
+        default:
+            return false;
+    }
+}
+
+const char* toString(Event event) {
+    static constexpr std::array<const char*, kEvents> kNames{"LinkUp",
+                                                             "LinkDown",
+                                                             "ProfileUploaded",
+                                                             "ProfilesGood",
+                                                             "ProfilesBad",
+                                                             "TaskGranted",
+                                                             "TaskEnded",
+                                                             "LastTaskEnded",
+                                                             "ApplicationBusy",
+                                                             "ApplicationReady",
+                                                             "ServerUp",
+                                                             "ServerDown",
+                                                             "ClientLost",
+                                                             "ClientEnded",
+                                                             "ClientResumed",
+                                                             "CheckOutGranted",
+                                                             "CheckOut",
+                                                             "Release",
+                                                             "SetParam",
+                                                             "Resource",
+                                                             "Task",
+                                                             "Pause",
+                                                             "Resume",
+                                                             "Cancel",
+                                                             "Rearm",
+                                                             "Text",
+                                                             "Raw",
+                                                             "Status",
+                                                             "Watch",
+                                                             "Stop",
+                                                             "Reset",
+                                                             "Clear",
+                                                             "CollaborativeTask",
+                                                             "CollaborationRequest",
+                                                             "CollaborationEnded",
+                                                             "MasterGone",
+                                                             "Quit"};
+    return kNames[static_cast<std::size_t>(event)];
+}
+
+const char* toString(Action action) {
+    static constexpr std::array kNames{
+        "AwaitProfiles", "ConsiderProfiles", "ReportProfiles", "SeekServer",      "Register",
+        "LeaveServer",   "ConsiderCheckOut", "SendGrant",      "StopApplication", "Latch",
+        "Unlatch",       "Acknowledge",      "VoidQueue",      "EndTasks",        "LoseTasks",
+        "HaltTasks",     "DispatchNext",     "CancelTask",     "PauseTask",       "ResumeTask",
+        "AdmitTask",     "AskParameter",     "CarryResource",  "SuspendUploads",  "AbandonRequests",
+        "EndLease",      "DropReservation",  "PassText",       "PassRaw",         "AnswerStatus",
+        "NoteWatch",     "TellStatus"};
+    static_assert(kNames.size() == static_cast<std::size_t>(Action::TellStatus) + 1);
+    return kNames[static_cast<std::size_t>(action)];
+}
+
+std::string toString(const Next& next) {
+    switch (next.kind) {
+        case Next::Kind::Stay:
+            return "stay";
+        case Next::Kind::Previous:
+            return "previous";
+        case Next::Kind::To:
+            return axon::toString(next.state);
+    }
+    return "?";
+}
+
+std::string stateDiagram() {
+    // One arrow per pair of states, with all events that lead that way; Previous leads to each state that
+    // BUSY is entered from. What holds in every state is said once, in a note, or the picture could not be
+    // read.
+    std::map<std::pair<S, S>, std::vector<std::string>> arrows;
+    for (const auto& row : stateTable()) {
+        if (row.event == E::LinkDown || row.event == E::Quit) continue;
+        if (row.next.kind == Next::Kind::To && row.next.state != row.state)
+            arrows[{row.state, row.next.state}].emplace_back(toString(row.event));
+        if (row.next.kind == Next::Kind::Previous)
+            for (const auto target : {S::REG, S::COLLAB, S::SLAVE})
+                arrows[{row.state, target}].emplace_back(toString(row.event));
+    }
+    std::string text = "stateDiagram-v2\n    [*] --> UNAV\n";
+    for (const auto& [pair, events] : arrows) {
+        text +=
+            std::string("    ") + axon::toString(pair.first) + " --> " + axon::toString(pair.second) + " : ";
+        for (std::size_t i = 0; i < events.size(); ++i) text += (i == 0 ? "" : ", ") + events[i];
+        text += '\n';
+    }
+    text += "    note right of UNAV : from any state by LinkDown, and by Quit at the end\n";
+    text += "    note right of REG : Stop is accepted in every state and latches\n";
+    return text;
+}
+
+std::string stateMachinePage() {
+    std::string page =
+        "# The state machine of the Entity Manager\n\n"
+        "This page is made from `src/entity_manager/state_table.cpp`, which the Entity Manager runs; a test "
+        "fails when "
+        "it is stale.\nTo make it anew: `AXON_RERECORD=1 build/dev/tests/entity_manager_core_test "
+        "--gtest_filter='StateTable.*'`.\n\n"
+        "The states are those of the thesis (3.3.1). The latch of a stop is a flag beside them. A row "
+        "changes the state "
+        "first and then runs\nits actions in order. *previous* is the state from which BUSY was entered.\n\n"
+        "```mermaid\n" +
+        stateDiagram() + "```\n\n## Rows\n\n| event | in | actions | next |\n|---|---|---|---|\n";
+    std::vector<bool> done(stateTable().size());
+    const auto rows = stateTable();
+    for (std::size_t i = 0; i < rows.size(); ++i) {
+        if (done[i]) continue;
+        std::string states;
+        for (std::size_t j = i; j < rows.size(); ++j) {
+            if (rows[j].event != rows[i].event || rows[j].actions != rows[i].actions ||
+                rows[j].next != rows[i].next)
+                continue;
+            done[j] = true;
+            states += (states.empty() ? "" : " ") + std::string(axon::toString(rows[j].state));
+        }
+        if (std::ranges::count(states, ' ') == static_cast<std::ptrdiff_t>(kStates) - 1) states = "*any*";
+        std::string actions;
+        for (const auto action : rows[i].actions)
+            actions += (actions.empty() ? "" : ", ") + std::string(toString(action));
+        page += std::string("| ") + toString(rows[i].event) + " | " + states + " | " +
+                (actions.empty() ? "none" : actions) + " | " + toString(rows[i].next) + " |\n";
+    }
+    page += "\n## Pairs without a row\n\nThey are refused to whoever asked, with this code.\n\n| request |";
+    for (const auto state : kAllStates) page += std::string(" ") + axon::toString(state) + " |";
+    page += "\n|---|";
+    for (std::size_t i = 0; i < kStates; ++i) page += "---|";
+    page += '\n';
+    for (std::size_t e = 0; e < kEvents; ++e) {
+        const auto event = static_cast<Event>(e);
+        std::string line;
+        bool refused = false;
+        for (const auto state : kAllStates) {
+            const bool row = findRow(state, event) != nullptr;
+            refused = refused || !row;
+            line += row ? " · |" : " " + std::string(refusalName(refusalFor(state, event).code)) + " |";
+        }
+        if (refused && (isRequest(event) || event == E::ProfileUploaded))
+            page += std::string("| ") + toString(event) + " |" + line + '\n';
+    }
+    page +=
+        "\nFacts (what is not a request) that have no row are counted and change nothing.\n\n"
+        "## What a request must prove first\n\n| request | lease | newest stop seen | not latched "
+        "|\n|---|---|---|---|\n";
+    for (std::size_t e = 0; e < kEvents; ++e) {
+        const auto event = static_cast<Event>(e);
+        const auto needs = needsOf(event);
+        if (!isRequest(event)) continue;
+        page += std::string("| ") + toString(event) + " | " +
+                (needs.holder ? (needs.admin_may ? "holder, or an administrator" : "holder") : "anyone") +
+                " | " + (needs.stop_generation ? "yes" : "") + " | " + (needs.not_latched ? "yes" : "") +
+                " |\n";
+    }
+    return page;
+}
+
+}  // namespace axon::entity_manager

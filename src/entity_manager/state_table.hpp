@@ -1,0 +1,145 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "common/refusal.hpp"
+#include "common/routed.hpp"
+
+namespace axon::entity_manager {
+
+/// All that can happen to an Entity Manager. Facts have happened and change the state; requests are
+/// somebody's wish and are answered. Which is which: isRequest().
+enum class Event : std::uint8_t {
+    // facts of the link to the robot application
+    LinkUp,
+    LinkDown,
+    ProfileUploaded,
+    ProfilesGood,
+    ProfilesBad,
+    TaskGranted,
+    TaskEnded,
+    LastTaskEnded,
+    ApplicationBusy,
+    ApplicationReady,
+    // facts of the server and of clients
+    ServerUp,
+    ServerDown,
+    ClientLost,
+    ClientEnded,
+    ClientResumed,
+    CheckOutGranted,
+    // requests
+    CheckOut,
+    Release,
+    SetParam,
+    Resource,
+    Task,
+    Pause,
+    Resume,
+    Cancel,
+    Rearm,
+    Text,
+    Raw,
+    Status,
+    Watch,
+    // commands: requests of higher precedence (thesis 3.3.1)
+    Stop,
+    Reset,
+    Clear,
+    // collaboration: the rows stand, nothing sends these events yet
+    CollaborativeTask,
+    CollaborationRequest,
+    CollaborationEnded,
+    MasterGone,
+    // the operator of the daemon
+    Quit,
+};
+inline constexpr std::size_t kEvents = static_cast<std::size_t>(Event::Quit) + 1;
+inline constexpr std::size_t kStates = static_cast<std::size_t>(EntityState::ERR) + 1;
+
+/// What the machine does about an event, in the order of the row. EntityManagerCore::Machine has one function
+/// each.
+enum class Action : std::uint8_t {
+    AwaitProfiles,
+    ConsiderProfiles,
+    ReportProfiles,
+    SeekServer,
+    Register,
+    LeaveServer,
+    ConsiderCheckOut,
+    SendGrant,
+    StopApplication,
+    Latch,
+    Unlatch,
+    Acknowledge,
+    VoidQueue,
+    EndTasks,
+    LoseTasks,
+    HaltTasks,
+    DispatchNext,
+    CancelTask,
+    PauseTask,
+    ResumeTask,
+    AdmitTask,
+    AskParameter,
+    CarryResource,
+    SuspendUploads,
+    AbandonRequests,
+    EndLease,
+    DropReservation,
+    PassText,
+    PassRaw,
+    AnswerStatus,
+    NoteWatch,
+    TellStatus,
+};
+
+/// Where a row leads.
+struct Next {
+    enum class Kind : std::uint8_t { Stay, To, Previous };
+    Kind kind = Kind::Stay;
+    EntityState state = EntityState::UNAV;  ///< for To
+
+    bool operator==(const Next&) const = default;
+};
+
+/// One row: in this state, at this event, the state changes first and then the actions run.
+struct Row {
+    EntityState state;
+    Event event;
+    std::vector<Action> actions;
+    Next next;
+};
+
+/// What a request must prove before its row runs (architecture, section 6).
+struct Needs {
+    bool holder = false;           ///< sender and lease are the present ones
+    bool admin_may = false;        ///< … or the sender is an administrator
+    bool stop_generation = false;  ///< the sender has seen the newest stop
+    bool not_latched = false;
+};
+
+/// The state machine as data: the single source of the code's behaviour, of the test that walks every pair,
+/// and of docs/design/state-machine.md. Immutable; any thread.
+std::span<const Row> stateTable();
+/// The row of the pair, or null: then refusalFor() is the answer.
+const Row* findRow(EntityState state, Event event);
+/// The typed refusal of a pair that has no row. `reason` is that of UNAV and ERR.
+Refusal refusalFor(EntityState state, Event event, const std::string& reason = {});
+Needs needsOf(Event event);
+bool isRequest(Event event);
+
+const char* toString(Event event);
+const char* toString(Action action);
+/// The token of the table in the documentation: "stay", "IDLE", "previous".
+std::string toString(const Next& next);
+
+/// The transitions as a Mermaid diagram, and the whole page with the table of all pairs.
+std::string stateDiagram();
+std::string stateMachinePage();
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <optional>
+#include <string>
+#include <unordered_set>
+#include <vector>
+
+#include "common/clock.hpp"
+#include "common/ids.hpp"
+#include "common/result.hpp"
+#include "entity_manager/service_profiler.hpp"
+
+namespace axon::entity_manager {
+
+/// An accepted task: all its checks are behind it.
+struct Task {
+    Id128 id;
+    std::string service;  ///< its name in the profile
+    bool blocking = true;
+    ServiceProfiler::Order order;
+    std::uint32_t generation =
+        0;  ///< stop generation under which it was accepted; it is void under any other
+    std::optional<TimePoint> not_after;
+};
+
+/// The tasks that wait, in the order of their arrival, and the memory of all ids accepted lately.
+///
+/// Threads: the core's strand. Bounded: push() refuses with QUEUE_FULL; of the ids the last kRememberedIds
+/// are known, an older one would be accepted again.
+class TaskQueue {
+  public:
+    static constexpr std::size_t kRememberedIds = 4096;
+
+    explicit TaskQueue(std::size_t bound) : bound_(bound) {}
+
+    /// DUPLICATE and QUEUE_FULL, without taking anything.
+    Refusal mayPush(const Id128& id) const;
+    /// After mayPush().
+    void push(Task task);
+
+    bool empty() const { return waiting_.empty(); }
+    std::size_t size() const { return waiting_.size(); }
+    const std::deque<Task>& waiting() const { return waiting_; }
+    const Task& front() const { return waiting_.front(); }
+    Task pop();
+    std::optional<Task> remove(const Id128& id);
+    /// All of them, in order; the queue is empty then.
+    std::deque<Task> clear();
+    /// Those whose time has passed, in order.
+    std::vector<Task> expire(TimePoint now);
+    std::optional<TimePoint> nextExpiry() const;
+    /// After a stop that does not void the queue: what waits is valid under this generation.
+    void restamp(std::uint32_t generation);
+
+  private:
+    std::size_t bound_;
+    std::deque<Task> waiting_;
+    std::unordered_set<Id128> known_;
+    std::deque<Id128> known_order_;
+};
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,519 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "tests/support/core_rig.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <cstdio>
+
+namespace axon::test {
+
+const char* const kRigBasicProfile = R"(<?xml version="1.0" encoding="UTF-8"?>
+<BasicProfile name="Rig" category="ROBOT" type="MOBILE" descr="Not a robot" xpos="1000" ypos="1500" zpos="0"/>
+)";
+
+const char* const kRigServicesProfile = R"(<?xml version="1.0" encoding="UTF-8"?>
+<ServiceProfile count="6">
+  <Service name="Driving" type="SMPL" global_id="Drive" blocking="true" pausable="true" parameter_count="3">
+    <Parameters>
+      <Param name="Distance" type="INPUT" data_type="INT" units="mm" required="true" savable="false" minimum="-5000" maximum="5000"/>
+      <Param name="Speed" type="CONFIG" data_type="INT" units="mm/s" value="200" savable="true"/>
+      <Param name="Travelled" type="OUTPUT" data_type="INT" units="mm"/>
+    </Parameters>
+  </Service>
+  <Service name="Turning" type="SMPL" blocking="true" pausable="false"/>
+  <Service name="Sonar" type="SMPL" blocking="false"/>
+  <Service name="Light" type="SMPL" blocking="false"/>
+  <Service name="Delivery" type="SMPL" parameter_count="1" resource_count="1">
+    <Parameters>
+      <Param name="Room" type="INPUT" data_type="STR" required="true"/>
+    </Parameters>
+    <Resources>
+      <Resource name="Map" required="true" savable="false"/>
+    </Resources>
+  </Service>
+  <Service name="Tour" type="CMPLX">
+    <Services>
+      <ServiceRef name="Driving"/>
+      <ServiceRef name="Turning"/>
+    </Services>
+  </Service>
+</ServiceProfile>
+)";
+
+std::string idOf(const std::string& name) {
+    std::string id = name;
+    id.resize(16);
+    return id;
+}
+
+std::string nameOf(const std::string& id) {
+    return id.empty() ? "-" : id.substr(0, id.find('\0'));
+}
+
+proto::Param paramOf(const std::string& text) {
+    proto::Param param;
+    const auto equals = text.find('=');
+    param.set_name(text.substr(0, equals));
+    const auto value = equals == std::string::npos ? std::string() : text.substr(equals + 1);
+    std::int64_t number = 0;
+    double real = 0;
+    const auto* end = value.data() + value.size();
+    auto& out = *param.add_values();
+    if (std::from_chars(value.data(), end, number).ptr == end && !value.empty())
+        out.set_int_(number);
+    else if (std::from_chars(value.data(), end, real).ptr == end && !value.empty())
+        out.set_dbl(real);
+    else if (value == "true" || value == "false")
+        out.set_bool_(value == "true");
+    else
+        out.set_str(value);
+    return param;
+}
+
+// -- stores
+// ---------------------------------------------------------------------------------------------------------
+
+std::optional<std::string> MemoryStorage::load(std::string_view key) {
+    const auto at = values.find(key);
+    return at == values.end() ? std::nullopt : std::optional(at->second);
+}
+void MemoryStorage::save(std::string_view key, std::string_view value) {
+    values[std::string(key)] = value;
+}
+
+std::string MemoryResources::fakeHash(std::string_view content) {
+    SeededRandom random(std::hash<std::string_view>{}(content));
+    std::string hash(32, '\0');
+    random.fill(hash.data(), hash.size());
+    return hash;
+}
+Result<std::uint64_t> MemoryResources::begin(const proto::ResourceOffer& offer) {
+    open[offer.transfer_id()] = offer;
+    return static_cast<std::uint64_t>(partial[offer.sha256()].size());
+}
+Result<void> MemoryResources::write(std::string_view transfer_id, std::uint64_t offset,
+                                    std::string_view content) {
+    auto& so_far = partial[open.find(transfer_id)->second.sha256()];
+    if (offset != so_far.size()) return Refusal{RefusalCode::Internal, "gap", {}};
+    so_far += content;
+    return {};
+}
+Result<std::string> MemoryResources::finish(std::string_view transfer_id) {
+    const auto at = open.find(transfer_id);
+    const auto offer = at->second;
+    open.erase(at);
+    const auto content = partial[offer.sha256()];
+    partial.erase(offer.sha256());
+    if (fakeHash(content) != offer.sha256())
+        return Refusal{RefusalCode::HashMismatch, "The hash differs.", {}};
+    const auto path = offer.service() + '/' + offer.resource();
+    complete[path] = content;
+    return "/store/" + path;
+}
+void MemoryResources::suspend(std::string_view transfer_id) {
+    const auto at = open.find(transfer_id);
+    if (at != open.end()) open.erase(at);
+}
+void MemoryResources::remove(std::string_view service, std::string_view resource) {
+    complete.erase(std::string(service) + '/' + std::string(resource));
+}
+std::optional<std::string> MemoryResources::find(std::string_view service, std::string_view resource) {
+    const auto path = std::string(service) + '/' + std::string(resource);
+    return complete.contains(path) ? std::optional("/store/" + path) : std::nullopt;
+}
+
+// -- the rig
+// --------------------------------------------------------------------------------------------------------
+
+CoreRig::CoreRig(std::uint64_t seed, entity_manager::CoreSettings settings)
+    : settings_(std::move(settings)), random_(seed) {
+    restart();
+}
+
+void CoreRig::restart() {
+    core_.reset();
+    core_ = std::make_unique<entity_manager::EntityManagerCore>(settings_, clock, random_, *this, *this,
+                                                                storage, resources, gate);
+}
+
+void CoreRig::linkUp() {
+    core_->onLinkUp();
+}
+
+void CoreRig::fromApplication(proto::EiToEm message) {
+    core_->onLinkMessage(std::move(message));
+}
+
+void CoreRig::upload(bool services, const std::string& xml) {
+    proto::EiToEm message;
+    message.mutable_profile()->set_services(services);
+    message.mutable_profile()->set_file_name(services ? "services.xml" : "basic.xml");
+    message.mutable_profile()->set_xml(xml);
+    fromApplication(std::move(message));
+}
+
+void CoreRig::uploadProfiles() {
+    upload(false, kRigBasicProfile);
+    upload(true, kRigServicesProfile);
+}
+
+void CoreRig::grant(const std::string& task) {
+    proto::EiToEm message;
+    message.mutable_task_answer()->set_task_id(idOf(task));
+    fromApplication(std::move(message));
+}
+
+void CoreRig::deny(const std::string& task, const std::string& reason) {
+    proto::EiToEm message;
+    message.mutable_task_answer()->set_task_id(idOf(task));
+    message.mutable_task_answer()->mutable_refusal()->set_code(proto::DENIED);
+    message.mutable_task_answer()->mutable_refusal()->set_message(reason);
+    fromApplication(std::move(message));
+}
+
+void CoreRig::update(const std::string& task, proto::TaskState state, double progress) {
+    proto::EiToEm message;
+    auto& event = *message.mutable_task()->mutable_event();
+    event.set_task_id(idOf(task));
+    event.set_state(state);
+    event.set_progress(progress);
+    fromApplication(std::move(message));
+}
+
+void CoreRig::stopDone(std::uint32_t stopped, proto::StopReceipt::Stage stage) {
+    proto::EiToEm message;
+    message.mutable_stop_done()->set_stop_generation(stopped);
+    message.mutable_stop_done()->set_stage(stage);
+    fromApplication(std::move(message));
+}
+
+Header CoreRig::headOf(const std::string& client) {
+    auto& belief = clients[client];
+    Header head;
+    head.sender = {client, client + "@lab",
+                   client.starts_with("admin")      ? Role::Admin
+                   : client.starts_with("observer") ? Role::Observer
+                                                    : Role::Operator};
+    head.entity = core_->uuid();
+    head.held = lease.value_or(belief.lease);
+    head.stop_generation = generation.value_or(belief.generation);
+    head.sequence = ++belief.sequence;
+    lease.reset();
+    generation.reset();
+    return head;
+}
+
+void CoreRig::send(const std::string& client, const proto::ToEntity& message) {
+    core_->onClientMsg(headOf(client), message.SerializeAsString());
+}
+
+void CoreRig::take(const std::string& client, const std::string& request) {
+    proto::ToEntity message;
+    message.mutable_check_out()->set_phase(proto::TAKE);
+    message.mutable_check_out()->set_request_id(idOf(request));
+    send(client, message);
+}
+
+void CoreRig::task(const std::string& client, const std::string& id, const std::string& service,
+                   const std::vector<std::string>& params, double not_after_s) {
+    proto::ToEntity message;
+    auto& task = *message.mutable_task();
+    task.set_task_id(idOf(id));
+    task.set_service(service);
+    task.set_not_after_s(not_after_s);
+    for (const auto& param : params) *task.add_params() = paramOf(param);
+    send(client, message);
+}
+
+void CoreRig::setParam(const std::string& client, const std::string& request, const std::string& service,
+                       const std::string& param) {
+    proto::ToEntity message;
+    message.mutable_set_param()->set_service(service);
+    *message.mutable_set_param()->mutable_param() = paramOf(param);
+    message.mutable_set_param()->set_request_id(idOf(request));
+    send(client, message);
+}
+
+void CoreRig::stop(const std::string& client, StopCause cause, std::int64_t sequence) {
+    auto head = headOf(client);
+    if (sequence != 0) head.sequence = sequence;
+    const auto raised = gate.raise(head.sender.id, head.sequence);
+    if (!raised) {
+        note("gate: seen before");
+        return;
+    }
+    stop(*raised, cause);
+    core_->onStopSignal(head, cause, *raised);
+}
+
+void CoreRig::reset(const std::string& client) {
+    core_->onResetSignal(headOf(client));
+}
+
+void CoreRig::clear(const std::string& client) {
+    core_->onClearSignal(headOf(client));
+}
+
+void CoreRig::rearm(const std::string& client, const std::string& request) {
+    proto::ToEntity message;
+    message.mutable_rearm()->set_request_id(idOf(request));
+    send(client, message);
+}
+
+void CoreRig::makeIdle() {
+    linkUp();
+    uploadProfiles();
+    core_->onServerUp();
+}
+
+void CoreRig::advance(Duration by, bool server_beats) {
+    const auto end = clock.now() + by;
+    constexpr Duration kBeat = std::chrono::milliseconds{50};
+    auto beat = clock.now() + kBeat;
+    while (true) {
+        auto next = std::min(end, std::max(core_->nextDeadline(), clock.now()));
+        if (server_beats) next = std::min(next, beat);
+        const bool stuck = next == clock.now() && next == core_->nextDeadline();
+        clock.set(next);
+        if (server_beats && next >= beat) {
+            core_->onServerHeartbeat();
+            beat += kBeat;
+        }
+        if (core_->nextDeadline() <= clock.now()) core_->onTimer();
+        if (clock.now() >= end) return;
+        if (stuck && core_->nextDeadline() <= clock.now()) {
+            note("a deadline that onTimer does not clear");
+            return;
+        }
+    }
+}
+
+std::vector<std::string> CoreRig::takeLines() {
+    return std::exchange(lines_, {});
+}
+
+// -- effects
+// --------------------------------------------------------------------------------------------------------
+
+namespace {
+
+std::string shown(const proto::Refusal& refusal) {
+    if (refusal.code() == proto::OK && refusal.message().empty()) return "OK";
+    return proto::RefusalCode_Name(refusal.code()) +
+           (refusal.message().empty() ? "" : " \"" + refusal.message() + '"') +
+           (refusal.holder().empty() ? "" : " holder=" + refusal.holder());
+}
+
+std::string shown(const proto::Value& value) {
+    char number[32];
+    switch (value.kind_case()) {
+        case proto::Value::kInt:
+            return std::to_string(value.int_());
+        case proto::Value::kDbl:
+            std::snprintf(number, sizeof number, "%g", value.dbl());
+            return number;
+        case proto::Value::kStr:
+            return '"' + value.str() + '"';
+        case proto::Value::kBool:
+            return value.bool_() ? "true" : "false";
+        case proto::Value::KIND_NOT_SET:
+            break;
+    }
+    return "?";
+}
+
+std::string shown(const proto::Param& param) {
+    std::string text = param.name() + '=';
+    for (int i = 0; i < param.values_size(); ++i) text += (i == 0 ? "" : ",") + shown(param.values(i));
+    return text;
+}
+
+std::string shown(LeaseNumber lease) {
+    return std::to_string(lease.epoch) + '/' + std::to_string(lease.number);
+}
+
+std::string shown(const proto::Service& service) {
+    std::string text =
+        service.name() + (service.is_active() ? "" : " inactive") + (service.is_exec() ? " executing" : "");
+    for (const auto& param : service.params()) {
+        if (!param.ready()) continue;
+        text += ' ' + param.name() + '=';
+        for (int i = 0; i < param.initial_size(); ++i) text += (i == 0 ? "" : ",") + shown(param.initial(i));
+    }
+    for (const auto& resource : service.resources())
+        if (resource.ready()) text += ' ' + resource.name() + "@" + resource.url();
+    for (int i = 0; i < service.missing_size(); ++i)
+        text += (i == 0 ? " missing " : ", ") + service.missing(i);
+    return text;
+}
+
+std::string shown(const proto::ToClient& message) {
+    switch (message.body_case()) {
+        case proto::ToClient::kCheckOut: {
+            const auto& reply = message.check_out();
+            std::string text = "CheckOutReply " + nameOf(reply.request_id()) + ' ' +
+                               proto::CheckOutPhase_Name(reply.phase()) + ' ' +
+                               (reply.has_refusal() ? shown(reply.refusal()) : "OK");
+            if (reply.has_lease())
+                text += " lease=" + std::to_string(reply.lease().epoch()) + '/' +
+                        std::to_string(reply.lease().number()) +
+                        " key=" + std::to_string(reply.lease().key().size()) +
+                        "bytes services=" + std::to_string(reply.services().services_size());
+            return text + " gen=" + std::to_string(reply.stop_generation()) +
+                   (reply.latched() ? " latched" : "");
+        }
+        case proto::ToClient::kLeaseEnded:
+            return "LeaseEnded " + std::to_string(message.lease_ended().lease().epoch()) + '/' +
+                   std::to_string(message.lease_ended().lease().number()) + ' ' +
+                   shown(message.lease_ended().reason());
+        case proto::ToClient::kReply:
+            return "Reply " + nameOf(message.reply().request_id()) + ' ' + shown(message.reply().refusal());
+        case proto::ToClient::kTask: {
+            const auto& task = message.task();
+            std::string text = "TaskEvent " + nameOf(task.task_id()) + ' ' + task.service() + ' ' +
+                               proto::TaskState_Name(task.state());
+            char progress[32];
+            std::snprintf(progress, sizeof progress, " %g%%", task.progress() * 100);
+            if (task.progress() >= 0) text += progress;
+            if (!task.feedback().empty()) text += " feedback=\"" + task.feedback() + '"';
+            for (const auto& result : task.results()) text += ' ' + shown(result);
+            return text + (task.has_reason() ? ' ' + shown(task.reason()) : "");
+        }
+        case proto::ToClient::kStatus: {
+            const auto& status = message.status();
+            std::string text = "EntityStatus " + nameOf(status.request_id()) + ' ' +
+                               proto::EntityState_Name(status.state()) +
+                               (status.latched() ? " latched" : "") +
+                               " gen=" + std::to_string(status.stop_generation());
+            if (!status.holder().empty()) text += " holder=" + status.holder();
+            for (const auto& task : status.tasks())
+                text += ' ' + nameOf(task.task_id()) + '=' + proto::TaskState_Name(task.state());
+            for (const auto& service : status.services()) text += " {" + shown(service) + '}';
+            return text;
+        }
+        case proto::ToClient::kReceipt: {
+            const auto& receipt = message.receipt();
+            return "StopReceipt " + receipt.stop_id() + ' ' +
+                   proto::StopReceipt::Stage_Name(receipt.stage()) +
+                   " gen=" + std::to_string(receipt.stop_generation()) + ' ' +
+                   proto::StopCause_Name(receipt.cause()) + " by=" + receipt.by() +
+                   " state=" + proto::EntityState_Name(receipt.state());
+        }
+        case proto::ToClient::kResourceCredit:
+            return "ResourceCredit " + nameOf(message.resource_credit().transfer_id()) +
+                   " offset=" + std::to_string(message.resource_credit().offset()) +
+                   " window=" + std::to_string(message.resource_credit().window());
+        case proto::ToClient::kResourceDone:
+            return "ResourceDone " + nameOf(message.resource_done().transfer_id()) + ' ' +
+                   message.resource_done().resource() + ' ' + shown(message.resource_done().refusal());
+        case proto::ToClient::kText:
+            return "Text \"" + message.text().text() + '"';
+        case proto::ToClient::kRaw:
+            return "Raw " + std::to_string(message.raw().data_size()) + " items";
+        case proto::ToClient::kSample:
+            return "StreamSample " + message.sample().stream() + " #" +
+                   std::to_string(message.sample().sequence());
+        case proto::ToClient::kService:
+            return "Service " + shown(message.service());
+        case proto::ToClient::kPosition:
+            return "Position";
+        case proto::ToClient::BODY_NOT_SET:
+            break;
+    }
+    return "nothing";
+}
+
+std::string shown(const proto::EmToEi& message) {
+    switch (message.body_case()) {
+        case proto::EmToEi::kParam:
+            return "ParamRequest #" + std::to_string(message.param().request()) + ' ' +
+                   message.param().service() + ' ' + shown(message.param().param());
+        case proto::EmToEi::kResource:
+            return "ResourceRequest #" + std::to_string(message.resource().request()) + ' ' +
+                   message.resource().service() + '/' + message.resource().resource() + ' ' +
+                   message.resource().path() + " size=" + std::to_string(message.resource().size());
+        case proto::EmToEi::kTask: {
+            std::string text = "TaskDispatch " + nameOf(message.task().task_id()) + ' ' +
+                               message.task().service() +
+                               " gen=" + std::to_string(message.task().stop_generation());
+            for (const auto& param : message.task().params()) text += ' ' + shown(param);
+            for (const auto& resource : message.task().resources())
+                text += ' ' + resource.name() + '@' + resource.url();
+            return text;
+        }
+        case proto::EmToEi::kCancel:
+            return "CancelTask " + nameOf(message.cancel().task_id());
+        case proto::EmToEi::kPause:
+            return (message.pause().resume() ? "PauseTask resume " : "PauseTask ") +
+                   nameOf(message.pause().task_id());
+        case proto::EmToEi::kText:
+            return "LinkText \"" + message.text().text() + "\" from " + message.text().from();
+        case proto::EmToEi::kRaw:
+            return "LinkRaw " + std::to_string(message.raw().data_size()) + " items from " +
+                   message.raw().from();
+        case proto::EmToEi::kStream:
+            return "StreamControl \"" + message.stream().stream() + "\" " +
+                   (message.stream().on() ? "on" : "off");
+        case proto::EmToEi::kProfileError:
+            return "profile_error " + shown(message.profile_error());
+        default:
+            return "unexpected message";
+    }
+}
+
+}  // namespace
+
+void CoreRig::send(const proto::EmToEi& message) {
+    note("application: " + shown(message));
+    to_application.push_back(message);
+}
+
+void CoreRig::stop(std::uint32_t raised, StopCause cause) {
+    note("application: STOP gen=" + std::to_string(raised) + " (" + toString(cause) + ')');
+    stops.emplace_back(raised, cause);
+}
+
+void CoreRig::setBusy(bool now) {
+    note(std::string("application: watchdog ") + (now ? "busy" : "idle"));
+    busy = now;
+}
+
+void CoreRig::wantConnection(bool now) {
+    note(std::string("server: ") + (now ? "wanted" : "not wanted"));
+    wanted = now;
+}
+
+void CoreRig::sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) {
+    char position[96];
+    std::snprintf(position, sizeof position, "(%g, %g, %g)", profile.xpos(), profile.ypos(), profile.zpos());
+    note("server: profile " + registration.name + ' ' + registration.category + '/' + registration.type +
+         ' ' + position);
+}
+
+void CoreRig::sendStatus(const EntityStatus& status) {
+    std::string line = std::string("server: status ") + toString(status.state) +
+                       (status.latched ? " latched" : "") + " gen=" + std::to_string(status.stop_generation);
+    if (!status.holder.id.empty()) line += " holder=" + status.holder.id + " lease=" + shown(status.held);
+    if (!status.reason.empty()) line += " \"" + status.reason.substr(0, status.reason.find('\n')) + '"';
+    note(std::move(line));
+    statuses.push_back(status);
+    for (auto& [name, belief] : clients)
+        belief.generation = std::max(belief.generation, status.stop_generation);
+}
+
+void CoreRig::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
+    note(head.sender.id + (lane == Lane::Signal ? " (signal): " : ": ") + shown(message));
+    to_clients.push_back({lane, head, message, false});
+    auto& belief = clients[head.sender.id];
+    belief.generation = std::max(belief.generation, head.stop_generation);
+    if (message.has_check_out() && message.check_out().has_lease())
+        belief.lease = {static_cast<std::int32_t>(message.check_out().lease().epoch()),
+                        static_cast<std::int32_t>(message.check_out().lease().number())};
+}
+
+void CoreRig::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
+    note(head.sender.id + " (data): " + shown(message));
+    to_clients.push_back({Lane::Data, head, message, true});
+}
+
+}  // namespace axon::test

@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <axon/link.pb.h>
+#include <axon/messages.pb.h>
+
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "common/clock.hpp"
+#include "common/ids.hpp"
+#include "entity_manager/entity_manager_core.hpp"
+
+namespace axon::test {
+
+/// The profiles of the entity that the core's tests use.
+extern const char* const kRigBasicProfile;
+extern const char* const kRigServicesProfile;
+
+/// Storage in memory; outlives a core, so that a restart can be played.
+class MemoryStorage final : public entity_manager::Storage {
+  public:
+    std::optional<std::string> load(std::string_view key) override;
+    void save(std::string_view key, std::string_view value) override;
+    std::map<std::string, std::string, std::less<>> values;
+};
+
+/// Resources in memory. Its "SHA-256" is fakeHash().
+class MemoryResources final : public entity_manager::ResourceStore {
+  public:
+    static std::string fakeHash(std::string_view content);
+    Result<std::uint64_t> begin(const proto::ResourceOffer& offer) override;
+    Result<void> write(std::string_view transfer_id, std::uint64_t offset, std::string_view content) override;
+    Result<std::string> finish(std::string_view transfer_id) override;
+    void suspend(std::string_view transfer_id) override;
+    void remove(std::string_view service, std::string_view resource) override;
+    std::optional<std::string> find(std::string_view service, std::string_view resource) override;
+
+    std::map<std::string, std::string> partial;   ///< hash → content so far
+    std::map<std::string, std::string> complete;  ///< service/resource → content
+    std::map<std::string, proto::ResourceOffer, std::less<>> open;
+};
+
+/// An EntityManagerCore between fake ports that write every effect down, as a line of text and as it is.
+/// Clients are known by their names: "admin…" is an administrator, "observer…" an observer. A client sends
+/// what it would in truth: the lease it was given and the newest stop generation it was told, unless `lease`
+/// or `generation` say otherwise.
+class CoreRig final : public entity_manager::BackEndPort, public entity_manager::ServerPort {
+  public:
+    explicit CoreRig(std::uint64_t seed = 1, entity_manager::CoreSettings settings = {.application = "rig"});
+
+    // The robot application's side.
+    void linkUp();
+    void uploadProfiles();
+    void upload(bool services, const std::string& xml);
+    void fromApplication(proto::EiToEm message);
+    void grant(const std::string& task);
+    void deny(const std::string& task, const std::string& reason);
+    void update(const std::string& task, proto::TaskState state, double progress = -1);
+    void stopDone(std::uint32_t stopped,
+                  proto::StopReceipt::Stage stage = proto::StopReceipt::CALLBACK_RETURNED);
+
+    // The clients' side.
+    Header headOf(const std::string& client);
+    void send(const std::string& client, const proto::ToEntity& message);
+    void take(const std::string& client, const std::string& request);
+    void task(const std::string& client, const std::string& id, const std::string& service,
+              const std::vector<std::string>& params = {}, double not_after_s = 0);
+    void setParam(const std::string& client, const std::string& request, const std::string& service,
+                  const std::string& param);
+    /// As the signal thread does it: gate, link, then the strand. A sequence of its own unless given.
+    void stop(const std::string& client, StopCause cause = StopCause::Requested, std::int64_t sequence = 0);
+    void reset(const std::string& client);
+    void clear(const std::string& client);
+    void rearm(const std::string& client, const std::string& request);
+
+    /// Link up, good profiles, server up: IDLE.
+    void makeIdle();
+    /// In small steps, so that everything due is done at its time. The server lives.
+    void advance(Duration by, bool server_beats = true);
+
+    std::vector<std::string> takeLines();
+    entity_manager::EntityManagerCore& core() { return *core_; }
+    /// A new core over the same storage, gate and ports; what the old one knew is gone.
+    void restart();
+
+    // BackEndPort and ServerPort.
+    void send(const proto::EmToEi& message) override;
+    void stop(std::uint32_t generation, StopCause cause) override;
+    void setBusy(bool busy) override;
+    void wantConnection(bool wanted) override;
+    void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) override;
+    void sendStatus(const EntityStatus& status) override;
+    void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) override;
+    void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override;
+
+    ManualClock clock;
+    MemoryStorage storage;
+    MemoryResources resources;
+    entity_manager::StopGate gate;
+
+    struct ToClientRecord {
+        Lane lane;
+        Header head;
+        proto::ToClient message;
+        bool droppable;
+    };
+    std::vector<proto::EmToEi> to_application;
+    std::vector<std::pair<std::uint32_t, StopCause>> stops;
+    std::vector<ToClientRecord> to_clients;
+    std::vector<EntityStatus> statuses;
+    bool busy = false;
+    bool wanted = false;
+
+    /// What each client believes.
+    struct Belief {
+        LeaseNumber lease;
+        std::int32_t generation = 0;
+        std::int64_t sequence = 0;
+    };
+    std::map<std::string, Belief> clients;
+    std::optional<LeaseNumber> lease;        ///< for the next message only
+    std::optional<std::int32_t> generation;  ///< for the next message only
+
+  private:
+    void note(std::string line) { lines_.push_back(std::move(line)); }
+
+    entity_manager::CoreSettings settings_;
+    SeededRandom random_;
+    std::vector<std::string> lines_;
+    std::unique_ptr<entity_manager::EntityManagerCore> core_;
+};
+
+/// 16 bytes that begin with the name, and back.
+std::string idOf(const std::string& name);
+std::string nameOf(const std::string& id);
+/// "Name=value": an integer, a number, true/false or a text.
+proto::Param paramOf(const std::string& text);
+
+/// Runs a scenario (docs in tests/scenarios/README.md): the text with what really came out under each event.
+std::string playScenario(const std::string& scenario);
+
+}  // namespace axon::test
