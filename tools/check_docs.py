@@ -84,6 +84,8 @@ def exists(root, text):
         if any(c in one for c in "*?["):
             if not any(True for _ in root.glob(one.rstrip("/"))):
                 return one
+        elif not (root / one).exists() and not (root / one).suffix and any(True for _ in root.glob(one.rstrip("/") + ".*")):
+            continue  # a/b means the pair a/b.hpp and a/b.cpp
         elif not (root / one).exists():
             return one
     return None

@@ -107,7 +107,7 @@ class Docs(TreeCase):
     def test_what_exists_is_not_reported(self):
         self.write("src/client/a.hpp", GPL)
         self.write("src/client/b.hpp", GPL)
-        self.write("docs/page.md", "# One, two!\n[x](../README.md#first-steps) `src/client/{a,b}.hpp` `src/*/a.hpp` `src/client/`\n"
+        self.write("docs/page.md", "# One, two!\n[x](../README.md#first-steps) `src/client/{a,b}.hpp` `src/*/a.hpp` `src/client/` `src/client/a`\n"
                                    "```\n`src/gone.hpp`\n```\n[here](#one-two) [web](https://example.org/x)\n")
         self.write("README.md", "## First steps\n")
         self.assertEqual(self.found(), [])
