@@ -1,0 +1,313 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "robots/peoplebot/motion.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <numbers>
+
+#include "robots/peoplebot/drive_gate.hpp"
+#include "robots/peoplebot/map_pose.hpp"
+#include "robots/peoplebot/settings.hpp"
+
+namespace axon::peoplebot {
+namespace {
+
+using arcos::RobotState;
+using std::chrono::milliseconds;
+using ::testing::HasSubstr;
+using Outcome = MotionStep::Outcome;
+
+/// A robot that ramps with 600 mm/s2 and 100 deg/s2 and tells of itself ten times a second, free of slip.
+class SimulatedRobot {
+  public:
+    SimulatedRobot() {
+        state.online = true;
+        hear(5000);
+    }
+    void hear(int range_mm) {
+        for (auto& sonar : state.sonars) sonar = {range_mm, clock.now()};
+    }
+    void pass(double forward_mm_s, double left_deg_s) {
+        for (int i = 0; i < 25; ++i) {
+            forward_ += std::clamp(forward_mm_s - forward_, -2.4, 2.4);
+            turn_ += std::clamp(left_deg_s - turn_, -0.4, 0.4);
+            if (stuck) forward_ = turn_ = 0;
+            state.heading_deg += turn_ * 0.004;
+            const double a = state.heading_deg * std::numbers::pi / 180;
+            state.x_mm += std::cos(a) * forward_ * 0.004;
+            state.y_mm += std::sin(a) * forward_ * 0.004;
+        }
+        clock.advance(milliseconds{100});
+        for (auto& sonar : state.sonars) sonar.heard = deaf ? sonar.heard : clock.now();
+        state.left_mm_s = state.right_mm_s = forward_;
+        state.rotation_deg_s = turn_;
+        state.moving = std::abs(forward_) > 2 || std::abs(turn_) > 0.5;
+        ++state.sequence;
+    }
+    template <class Motion>
+    MotionStep run(Motion& motion, int packets = 2000, const std::function<void()>& each = {}) {
+        MotionStep step;
+        for (int i = 0; i < packets && step.outcome == Outcome::Running; ++i) {
+            if (each) each();
+            step = motion.step(state, clock.now());
+            fastest = std::max(fastest, std::abs(step.forward_mm_s));
+            pass(step.forward_mm_s, step.left_deg_s);
+        }
+        return step;
+    }
+
+    ManualClock clock;
+    RobotState state;
+    bool stuck = false;
+    bool deaf = false;
+    double fastest = 0;
+
+  private:
+    double forward_ = 0;
+    double turn_ = 0;
+};
+
+class DrivingTest : public ::testing::Test {
+  protected:
+    Driving begin(const Driving::Request& request) { return {request, robot_.state, robot_.clock.now()}; }
+    SimulatedRobot robot_;
+};
+
+TEST_F(DrivingTest, EndsAtItsDistanceWhateverTheVelocity) {
+    for (const double velocity : {20.0, 100.0, 200.0, 500.0, 800.0, -200.0, -800.0}) {
+        SimulatedRobot robot;
+        robot.state.heading_deg = 400;
+        Driving motion({.distance_mm = 1500, .velocity_mm_s = velocity}, robot.state, robot.clock.now());
+        const auto end = robot.run(motion);
+        EXPECT_EQ(end.outcome, Outcome::Done) << velocity << ": " << end.reason;
+        EXPECT_NEAR(motion.travelled_mm(), 1500, 15) << velocity;
+        EXPECT_LE(robot.fastest, std::abs(velocity));
+        EXPECT_EQ(end.progress, 1);
+    }
+}
+
+TEST_F(DrivingTest, ProgressGrowsWithTheWay) {
+    auto motion = begin({.distance_mm = 1000, .velocity_mm_s = 200});
+    EXPECT_EQ(motion.step(robot_.state, robot_.clock.now()).progress, 0);
+    double last = 0;
+    robot_.run(motion, 30, [&] {
+        const double now = motion.step(robot_.state, robot_.clock.now()).progress;
+        EXPECT_GE(now, last);
+        last = now;
+    });
+    EXPECT_GT(last, 0.4);
+    EXPECT_LT(last, 0.7);
+}
+
+TEST_F(DrivingTest, AReadingBelowTheThresholdStopsAndIsNamed) {
+    auto motion = begin({.distance_mm = 3000, .velocity_mm_s = 300});
+    robot_.run(motion, 20);
+    robot_.state.sonars[3].range_mm = 412;
+    const auto end = robot_.run(motion, 1);
+    EXPECT_EQ(end.outcome, Outcome::Failed);
+    EXPECT_EQ(end.reason, "sonar 3 at 412 mm is nearer than the threshold 500 mm");
+    EXPECT_EQ(end.forward_mm_s, 0);
+}
+
+TEST_F(DrivingTest, AReadingAtTheThresholdIsFarEnough) {
+    auto motion = begin({.distance_mm = 3000, .velocity_mm_s = 300, .range_threshold_mm = 412});
+    robot_.state.sonars[3].range_mm = 412;
+    EXPECT_EQ(robot_.run(motion, 1).outcome, Outcome::Running);
+}
+
+TEST_F(DrivingTest, OnlySonarsThatLookAheadCount) {
+    for (int i = 0; i < 32; ++i) {
+        const double direction = std::abs(*sonarDirection_deg(i));
+        for (const double velocity : {200.0, -200.0}) {
+            SimulatedRobot robot;
+            robot.state.sonars[static_cast<std::size_t>(i)].range_mm = 200;
+            Driving motion({.distance_mm = 1000, .velocity_mm_s = velocity}, robot.state, robot.clock.now());
+            const bool ahead = velocity > 0 ? direction <= 30 : direction >= 150;
+            EXPECT_EQ(robot.run(motion, 1).outcome, ahead ? Outcome::Failed : Outcome::Running)
+                << i << " at " << velocity;
+        }
+    }
+}
+
+TEST_F(DrivingTest, ABumperOnTheSideOfTravelStopsAndOneBehindOnlyWhenNewlyPressed) {
+    robot_.state.front_bumpers = 0b00110;
+    auto forward = begin({.distance_mm = 1000});
+    const auto end = robot_.run(forward, 1);
+    EXPECT_EQ(end.outcome, Outcome::Failed);
+    EXPECT_EQ(end.reason, "front bumper 2, 3 is pressed");
+    auto backward = begin({.distance_mm = 1000, .velocity_mm_s = -200});
+    EXPECT_EQ(robot_.run(backward, 5).outcome, Outcome::Running);
+    robot_.state.front_bumpers |= 0b10000;
+    EXPECT_EQ(robot_.run(backward, 1).outcome, Outcome::Failed);
+}
+
+TEST_F(DrivingTest, AStallIsAFailure) {
+    auto motion = begin({.distance_mm = 1000});
+    robot_.state.left_stall = true;
+    EXPECT_THAT(robot_.run(motion, 1).reason, HasSubstr("left motor stalled"));
+}
+
+TEST_F(DrivingTest, SilentSonarsAreAFailureUnlessTheyAreNotWanted) {
+    robot_.deaf = true;
+    auto motion = begin({.distance_mm = 3000});
+    EXPECT_THAT(robot_.run(motion).reason, HasSubstr("was heard"));
+    auto blind = begin({.distance_mm = 1000, .range_threshold_mm = 0});
+    EXPECT_EQ(robot_.run(blind).outcome, Outcome::Done);
+}
+
+TEST_F(DrivingTest, ARobotThatDoesNotMoveIsAFailureAfterThreeSeconds) {
+    robot_.stuck = true;
+    auto motion = begin({.distance_mm = 1000});
+    EXPECT_EQ(robot_.run(motion, 30).outcome, Outcome::Running);
+    EXPECT_THAT(robot_.run(motion, 2).reason, HasSubstr("does not move"));
+}
+
+TEST_F(DrivingTest, APauseIsNoStandstill) {
+    auto motion = begin({.distance_mm = 1000});
+    robot_.run(motion, 20);
+    for (int i = 0; i < 100; ++i) robot_.pass(0, 0);
+    motion.resume(robot_.clock.now());
+    EXPECT_EQ(robot_.run(motion).outcome, Outcome::Done);
+}
+
+TEST_F(DrivingTest, ALostRobotIsSaidSo) {
+    auto motion = begin({.distance_mm = 1000});
+    robot_.state.online = false;
+    EXPECT_THAT(robot_.run(motion, 1).reason, HasSubstr("ROBOT_LOST"));
+}
+
+TEST_F(DrivingTest, RequestsThatCannotBeDrivenAreRefusedWithTheMend) {
+    EXPECT_EQ(Driving::objection({.distance_mm = 1}), "");
+    EXPECT_THAT(Driving::objection({.distance_mm = 0}), HasSubstr("above 0"));
+    EXPECT_THAT(Driving::objection({.distance_mm = -5}), HasSubstr("sign of Velocity"));
+    EXPECT_THAT(Driving::objection({.distance_mm = std::nan("")}), HasSubstr("above 0"));
+    EXPECT_THAT(Driving::objection({.distance_mm = 1, .velocity_mm_s = 10}), HasSubstr("20 to 800"));
+    EXPECT_THAT(Driving::objection({.distance_mm = 1, .velocity_mm_s = std::nan("")}),
+                HasSubstr("20 to 800"));
+    EXPECT_THAT(Driving::objection({.distance_mm = 1, .range_threshold_mm = 5000}), HasSubstr("0 to 4999"));
+}
+
+TEST(Turning, EndsAtItsAngleInBothDirectionsAndBeyondAFullTurn) {
+    for (const double angle : {5.0, 90.0, -90.0, 400.0, -720.0}) {
+        for (const double velocity : {5.0, 30.0, 100.0}) {
+            SimulatedRobot robot;
+            Turning motion({.angle_deg = angle, .velocity_deg_s = velocity}, robot.state, robot.clock.now());
+            const auto end = robot.run(motion, 5000);
+            EXPECT_EQ(end.outcome, Outcome::Done) << angle << " at " << velocity << ": " << end.reason;
+            EXPECT_NEAR(motion.turned_deg(), angle, 2.5) << velocity;
+        }
+    }
+}
+
+TEST(Turning, ATableSensorCancels) {
+    SimulatedRobot robot;
+    Turning motion({.angle_deg = 90}, robot.state, robot.clock.now());
+    EXPECT_EQ(robot.run(motion, 10).outcome, Outcome::Running);
+    robot.state.table_right = true;
+    const auto end = robot.run(motion, 1);
+    EXPECT_EQ(end.outcome, Outcome::Failed);
+    EXPECT_EQ(end.reason, "the right table sensor sees a surface");
+    EXPECT_EQ(end.left_deg_s, 0);
+}
+
+TEST(Turning, ANewlyPressedBumperAStallAndALossFail) {
+    SimulatedRobot robot;
+    robot.state.rear_bumpers = 1;
+    Turning motion({.angle_deg = 90}, robot.state, robot.clock.now());
+    EXPECT_EQ(robot.run(motion, 3).outcome, Outcome::Running);
+    robot.state.rear_bumpers = 3;
+    EXPECT_THAT(robot.run(motion, 1).reason, HasSubstr("bumper"));
+    robot.state.rear_bumpers = 0;
+    robot.state.right_stall = true;
+    EXPECT_THAT(robot.run(motion, 1).reason, HasSubstr("right motor stalled"));
+    robot.state.online = false;
+    EXPECT_THAT(robot.run(motion, 1).reason, HasSubstr("ROBOT_LOST"));
+}
+
+TEST(Turning, RequestsThatCannotBeTurnedAreRefusedWithTheMend) {
+    EXPECT_EQ(Turning::objection({.angle_deg = -90}), "");
+    EXPECT_THAT(Turning::objection({.angle_deg = 0}), HasSubstr("not 0"));
+    EXPECT_THAT(Turning::objection({.angle_deg = std::nan("")}), HasSubstr("not 0"));
+    EXPECT_THAT(Turning::objection({.angle_deg = 1, .velocity_deg_s = -30}), HasSubstr("sign of Angle"));
+}
+
+struct GateTest : ::testing::Test {
+    int driven = 0;
+    int stopped = 0;
+    DriveGate gate{
+        {.drive = [this](double, double) { return ++driven > 0; }, .stop = [this] { return ++stopped > 0; }}};
+};
+
+TEST_F(GateTest, NoVelocityFollowsAStop) {
+    ASSERT_TRUE(gate.take([] { return false; }));
+    EXPECT_TRUE(gate.drive(100, 0));
+    gate.stop();
+    EXPECT_FALSE(gate.drive(100, 0));
+    EXPECT_EQ(driven, 1);
+    EXPECT_FALSE(gate.take([] { return false; }));  // the stopped motion has not given the drive back
+    gate.giveBack();
+    EXPECT_TRUE(gate.take([] { return false; }));
+}
+
+TEST_F(GateTest, AStopBeforeTheFirstVelocityIsNotForgotten) {
+    gate.stop();
+    EXPECT_FALSE(gate.take([] { return true; }));
+    EXPECT_FALSE(gate.drive(100, 0));
+    EXPECT_EQ(driven, 0);
+}
+
+TEST_F(GateTest, OneMotionAtATimeAndTheRobotRestsBetweenThem) {
+    ASSERT_TRUE(gate.take([] { return false; }));
+    EXPECT_FALSE(gate.take([] { return false; }));
+    gate.giveBack();
+    EXPECT_EQ(stopped, 1);
+    EXPECT_FALSE(gate.drive(100, 0));
+}
+
+TEST(MapPose, OdometryStartsWhereTheRobotStands) {
+    const auto pose = MapPose{1000, 2000, 90}.then({500, 100, 10});
+    EXPECT_NEAR(pose.x_mm, 900, 1e-9);
+    EXPECT_NEAR(pose.y_mm, 2500, 1e-9);
+    EXPECT_EQ(pose.heading_deg, 100);
+}
+
+TEST(PeopleBotSettings, AreReadAndMistakesNamed) {
+    EXPECT_EQ(parsePortRange("5500-5600"), (std::pair<std::uint16_t, std::uint16_t>(5500, 5600)));
+    for (const char* text : {"", "5500", "5600-5500", "a-b", "5500-99999", "nothing.cfg"}) {
+        EXPECT_THROW(parsePortRange(text), BadSetting) << text;
+    }
+    EXPECT_EQ(parsePose("1500,-2,90.5").heading_deg, 90.5);
+    for (const char* text : {"", "1", "1,2", "1,2,3,4", "1,2,x", "nan,0,0"})
+        EXPECT_THROW(parsePose(text), BadSetting) << text;
+    EXPECT_THROW(profileFolder({.profiles = "/nonexistent"}), BadSetting);
+}
+
+TEST(PeopleBotSettings, ANameReplacesOnlyTheNameOfTheRoot) {
+    EXPECT_EQ(
+        withEntityName("<!-- name=\"x\" --><BasicProfile  descr='d' name = \"PeopleBot\"\n type=\"MOBILE\"/>",
+                       "A & \"B\""),
+        "<!-- name=\"x\" --><BasicProfile  descr='d' name = \"A &amp; &quot;B&quot;\"\n type=\"MOBILE\"/>");
+    for (const char* bad : {"", "<BasicProfile/>", "<BasicProfile", "<BasicProfile name",
+                            "<BasicProfile name=", "<BasicProfile name=x>", "<BasicProfile name=\"x",
+                            "<BasicProfile type=\"name\"/>", "<!-- <BasicProfile name='x'/>"}) {
+        EXPECT_THROW(withEntityName(bad, "A"), BadSetting) << bad;
+    }
+    EXPECT_EQ(withEntityName("<!-- <BasicProfile name='x'/> --><BasicProfile name='y'>", "z"),
+              "<!-- <BasicProfile name='x'/> --><BasicProfile name=\"z\">");
+    EXPECT_EQ(withEntityName("<BasicProfile name='$1'/>", "$2"), "<BasicProfile name=\"$2\"/>");
+}
+
+TEST(PeopleBotSettings, TheTemporaryFileGoesWithItsObject) {
+    std::filesystem::path path;
+    {
+        const TemporaryFile file("<x/>");
+        path = file.path();
+        EXPECT_EQ(std::filesystem::file_size(path), 4U);
+    }
+    EXPECT_FALSE(std::filesystem::exists(path));
+}
+
+}  // namespace
+}  // namespace axon::peoplebot

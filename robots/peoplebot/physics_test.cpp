@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The motions on the virtual robot: real slip, real sensors, the real protocol, in the laboratory's own time.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <utility>
+
+#include "lab/laboratory.hpp"
+#include "robots/peoplebot/motion.hpp"
+
+namespace axon::peoplebot {
+namespace {
+
+using Outcome = MotionStep::Outcome;
+using arcos::Command;
+using ::testing::HasSubstr;
+
+class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Port {
+  protected:
+    void start(const lab::WorldDescription& world) {
+        lab_ = std::make_unique<lab::Laboratory>(world, [this](std::size_t robot, const arcos::Bytes& bytes) {
+            if (robot == 0) inbox_.insert(inbox_.end(), bytes.begin(), bytes.end());
+        });
+        lab_->clientConnected(0);
+        session_.begin(lab_->now());
+        run(1.3);
+        order(Command::Enable, 1);
+    }
+    void send(const arcos::Bytes& bytes) override { lab_->receive(0, bytes); }
+    void onOnline(const arcos::RobotIdentity& /*identity*/) override {}
+    void onState(const arcos::RobotState& /*state*/) override { fresh_ = true; }
+    void onLost(const std::string& /*reason*/) override {}
+
+    void order(Command command, int argument) { lab_->receive(0, arcos::encodeCommand(command, argument)); }
+    void run(double seconds) {
+        const auto end =
+            lab_->age() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(seconds));
+        while (lab_->age() < end) tick();
+    }
+    void tick() {
+        session_.receive(std::exchange(inbox_, {}), lab_->now());
+        session_.tick(lab_->now());
+        lab_->step();
+    }
+    template <class Motion>
+    MotionStep perform(Motion& motion) {
+        MotionStep step;
+        const auto deadline = lab_->age() + std::chrono::seconds{60};
+        while (step.outcome == Outcome::Running && lab_->age() < deadline) {
+            tick();
+            if (!std::exchange(fresh_, false)) continue;
+            step = motion.step(session_.robot(), lab_->now());
+            order(Command::Vel, static_cast<int>(std::lround(step.forward_mm_s)));
+            order(Command::RVel, static_cast<int>(std::lround(step.left_deg_s)));
+        }
+        lab_->receive(0, arcos::encodeCommand(Command::EStop));
+        run(1);
+        EXPECT_NEAR(lab_->truth(0).speed_m_s, 0, 0.01);
+        return step;
+    }
+
+    std::unique_ptr<lab::Laboratory> lab_;
+    arcos::Bytes inbox_;
+    bool fresh_ = false;
+    arcos::ClientSession session_{*this};
+};
+
+TEST_F(VirtualRobotTest, DrivesTwoMetresInTheDefaultWorld) {
+    auto world = lab::defaultWorld();
+    world.robots = {lab::parseRobot("", 0)};
+    start(world);
+    Driving motion({.distance_mm = 2000, .velocity_mm_s = 400}, session_.robot(), lab_->now());
+    const auto end = perform(motion);
+    EXPECT_EQ(end.outcome, Outcome::Done) << end.reason;
+    EXPECT_NEAR(lab_->truth(0).x_m, 3.5, 0.06);
+}
+
+TEST_F(VirtualRobotTest, StopsInFrontOfAWallWithoutTouchingIt) {
+    lab::WorldDescription world;
+    world.robots = {{.x = 5, .y = 3}};
+    start(world);
+    Driving motion({.distance_mm = 5000, .velocity_mm_s = 300}, session_.robot(), lab_->now());
+    const auto end = perform(motion);
+    EXPECT_EQ(end.outcome, Outcome::Failed);
+    EXPECT_THAT(end.reason, HasSubstr("nearer than the threshold 500 mm"));
+    EXPECT_EQ(session_.robot().front_bumpers, 0U);
+    EXPECT_LT(lab_->truth(0).x_m, 8 - 0.212 - 0.2);
+    EXPECT_GT(lab_->truth(0).x_m, 6.9);
+}
+
+TEST_F(VirtualRobotTest, WithoutAThresholdTheBumperEndsTheDrive) {
+    lab::WorldDescription world;
+    world.robots = {{.x = 7, .y = 3}};
+    start(world);
+    Driving motion({.distance_mm = 5000, .velocity_mm_s = 200, .range_threshold_mm = 0}, session_.robot(),
+                   lab_->now());
+    const auto end = perform(motion);
+    EXPECT_EQ(end.outcome, Outcome::Failed);
+    EXPECT_THAT(end.reason, HasSubstr("front bumper"));
+    run(0.6);
+    Driving back({.distance_mm = 500, .velocity_mm_s = -200}, session_.robot(), lab_->now());
+    EXPECT_EQ(perform(back).outcome, Outcome::Done);
+}
+
+TEST_F(VirtualRobotTest, TurnsByItsWheels) {
+    lab::WorldDescription world;
+    world.robots = {{.x = 3, .y = 3}};
+    start(world);
+    Turning motion({.angle_deg = -90, .velocity_deg_s = 40}, session_.robot(), lab_->now());
+    const auto end = perform(motion);
+    EXPECT_EQ(end.outcome, Outcome::Done) << end.reason;
+    EXPECT_NEAR(motion.turned_deg(), -90, 3);
+    EXPECT_NEAR(lab_->truth(0).theta_deg, -90, 10);
+}
+
+TEST_F(VirtualRobotTest, ATableOverheadCancelsATurn) {
+    lab::WorldDescription world;
+    world.robots = {{.x = 3, .y = 3}};
+    world.tables = {{.x = 3, .y = 3.75, .dx = 1.2, .dy = 0.8}};
+    start(world);
+    Turning motion({.angle_deg = 180, .velocity_deg_s = 20}, session_.robot(), lab_->now());
+    const auto end = perform(motion);
+    EXPECT_EQ(end.outcome, Outcome::Failed);
+    EXPECT_THAT(end.reason, HasSubstr("table sensor"));
+    EXPECT_LT(motion.turned_deg(), 90);
+}
+
+}  // namespace
+}  // namespace axon::peoplebot

@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <gtest/gtest.h>
+
+#include <fstream>
+#include <sstream>
+
+#include "messages/profile_reader.hpp"
+#include "robots/peoplebot/motion.hpp"
+#include "robots/peoplebot/settings.hpp"
+
+namespace axon::peoplebot {
+namespace {
+
+std::string contentOf(const std::string& name) {
+    std::ostringstream content;
+    content << std::ifstream("robots/peoplebot/" + name).rdbuf();
+    return content.str();
+}
+
+TEST(PeopleBotProfiles, AreReadWithoutAnyFinding) {
+    for (const char* name : {"basic_profile.xml", "services_profile.xml"}) {
+        const auto check = checkProfileFile(std::string("robots/peoplebot/") + name);
+        EXPECT_TRUE(check.readable);
+        for (const auto& finding : check.findings) ADD_FAILURE() << finding.toString();
+    }
+}
+
+TEST(PeopleBotProfiles, ARenamedProfileIsTheSameProfileWithAnotherName) {
+    const auto before = readBasicProfile(contentOf("basic_profile.xml"), "before");
+    const auto after =
+        readBasicProfile(withEntityName(contentOf("basic_profile.xml"), "Ann & <Bob>"), "after");
+    ASSERT_TRUE(after.ok());
+    EXPECT_EQ(after.message.name(), "Ann & <Bob>");
+    EXPECT_EQ(after.message.descr(), before.message.descr());
+}
+
+TEST(PeopleBotProfiles, WhatTheServicesProfileAllowsTheMotionsDo) {
+    const auto profile = readServicesProfile(contentOf("services_profile.xml"), "services");
+    ASSERT_EQ(profile.message.services_size(), 2);
+    const auto& driving = profile.message.services(0);
+    EXPECT_EQ(driving.global_id(), "Drive");
+    EXPECT_TRUE(driving.is_pausable());
+    EXPECT_TRUE(driving.is_blocking());
+    Driving::Request request;
+    for (const auto& param : driving.params()) {
+        if (param.name() == "Velocity") {
+            EXPECT_EQ(param.maximum(), Driving::kFastest_mm_s);
+            EXPECT_EQ(param.minimum(), -Driving::kFastest_mm_s);
+            EXPECT_EQ(param.initial(0).dbl(), request.velocity_mm_s);
+        }
+        if (param.name() == "Range Threshold") {
+            EXPECT_EQ(param.initial(0).dbl(), request.range_threshold_mm);
+            EXPECT_LT(param.maximum(), arcos::kNoEcho_mm);
+        }
+        EXPECT_EQ(param.required(), param.name() == "Distance");
+    }
+    const auto& turning = profile.message.services(1);
+    EXPECT_EQ(turning.global_id(), "Turn");
+    for (const auto& param : turning.params()) {
+        if (param.name() != "Velocity") continue;
+        EXPECT_EQ(param.maximum(), Turning::kFastest_deg_s);
+        EXPECT_EQ(param.minimum(), Turning::kSlowest_deg_s);
+        EXPECT_EQ(param.initial(0).dbl(), Turning::Request{}.velocity_deg_s);
+    }
+}
+
+}  // namespace
+}  // namespace axon::peoplebot

@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <filesystem>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "robots/peoplebot/map_pose.hpp"
+
+namespace axon::peoplebot {
+
+/// How one axon-peoplebot is started.
+struct Settings {
+    std::string robot = "127.0.0.1:8101";
+    std::string application = "peoplebot";
+    std::string instance;
+    std::string name;                ///< of the entity; empty: that of the basic profile
+    std::string ports;               ///< a ports.cfg, or "first-last"; empty: the Entity Interfacer's range
+    MapPose at;                      ///< where the robot stands when the program starts
+    std::filesystem::path profiles;  ///< the folder of the two profiles; empty: found beside the program
+};
+
+/// A setting that cannot be used; the message says what was expected.
+class BadSetting : public std::runtime_error {
+    using std::runtime_error::runtime_error;
+};
+
+/// "5500-5600" → the two numbers. Throws BadSetting.
+std::pair<std::uint16_t, std::uint16_t> parsePortRange(const std::string& text);
+/// "1500,3000,90" (mm, mm, deg) → a pose. Throws BadSetting.
+MapPose parsePose(const std::string& text);
+/// The basic profile with another name in its root element; everything else stays as it is. Throws
+/// BadSetting.
+std::string withEntityName(const std::string& xml, std::string_view name);
+/// The folder with basic_profile.xml and services_profile.xml: what the settings say, else
+/// ../share/axon/robots/peoplebot seen from the program. Throws BadSetting.
+std::filesystem::path profileFolder(const Settings& settings);
+
+/// A file that lives as long as this object: the renamed profile, which the Entity Interfacer reads from
+/// disk.
+class TemporaryFile {
+  public:
+    explicit TemporaryFile(const std::string& content);
+    ~TemporaryFile();
+    TemporaryFile(const TemporaryFile&) = delete;
+    TemporaryFile& operator=(const TemporaryFile&) = delete;
+    const std::filesystem::path& path() const { return path_; }
+
+  private:
+    std::filesystem::path path_;
+};
+
+}  // namespace axon::peoplebot
