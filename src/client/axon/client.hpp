@@ -241,8 +241,8 @@ class Client {
     class Session;
 
   private:
-    explicit Client(std::unique_ptr<Session> session);
-    std::unique_ptr<Session> session_;
+    explicit Client(std::shared_ptr<Session> session);
+    std::shared_ptr<Session> session_;
 };
 
 }  // namespace axon::client

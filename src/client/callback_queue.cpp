@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "client/callback_queue.hpp"
+
+#include <pthread.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <exception>
+
+namespace axon::client {
+
+CallbackQueue::CallbackQueue() : thread_([this] { run(); }) {}
+
+CallbackQueue::~CallbackQueue() {
+    close();
+}
+
+bool CallbackQueue::post(std::function<void()> callback, bool may_be_left_out) {
+    std::function<void()> oldest;  // destroyed outside the lock: it may own what the user captured
+    {
+        const std::lock_guard lock(mutex_);
+        if (closed_) return true;
+        if (queue_.size() >= kBound) {
+            if (optional_ == 0) {
+                if (!may_be_left_out) return false;
+                ++left_out_;
+                return true;
+            }
+            const auto victim = std::find_if(queue_.begin(), queue_.end(),
+                                             [](const Entry& entry) { return entry.may_be_left_out; });
+            oldest = std::move(victim->callback);
+            queue_.erase(victim);
+            --optional_;
+            ++left_out_;
+        }
+        queue_.push_back({std::move(callback), may_be_left_out});
+        if (may_be_left_out) ++optional_;
+    }
+    changed_.notify_one();
+    return true;
+}
+
+std::uint64_t CallbackQueue::leftOut() const {
+    const std::lock_guard lock(mutex_);
+    return left_out_;
+}
+
+void CallbackQueue::close() {
+    std::deque<Entry> discarded;
+    {
+        const std::lock_guard lock(mutex_);
+        closed_ = true;
+        discarded.swap(queue_);
+        optional_ = 0;
+    }
+    changed_.notify_one();
+    if (thread_.joinable()) thread_.join();
+}
+
+void CallbackQueue::run() {
+    pthread_setname_np(pthread_self(), "axon-callbacks");
+    std::unique_lock lock(mutex_);
+    while (true) {
+        changed_.wait(lock, [this] { return closed_ || !queue_.empty(); });
+        if (closed_) return;
+        Entry entry = std::move(queue_.front());
+        queue_.pop_front();
+        if (entry.may_be_left_out) --optional_;
+        lock.unlock();
+        try {
+            entry.callback();
+        } catch (const std::exception& error) {
+            spdlog::warn("client: a callback of the program threw: {}", error.what());
+        }
+        entry.callback = nullptr;
+        lock.lock();
+    }
+}
+
+}  // namespace axon::client

@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <axon/profile.pb.h>
+#include <axon/status.pb.h>
+#include <axon/stream.pb.h>
+#include <axon/task.pb.h>
+
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "axon/client.hpp"
+
+// Between the messages and the types of the public header. Pure functions: any thread.
+namespace axon::client {
+
+Value fromProto(const proto::Value& value);
+proto::Value toProto(const Value& value);
+Service fromProto(const proto::Service& service);
+/// Nothing for STATE_UNSPECIFIED and numbers this version does not know.
+std::optional<EntityState> stateFromProto(proto::EntityState state);
+std::optional<TaskState> taskStateFromProto(proto::TaskState state);
+
+/// Arguments as the service's profile declares its parameters, checked by the rules that the Entity Manager
+/// has: UNKNOWN_PARAMETER, WRONG_TYPE, WRONG_UNITS, OUT_OF_RANGE.
+Result<std::vector<proto::Param>> toParams(const proto::Service& service,
+                                           const std::vector<Argument>& arguments);
+
+/// A serialized axon.proto.StreamSample as JSON with the field names of the .proto; "{}" when it is not one.
+std::string sampleToJson(std::string_view raw);
+
+}  // namespace axon::client

@@ -1,0 +1,252 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "client/server_connection.hpp"
+
+#include <utility>
+
+#include "transport/communicator.hpp"
+#include "transport/convert.hpp"
+
+namespace axon::client {
+namespace {
+
+using transport::ByteRange;
+using transport::SendCallbacks;
+using transport::toIce;
+using transport::toRange;
+using transport::Traffic;
+namespace slice = ::Axon::FrontEndComm;
+
+constexpr int kLeaveTimeoutMs = 1000;
+constexpr std::size_t kHeaderBytes = 200;
+
+/// What users send must be refused before it is lost: the bound of the data lane is that of Session's own
+/// check.
+transport::OutboxLimits dataLimits() {
+    transport::OutboxLimits limits;
+    limits.data_bytes = 16 * 1024 * 1024;
+    return limits;
+}
+
+/// Pushes of the server, for one lane of one attempt.
+class CallbackServant final : public slice::ClientCallback {
+  public:
+    CallbackServant(std::weak_ptr<ConnectionEvents> events, std::uint64_t attempt)
+        : events_(std::move(events)), attempt_(attempt) {}
+
+    void newBasicPrflMsg(Axon::CommUtil::Presence presence, Axon::CommUtil::Registration registration,
+                         ByteRange profile, const Ice::Current&) override {
+        tell([&](auto& events) {
+            events.newProfile(attempt_, transport::fromIce(presence),
+                              transport::fromIce(std::move(registration)), transport::toView(profile));
+        });
+    }
+    void newStatusMsg(Axon::CommUtil::EntityStatus status, const Ice::Current&) override {
+        tell([&](auto& events) { events.newStatus(attempt_, transport::fromIce(std::move(status))); });
+    }
+    void newSvcRecordMsg(Axon::CommUtil::Header head, int, int, ByteRange record,
+                         const Ice::Current&) override {
+        tell([&](auto& events) {
+            events.newServiceRecord(attempt_, transport::fromIce(std::move(head)), transport::toView(record));
+        });
+    }
+    void newEntityMsg(Axon::CommUtil::Header head, ByteRange message, const Ice::Current&) override {
+        tell([&](auto& events) {
+            events.newEntityMsg(attempt_, transport::fromIce(std::move(head)), transport::toView(message));
+        });
+    }
+    void newEntityMsgDataSeq(Axon::CommUtil::Header head, ByteRange message,
+                             const Ice::Current& current) override {
+        newEntityMsg(std::move(head), message, current);
+    }
+    void newRefusalMsg(Axon::CommUtil::Header head, int code, std::string reason,
+                       const Ice::Current&) override {
+        tell([&](auto& events) {
+            events.newRefusal(attempt_, transport::fromIce(std::move(head)),
+                              {static_cast<RefusalCode>(code), std::move(reason), {}});
+        });
+    }
+    void newStopAccepted(Axon::CommUtil::Header head, int, const Ice::Current&) override {
+        tell([&](auto& events) { events.newStopAccepted(attempt_, transport::fromIce(std::move(head))); });
+    }
+    void newUpdateMsg(int code, std::string text, const Ice::Current&) override {
+        tell([&](auto& events) { events.newServerText(attempt_, code, text); });
+    }
+    void newHeartbeat(double, const Ice::Current&) override {
+        tell([&](auto& events) { events.newServerHeartbeat(attempt_); });
+    }
+
+  private:
+    template <class Tell>
+    void tell(Tell&& what) {
+        if (const auto events = events_.lock()) what(*events);
+    }
+    const std::weak_ptr<ConnectionEvents> events_;
+    const std::uint64_t attempt_;
+};
+
+enum Operation : int { kToEntity, kToEntityDataSeq, kRequest };
+
+void call(slice::ClientSessionPrx& session, int operation, const Header& head, std::string_view bytes,
+          SendCallbacks&& callbacks) {
+    auto failed = std::move(callbacks.failed);
+    auto sent = std::move(callbacks.sent);
+    switch (operation) {
+        case kToEntity:
+            session.sendToEntityAsync(toIce(head), toRange(bytes), nullptr, failed, sent);
+            break;
+        case kToEntityDataSeq:
+            session.sendToEntityDataSeqAsync(toIce(head), toRange(bytes), nullptr, failed, sent);
+            break;
+        default:
+            session.sendRequestAsync(toIce(head), toRange(bytes), nullptr, failed, sent);
+            break;
+    }
+}
+
+/// Sends a small message that is cheap to copy.
+template <class Send>
+void post(transport::Outbox& outbox, Traffic traffic, Send send) {
+    outbox.post(traffic, kHeaderBytes, send, [send] { return transport::Outbox::Parcel(send); });
+}
+
+}  // namespace
+
+ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, const std::string& endpoint,
+                                                     const Login& login,
+                                                     const std::shared_ptr<ConnectionEvents>& events) {
+    const auto timeout =
+        static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(login.timeout).count());
+    // A connection identifier of its own: sessions live and die with their connection, and must not find an
+    // old one.
+    const auto gate =
+        Ice::uncheckedCast<slice::ClientGatePrx>(home.communicator->stringToProxy("ClientGate:" + endpoint)
+                                                     ->ice_connectionId(Ice::generateUUID())
+                                                     ->ice_invocationTimeout(timeout));
+    LaneEnd lane;
+    try {
+        const auto opened = gate->open(login.user, login.password, login.display_name);
+        const auto connection = gate->ice_getCachedConnection();
+        lane.connection = std::make_shared<transport::PeerConnection>(connection);
+        const auto identity = Ice::stringToIdentity(Ice::generateUUID());
+        lane.callback = Ice::uncheckedCast<slice::ClientCallbackPrx>(
+            home.adapter->add(std::make_shared<CallbackServant>(events, login.attempt), identity));
+        connection->setAdapter(home.adapter);
+        lane.session =
+            Ice::uncheckedCast<slice::ClientSessionPrx>(connection->createProxy(opened->ice_getIdentity()))
+                ->ice_invocationTimeout(timeout);
+        lane.oneway = lane.session->ice_oneway()->ice_invocationTimeout(-1);
+        lane.outbox = std::make_shared<transport::Outbox>(
+            dataLimits(), [connection = lane.connection](const std::string& why) {
+                connection->disconnect({false, why});
+            });
+        lane.connection->onClosed([events = std::weak_ptr(events), attempt = login.attempt,
+                                   adapter = home.adapter, identity](const transport::CloseReason& reason) {
+            try {
+                adapter->remove(identity);
+            } catch (const Ice::Exception&) {  // the communicator is being destroyed, and the servant with it
+            }
+            if (const auto alive = events.lock()) alive->closed(attempt, reason.text);
+        });
+    } catch (...) {
+        if (const auto connection = gate->ice_getCachedConnection())
+            connection->close(Ice::ConnectionClose::Forcefully);
+        throw;
+    }
+    return lane;
+}
+
+Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
+    const LaneHome& data, const LaneHome& signal, const Login& login,
+    const std::shared_ptr<ConnectionEvents>& events) {
+    auto connection = std::make_shared<ServerConnection>();
+    connection->attempt_ = login.attempt;
+    try {
+        connection->data_ = openLane(data, login.endpoint, login, events);
+        const auto facts = connection->data_.session->setCallback(connection->data_.callback);
+        connection->me_ = transport::fromIce(Axon::CommUtil::Sender(facts.me));
+        connection->entities_ = facts.entities;
+        const auto& endpoint = facts.signalEndpoint.empty() ? login.endpoint : facts.signalEndpoint;
+        connection->signal_ = openLane(signal, endpoint, login, events);
+        connection->signal_.session->attachSignalLane(facts.token, connection->signal_.callback);
+    } catch (...) {
+        const auto refusal = transport::translate(std::current_exception());
+        connection->drop();
+        return refusal;
+    }
+    return std::shared_ptr<const ServerConnection>(std::move(connection));
+}
+
+void ServerConnection::send(const LaneEnd& lane, Traffic traffic, const Header& head, std::string bytes,
+                            int operation) const {
+    const auto& oneway = lane.oneway;
+    // The copy for the queue is made only when the message has to wait.
+    lane.outbox->post(
+        traffic, bytes.size() + kHeaderBytes,
+        [&](SendCallbacks&& callbacks) { call(*oneway, operation, head, bytes, std::move(callbacks)); },
+        [&] {
+            return transport::Outbox::Parcel(
+                [oneway, operation, head, owned = std::move(bytes)](SendCallbacks&& callbacks) {
+                    call(*oneway, operation, head, owned, std::move(callbacks));
+                });
+        });
+}
+
+void ServerConnection::sendToEntity(const Header& head, std::string bytes) const {
+    send(data_, Traffic::Control, head, std::move(bytes), kToEntity);
+}
+
+void ServerConnection::sendToEntityDataSeq(const Header& head, std::string bytes) const {
+    send(data_, Traffic::Data, head, std::move(bytes), kToEntityDataSeq);
+}
+
+void ServerConnection::sendRequest(const Header& head, std::string bytes) const {
+    send(data_, Traffic::Control, head, std::move(bytes), kRequest);
+}
+
+void ServerConnection::sendStopSignal(Lane lane, const Header& head, StopCause cause) const {
+    const auto& end = lane == Lane::Signal ? signal_ : data_;
+    post(*end.outbox, Traffic::Signal, [session = end.oneway, head, cause](SendCallbacks&& callbacks) {
+        session->sendStopSignalAsync(toIce(head), toIce(cause), nullptr, std::move(callbacks.failed),
+                                     std::move(callbacks.sent));
+    });
+}
+
+void ServerConnection::sendResetSignal(const Header& head) const {
+    post(*signal_.outbox, Traffic::Signal, [session = signal_.oneway, head](SendCallbacks&& callbacks) {
+        session->sendResetSignalAsync(toIce(head), nullptr, std::move(callbacks.failed),
+                                      std::move(callbacks.sent));
+    });
+}
+
+void ServerConnection::sendClearSignal(const Header& head) const {
+    post(*signal_.outbox, Traffic::Signal, [session = signal_.oneway, head](SendCallbacks&& callbacks) {
+        session->sendClearSignalAsync(toIce(head), nullptr, std::move(callbacks.failed),
+                                      std::move(callbacks.sent));
+    });
+}
+
+void ServerConnection::keepAlive(std::int64_t sequence) const {
+    post(*signal_.outbox, Traffic::Heartbeat,
+         [session = signal_.oneway, sequence](SendCallbacks&& callbacks) {
+             session->keepAliveAsync(static_cast<double>(sequence), nullptr, std::move(callbacks.failed),
+                                     std::move(callbacks.sent));
+         });
+}
+
+void ServerConnection::leave() const {
+    try {
+        data_.session->ice_invocationTimeout(kLeaveTimeoutMs)->destroy();
+    } catch (const Ice::Exception&) {  // the server is gone or does not answer: closing the connection says
+                                       // the same
+    }
+    drop();
+}
+
+void ServerConnection::drop() const {
+    for (const auto* lane : {&data_, &signal_}) {
+        if (lane->outbox) lane->outbox->close();
+        if (lane->connection) lane->connection->disconnect({false, "this client closed the connection"});
+    }
+}
+
+}  // namespace axon::client

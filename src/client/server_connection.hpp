@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+#include <axon/frontendcomm.h>
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include "common/clock.hpp"
+#include "common/result.hpp"
+#include "common/routed.hpp"
+#include "transport/outbox.hpp"
+#include "transport/peer_connection.hpp"
+
+namespace axon::client {
+
+/// What arrives over one ServerConnection; `attempt` is its number. On Ice's threads: data and signal lane at
+/// the same time, each in order.
+class ConnectionEvents {
+  public:
+    virtual ~ConnectionEvents() = default;
+    virtual void newProfile(std::uint64_t attempt, Presence presence, const Registration& registration,
+                            std::string_view profile) = 0;
+    virtual void newStatus(std::uint64_t attempt, const EntityStatus& status) = 0;
+    virtual void newServiceRecord(std::uint64_t attempt, const Header& head, std::string_view record) = 0;
+    virtual void newEntityMsg(std::uint64_t attempt, const Header& head, std::string_view message) = 0;
+    virtual void newRefusal(std::uint64_t attempt, const Header& head, const Refusal& refusal) = 0;
+    virtual void newStopAccepted(std::uint64_t attempt, const Header& head) = 0;
+    virtual void newServerText(std::uint64_t attempt, int code, const std::string& text) = 0;
+    virtual void newServerHeartbeat(std::uint64_t attempt) = 0;
+    /// One of the two connections has ended. May come before open() has returned.
+    virtual void closed(std::uint64_t attempt, const std::string& reason) = 0;
+};
+
+/// One lane's communicator, and the adapter through which the server's pushes come in over its connections.
+struct LaneHome {
+    std::shared_ptr<Ice::Communicator> communicator;
+    std::shared_ptr<Ice::ObjectAdapter> adapter;  ///< without endpoints
+};
+
+/// Where and as whom to log in.
+struct Login {
+    std::string endpoint;  ///< "tcp -h 127.0.0.1 -p 10410"
+    std::string user, password, display_name;
+    std::uint64_t attempt = 0;
+    Duration timeout{};
+};
+
+/// Two sessions with a server, joined: data and signals, each over a connection of its communicator
+/// (handshake: docs/reference/sessions.md).
+///
+/// Where in the flow: between Session and the network; the only file of the client that knows Ice's proxies.
+/// States: open from open() until closed() is reported or leave() or drop() is called; what is sent later is
+/// dropped. Threads: any. Sends do not wait: they go to the socket from the caller's thread or into the
+/// lane's outbox, whose overflow ends the connection. Failure: a failed handshake is a refusal and leaves
+/// nothing behind.
+class ServerConnection {
+  public:
+    static Result<std::shared_ptr<const ServerConnection>> open(
+        const LaneHome& data, const LaneHome& signal, const Login& login,
+        const std::shared_ptr<ConnectionEvents>& events);
+
+    const Sender& me() const { return me_; }
+    int entities() const { return entities_; }
+    std::uint64_t attempt() const { return attempt_; }
+
+    void sendToEntity(const Header& head, std::string bytes) const;
+    void sendToEntityDataSeq(const Header& head, std::string bytes) const;
+    void sendRequest(const Header& head, std::string bytes) const;
+    void sendStopSignal(Lane lane, const Header& head, StopCause cause) const;
+    void sendResetSignal(const Header& head) const;
+    void sendClearSignal(const Header& head) const;
+    void keepAlive(std::int64_t sequence) const;
+    /// Messages that wait for the server to read.
+    std::size_t waiting() const { return data_.outbox->counts().waiting; }
+
+    /// Orderly: the server releases what is held. Waits for its answer, at most a second.
+    void leave() const;
+    /// At once, without a word.
+    void drop() const;
+
+  private:
+    struct LaneEnd {
+        std::shared_ptr<transport::PeerConnection> connection;
+        std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> session;  // twoway
+        std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> oneway;
+        std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx> callback;
+        std::shared_ptr<transport::Outbox> outbox;
+    };
+    static LaneEnd openLane(const LaneHome& home, const std::string& endpoint, const Login& login,
+                            const std::shared_ptr<ConnectionEvents>& events);
+    void send(const LaneEnd& lane, transport::Traffic traffic, const Header& head, std::string bytes,
+              int operation) const;
+
+    LaneEnd data_, signal_;
+    Sender me_;
+    int entities_ = 0;
+    std::uint64_t attempt_ = 0;
+};
+
+}  // namespace axon::client

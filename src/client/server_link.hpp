@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include "common/routed.hpp"
+
+namespace axon::client {
+
+// Routing keys of the signal lane.
+inline constexpr const char* kMsgStop = "STOP";
+inline constexpr const char* kMsgReset = "RESET";
+inline constexpr const char* kMsgClear = "CLEAR";
+
+/// What the session logic sends to the server: the client's side of ClientSession (thesis, figure 3.13).
+/// Implementations: the Ice rim (session.cpp), a fake in tests, a simulated network. Called from inside the
+/// core; must neither call back into it nor wait. What is sent while there is no connection is dropped.
+class ServerLink {
+  public:
+    virtual ~ServerLink() = default;
+    /// In order for each entity; `bytes` is an axon.proto.ToEntity.
+    virtual void sendToEntity(const Header& head, std::string bytes) = 0;
+    /// Bulk data: an axon.proto.ToEntity that the servers may drop, oldest first.
+    virtual void sendToEntityDataSeq(const Header& head, std::string bytes) = 0;
+    virtual void sendRequest(const Header& head, std::string bytes) = 0;
+    virtual void sendReset(const Header& head) = 0;
+    virtual void sendClear(const Header& head) = 0;
+    /// On the signal lane. `busy` while a task runs: the time to ask whether the operator is alive.
+    virtual void keepAlive(std::int64_t sequence, bool busy) = 0;
+};
+
+/// The way of a stop, apart from everything else (architecture, section 7.1): Lane::Signal is the ordinary
+/// one, Lane::Data the second chance of an escalation.
+class StopLink {
+  public:
+    virtual ~StopLink() = default;
+    virtual void sendStopSignal(Lane lane, const Header& head, StopCause cause) = 0;
+};
+
+}  // namespace axon::client

@@ -1,0 +1,1055 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "client/session.hpp"
+
+#include <axon/messages.pb.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "client/content.hpp"
+#include "transport/communicator.hpp"
+
+namespace axon::client {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr Duration kFirstBackoff = 100ms;
+constexpr Duration kLastBackoff = 2s;
+/// No thread sleeps longer than this; a time far away is a wait_until that may overflow.
+constexpr Duration kLongestSleep = 1h;
+constexpr std::size_t kWaitingMax = 256;
+constexpr std::size_t kChunkBytes = 64 * 1024;
+constexpr std::size_t kMessageBytesMax = (transport::kMessageSizeMaxKib - 64) * 1024ULL;
+constexpr Duration kReleaseTime = 1s;
+
+Duration toDuration(Seconds seconds) {
+    // Up to a day: what is longer would overflow sums with the clock.
+    return std::chrono::duration_cast<Duration>(std::clamp(seconds, Seconds{0}, Seconds{86400}));
+}
+
+CoreSettings settingsOf(const Options& options) {
+    CoreSettings settings;
+    settings.timeout = std::max<Duration>(toDuration(options.timeout), 1ms);
+    return settings;
+}
+
+}  // namespace
+
+Client::Session::Session(Options options)
+    : options_(std::move(options)),
+      core_(settingsOf(options_), clock_, random_, *this, *this, marks_),
+      desk_(clock_, *this, marks_) {}
+
+Client::Session::~Session() {
+    close();
+}
+
+// ---- locks, and what leaves them
+
+template <class Use>
+auto Client::Session::withCore(Use&& use) {
+    struct Leave {
+        Session& session;
+        std::unique_lock<std::mutex> lock;
+        ~Leave() {
+            const auto deadline = std::min(session.core_.nextDeadline(), session.core_.serverDeadline());
+            const auto heartbeat = session.core_.nextHeartbeat();
+            const bool wake_timer = deadline < session.timer_at_;
+            const bool wake_heartbeat = heartbeat < session.heartbeat_at_;
+            if (wake_timer) session.timer_at_ = deadline;
+            if (wake_heartbeat) session.heartbeat_at_ = heartbeat;
+            lock.unlock();
+            session.flush();
+            if (wake_timer) session.timer_.wake();
+            if (wake_heartbeat) session.heartbeat_.wake();
+        }
+    };
+    const Leave leave{*this, std::unique_lock(core_mutex_)};
+    return use(core_);
+}
+
+template <class Use>
+void Client::Session::onCore(std::uint64_t attempt, Use&& use) {
+    withCore([&](SessionCore& core) {
+        if (attempt == listening_) use(core);
+    });
+}
+
+template <class Use>
+auto Client::Session::withDesk(Use&& use) {
+    struct Leave {
+        Session& session;
+        std::unique_lock<std::mutex> lock;
+        ~Leave() {
+            const auto deadline = session.desk_.nextDeadline();
+            const bool wake = deadline < session.stops_at_;
+            if (wake) session.stops_at_ = deadline;
+            const auto stops = std::exchange(session.stops_, {});
+            lock.unlock();
+            if (!stops.empty()) {
+                if (const auto connection = session.signal_connection_.load()) {
+                    for (const auto& stop : stops)
+                        connection->sendStopSignal(stop.lane, stop.head, stop.cause);
+                }
+            }
+            if (wake) session.stop_timer_.wake();
+        }
+    };
+    const Leave leave{*this, std::unique_lock(desk_mutex_)};
+    return use(desk_);
+}
+
+template <class Answer, class Ask>
+Answer Client::Session::ask(Ask&& ask) {
+    mayWait();
+    auto promise = std::make_shared<std::promise<Answer>>();
+    auto future = promise->get_future();
+    withCore([&](SessionCore& core) {
+        ask(core, [promise](Answer answer) { promise->set_value(std::move(answer)); });
+    });
+    return future.get();
+}
+
+/// One thread at a time sends, so the order of the core is the order on the wire; who finds another one at it
+/// leaves its messages to that one.
+void Client::Session::flush() {
+    std::unique_lock lock(outgoing_mutex_);
+    if (flushing_) return;
+    flushing_ = true;
+    while (!outgoing_.empty()) {
+        auto message = std::move(outgoing_.front());
+        outgoing_.pop_front();
+        lock.unlock();
+        if (const auto connection = connection_.load()) {
+            switch (message.kind) {
+                case Kind::ToEntity:
+                    connection->sendToEntity(message.head, std::move(message.bytes));
+                    break;
+                case Kind::ToEntityDataSeq:
+                    connection->sendToEntityDataSeq(message.head, std::move(message.bytes));
+                    break;
+                case Kind::Request:
+                    connection->sendRequest(message.head, std::move(message.bytes));
+                    break;
+                case Kind::Reset:
+                    connection->sendResetSignal(message.head);
+                    break;
+                case Kind::Clear:
+                    connection->sendClearSignal(message.head);
+                    break;
+            }
+        }
+        lock.lock();
+    }
+    flushing_ = false;
+}
+
+void Client::Session::sendToEntity(const Header& head, std::string bytes) {
+    const std::lock_guard lock(outgoing_mutex_);
+    outgoing_.push_back({Kind::ToEntity, head, std::move(bytes)});
+}
+void Client::Session::sendToEntityDataSeq(const Header& head, std::string bytes) {
+    const std::lock_guard lock(outgoing_mutex_);
+    outgoing_.push_back({Kind::ToEntityDataSeq, head, std::move(bytes)});
+}
+void Client::Session::sendRequest(const Header& head, std::string bytes) {
+    const std::lock_guard lock(outgoing_mutex_);
+    outgoing_.push_back({Kind::Request, head, std::move(bytes)});
+}
+void Client::Session::sendReset(const Header& head) {
+    const std::lock_guard lock(outgoing_mutex_);
+    outgoing_.push_back({Kind::Reset, head, {}});
+}
+void Client::Session::sendClear(const Header& head) {
+    const std::lock_guard lock(outgoing_mutex_);
+    outgoing_.push_back({Kind::Clear, head, {}});
+}
+void Client::Session::keepAlive(std::int64_t sequence, bool busy) {
+    beat_ = {sequence, busy};
+}
+
+void Client::Session::sendStopSignal(Lane lane, const Header& head, StopCause cause) {
+    stops_.push_back({lane, head, cause});
+}
+
+void Client::Session::mayWait() const {
+    if (callbacks_.isThisThread()) {
+        throw std::logic_error(
+            "axon::client: a call that waits was made from a callback, which would wait for itself. Make it "
+            "from "
+            "another thread.");
+    }
+}
+
+Refusal Client::Session::admit(std::size_t bytes) const {
+    if (bytes > kMessageBytesMax) {
+        return {RefusalCode::TooLarge,
+                "A message holds at most " + std::to_string(kMessageBytesMax) +
+                    " bytes. Send it in pieces, or upload it as a resource.",
+                {}};
+    }
+    const auto connection = connection_.load();
+    if (connection && connection->waiting() >= kWaitingMax) {
+        return {RefusalCode::Overloaded,
+                std::to_string(kWaitingMax) + " messages wait for the server to read them. Send more slowly.",
+                {}};
+    }
+    return {};
+}
+
+void Client::Session::Alarm::start(const char* name, const Clock& clock, std::function<TimePoint()> tick) {
+    const std::lock_guard lock(mutex_);
+    thread_ = std::make_unique<transport::TimerThread>(name, clock, std::move(tick));
+}
+
+void Client::Session::Alarm::wake() {
+    const std::lock_guard lock(mutex_);
+    if (thread_) thread_->wake();
+}
+
+void Client::Session::Alarm::end() {
+    std::unique_ptr<transport::TimerThread> ended;
+    {
+        const std::lock_guard lock(mutex_);
+        ended = std::move(thread_);
+    }
+}
+
+// ---- connection
+
+Result<void> Client::Session::connect() {
+    try {
+        const auto milliseconds = std::max<long long>(
+            1, std::chrono::duration_cast<std::chrono::milliseconds>(toDuration(options_.timeout)).count());
+        const std::map<std::string, std::string> properties = {
+            {"Ice.Override.ConnectTimeout", std::to_string(milliseconds)}};
+        data_communicator_ = transport::makeCommunicator({"axon-client", Lane::Data, 1, 1, properties});
+        signal_communicator_ = transport::makeCommunicator({"axon-signal", Lane::Signal, 1, 1, properties});
+        for (auto [home, holder] :
+             {std::pair{&data_, &data_communicator_}, {&signal_, &signal_communicator_}}) {
+            home->communicator = holder->communicator();
+            home->adapter = home->communicator->createObjectAdapter("");
+            home->adapter->activate();
+        }
+        transport::tcpEndpoint(options_.server);
+    } catch (const std::invalid_argument& error) {
+        return Refusal{RefusalCode::Malformed, error.what(), {}};
+    } catch (const std::exception& error) {
+        return Refusal{RefusalCode::Internal, error.what(), {}};
+    }
+    const auto established = establish();
+    if (!established) {
+        auto refusal = established.refusal();
+        if (refusal.code == RefusalCode::NotConnected || refusal.code == RefusalCode::TimedOut) {
+            refusal.code = RefusalCode::Unavailable;
+        }
+        refusal.message = "No session with the server at " + options_.server + ": " + refusal.message;
+        return refusal;
+    }
+    timer_.start("axon-timer", clock_, [this] { return onTimer(); });
+    heartbeat_.start("axon-heartbeat", clock_, [this] { return onHeartbeat(); });
+    stop_timer_.start("axon-stops", clock_, [this] { return onStopTimer(); });
+
+    // The entities that are there are pushed at once; a client that has just connected should know them.
+    std::unique_lock lock(core_mutex_);
+    entities_changed_.wait_for(lock, std::chrono::nanoseconds(toDuration(options_.timeout)),
+                               [this] { return core_.complete() || !up_; });
+    return {};
+}
+
+Result<void> Client::Session::establish() {
+    Login login;
+    login.endpoint = transport::tcpEndpoint(options_.server);
+    login.user = options_.user;
+    login.password = options_.password;
+    login.display_name = options_.display_name;
+    login.timeout = settingsOf(options_).timeout;
+    {
+        const std::lock_guard lock(core_mutex_);
+        login.attempt = ++attempt_;
+        listening_ = login.attempt;
+    }
+    const auto opened = ServerConnection::open(data_, signal_, login, shared_from_this());
+    Refusal failure;
+    if (!opened) {
+        failure = opened.refusal();
+    } else {
+        const auto& connection = opened.value();
+        connection_.store(connection);
+        signal_connection_.store(connection);
+        withDesk([&](StopDesk& desk) { desk.onConnected(connection->me()); });
+        withCore([&](SessionCore& core) {
+            if (listening_ != login.attempt || closing_) {
+                failure = {RefusalCode::NotConnected, "the connection ended during the login", {}};
+                return;
+            }
+            up_ = true;
+            core.onConnected(connection->me(), connection->entities());
+        });
+    }
+    if (failure.ok()) return {};
+    const auto connection = connection_.load();
+    connection_.store(nullptr);
+    signal_connection_.store(nullptr);
+    if (connection) connection->drop();
+    withCore([&](SessionCore& core) {
+        listening_ = 0;
+        core.onDisconnected(failure.message);  // forgets the profiles that came before the failure
+    });
+    withDesk([](StopDesk& desk) { desk.onDisconnected(); });
+    return failure;
+}
+
+void Client::Session::closed(std::uint64_t attempt, const std::string& reason) {
+    lost(attempt, reason);
+}
+
+void Client::Session::lost(std::uint64_t attempt, const std::string& reason) {
+    bool counts = false;
+    withCore([&](SessionCore& core) {
+        if (attempt != listening_) return;
+        listening_ = 0;  // nothing of this connection counts any more
+        counts = up_;
+        if (!up_) return;
+        up_ = false;
+        {
+            const std::lock_guard lock(outgoing_mutex_);
+            outgoing_.clear();
+        }
+        core.onDisconnected(reason);
+    });
+    if (!counts) return;
+    withDesk([](StopDesk& desk) { desk.onDisconnected(); });
+    const auto connection = connection_.load();
+    connection_.store(nullptr);
+    signal_connection_.store(nullptr);
+    if (connection) connection->drop();
+    entities_changed_.notify_all();
+    tellConnection(false, reason);
+    if (options_.reconnect && !closing_) {
+        retry_ = true;
+        timer_.wake();
+    }
+}
+
+void Client::Session::tellConnection(bool connected, const std::string& reason) {
+    std::function<void(bool, const std::string&)> tell;
+    {
+        const std::lock_guard lock(callbacks_mutex_);
+        tell = on_connection_;
+    }
+    if (tell) post([tell, connected, reason] { tell(connected, reason); }, false);
+}
+
+void Client::Session::close() {
+    std::call_once(closed_once_, [this] {
+        mayWait();
+        closing_ = true;
+        // Orderly: each entity held stops and is free before the session ends.
+        std::vector<std::future<Result<void>>> released;
+        withCore([&](SessionCore& core) {
+            for (const auto& held : core.held()) {
+                auto promise = std::make_shared<std::promise<Result<void>>>();
+                released.push_back(promise->get_future());
+                check_outs_.erase(held);
+                core.release(held, [promise](Result<void> answer) { promise->set_value(std::move(answer)); });
+            }
+        });
+        const auto until = std::chrono::steady_clock::now() + kReleaseTime;
+        for (auto& answer : released) answer.wait_until(until);
+
+        const auto connection = connection_.load();
+        bool was_up = false;
+        withCore([&](SessionCore& core) {
+            listening_ = 0;
+            was_up = std::exchange(up_, false);
+            core.onDisconnected("this client was closed");
+        });
+        withDesk([](StopDesk& desk) {
+            desk.onDisconnected();
+            desk.endOrders();
+        });
+        connection_.store(nullptr);
+        signal_connection_.store(nullptr);
+        entities_changed_.notify_all();
+        if (connection && was_up) connection->leave();
+        callbacks_.close();
+        // Joins Ice's threads, and ends a login that the timer thread may be waiting for.
+        for (auto* holder : {&data_communicator_, &signal_communicator_}) {
+            if (holder->communicator()) holder->communicator()->destroy();
+        }
+        timer_.end();
+        heartbeat_.end();
+        stop_timer_.end();
+    });
+}
+
+// ---- time
+
+TimePoint Client::Session::onTimer() {
+    std::uint64_t silent = 0;
+    withCore([&](SessionCore& core) {
+        timer_at_ = TimePoint::min();  // this thread is awake: no need to wake it
+        core.onTimer();
+        if (core.serverSilent()) silent = listening_;
+    });
+    if (silent != 0) lost(silent, "the server has been silent for too long");
+    if (give_up_.exchange(false)) lost(listening_, "this program does not return from its callbacks");
+
+    if (retry_.exchange(false)) {
+        backoff_ = kFirstBackoff;
+        retry_at_ = clock_.now() + backoff_;
+    }
+    if (clock_.now() >= retry_at_ && !closing_) {
+        const auto established = establish();
+        if (established) {
+            retry_at_ = TimePoint::max();
+            tellConnection(true, "connected again");
+        } else {
+            backoff_ = std::min(backoff_ * 2, kLastBackoff);
+            retry_at_ = clock_.now() + backoff_;
+        }
+    }
+    const std::lock_guard lock(core_mutex_);
+    timer_at_ =
+        std::min({core_.nextDeadline(), core_.serverDeadline(), retry_at_, clock_.now() + kLongestSleep});
+    return timer_at_;
+}
+
+TimePoint Client::Session::onHeartbeat() {
+    std::optional<std::pair<std::int64_t, bool>> beat;
+    withCore([&](SessionCore& core) {
+        heartbeat_at_ = TimePoint::min();
+        core.onHeartbeatTimer();
+        beat = std::exchange(beat_, std::nullopt);
+    });
+    if (beat) {
+        bool alive = true;
+        if (beat->second && options_.keep_running) {
+            try {
+                alive = options_.keep_running();
+            } catch (const std::exception& error) {
+                spdlog::warn("client: keep_running threw, which counts as no: {}", error.what());
+                alive = false;
+            }
+        }
+        const auto connection = signal_connection_.load();
+        if (alive && connection) connection->keepAlive(beat->first);
+    }
+    const std::lock_guard lock(core_mutex_);
+    heartbeat_at_ = std::min(core_.nextHeartbeat(), clock_.now() + kLongestSleep);
+    return heartbeat_at_;
+}
+
+TimePoint Client::Session::onStopTimer() {
+    withDesk([&](StopDesk& desk) {
+        stops_at_ = TimePoint::min();
+        desk.onTimer();
+    });
+    const std::lock_guard lock(desk_mutex_);
+    stops_at_ = std::min(desk_.nextDeadline(), clock_.now() + kLongestSleep);
+    return stops_at_;
+}
+
+// ---- what the server pushes
+
+void Client::Session::newProfile(std::uint64_t attempt, Presence presence, const Registration& registration,
+                                 std::string_view profile) {
+    withDesk([&](StopDesk& desk) {
+        if (attempt == listening_) desk.onEntity(presence, registration.entity, registration.name);
+    });
+    onCore(attempt, [&](SessionCore& core) { core.onProfile(presence, registration, profile); });
+    entities_changed_.notify_all();
+}
+
+void Client::Session::newStatus(std::uint64_t attempt, const EntityStatus& status) {
+    onCore(attempt, [&](SessionCore& core) { core.onStatus(status); });
+    entities_changed_.notify_all();
+}
+
+void Client::Session::newServiceRecord(std::uint64_t attempt, const Header& head, std::string_view record) {
+    onCore(attempt, [&](SessionCore& core) { core.onServiceRecord(head, record); });
+}
+
+void Client::Session::newEntityMsg(std::uint64_t attempt, const Header& head, std::string_view message) {
+    if (head.msg_type == kMsgReceipt) {
+        proto::ToClient body;
+        if (body.ParseFromArray(message.data(), static_cast<int>(message.size())) && body.has_receipt()) {
+            withDesk([&](StopDesk& desk) { desk.onReceipt(head.entity, body.receipt()); });
+            return;
+        }
+    }
+    onCore(attempt, [&](SessionCore& core) { core.onEntityMsg(head, message); });
+}
+
+void Client::Session::newRefusal(std::uint64_t attempt, const Header& head, const Refusal& refusal) {
+    if (head.msg_type == kMsgStop) {
+        withDesk([&](StopDesk& desk) { desk.onRefusal(head.sequence, head.entity, refusal); });
+        return;
+    }
+    onCore(attempt, [&](SessionCore& core) { core.onRefusal(head, refusal); });
+}
+
+void Client::Session::newStopAccepted(std::uint64_t, const Header& head) {
+    withDesk([&](StopDesk& desk) { desk.onStopAccepted(head.sequence); });
+}
+
+void Client::Session::newServerText(std::uint64_t attempt, int code, const std::string& text) {
+    onCore(attempt, [&](SessionCore& core) { core.onServerText(code, text); });
+}
+
+void Client::Session::newServerHeartbeat(std::uint64_t attempt) {
+    onCore(attempt, [&](SessionCore& core) { core.onServerHeartbeat(); });
+}
+
+// ---- what the core says
+
+void Client::Session::post(std::function<void()> callback, bool may_be_left_out) {
+    if (callbacks_.post(std::move(callback), may_be_left_out)) return;
+    // The program does not return from its callbacks: it does not know any more what its robots do.
+    spdlog::error("client: {} callbacks wait for the program to return from one; the connection is given up",
+                  CallbackQueue::kBound);
+    give_up_ = true;
+    timer_.wake();
+}
+
+void Client::Session::onEntity(Presence presence, const Entity& entity) {
+    std::function<void(Presence, const Entity&)> tell;
+    {
+        const std::lock_guard lock(callbacks_mutex_);
+        tell = on_entity_;
+    }
+    if (tell) post([tell, presence, entity] { tell(presence, entity); }, presence == Presence::Changed);
+}
+
+void Client::Session::onTask(const TaskReport& report) {
+    const auto found = tasks_.find(report.id);
+    if (found == tasks_.end()) return;
+    const auto task = found->second.lock();
+    if (isFinal(report.state)) tasks_.erase(found);
+    if (!task) return;
+    bool tell = false;
+    {
+        const std::lock_guard lock(task->mutex);
+        task->report = report;
+        tell = !task->callbacks.empty();
+    }
+    task->changed.notify_all();
+    if (!tell) return;
+    post(
+        [task, report] {
+            std::vector<std::function<void(const TaskReport&)>> callbacks;
+            {
+                const std::lock_guard lock(task->mutex);
+                callbacks = task->callbacks;
+            }
+            for (const auto& callback : callbacks) callback(report);
+        },
+        !isFinal(report.state));
+}
+
+std::shared_ptr<CheckOut::Shared> Client::Session::shared(const Held& held) const {
+    const auto found = check_outs_.find(held);
+    return found == check_outs_.end() ? nullptr : found->second;
+}
+
+void Client::Session::onText(const Held& held, const std::string& text) {
+    const auto check_out = shared(held);
+    if (!check_out) return;
+    const std::lock_guard lock(check_out->mutex);
+    if (check_out->text) post([tell = check_out->text, text] { tell(text); }, true);
+}
+
+void Client::Session::onRaw(const Held& held, const std::string& bytes) {
+    const auto check_out = shared(held);
+    if (!check_out) return;
+    const std::lock_guard lock(check_out->mutex);
+    if (check_out->raw) post([tell = check_out->raw, bytes] { tell(bytes); }, true);
+}
+
+void Client::Session::onService(const Held& held, const Service& service) {
+    const auto check_out = shared(held);
+    if (!check_out) return;
+    const std::lock_guard lock(check_out->mutex);
+    if (check_out->service) post([tell = check_out->service, service] { tell(service); }, true);
+}
+
+void Client::Session::onLost(const Held& held, const Refusal& why) {
+    const auto check_out = shared(held);
+    if (!check_out) return;
+    check_outs_.erase(held);
+    const std::lock_guard lock(check_out->mutex);
+    check_out->lost_why = why;
+    if (check_out->lost) post([tell = check_out->lost, why] { tell(why); }, false);
+}
+
+void Client::Session::onSample(const Sample& sample) {
+    for (const auto& [id, watching] : watches_) {
+        if (watching.entity != sample.entity) continue;
+        const auto& streams = watching.streams;
+        if (!streams.empty() && std::find(streams.begin(), streams.end(), sample.stream) == streams.end())
+            continue;
+        post(
+            [callback = watching.callback, wanted = watching.wanted, sample = Sample(sample)]() mutable {
+                if (!*wanted) return;
+                sample.json = sampleToJson(sample.raw);
+                (*callback)(sample);
+            },
+            true);
+    }
+}
+
+void Client::Session::onTransferCredit(const Id128& transfer, std::uint64_t offset, std::uint64_t limit) {
+    const auto found = uploads_.find(transfer);
+    if (found != uploads_.end()) found->second->credit(offset, limit);
+}
+
+void Client::Session::onServerText(int code, const std::string& text) {
+    spdlog::info("server: {} ({})", text, code);
+}
+
+void Client::Session::setOnEntity(std::function<void(Presence, const Entity&)> callback) {
+    const std::lock_guard lock(callbacks_mutex_);
+    on_entity_ = std::move(callback);
+}
+
+void Client::Session::setOnConnection(std::function<void(bool, const std::string&)> callback) {
+    const std::lock_guard lock(callbacks_mutex_);
+    on_connection_ = std::move(callback);
+}
+
+// ---- what the user wants
+
+Result<std::vector<CheckOut>> Client::Session::checkOut(const std::vector<std::string>& names) {
+    // The handles are made under the core's lock, so that nothing the entities say from now on is missed.
+    using Shared = std::vector<std::shared_ptr<CheckOut::Shared>>;
+    auto answer = ask<Result<Shared>>([&](SessionCore& core, auto done) {
+        core.checkOut(names, [this, &core, done](Result<std::vector<Held>> granted) {
+            if (!granted) return done(granted.refusal());
+            Shared made;
+            for (const auto& held : granted.value()) {
+                const auto entity = core.entity(held.entity);
+                auto& check_out = check_outs_[held];
+                check_out = std::make_shared<CheckOut::Shared>(held, weak_from_this(),
+                                                               entity ? entity.value() : Entity{held.entity});
+                made.push_back(check_out);
+            }
+            done(made);
+        });
+    });
+    if (!answer) return answer.refusal();
+    std::vector<CheckOut> all;
+    for (auto& made : answer.value()) all.emplace_back(std::move(made));
+    return all;
+}
+
+std::vector<CheckOut> Client::Session::held() const {
+    const std::lock_guard lock(core_mutex_);
+    std::vector<CheckOut> all;
+    for (const auto& [held, check_out] : check_outs_) {
+        if (core_.holds(held)) all.emplace_back(check_out);
+    }
+    return all;
+}
+
+Task Client::Session::run(const Held& held, std::string_view service, const std::vector<Argument>& arguments,
+                          Seconds not_after) {
+    const auto overloaded = admit(0);
+    if (!overloaded.ok()) {
+        TaskReport report{Id128::uuid(random_).toString(), held.entity, std::string(service)};
+        report.state = TaskState::Refused;
+        report.reason = overloaded;
+        return Task(std::make_shared<Task::Shared>(*Id128::parse(report.id), weak_from_this(), report));
+    }
+    return withCore([&](SessionCore& core) {
+        const auto id = core.run(held, service, arguments, toDuration(not_after));
+        auto task = std::make_shared<Task::Shared>(id, weak_from_this(), *core.task(id));
+        if (!isFinal(task->report.state)) tasks_[task->text] = task;
+        return Task(task);
+    });
+}
+
+Result<void> Client::Session::upload(const Held& held, std::string_view service, std::string_view resource,
+                                     const std::filesystem::path& path,
+                                     const std::function<void(std::uint64_t, std::uint64_t)>& progress) {
+    mayWait();
+    auto opened = ResourceFile::open(path);
+    if (!opened) return opened.refusal();
+    ResourceFile file = std::move(opened).value();
+    const auto window = std::make_shared<UploadWindow>();
+    const auto id = withCore([&](SessionCore& core) {
+        const auto transfer =
+            core.offer(held, service, resource, path.filename().string(), file.size(), file.sha256(),
+                       [window](const Result<void>& answer) { window->finish(answer.refusal()); });
+        uploads_[transfer] = window;
+        return transfer;
+    });
+    std::optional<std::uint64_t> sent;
+    Refusal failure;
+    while (true) {
+        const auto turn = window->next(sent, file.size());
+        if (turn.ended) {
+            failure = *turn.ended;
+            break;
+        }
+        std::uint64_t at = turn.from;
+        if (progress && !sent) progress(at, file.size());
+        while (at < turn.to && failure.ok()) {
+            auto content = file.read(at, std::min<std::uint64_t>(kChunkBytes, turn.to - at));
+            if (!content) {
+                failure = content.refusal();
+                break;
+            }
+            const auto refused =
+                withCore([&](SessionCore& core) { return core.sendChunk(id, at, content.value()); });
+            if (!refused) break;  // it has ended; the next turn says why
+            at += content->size();
+            if (progress) progress(at, file.size());
+        }
+        sent = at;
+        if (!failure.ok()) break;
+    }
+    const std::lock_guard lock(core_mutex_);
+    uploads_.erase(id);
+    return failure;
+}
+
+Result<void> Client::Session::release(const Held& held) {
+    return ask<Result<void>>([&](SessionCore& core, auto done) {
+        check_outs_.erase(held);
+        core.release(held, done);
+    });
+}
+
+Result<std::vector<Receipt>> Client::Session::stop(const std::vector<std::string>& names, Seconds deadline) {
+    using Answer = Result<std::vector<Receipt>>;
+    const auto promise = std::make_shared<std::promise<Answer>>();
+    auto future = promise->get_future();
+    withDesk([&](StopDesk& desk) {
+        desk.stop(names, toDuration(deadline),
+                  [promise](Answer answer) { promise->set_value(std::move(answer)); });
+    });
+    mayWait();  // after the stop has left: misuse is no reason not to stop
+    return future.get();
+}
+
+Result<Entity> Client::Session::waitFor(std::string_view name, Seconds time) const {
+    mayWait();
+    const auto until = std::chrono::steady_clock::now() + toDuration(time);
+    std::unique_lock lock(core_mutex_);
+    while (true) {
+        auto found = core_.find(name);
+        if (found && found->state != EntityState::UNAV && found->state != EntityState::INIT &&
+            found->state != EntityState::ERR) {
+            return found;
+        }
+        if (!found && found.refusal().code == RefusalCode::AmbiguousEntity) return found;
+        if (closing_ || std::chrono::steady_clock::now() >= until) {
+            if (!found) return found;
+            return Refusal{RefusalCode::TimedOut,
+                           found->name + " is still " + toString(found->state) +
+                               (found->reason.empty() ? std::string(".") : ": " + found->reason),
+                           {}};
+        }
+        entities_changed_.wait_until(lock, until);
+    }
+}
+
+Result<std::shared_ptr<void>> Client::Session::watch(std::string_view name,
+                                                     const std::vector<std::string>& streams,
+                                                     std::function<void(const Sample&)> callback) {
+    auto begun = withCore([&](SessionCore& core) -> Result<std::uint64_t> {
+        const auto entity = core.find(name);
+        if (!entity) return entity.refusal();
+        const auto watching = core.watch(entity->id, streams);
+        if (!watching) return watching.refusal();
+        const auto id = ++next_watch_;
+        watches_[id] = {entity->id, streams,
+                        std::make_shared<const std::function<void(const Sample&)>>(std::move(callback)),
+                        std::make_shared<std::atomic<bool>>(true)};
+        return id;
+    });
+    if (!begun) return begun.refusal();
+    return std::shared_ptr<void>(static_cast<void*>(this),
+                                 [session = weak_from_this(), id = begun.value()](void*) {
+                                     if (const auto alive = session.lock()) alive->unwatch(id);
+                                 });
+}
+
+void Client::Session::unwatch(std::uint64_t id) {
+    withCore([&](SessionCore& core) {
+        const auto found = watches_.find(id);
+        if (found == watches_.end()) return;
+        *found->second.wanted = false;
+        core.unwatch(found->second.entity, found->second.streams);
+        watches_.erase(found);
+    });
+}
+
+// ---- the public header
+
+Client::Client(std::shared_ptr<Session> session) : session_(std::move(session)) {}
+
+Client::~Client() {
+    session_->close();
+}
+
+Result<std::unique_ptr<Client>> Client::connect(Options options) {
+    auto session = std::make_shared<Session>(std::move(options));
+    const auto connected = session->connect();
+    if (!connected) {
+        session->close();
+        return connected.refusal();
+    }
+    return std::unique_ptr<Client>(new Client(std::move(session)));
+}
+
+void Client::close() {
+    session_->close();
+}
+
+bool Client::connected() const {
+    return session_->look([](const SessionCore& core) { return core.connected(); });
+}
+
+Sender Client::self() const {
+    return session_->look([](const SessionCore& core) { return core.self(); });
+}
+
+std::string Client::server() const {
+    return session_->options().server;
+}
+
+std::vector<Entity> Client::entities() const {
+    return session_->look([](const SessionCore& core) { return core.entities(); });
+}
+
+Result<Entity> Client::find(std::string_view name) const {
+    return session_->look([&](const SessionCore& core) { return core.find(name); });
+}
+
+Result<Entity> Client::waitFor(std::string_view name, Seconds time) const {
+    return session_->waitFor(name, time);
+}
+
+void Client::onEntity(std::function<void(Presence, const Entity&)> callback) {
+    session_->setOnEntity(std::move(callback));
+}
+
+void Client::onConnection(std::function<void(bool, const std::string&)> callback) {
+    session_->setOnConnection(std::move(callback));
+}
+
+Result<std::vector<CheckOut>> Client::checkOut(const std::vector<std::string>& names) {
+    return session_->checkOut(names);
+}
+
+Result<CheckOut> Client::checkOut(std::string_view name) {
+    auto all = session_->checkOut({std::string(name)});
+    if (!all) return all.refusal();
+    return all->front();
+}
+
+std::vector<CheckOut> Client::held() const {
+    return session_->held();
+}
+
+Result<std::vector<Receipt>> Client::stop(const std::vector<std::string>& names, Seconds deadline) {
+    return session_->stop(names, deadline);
+}
+
+Result<void> Client::rearm(std::string_view name) {
+    return session_->ask<Result<void>>([&](SessionCore& core, auto done) {
+        const auto entity = core.find(name);
+        if (!entity) return done(entity.refusal());
+        core.rearm(entity->id, done);
+    });
+}
+
+Result<std::vector<Service>> Client::services(std::string_view name) const {
+    return session_->ask<Result<std::vector<Service>>>([&](SessionCore& core, auto done) {
+        const auto entity = core.find(name);
+        if (!entity) return done(entity.refusal());
+        core.fetchServices(entity->id, done);
+    });
+}
+
+Result<std::shared_ptr<void>> Client::watch(std::string_view name, const std::vector<std::string>& streams,
+                                            std::function<void(const Sample&)> callback) {
+    return session_->watch(name, streams, std::move(callback));
+}
+
+namespace {
+
+Refusal gone() {
+    return {RefusalCode::NotConnected, "The client of this handle has been closed.", {}};
+}
+
+}  // namespace
+
+const std::string& Task::id() const {
+    return shared_->text;
+}
+
+TaskReport Task::report() const {
+    const std::lock_guard lock(shared_->mutex);
+    return shared_->report;
+}
+
+TaskReport Task::wait(std::optional<Seconds> time) const {
+    if (const auto session = shared_->session.lock()) session->mayWait();
+    std::unique_lock lock(shared_->mutex);
+    const auto over = [this] { return isFinal(shared_->report.state); };
+    if (time) {
+        shared_->changed.wait_for(lock, std::chrono::nanoseconds(toDuration(*time)), over);
+    } else {
+        shared_->changed.wait(lock, over);
+    }
+    return shared_->report;
+}
+
+void Task::onUpdate(std::function<void(const TaskReport&)> callback) const {
+    const auto session = shared_->session.lock();
+    if (!session) return;
+    // Under the task's lock, so that no change comes between the first call and the next.
+    const std::lock_guard lock(shared_->mutex);
+    session->post([callback, report = shared_->report] { callback(report); }, false);
+    shared_->callbacks.push_back(std::move(callback));
+}
+
+namespace {
+
+Result<void> control(const Task::Shared& task, proto::TaskAction action) {
+    const auto session = task.session.lock();
+    if (!session) return gone();
+    return session->ask<Result<void>>(
+        [&](SessionCore& core, auto done) { core.control(task.id, action, done); });
+}
+
+}  // namespace
+
+Result<void> Task::pause() const {
+    return control(*shared_, proto::PAUSE);
+}
+Result<void> Task::resume() const {
+    return control(*shared_, proto::RESUME);
+}
+Result<void> Task::cancel() const {
+    return control(*shared_, proto::CANCEL);
+}
+
+Entity CheckOut::entity() const {
+    if (const auto session = shared_->session.lock()) {
+        auto now =
+            session->look([this](const SessionCore& core) { return core.entity(shared_->held.entity); });
+        if (now) {
+            const std::lock_guard lock(shared_->mutex);
+            shared_->last = now.value();
+            return now.value();
+        }
+    }
+    const std::lock_guard lock(shared_->mutex);
+    return shared_->last;
+}
+
+std::vector<Service> CheckOut::services() const {
+    const auto session = shared_->session.lock();
+    if (!session) return {};
+    auto all = session->look([this](const SessionCore& core) { return core.services(shared_->held); });
+    return all ? std::move(all).value() : std::vector<Service>{};
+}
+
+Result<Service> CheckOut::service(std::string_view name_or_global_id) const {
+    const auto session = shared_->session.lock();
+    if (!session) return gone();
+    return session->look(
+        [&](const SessionCore& core) { return core.service(shared_->held, name_or_global_id); });
+}
+
+Result<void> CheckOut::set(std::string_view service, const Argument& argument) const {
+    const auto session = shared_->session.lock();
+    if (!session) return gone();
+    return session->ask<Result<void>>(
+        [&](SessionCore& core, auto done) { core.set(shared_->held, service, argument, done); });
+}
+
+Result<void> CheckOut::upload(std::string_view service, std::string_view resource,
+                              const std::filesystem::path& file,
+                              std::function<void(std::uint64_t, std::uint64_t)> progress) const {
+    const auto session = shared_->session.lock();
+    if (!session) return gone();
+    return session->upload(shared_->held, service, resource, file, progress);
+}
+
+Task CheckOut::run(std::string_view service, const std::vector<Argument>& arguments,
+                   Seconds not_after) const {
+    if (const auto session = shared_->session.lock()) {
+        return session->run(shared_->held, service, arguments, not_after);
+    }
+    TaskReport report;
+    report.entity = shared_->held.entity;
+    report.service = std::string(service);
+    report.state = TaskState::Refused;
+    report.reason = gone();
+    return Task(std::make_shared<Task::Shared>(Id128{}, shared_->session, report));
+}
+
+Result<void> CheckOut::sendText(std::string_view text) const {
+    const auto session = shared_->session.lock();
+    if (!session) return gone();
+    if (auto refusal = session->admit(text.size()); !refusal.ok()) return refusal;
+    return session->withCore([&](SessionCore& core) { return core.sendText(shared_->held, text); });
+}
+
+Result<void> CheckOut::sendRaw(std::string_view bytes) const {
+    const auto session = shared_->session.lock();
+    if (!session) return gone();
+    if (auto refusal = session->admit(bytes.size()); !refusal.ok()) return refusal;
+    return session->withCore([&](SessionCore& core) { return core.sendRaw(shared_->held, bytes); });
+}
+
+void CheckOut::onText(std::function<void(const std::string&)> callback) const {
+    const std::lock_guard lock(shared_->mutex);
+    shared_->text = std::move(callback);
+}
+
+void CheckOut::onRaw(std::function<void(const std::string&)> callback) const {
+    const std::lock_guard lock(shared_->mutex);
+    shared_->raw = std::move(callback);
+}
+
+void CheckOut::onServiceChanged(std::function<void(const Service&)> callback) const {
+    const std::lock_guard lock(shared_->mutex);
+    shared_->service = std::move(callback);
+}
+
+void CheckOut::onLost(std::function<void(const Refusal&)> callback) const {
+    const auto session = shared_->session.lock();
+    const std::lock_guard lock(shared_->mutex);
+    if (shared_->lost_why && session && callback) {
+        session->post([callback, why = *shared_->lost_why] { callback(why); }, false);
+    }
+    shared_->lost = std::move(callback);
+}
+
+Result<void> CheckOut::reset() const {
+    const auto session = shared_->session.lock();
+    if (!session) return gone();
+    return session->withCore([&](SessionCore& core) { return core.reset(shared_->held); });
+}
+
+Result<void> CheckOut::clear() const {
+    const auto session = shared_->session.lock();
+    if (!session) return gone();
+    return session->withCore([&](SessionCore& core) { return core.clear(shared_->held); });
+}
+
+Result<void> CheckOut::release() const {
+    const auto session = shared_->session.lock();
+    if (!session) return gone();
+    return session->release(shared_->held);
+}
+
+}  // namespace axon::client

@@ -1,0 +1,1171 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "client/session_core.hpp"
+
+#include <axon/messages.pb.h>
+
+#include <algorithm>
+
+#include "client/content.hpp"
+#include "messages/text.hpp"
+#include "messages/values.hpp"
+
+namespace axon::client {
+namespace {
+
+constexpr std::size_t kChunkMax = 64 * 1024;
+
+bool parse(google::protobuf::MessageLite& message, std::string_view bytes) {
+    return message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()));
+}
+
+bool moves(EntityState state) {
+    return state == EntityState::BUSY || state == EntityState::COLLAB || state == EntityState::SLAVE;
+}
+
+/// An EM in one of these has no lease to give or to keep.
+bool withoutLease(EntityState state) {
+    return state == EntityState::UNAV || state == EntityState::INIT || state == EntityState::ENVCONN ||
+           state == EntityState::ERR;
+}
+
+bool leaseIsGone(RefusalCode code) {
+    return code == RefusalCode::NotHolder || code == RefusalCode::OlderLease ||
+           code == RefusalCode::RevokedLease || code == RefusalCode::WrongEpoch;
+}
+
+LeaseNumber numberOf(const proto::Lease& lease) {
+    return {static_cast<std::int32_t>(lease.epoch()), static_cast<std::int32_t>(lease.number())};
+}
+
+/// Duplicates and late-comers must not turn a task back: only pause and resume go both ways.
+bool follows(TaskState now, TaskState next) {
+    if (isFinal(now)) return false;
+    return next >= now || (now == TaskState::Paused && next == TaskState::Running);
+}
+
+}  // namespace
+
+SessionCore::SessionCore(CoreSettings settings, const Clock& clock, RandomSource& random, ServerLink& link,
+                         SessionObserver& observer, SignalMarks& marks)
+    : settings_(settings),
+      clock_(clock),
+      random_(random),
+      link_(link),
+      observer_(observer),
+      marks_(marks),
+      server_(settings.server_silence_busy, settings.server_silence_idle, clock.now()) {}
+
+// ---- messages out
+
+Header SessionCore::header(const std::string& entity, const char* msg_type, LeaseNumber lease) {
+    Header head;
+    head.sender = self_;
+    head.entity = entity;
+    head.msg_type = msg_type;
+    head.held = lease;
+    head.stop_generation = marks_.of(entity);
+    head.sequence = ++sequence_;
+    head.sent_at_us = toMicroseconds(clock_.now());
+    return head;
+}
+
+std::int64_t SessionCore::send(const std::string& entity, const char* msg_type, LeaseNumber lease,
+                               const proto::ToEntity& body) {
+    const auto head = header(entity, msg_type, lease);
+    link_.sendToEntity(head, body.SerializeAsString());
+    return head.sequence;
+}
+
+// ---- refusals
+
+Refusal SessionCore::notConnected() const {
+    return {RefusalCode::NotConnected,
+            "There is no connection to the server at the moment. Try again when it is back.",
+            {}};
+}
+
+Refusal SessionCore::notHolder(const Held& held) const {
+    return {RefusalCode::NotHolder,
+            "This client does not hold " + label(held.entity) + " (any more). Check it out first.",
+            {}};
+}
+
+Refusal SessionCore::ready(const Held& held) const {
+    if (!connected_) return notConnected();
+    if (lease(held) == nullptr) return notHolder(held);
+    return {};
+}
+
+SessionCore::Lease* SessionCore::lease(const Held& held) {
+    const auto found = leases_.find(held.entity);
+    return found != leases_.end() && found->second.number == held.lease ? &found->second : nullptr;
+}
+
+const SessionCore::Lease* SessionCore::lease(const Held& held) const {
+    const auto found = leases_.find(held.entity);
+    return found != leases_.end() && found->second.number == held.lease ? &found->second : nullptr;
+}
+
+// ---- requests that wait for an answer
+
+void SessionCore::await(Ask ask, const Id128& id, Pending pending) {
+    pending.ask = ask;
+    pending.deadline = clock_.now() + settings_.timeout;
+    deadlines_.insert({pending.deadline, {ask, id}});
+    pending_.emplace(std::pair{ask, id}, std::move(pending));
+}
+
+bool SessionCore::answer(Ask ask, const Id128& id, const Result<void>& result) {
+    const auto found = pending_.find({ask, id});
+    if (found == pending_.end()) return false;
+    const Pending pending = std::move(found->second);
+    deadlines_.erase({pending.deadline, {ask, id}});
+    pending_.erase(found);
+    if (ask == Ask::Upload) transfers_.erase(id);
+    if (pending.done) pending.done(result);
+    if (pending.services_done) pending.services_done(result.refusal());
+    if (!result) noteRefusal(pending.entity, pending.lease, result.refusal());
+    return true;
+}
+
+void SessionCore::answerAll(const std::string& entity, const Refusal& why) {
+    std::vector<std::pair<Ask, Id128>> keys;
+    for (const auto& [key, pending] : pending_) {
+        if (pending.entity != entity || key.first == Ask::Task) continue;
+        keys.push_back(key);
+    }
+    for (const auto& [ask, id] : keys)
+        answer(ask, id, ask == Ask::Release ? Result<void>{} : Result<void>{why});
+}
+
+void SessionCore::noteRefusal(const std::string& entity, LeaseNumber under, const Refusal& refusal) {
+    if (!leaseIsGone(refusal.code) || under == LeaseNumber{}) return;
+    if (lease({entity, under}) == nullptr) return;
+    endLease(entity, refusal, true);
+}
+
+// ---- connection
+
+void SessionCore::onConnected(const Sender& self, int entities) {
+    connected_ = true;
+    self_ = self;
+    promised_ = entities;
+    server_.feed(clock_.now());
+    next_heartbeat_ = clock_.now();
+    for (const auto& [entity, streams] : watches_) {
+        if (const auto known = entities_.find(entity); known != entities_.end() && known->second.announced) {
+            sendWatches(entity);
+        }
+    }
+}
+
+void SessionCore::onDisconnected(const std::string& reason) {
+    connected_ = false;
+    next_heartbeat_ = TimePoint::max();
+    const Refusal lost{RefusalCode::NotConnected, "The connection to the server was lost: " + reason, {}};
+    const Refusal unknown{RefusalCode::OutcomeUnknown,
+                          "The connection to the server was lost while it was under way: " + reason,
+                          {}};
+
+    std::vector<Id128> check_outs;
+    for (const auto& [id, order] : check_outs_) check_outs.push_back(id);
+    for (const auto& id : check_outs) failCheckOut(id, lost);
+    while (!leases_.empty()) endLease(leases_.begin()->first, lost, true);
+
+    std::vector<std::pair<Ask, Id128>> keys;
+    for (const auto& [key, pending] : pending_) keys.push_back(key);
+    for (const auto& [ask, id] : keys)
+        answer(ask, id, ask == Ask::Release ? Result<void>{} : Result<void>{unknown});
+    // Tasks without a lease: those that outlived it.
+    std::vector<Id128> tasks;
+    for (const auto& [id, record] : tasks_) {
+        if (!isFinal(record.report.state)) tasks.push_back(id);
+    }
+    for (const auto& id : tasks) finishTask(id, TaskState::Unknown, unknown);
+
+    auto gone = std::move(entities_);
+    entities_.clear();
+    names_.clear();
+    announced_ = 0;
+    promised_ = 0;
+    for (auto& [id, known] : gone) {
+        if (known.announced) observer_.onEntity(Presence::Left, known.facts);
+    }
+    server_.setBusy(false, clock_.now());
+}
+
+void SessionCore::onServerHeartbeat() {
+    server_.feed(clock_.now());
+}
+
+void SessionCore::onServerText(int code, const std::string& text) {
+    observer_.onServerText(code, text);
+}
+
+// ---- entities
+
+void SessionCore::onProfile(Presence presence, const Registration& registration, std::string_view profile) {
+    server_.feed(clock_.now());
+    const std::string& id = registration.entity;
+    if (presence == Presence::Left) {
+        const auto known = entities_.find(id);
+        if (known == entities_.end()) return;
+        const Refusal why{RefusalCode::Unavailable,
+                          label(id) + " has left: its Entity Manager is no longer connected to the server.",
+                          {}};
+        endLease(id, why, true);
+        answerAll(id, why);
+        std::vector<Id128> waiting;
+        for (auto& [order_id, order] : check_outs_) {
+            for (const auto& party : order.parties) {
+                if (party.entity == id) waiting.push_back(order_id);
+            }
+        }
+        for (const auto& order_id : waiting) failCheckOut(order_id, why);
+        const Entity facts = std::move(known->second.facts);
+        const bool announced = known->second.announced;
+        entities_.erase(known);
+        names_.remove(id);
+        if (announced) observer_.onEntity(Presence::Left, facts);
+        return;
+    }
+
+    proto::BasicProfile basic;
+    if (!parse(basic, profile)) ++malformed_;  // the registration alone is enough to show it
+    auto& known = entities_[id];
+    const bool joined = !known.announced;
+    known.announced = true;
+    Entity& facts = known.facts;
+    facts.id = id;
+    facts.name = registration.name;
+    facts.category = registration.category;
+    facts.type = registration.type;
+    facts.descr = basic.descr();
+    facts.x_mm = basic.xpos();
+    facts.y_mm = basic.ypos();
+    facts.z_mm = basic.zpos();
+    names_.put(id, registration.name);
+    if (joined) ++announced_;
+    observer_.onEntity(joined ? Presence::Joined : Presence::Changed, facts);
+    if (joined && connected_) sendWatches(id);
+}
+
+void SessionCore::onStatus(const EntityStatus& status) {
+    server_.feed(clock_.now());
+    marks_.raise(status.entity, status.stop_generation);
+    auto& known = entities_[status.entity];
+    Entity& facts = known.facts;
+    facts.id = status.entity;
+    facts.state = status.state;
+    facts.latched = status.latched;
+    facts.stop_generation = std::max(facts.stop_generation, status.stop_generation);
+    facts.holder = status.holder;
+    facts.reason = status.reason;
+
+    if (const auto mine = leases_.find(status.entity); mine != leases_.end()) {
+        if (status.held > mine->second.number && status.holder.id != self_.id) {
+            endLease(status.entity,
+                     {RefusalCode::RevokedLease,
+                      label(status.entity) + " was given to " + status.holder.name + ".", status.holder.name},
+                     true);
+        } else if (status.holder.id.empty() && withoutLease(status.state)) {
+            endLease(status.entity,
+                     {RefusalCode::Unavailable,
+                      label(status.entity) + " is " + toString(status.state) +
+                          (status.reason.empty() ? std::string(".") : ": " + status.reason),
+                      {}},
+                     true);
+        }
+    }
+    if (status.holder.id != self_.id) {
+        std::vector<Id128> released;
+        for (const auto& [key, pending] : pending_) {
+            if (key.first == Ask::Release && pending.entity == status.entity &&
+                status.held >= pending.lease) {
+                released.push_back(key.second);
+            }
+        }
+        for (const auto& id : released) answer(Ask::Release, id, {});
+    }
+    pace();
+    if (known.announced) observer_.onEntity(Presence::Changed, facts);
+}
+
+void SessionCore::onServiceRecord(const Header& head, std::string_view record) {
+    server_.feed(clock_.now());
+    proto::Service service;
+    if (!parse(service, record)) {
+        ++malformed_;
+        return;
+    }
+    onService(head.entity, service);
+}
+
+void SessionCore::onService(const std::string& entity, const proto::Service& service) {
+    const auto mine = leases_.find(entity);
+    if (mine == leases_.end()) return;
+    auto& services = *mine->second.services.mutable_services();
+    auto same = std::find_if(services.begin(), services.end(),
+                             [&](const proto::Service& s) { return s.name() == service.name(); });
+    if (same == services.end()) {
+        *services.Add() = service;
+    } else {
+        *same = service;
+    }
+    observer_.onService({entity, mine->second.number}, fromProto(service));
+}
+
+std::vector<Entity> SessionCore::entities() const {
+    std::vector<Entity> all;
+    for (const auto& id : names_.ids()) all.push_back(entities_.at(id).facts);
+    return all;
+}
+
+Result<Entity> SessionCore::find(std::string_view name) const {
+    if (!connected_) return notConnected();
+    const auto id = names_.resolve(name);
+    if (!id) return id.refusal();
+    return entity(id.value());
+}
+
+Result<Entity> SessionCore::entity(const std::string& id) const {
+    const auto known = entities_.find(id);
+    if (known == entities_.end() || !known->second.announced) {
+        return Refusal{RefusalCode::UnknownEntity,
+                       "The entity " + id + " is not connected to the server (any more).",
+                       {}};
+    }
+    return known->second.facts;
+}
+
+// ---- messages of entities
+
+void SessionCore::onEntityMsg(const Header& head, std::string_view bytes) {
+    server_.feed(clock_.now());
+    proto::ToClient message;
+    if (!parse(message, bytes)) {
+        ++malformed_;
+        return;
+    }
+    const std::string& entity = head.entity;
+    const auto mine = leases_.find(entity);
+    switch (message.body_case()) {
+        case proto::ToClient::kCheckOut:
+            onCheckOutReply(head, message.check_out());
+            break;
+        case proto::ToClient::kLeaseEnded: {
+            const auto number = numberOf(message.lease_ended().lease());
+            std::vector<Id128> released;
+            for (const auto& [key, pending] : pending_) {
+                if (key.first == Ask::Release && pending.entity == entity && pending.lease == number) {
+                    released.push_back(key.second);
+                }
+            }
+            for (const auto& id : released) answer(Ask::Release, id, {});
+            if (mine == leases_.end() || mine->second.number != number) break;
+            auto why = toRefusal(message.lease_ended().reason());
+            if (why.ok())
+                why = {RefusalCode::RevokedLease, "The lease of " + label(entity) + " has ended.", {}};
+            endLease(entity, why, true);
+            break;
+        }
+        case proto::ToClient::kReply:
+            onReply(head, message.reply());
+            break;
+        case proto::ToClient::kTask:
+            onTaskEvent(entity, message.task());
+            break;
+        case proto::ToClient::kStatus:
+            onStatusMsg(head, message.status());
+            break;
+        case proto::ToClient::kReceipt:
+            break;
+        case proto::ToClient::kResourceCredit: {
+            const auto& credit = message.resource_credit();
+            const auto id = Id128::fromBytes(credit.transfer_id());
+            if (!id) break;
+            const auto found = pending_.find({Ask::Upload, *id});
+            if (found == pending_.end()) break;
+            deadlines_.erase({found->second.deadline, found->first});
+            found->second.deadline = clock_.now() + settings_.timeout;
+            deadlines_.insert({found->second.deadline, found->first});
+            observer_.onTransferCredit(*id, credit.offset(), credit.offset() + credit.window());
+            break;
+        }
+        case proto::ToClient::kResourceDone: {
+            const auto id = Id128::fromBytes(message.resource_done().transfer_id());
+            if (id) answer(Ask::Upload, *id, toRefusal(message.resource_done().refusal()));
+            break;
+        }
+        case proto::ToClient::kText:
+            if (mine != leases_.end()) observer_.onText({entity, mine->second.number}, message.text().text());
+            break;
+        case proto::ToClient::kRaw:
+            if (mine == leases_.end()) break;
+            for (const auto& piece : message.raw().data())
+                observer_.onRaw({entity, mine->second.number}, piece);
+            break;
+        case proto::ToClient::kSample: {
+            if (watches_.count(entity) == 0) break;
+            const auto& sample = message.sample();
+            observer_.onSample({entity, sample.stream(), sample.sequence(), {}, sample.SerializeAsString()});
+            break;
+        }
+        case proto::ToClient::kService:
+            onService(entity, message.service());
+            break;
+        case proto::ToClient::kPosition: {
+            const auto known = entities_.find(entity);
+            if (known == entities_.end()) break;
+            known->second.facts.x_mm = message.position().xpos();
+            known->second.facts.y_mm = message.position().ypos();
+            known->second.facts.z_mm = message.position().zpos();
+            if (known->second.announced) observer_.onEntity(Presence::Changed, known->second.facts);
+            break;
+        }
+        case proto::ToClient::BODY_NOT_SET:
+            ++malformed_;  // or a message of a newer version: nothing this one could do with it
+            break;
+    }
+}
+
+void SessionCore::onReply(const Header& head, const proto::Reply& reply) {
+    const auto id = Id128::fromBytes(reply.request_id());
+    const auto refusal = toRefusal(reply.refusal());
+    if (!id) {
+        ++malformed_;
+        return;
+    }
+    // Text, raw data and the like have no request of their own: a refusal is all that comes back.
+    for (const Ask ask : {Ask::Set, Ask::Rearm, Ask::Release}) {
+        if (answer(ask, *id, ask == Ask::Release ? Refusal{} : refusal)) return;
+    }
+    if (!refusal.ok()) {
+        for (const Ask ask : {Ask::Services, Ask::Control, Ask::Upload}) {
+            if (answer(ask, *id, refusal)) return;
+        }
+        if (tasks_.count(*id) != 0) {
+            finishTask(*id, TaskState::Refused, refusal);
+        }
+        const auto mine = leases_.find(head.entity);
+        if (mine != leases_.end()) noteRefusal(head.entity, mine->second.number, refusal);
+    }
+}
+
+void SessionCore::onRefusal(const Header& head, const Refusal& refusal) {
+    server_.feed(clock_.now());
+    for (const auto& [key, pending] : pending_) {
+        if (pending.sequence != head.sequence || pending.entity != head.entity) continue;
+        const auto [ask, id] = key;
+        if (ask == Ask::Task) {
+            finishTask(id, TaskState::Refused, refusal);
+        } else {
+            answer(ask, id, ask == Ask::Release ? Result<void>{} : Result<void>{refusal});
+        }
+        return;
+    }
+    for (auto& [id, order] : check_outs_) {
+        for (const auto& party : order.parties) {
+            if (party.sequence == head.sequence && party.entity == head.entity) {
+                failCheckOut(id, refusal);
+                return;
+            }
+        }
+    }
+    const auto mine = leases_.find(head.entity);
+    if (mine != leases_.end()) noteRefusal(head.entity, head.held, refusal);
+    observer_.onServerText(static_cast<int>(refusal.code), refusal.message);
+}
+
+void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& status) {
+    const auto known = entities_.find(head.entity);
+    marks_.raise(head.entity, static_cast<std::int32_t>(status.stop_generation()));
+    if (known != entities_.end()) {
+        Entity& facts = known->second.facts;
+        facts.state = stateFromProto(status.state()).value_or(facts.state);
+        facts.latched = status.latched();
+        facts.stop_generation =
+            std::max(facts.stop_generation, static_cast<std::int32_t>(status.stop_generation()));
+        facts.reason = status.reason();
+        if (known->second.announced) observer_.onEntity(Presence::Changed, facts);
+    }
+    for (const auto& event : status.tasks()) onTaskEvent(head.entity, event);
+    pace();
+
+    std::vector<Id128> asked;
+    for (const auto& [key, pending] : pending_) {
+        if (key.first == Ask::Services && pending.entity == head.entity) asked.push_back(key.second);
+    }
+    if (asked.empty()) return;
+    std::vector<Service> services;
+    for (const auto& service : status.services()) services.push_back(fromProto(service));
+    for (const auto& id : asked) {
+        const auto found = pending_.find({Ask::Services, id});
+        const auto done = std::move(found->second.services_done);
+        deadlines_.erase({found->second.deadline, found->first});
+        pending_.erase(found);
+        done(services);
+    }
+}
+
+// ---- check-outs
+
+std::vector<Held> SessionCore::held() const {
+    std::vector<Held> all;
+    for (const auto& [entity, lease] : leases_) all.push_back({entity, lease.number});
+    return all;
+}
+
+bool SessionCore::holds(const Held& held) const {
+    return lease(held) != nullptr;
+}
+
+void SessionCore::checkOut(const std::vector<std::string>& names, CheckOutDone done) {
+    if (!connected_) return done(notConnected());
+    CheckOutOrder order;
+    for (const auto& name : names) {
+        const auto id = names_.resolve(name);
+        if (!id) return done(id.refusal());
+        if (leases_.count(id.value()) != 0) {
+            return done(Refusal{RefusalCode::AlreadyHeld,
+                                "This client holds " + label(id.value()) + " already.", self_.name});
+        }
+        for (const auto& party : order.parties) {
+            if (party.entity == id.value()) {
+                return done(Refusal{RefusalCode::Duplicate,
+                                    label(id.value()) + " is named twice. Name each entity once.",
+                                    {}});
+            }
+        }
+        order.parties.emplace_back().entity = id.value();
+    }
+    if (order.parties.empty()) {
+        return done(
+            Refusal{RefusalCode::UnknownEntity, "No entity is named. Name at least one to check out.", {}});
+    }
+    order.several = order.parties.size() > 1;
+    order.deadline = clock_.now() + settings_.timeout;
+    order.done = std::move(done);
+    const auto id = Id128::random(random_);
+    deadlines_.insert({order.deadline, {Ask::CheckOut, id}});
+    auto& parties = check_outs_.emplace(id, std::move(order)).first->second.parties;
+    for (auto& party : parties) sendCheckOut(id, party, parties.size() > 1 ? proto::RESERVE : proto::TAKE);
+}
+
+void SessionCore::sendCheckOut(const Id128& id, CheckOutParty& party, int phase) {
+    proto::ToEntity body;
+    auto& request = *body.mutable_check_out();
+    request.set_request_id(id.bytes());
+    request.set_phase(static_cast<proto::CheckOutPhase>(phase));
+    // As long as this client may wait for the last of the others.
+    if (phase == proto::RESERVE) request.set_reserve_s(Seconds(settings_.timeout).count());
+    party.answered = false;
+    party.sequence = send(party.entity, kMsgCheckOut, {}, body);
+}
+
+void SessionCore::onCheckOutReply(const Header& head, const proto::CheckOutReply& reply) {
+    const auto id = Id128::fromBytes(reply.request_id());
+    const auto refusal = toRefusal(reply.refusal());
+    const auto number = numberOf(reply.lease());
+    const bool grants =
+        refusal.ok() && reply.has_lease() && (reply.phase() == proto::TAKE || reply.phase() == proto::COMMIT);
+    marks_.raise(head.entity, static_cast<std::int32_t>(reply.stop_generation()));
+
+    const auto order = id ? check_outs_.find(*id) : check_outs_.end();
+    CheckOutParty* party = nullptr;
+    if (order != check_outs_.end()) {
+        for (auto& p : order->second.parties) {
+            if (p.entity == head.entity) party = &p;
+        }
+    }
+    if (party == nullptr) {
+        // Granted too late: nobody waits for it any more, and nobody else could have it.
+        const auto mine = leases_.find(head.entity);
+        const bool known = mine != leases_.end() && mine->second.number == number;
+        if (grants && !known) sendRelease({head.entity, number});
+        return;
+    }
+    auto& waiting = order->second;
+    const auto expected = !waiting.several     ? proto::TAKE
+                          : waiting.committing ? proto::COMMIT
+                                               : proto::RESERVE;
+    if (party->answered || (reply.phase() != expected && reply.phase() != proto::CHECK_OUT_UNSPECIFIED))
+        return;
+    party->answered = true;
+    if (!refusal.ok()) {
+        party->refused = true;
+        auto why = refusal;
+        if (waiting.several) why.message = label(head.entity) + ": " + why.message;
+        failCheckOut(*id, why);
+        return;
+    }
+    if (expected != proto::RESERVE) {
+        if (!grants) {
+            failCheckOut(
+                *id,
+                {RefusalCode::Internal, label(head.entity) + " granted a check-out without a lease.", {}});
+            return;
+        }
+        party->granted = true;
+        party->lease = number;
+        grant(head.entity, reply);
+    }
+    advanceCheckOut(*id);
+}
+
+void SessionCore::grant(const std::string& entity, const proto::CheckOutReply& reply) {
+    leases_[entity] = {numberOf(reply.lease()), reply.lease().key(), reply.services()};
+    auto& facts = entities_[entity].facts;
+    facts.stop_generation =
+        std::max(facts.stop_generation, static_cast<std::int32_t>(reply.stop_generation()));
+    facts.latched = reply.latched();
+    pace();
+}
+
+void SessionCore::advanceCheckOut(const Id128& id) {
+    auto& order = check_outs_.at(id);
+    const bool all = std::all_of(order.parties.begin(), order.parties.end(),
+                                 [](const CheckOutParty& party) { return party.answered; });
+    if (!all) return;
+    deadlines_.erase({order.deadline, {Ask::CheckOut, id}});
+    if (order.several && !order.committing) {
+        order.committing = true;
+        order.deadline = clock_.now() + settings_.timeout;
+        deadlines_.insert({order.deadline, {Ask::CheckOut, id}});
+        for (auto& party : order.parties) sendCheckOut(id, party, proto::COMMIT);
+        return;
+    }
+    std::vector<Held> granted;
+    for (const auto& party : order.parties) granted.push_back({party.entity, party.lease});
+    const auto done = std::move(order.done);
+    check_outs_.erase(id);
+    done(std::move(granted));
+}
+
+void SessionCore::failCheckOut(const Id128& id, const Refusal& why) {
+    const auto found = check_outs_.find(id);
+    if (found == check_outs_.end()) return;
+    auto order = std::move(found->second);
+    check_outs_.erase(found);
+    deadlines_.erase({order.deadline, {Ask::CheckOut, id}});
+    for (auto& party : order.parties) {
+        if (party.granted) {
+            endLease(party.entity, why, false);
+            if (connected_) sendRelease({party.entity, party.lease});
+        } else if (order.several && !party.refused && connected_) {
+            sendCheckOut(id, party, proto::ABORT);
+        }
+    }
+    order.done(why);
+}
+
+void SessionCore::sendRelease(const Held& held) {
+    proto::ToEntity body;
+    body.mutable_release();
+    send(held.entity, kMsgRelease, held.lease, body);
+}
+
+void SessionCore::release(const Held& held, Done done) {
+    const auto refusal = ready(held);
+    if (!refusal.ok()) return done(refusal);
+    proto::ToEntity body;
+    body.mutable_release();
+    Pending pending;
+    pending.entity = held.entity;
+    pending.lease = held.lease;
+    pending.done = std::move(done);
+    pending.sequence = send(held.entity, kMsgRelease, held.lease, body);
+    endLease(held.entity, {RefusalCode::NotHolder, label(held.entity) + " was released.", {}}, false);
+    // The entity stops what runs and says so in events of the tasks; without them they become Unknown.
+    for (const auto& [task, record] : tasks_) {
+        if (record.held == held && !isFinal(record.report.state)) awaitTask(task, record);
+    }
+    await(Ask::Release, Id128::random(random_), std::move(pending));
+}
+
+void SessionCore::endLease(const std::string& entity, const Refusal& why, bool tell) {
+    const auto found = leases_.find(entity);
+    if (found == leases_.end()) return;
+    const Held held{entity, found->second.number};
+    leases_.erase(found);
+    std::vector<std::pair<Ask, Id128>> keys;
+    for (const auto& [key, pending] : pending_) {
+        const bool mine = pending.entity == entity && pending.lease == held.lease;
+        if (mine && key.first != Ask::Release && key.first != Ask::Task) keys.push_back(key);
+    }
+    for (const auto& [ask, id] : keys) answer(ask, id, why);
+    if (tell) {
+        std::vector<Id128> open;
+        for (const auto& [id, record] : tasks_) {
+            if (record.held == held && !isFinal(record.report.state)) open.push_back(id);
+        }
+        const Refusal unknown{RefusalCode::OutcomeUnknown,
+                              "The lease ended while it was under way: " + why.message, why.holder};
+        for (const auto& id : open) finishTask(id, TaskState::Unknown, unknown);
+        observer_.onLost(held, why);
+    }
+    pace();
+}
+
+Result<std::vector<Service>> SessionCore::services(const Held& held) const {
+    const auto* mine = lease(held);
+    if (mine == nullptr) return notHolder(held);
+    std::vector<Service> all;
+    for (const auto& service : mine->services.services()) all.push_back(fromProto(service));
+    return all;
+}
+
+Result<Service> SessionCore::service(const Held& held, std::string_view name_or_global_id) const {
+    const auto* mine = lease(held);
+    if (mine == nullptr) return notHolder(held);
+    const auto index = findServiceIndex(mine->services, name_or_global_id);
+    if (!index) return index.refusal();
+    return fromProto(mine->services.services(index.value()));
+}
+
+// ---- requests under a lease
+
+void SessionCore::set(const Held& held, std::string_view service, const Argument& argument, Done done) {
+    const auto refusal = ready(held);
+    if (!refusal.ok()) return done(refusal);
+    const auto& services = lease(held)->services;
+    const auto index = findServiceIndex(services, service);
+    if (!index) return done(index.refusal());
+    auto params = toParams(services.services(index.value()), {argument});
+    if (!params) return done(params.refusal());
+    const auto id = Id128::random(random_);
+    proto::ToEntity body;
+    auto& request = *body.mutable_set_param();
+    request.set_service(services.services(index.value()).name());
+    *request.mutable_param() = std::move(params->front());
+    request.set_request_id(id.bytes());
+    Pending pending;
+    pending.entity = held.entity;
+    pending.lease = held.lease;
+    pending.done = std::move(done);
+    pending.sequence = send(held.entity, kMsgParam, held.lease, body);
+    await(Ask::Set, id, std::move(pending));
+}
+
+Result<void> SessionCore::sendText(const Held& held, std::string_view text) {
+    const auto refusal = ready(held);
+    if (!refusal.ok()) return refusal;
+    if (!isUtf8(text))
+        return Refusal{RefusalCode::Malformed, "A text must be UTF-8; send other bytes as raw data.", {}};
+    proto::ToEntity body;
+    body.mutable_text()->set_text(std::string(text));
+    send(held.entity, kMsgText, held.lease, body);
+    return {};
+}
+
+Result<void> SessionCore::sendRaw(const Held& held, std::string_view bytes) {
+    const auto refusal = ready(held);
+    if (!refusal.ok()) return refusal;
+    proto::ToEntity body;
+    body.mutable_raw()->add_data(std::string(bytes));
+    link_.sendToEntityDataSeq(header(held.entity, kMsgRaw, held.lease), body.SerializeAsString());
+    return {};
+}
+
+Result<void> SessionCore::reset(const Held& held) {
+    const auto refusal = ready(held);
+    if (!refusal.ok()) return refusal;
+    auto head = header(held.entity, kMsgReset, held.lease);
+    head.sequence = marks_.nextSequence();
+    link_.sendReset(head);
+    return {};
+}
+
+Result<void> SessionCore::clear(const Held& held) {
+    const auto refusal = ready(held);
+    if (!refusal.ok()) return refusal;
+    auto head = header(held.entity, kMsgClear, held.lease);
+    head.sequence = marks_.nextSequence();
+    link_.sendClear(head);
+    return {};
+}
+
+void SessionCore::rearm(const std::string& entity, Done done) {
+    if (!connected_) return done(notConnected());
+    const auto known = this->entity(entity);
+    if (!known) return done(known.refusal());
+    const auto mine = leases_.find(entity);
+    const auto id = Id128::random(random_);
+    proto::ToEntity body;
+    body.mutable_rearm()->set_request_id(id.bytes());
+    Pending pending;
+    pending.entity = entity;
+    pending.lease = mine == leases_.end() ? LeaseNumber{} : mine->second.number;
+    pending.done = std::move(done);
+    pending.sequence = send(entity, kMsgRearm, pending.lease, body);
+    await(Ask::Rearm, id, std::move(pending));
+}
+
+void SessionCore::fetchServices(const std::string& entity, ServicesDone done) {
+    if (!connected_) return done(notConnected());
+    const auto known = this->entity(entity);
+    if (!known) return done(known.refusal());
+    const auto id = Id128::random(random_);
+    proto::ToEntity body;
+    body.mutable_status_request()->set_request_id(id.bytes());
+    body.mutable_status_request()->set_with_services(true);
+    Pending pending;
+    pending.entity = entity;
+    pending.services_done = std::move(done);
+    pending.sequence = send(entity, kMsgStatus, {}, body);
+    await(Ask::Services, id, std::move(pending));
+}
+
+// ---- streams
+
+Result<void> SessionCore::watch(const std::string& entity, const std::vector<std::string>& streams) {
+    if (!connected_) return notConnected();
+    const auto known = this->entity(entity);
+    if (!known) return known.refusal();
+    auto& counts = watches_[entity];
+    if (streams.empty()) ++counts[""];
+    for (const auto& stream : streams) ++counts[stream];
+    sendWatches(entity);
+    return {};
+}
+
+void SessionCore::unwatch(const std::string& entity, const std::vector<std::string>& streams) {
+    const auto found = watches_.find(entity);
+    if (found == watches_.end()) return;
+    auto& counts = found->second;
+    std::vector<std::string> off;
+    const auto drop = [&](const std::string& stream) {
+        const auto count = counts.find(stream);
+        if (count == counts.end() || --count->second > 0) return;
+        counts.erase(count);
+        off.push_back(stream);
+    };
+    if (streams.empty()) drop("");
+    for (const auto& stream : streams) drop(stream);
+    if (counts.empty()) watches_.erase(found);
+    if (off.empty() || !connected_ || !names_.contains(entity)) return;
+    proto::ToEntity body;
+    auto& watch = *body.mutable_watch();
+    watch.set_on(false);
+    for (const auto& stream : off) {
+        if (!stream.empty()) watch.add_streams(stream);
+    }
+    send(entity, kMsgWatch, {}, body);
+    // Switching "all" off takes the single ones with it.
+    if (std::find(off.begin(), off.end(), "") != off.end()) sendWatches(entity);
+}
+
+void SessionCore::sendWatches(const std::string& entity) {
+    const auto found = watches_.find(entity);
+    if (found == watches_.end()) return;
+    proto::ToEntity body;
+    auto& watch = *body.mutable_watch();
+    watch.set_on(true);
+    if (found->second.count("") == 0) {
+        for (const auto& [stream, count] : found->second) watch.add_streams(stream);
+    }
+    send(entity, kMsgWatch, {}, body);
+}
+
+// ---- resources
+
+Id128 SessionCore::offer(const Held& held, std::string_view service, std::string_view resource,
+                         const std::string& file_name, std::uint64_t size, const std::string& sha256,
+                         Done done) {
+    const auto id = Id128::random(random_);
+    const auto refusal = ready(held);
+    if (!refusal.ok()) {
+        done(refusal);
+        return id;
+    }
+    const auto& services = lease(held)->services;
+    const auto index = findServiceIndex(services, service);
+    if (!index) {
+        done(index.refusal());
+        return id;
+    }
+    const auto& chosen = services.services(index.value());
+    const auto place = findResourceIndex(chosen, resource);
+    if (!place) {
+        done(place.refusal());
+        return id;
+    }
+    proto::ToEntity body;
+    auto& offer = *body.mutable_resource_offer();
+    offer.set_transfer_id(id.bytes());
+    offer.set_service(chosen.name());
+    offer.set_resource(chosen.resources(place.value()).name());
+    offer.set_file_name(file_name);
+    offer.set_size(size);
+    offer.set_sha256(sha256);
+    Pending pending;
+    pending.entity = held.entity;
+    pending.lease = held.lease;
+    pending.done = std::move(done);
+    pending.sequence = send(held.entity, kMsgResource, held.lease, body);
+    transfers_[id] = held;
+    await(Ask::Upload, id, std::move(pending));
+    return id;
+}
+
+Result<void> SessionCore::sendChunk(const Id128& transfer, std::uint64_t offset, std::string_view content) {
+    const auto found = transfers_.find(transfer);
+    if (found == transfers_.end())
+        return Refusal{RefusalCode::Cancelled, "The transfer has ended already.", {}};
+    if (content.size() > kChunkMax) {
+        return Refusal{RefusalCode::TooLarge, "A chunk holds at most 65536 bytes.", {}};
+    }
+    proto::ToEntity body;
+    auto& chunk = *body.mutable_resource_chunk();
+    chunk.set_transfer_id(transfer.bytes());
+    chunk.set_offset(offset);
+    chunk.set_content(std::string(content));
+    // Not among the data that servers may drop: the window keeps it small enough to be kept.
+    send(found->second.entity, kMsgResource, found->second.lease, body);
+    return {};
+}
+
+// ---- tasks
+
+std::optional<TaskReport> SessionCore::task(const Id128& id) const {
+    const auto found = tasks_.find(id);
+    if (found == tasks_.end()) return std::nullopt;
+    return found->second.report;
+}
+
+Id128 SessionCore::run(const Held& held, std::string_view service, const std::vector<Argument>& arguments,
+                       Duration not_after) {
+    const auto id = Id128::uuid(random_);
+    auto& record = tasks_[id];
+    ++running_tasks_;
+    record.held = held;
+    record.report.id = id.toString();
+    record.report.entity = held.entity;
+    record.report.service = std::string(service);
+
+    const auto refusal = ready(held);
+    if (!refusal.ok()) {
+        finishTask(id, TaskState::Refused, refusal);
+        return id;
+    }
+    const auto& services = lease(held)->services;
+    const auto index = findServiceIndex(services, service);
+    if (!index) {
+        finishTask(id, TaskState::Refused, index.refusal());
+        return id;
+    }
+    const auto& chosen = services.services(index.value());
+    auto params = toParams(chosen, arguments);
+    if (!params) {
+        finishTask(id, TaskState::Refused, params.refusal());
+        return id;
+    }
+    record.report.service = chosen.name();
+    proto::ToEntity body;
+    auto& request = *body.mutable_task();
+    request.set_task_id(id.bytes());
+    request.set_service(chosen.name());
+    for (auto& param : params.value()) *request.add_params() = std::move(param);
+    request.set_not_after_s(Seconds(not_after).count());
+    Pending pending;
+    pending.entity = held.entity;
+    pending.lease = held.lease;
+    pending.sequence = send(held.entity, kMsgTask, held.lease, body);
+    await(Ask::Task, id, std::move(pending));
+    pace();
+    return id;
+}
+
+void SessionCore::onTaskEvent(const std::string& entity, const proto::TaskEvent& event) {
+    const auto id = Id128::fromBytes(event.task_id());
+    const auto state = taskStateFromProto(event.state());
+    if (!id || !state) {
+        ++malformed_;
+        return;
+    }
+    const auto found = tasks_.find(*id);
+    if (found == tasks_.end() || found->second.held.entity != entity) return;
+    answer(Ask::Task, *id, {});
+    auto& record = found->second;
+    auto& report = record.report;
+    if (isFinal(report.state)) {
+        // Given up here, alive there: a task whose outcome this client has called unknown must not go on.
+        if (report.state == TaskState::Unknown && !isFinal(*state) && lease(record.held) != nullptr) {
+            proto::ToEntity body;
+            body.mutable_task_control()->set_task_id(id->bytes());
+            body.mutable_task_control()->set_action(proto::CANCEL);
+            send(entity, kMsgTaskControl, record.held.lease, body);
+        }
+        return;
+    }
+    if (!follows(report.state, *state)) return;
+    report.state = *state;
+    if (event.progress() >= 0) report.progress = std::max(report.progress, event.progress());
+    if (!event.feedback().empty()) report.feedback = event.feedback();
+    for (const auto& param : event.results()) {
+        auto& values = report.results[param.name()];
+        values.clear();
+        for (const auto& value : param.values()) values.push_back(fromProto(value));
+    }
+    report.reason = toRefusal(event.reason());
+    settleControls(*id, report);
+    if (isFinal(report.state)) {
+        noteFinal(*id);
+    } else if (lease(record.held) == nullptr) {
+        awaitTask(*id, record);
+    }
+    observer_.onTask(found->second.report);
+    if (*state == TaskState::Refused)
+        noteRefusal(entity, found->second.held.lease, toRefusal(event.reason()));
+    pace();
+}
+
+void SessionCore::awaitTask(const Id128& id, const TaskRecord& record) {
+    if (pending_.count({Ask::Task, id}) != 0) return;
+    Pending pending;
+    pending.entity = record.held.entity;
+    pending.lease = record.held.lease;
+    await(Ask::Task, id, std::move(pending));
+}
+
+void SessionCore::finishTask(const Id128& id, TaskState state, const Refusal& why) {
+    const auto found = tasks_.find(id);
+    if (found == tasks_.end() || isFinal(found->second.report.state)) return;
+    answer(Ask::Task, id, {});
+    auto& report = found->second.report;
+    report.state = state;
+    report.reason = why;
+    settleControls(id, report);
+    noteFinal(id);
+    observer_.onTask(report);
+    pace();
+}
+
+void SessionCore::noteFinal(const Id128& id) {
+    --running_tasks_;
+    finished_tasks_.push_back(id);
+    while (finished_tasks_.size() > std::max<std::size_t>(settings_.tasks_kept, 1)) {
+        tasks_.erase(finished_tasks_.front());
+        finished_tasks_.pop_front();
+    }
+}
+
+void SessionCore::settleControls(const Id128& id, const TaskReport& report) {
+    const auto found = pending_.find({Ask::Control, id});
+    if (found == pending_.end()) return;
+    const auto action = found->second.action;
+    if (isFinal(report.state)) {
+        if (action == proto::CANCEL && report.state != TaskState::Unknown) {
+            answer(Ask::Control, id, {});
+        } else {
+            answer(Ask::Control, id,
+                   Refusal{report.state == TaskState::Unknown ? RefusalCode::OutcomeUnknown
+                                                              : RefusalCode::WrongState,
+                           std::string("The task has ended meanwhile: ") + toString(report.state) + ".",
+                           {}});
+        }
+    } else if ((action == proto::PAUSE && report.state == TaskState::Paused) ||
+               (action == proto::RESUME && report.state == TaskState::Running)) {
+        answer(Ask::Control, id, {});
+    }
+}
+
+void SessionCore::control(const Id128& task, proto::TaskAction action, Done done) {
+    const auto found = tasks_.find(task);
+    if (found == tasks_.end()) {
+        return done(Refusal{RefusalCode::UnknownTask, "This client knows no such task (any more).", {}});
+    }
+    const auto& record = found->second;
+    if (isFinal(record.report.state)) {
+        return done(Refusal{RefusalCode::WrongState,
+                            std::string("The task has ended already: ") + toString(record.report.state) + ".",
+                            {}});
+    }
+    const auto refusal = ready(record.held);
+    if (!refusal.ok()) return done(refusal);
+    answer(Ask::Control, task,
+           Refusal{RefusalCode::Cancelled, "A newer request for the same task took its place.", {}});
+    proto::ToEntity body;
+    body.mutable_task_control()->set_task_id(task.bytes());
+    body.mutable_task_control()->set_action(action);
+    Pending pending;
+    pending.entity = record.held.entity;
+    pending.lease = record.held.lease;
+    pending.action = action;
+    pending.done = std::move(done);
+    pending.sequence = send(record.held.entity, kMsgTaskControl, record.held.lease, body);
+    await(Ask::Control, task, std::move(pending));
+}
+
+// ---- time
+
+bool SessionCore::busy() const {
+    if (running_tasks_ > 0) return true;
+    return std::any_of(leases_.begin(), leases_.end(), [&](const auto& entry) {
+        const auto known = entities_.find(entry.first);
+        return known != entities_.end() && moves(known->second.facts.state);
+    });
+}
+
+void SessionCore::pace() {
+    if (!connected_) return;
+    const auto now = clock_.now();
+    // The server beats fast only while it sees an entity of ours BUSY; our own tasks begin a little earlier.
+    server_.setBusy(std::any_of(leases_.begin(), leases_.end(),
+                                [&](const auto& entry) {
+                                    const auto known = entities_.find(entry.first);
+                                    return known != entities_.end() &&
+                                           known->second.facts.state == EntityState::BUSY;
+                                }),
+                    now);
+    if (busy()) next_heartbeat_ = std::min(next_heartbeat_, now + settings_.heartbeat_busy);
+}
+
+void SessionCore::onHeartbeatTimer() {
+    const auto now = clock_.now();
+    if (!connected_ || now < next_heartbeat_) return;
+    const bool fast = busy();
+    next_heartbeat_ = now + (fast ? settings_.heartbeat_busy : settings_.heartbeat_idle);
+    link_.keepAlive(++beat_, fast);
+}
+
+TimePoint SessionCore::nextDeadline() const {
+    return deadlines_.empty() ? TimePoint::max() : deadlines_.begin()->first;
+}
+
+void SessionCore::onTimer() {
+    const auto now = clock_.now();
+    while (!deadlines_.empty() && deadlines_.begin()->first <= now) {
+        const auto [ask, id] = deadlines_.begin()->second;
+        const Refusal late{
+            RefusalCode::TimedOut,
+            "No answer within " + std::to_string(Seconds(settings_.timeout).count()).substr(0, 4) + " s.",
+            {}};
+        if (ask == Ask::CheckOut) {
+            auto why = late;
+            std::string silent;
+            for (const auto& party : check_outs_.at(id).parties) {
+                if (!party.answered) silent += (silent.empty() ? "" : ", ") + label(party.entity);
+            }
+            why.message = "No answer from " + silent + " to the check-out in time; nothing was checked out.";
+            failCheckOut(id, why);
+        } else if (ask == Ask::Task) {
+            // It may or may not run: say so, and make an end of it if it does.
+            const auto& record = tasks_.at(id);
+            if (lease(record.held) != nullptr) {
+                proto::ToEntity body;
+                body.mutable_task_control()->set_task_id(id.bytes());
+                body.mutable_task_control()->set_action(proto::CANCEL);
+                send(record.held.entity, kMsgTaskControl, record.held.lease, body);
+            }
+            finishTask(id, TaskState::Unknown,
+                       {RefusalCode::OutcomeUnknown,
+                        label(record.held.entity) + " has not answered the request in time.",
+                        {}});
+        } else {
+            answer(ask, id, late);
+        }
+    }
+}
+
+}  // namespace axon::client

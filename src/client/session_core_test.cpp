@@ -1,0 +1,584 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "client/session_core.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "client/test_environment.hpp"
+
+namespace axon::client::test {
+namespace {
+
+using namespace std::chrono_literals;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+class SessionCoreTest : public ::testing::Test, public CoreWorld {
+  protected:
+    void SetUp() override { connect(); }
+    /// Two entities asked for, both reserved; the messages of the second phase.
+    std::vector<SentMessage> reserveTwo(Answer<std::vector<Held>>& answer) {
+        core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+        const auto asked = link.take();
+        for (const auto& message : asked) answerCheckOut(message);
+        return link.take();
+    }
+};
+
+// ---- check-out
+
+TEST_F(SessionCoreTest, OneEntityIsTaken) {
+    Answer<std::vector<Held>> answer;
+    core.checkOut({"Cyton"}, answer.taker());
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].body.check_out().phase(), proto::TAKE);
+    EXPECT_EQ(link.sent[0].head.entity, uuid(3));
+    EXPECT_EQ(link.sent[0].head.msg_type, kMsgCheckOut);
+    EXPECT_EQ(answer.count, 0);
+
+    answerCheckOut(link.sent[0]);
+
+    EXPECT_EQ(answer.count, 1);
+    EXPECT_TRUE(answer.refusal.ok());
+    EXPECT_THAT(core.held(), ElementsAre(Held{uuid(3), {1, 1}}));
+    EXPECT_EQ(core.service({uuid(3), {1, 1}}, "Driving").value().name, "Driving");
+}
+
+TEST_F(SessionCoreTest, SeveralAreReservedThenCommittedUnderOneRequest) {
+    Answer<std::vector<Held>> answer;
+    core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+    const auto reserved = link.take();
+    ASSERT_THAT(reserved, SizeIs(2));
+    EXPECT_EQ(reserved[0].body.check_out().phase(), proto::RESERVE);
+    EXPECT_EQ(reserved[0].body.check_out().request_id(), reserved[1].body.check_out().request_id());
+
+    answerCheckOut(reserved[0]);
+    EXPECT_THAT(link.sent, IsEmpty()) << "nothing is committed before all are reserved";
+    answerCheckOut(reserved[1]);
+    const auto committed = link.take();
+    ASSERT_THAT(committed, SizeIs(2));
+    EXPECT_EQ(committed[0].body.check_out().phase(), proto::COMMIT);
+
+    answerCheckOut(committed[0]);
+    EXPECT_EQ(answer.count, 0);
+    answerCheckOut(committed[1]);
+    EXPECT_EQ(answer.count, 1);
+    EXPECT_THAT(core.held(), SizeIs(2));
+}
+
+TEST_F(SessionCoreTest, OneRefusalAbortsTheOthersAndNamesTheHolder) {
+    Answer<std::vector<Held>> answer;
+    core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+    const auto reserved = link.take();
+    answerCheckOut(reserved[0]);
+    answerCheckOut(reserved[1], RefusalCode::AlreadyHeld);
+
+    EXPECT_EQ(answer.count, 1);
+    EXPECT_EQ(answer.refusal.code, RefusalCode::AlreadyHeld);
+    EXPECT_EQ(answer.refusal.holder, "bob@lab");
+    EXPECT_THAT(answer.refusal.message, HasSubstr("Cyton"));
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].body.check_out().phase(), proto::ABORT);
+    EXPECT_EQ(link.sent[0].head.entity, uuid(1));
+    EXPECT_THAT(core.held(), IsEmpty());
+}
+
+TEST_F(SessionCoreTest, AReservationThatIsNotAnsweredInTimeAbortsAll) {
+    Answer<std::vector<Held>> answer;
+    core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+    answerCheckOut(link.take()[0]);
+    advance(4999ms);
+    EXPECT_EQ(answer.count, 0);
+    advance(1ms);
+
+    EXPECT_EQ(answer.count, 1);
+    EXPECT_EQ(answer.refusal.code, RefusalCode::TimedOut);
+    EXPECT_THAT(answer.refusal.message, HasSubstr("Cyton"));
+    ASSERT_THAT(link.sent, SizeIs(2));
+    for (const auto& message : link.sent) EXPECT_EQ(message.body.check_out().phase(), proto::ABORT);
+}
+
+TEST_F(SessionCoreTest, ACommitThatFailsReleasesWhatWasGranted) {
+    Answer<std::vector<Held>> answer;
+    const auto committed = reserveTwo(answer);
+    answerCheckOut(committed[0]);
+    answerCheckOut(committed[1], RefusalCode::Expired);
+
+    EXPECT_EQ(answer.refusal.code, RefusalCode::Expired);
+    EXPECT_THAT(core.held(), IsEmpty());
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_TRUE(link.sent[0].body.has_release());
+    EXPECT_EQ(link.sent[0].head.held, (LeaseNumber{1, 1}));
+    EXPECT_THAT(observer.lost, IsEmpty()) << "nobody was told that it was held";
+}
+
+TEST_F(SessionCoreTest, AGrantThatComesTooLateIsGivenBack) {
+    Answer<std::vector<Held>> answer;
+    core.checkOut({"Cyton"}, answer.taker());
+    const auto asked = link.take()[0];
+    advance(5s);
+    ASSERT_EQ(answer.refusal.code, RefusalCode::TimedOut);
+
+    answerCheckOut(asked, RefusalCode::Ok, 4);
+
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_TRUE(link.sent[0].body.has_release());
+    EXPECT_EQ(link.sent[0].head.held, (LeaseNumber{1, 4}));
+    EXPECT_EQ(answer.count, 1);
+}
+
+TEST_F(SessionCoreTest, ADuplicateGrantChangesNothing) {
+    Answer<std::vector<Held>> answer;
+    core.checkOut({"Cyton"}, answer.taker());
+    const auto asked = link.take()[0];
+    answerCheckOut(asked);
+    answerCheckOut(asked);
+    EXPECT_EQ(answer.count, 1);
+    EXPECT_THAT(link.sent, IsEmpty());
+    EXPECT_THAT(core.held(), SizeIs(1));
+}
+
+TEST_F(SessionCoreTest, WhatCannotBeAskedForIsRefusedAtOnce) {
+    const auto code = [&](const std::vector<std::string>& names) {
+        Answer<std::vector<Held>> answer;
+        core.checkOut(names, answer.taker());
+        EXPECT_EQ(answer.count, 1);
+        return answer.refusal.code;
+    };
+    EXPECT_EQ(code({}), RefusalCode::UnknownEntity);
+    EXPECT_EQ(code({"PeopleBot"}), RefusalCode::AmbiguousEntity);
+    EXPECT_EQ(code({"Cyton", uuid(3)}), RefusalCode::Duplicate);
+    EXPECT_EQ(code({"Cyton", "Nobody"}), RefusalCode::UnknownEntity);
+    EXPECT_THAT(link.sent, IsEmpty());
+    take("Cyton");
+    EXPECT_EQ(code({"Cyton"}), RefusalCode::AlreadyHeld);
+}
+
+TEST_F(SessionCoreTest, ACheckOutEndsWhenAnEntityLeaves) {
+    Answer<std::vector<Held>> answer;
+    core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+    core.onProfile(Presence::Left, {uuid(3), "Cyton"}, {});
+    EXPECT_EQ(answer.count, 1);
+    EXPECT_EQ(answer.refusal.code, RefusalCode::Unavailable);
+}
+
+// ---- leases
+
+TEST_F(SessionCoreTest, CommandsCarryLeaseAndNewestStopGeneration) {
+    const auto held = take("Cyton");
+    status(3, EntityState::REG, kMe, {1, 1}, 4);
+    status(3, EntityState::REG, kMe, {1, 1}, 3);  // older, overtaken
+    core.run(held, "Driving", {}, {});
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].head.held, (LeaseNumber{1, 1}));
+    EXPECT_EQ(link.sent[0].head.stop_generation, 4);
+    EXPECT_EQ(link.sent[0].head.msg_type, kMsgTask);
+}
+
+TEST_F(SessionCoreTest, AnEndedLeaseIsToldAndRefusedFromThenOn) {
+    const auto held = take("Cyton");
+    proto::ToClient message;
+    message.mutable_lease_ended()->mutable_lease()->set_epoch(1);
+    message.mutable_lease_ended()->mutable_lease()->set_number(1);
+    message.mutable_lease_ended()->mutable_reason()->set_code(proto::REVOKED_LEASE);
+    fromEntity(3, message);
+
+    ASSERT_THAT(observer.lost, SizeIs(1));
+    EXPECT_EQ(observer.lost[0].second.code, RefusalCode::RevokedLease);
+    EXPECT_EQ(core.sendText(held, "hello").refusal().code, RefusalCode::NotHolder);
+    EXPECT_EQ(core.reset(held).refusal().code, RefusalCode::NotHolder);
+    fromEntity(3, message);
+    EXPECT_THAT(observer.lost, SizeIs(1)) << "once";
+}
+
+TEST_F(SessionCoreTest, TheEndOfAnOlderLeaseDoesNotEndTheNewOne) {
+    take("Cyton", 2);
+    proto::ToClient message;
+    message.mutable_lease_ended()->mutable_lease()->set_epoch(1);
+    message.mutable_lease_ended()->mutable_lease()->set_number(1);
+    fromEntity(3, message);
+    EXPECT_THAT(core.held(), SizeIs(1));
+}
+
+TEST_F(SessionCoreTest, AHandleOfAnEarlierLeaseIsRefused) {
+    const auto earlier = take("Cyton", 1);
+    core.release(earlier, [](const Result<void>&) {});
+    const auto now = take("Cyton", 2);
+    EXPECT_FALSE(core.holds(earlier));
+    EXPECT_TRUE(core.holds(now));
+    EXPECT_EQ(core.sendText(earlier, "hello").refusal().code, RefusalCode::NotHolder);
+}
+
+TEST_F(SessionCoreTest, ARefusalForAStaleLeaseEndsItHere) {
+    const auto held = take("Cyton");
+    Answer<void> answer;
+    core.set(held, "Driving", {"Distance", {std::int64_t{100}}}, answer.taker());
+    reply(3, link.sent[0].body.set_param().request_id(), RefusalCode::OlderLease);
+    EXPECT_EQ(answer.refusal.code, RefusalCode::OlderLease);
+    EXPECT_THAT(observer.lost, SizeIs(1));
+    EXPECT_THAT(core.held(), IsEmpty());
+}
+
+TEST_F(SessionCoreTest, ANewerHolderInTheStatusEndsTheLease) {
+    take("Cyton");
+    status(3, EntityState::REG, {"other", "bob@lab"}, {1, 2});
+    ASSERT_THAT(observer.lost, SizeIs(1));
+    EXPECT_EQ(observer.lost[0].second.holder, "bob@lab");
+}
+
+TEST_F(SessionCoreTest, AnEntityWhoseRobotApplicationIsGoneIsLost) {
+    take("Cyton");
+    status(3, EntityState::UNAV);
+    ASSERT_THAT(observer.lost, SizeIs(1));
+    EXPECT_EQ(observer.lost[0].second.code, RefusalCode::Unavailable);
+}
+
+TEST_F(SessionCoreTest, ReleaseIsDoneWhenTheEntityIsFree) {
+    const auto held = take("Cyton");
+    Answer<void> answer;
+    core.release(held, answer.taker());
+    EXPECT_TRUE(link.sent[0].body.has_release());
+    EXPECT_EQ(core.sendText(held, "x").refusal().code, RefusalCode::NotHolder) << "given up at once";
+    status(3, EntityState::BUSY, kMe, {1, 1});
+    EXPECT_EQ(answer.count, 0);
+    status(3, EntityState::IDLE, {}, {1, 1});
+    EXPECT_EQ(answer.count, 1);
+    EXPECT_TRUE(answer.refusal.ok());
+    EXPECT_THAT(observer.lost, IsEmpty());
+}
+
+// ---- requests and their time
+
+TEST_F(SessionCoreTest, EachRequestTimesOut) {
+    const auto held = take("Cyton");
+    Answer<void> set, rearm, release, upload, pause;
+    Answer<std::vector<Service>> services;
+    core.set(held, "Driving", {"Distance", {std::int64_t{100}}}, set.taker());
+    core.rearm(uuid(1), rearm.taker());
+    core.fetchServices(uuid(2), services.taker());
+    core.offer(held, "Driving", "Map", "map.txt", 10, std::string(32, 'x'), upload.taker());
+    const auto task = core.run(held, "Driving", {}, {});
+    taskEvent(3, task, proto::TASK_RUNNING);
+    core.control(task, proto::PAUSE, pause.taker());
+    EXPECT_EQ(core.nextDeadline(), clock.now() + 5s);
+
+    advance(5s);
+
+    for (const auto* answer : {&set, &rearm, &upload, &pause}) {
+        EXPECT_EQ(answer->count, 1);
+        EXPECT_EQ(answer->refusal.code, RefusalCode::TimedOut);
+    }
+    EXPECT_EQ(services.refusal.code, RefusalCode::TimedOut);
+    EXPECT_EQ(core.pendingRequests(), 0U);
+    core.release(held, release.taker());
+    advance(5s);
+    EXPECT_EQ(release.refusal.code, RefusalCode::TimedOut);
+    EXPECT_EQ(core.task(task)->state, TaskState::Unknown) << "released, and nobody said how the task ended";
+}
+
+TEST_F(SessionCoreTest, ALateReplyIsNotASecondAnswer) {
+    const auto held = take("Cyton");
+    Answer<void> answer;
+    core.set(held, "Driving", {"Distance", {std::int64_t{100}}}, answer.taker());
+    const auto id = link.sent[0].body.set_param().request_id();
+    advance(5s);
+    reply(3, id);
+    EXPECT_EQ(answer.count, 1);
+}
+
+TEST_F(SessionCoreTest, WhatTheServersCannotDeliverIsRefusedBySequence) {
+    const auto held = take("Cyton");
+    Answer<void> answer;
+    core.set(held, "Driving", {"Distance", {std::int64_t{100}}}, answer.taker());
+    core.onRefusal(link.sent[0].head, {RefusalCode::UnknownEntity, "no such entity", {}});
+    EXPECT_EQ(answer.count, 1);
+    EXPECT_EQ(answer.refusal.code, RefusalCode::UnknownEntity);
+
+    const auto task = core.run(held, "Driving", {}, {});
+    core.onRefusal(link.sent[1].head, {RefusalCode::UnknownEntity, "no such entity", {}});
+    EXPECT_EQ(core.task(task)->state, TaskState::Refused);
+
+    Answer<std::vector<Held>> check_out;
+    core.checkOut({"PeopleBot#1"}, check_out.taker());
+    core.onRefusal(link.sent.back().head, {RefusalCode::UnknownEntity, "no such entity", {}});
+    EXPECT_EQ(check_out.refusal.code, RefusalCode::UnknownEntity);
+}
+
+TEST_F(SessionCoreTest, ValuesAreCheckedAgainstTheProfileBeforeTheyTravel) {
+    const auto held = take("Cyton");
+    const auto code = [&](const Argument& argument) {
+        Answer<void> answer;
+        core.set(held, "Driving", argument, answer.taker());
+        return answer.refusal.code;
+    };
+    EXPECT_EQ(code({"Distanz", {std::int64_t{1}}}), RefusalCode::UnknownParameter);
+    EXPECT_EQ(code({"Distance", {std::string("far")}}), RefusalCode::WrongType);
+    EXPECT_EQ(code({"Distance", {std::int64_t{1}}, "deg"}), RefusalCode::WrongUnits);
+    EXPECT_EQ(code({"Distance", {std::int64_t{5001}}}), RefusalCode::OutOfRange);
+    EXPECT_EQ(code({"Distance", {std::string("12x")}, "", true}), RefusalCode::WrongUnits);
+    EXPECT_THAT(link.sent, IsEmpty());
+    code({"Distance", {std::string("1500")}, "", true});
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].body.set_param().param().values(0).int_(), 1500);
+}
+
+TEST_F(SessionCoreTest, ServicesOfAnyEntityCanBeAskedFor) {
+    std::vector<Service> got;
+    core.fetchServices(uuid(1),
+                       [&](Result<std::vector<Service>> services) { got = std::move(services).value(); });
+    ASSERT_TRUE(link.sent[0].body.status_request().with_services());
+    proto::ToClient message;
+    message.mutable_status()->set_state(proto::IDLE);
+    message.mutable_status()->add_services()->set_name("Turning");
+    fromEntity(1, message);
+    ASSERT_THAT(got, SizeIs(1));
+    EXPECT_EQ(got[0].name, "Turning");
+}
+
+TEST_F(SessionCoreTest, CreditsMoveTheDeadlineOfAnUpload) {
+    const auto held = take("Cyton");
+    Answer<void> answer;
+    const auto transfer =
+        core.offer(held, "Driving", "Map", "map.txt", 100'000, std::string(32, 'x'), answer.taker());
+    advance(4s);
+    proto::ToClient credit;
+    credit.mutable_resource_credit()->set_transfer_id(transfer.bytes());
+    credit.mutable_resource_credit()->set_offset(1000);
+    credit.mutable_resource_credit()->set_window(65536);
+    fromEntity(3, credit);
+    EXPECT_THAT(observer.credits, ElementsAre(std::pair<std::uint64_t, std::uint64_t>{1000, 66536}));
+    advance(4s);
+    EXPECT_EQ(answer.count, 0);
+    EXPECT_TRUE(core.sendChunk(transfer, 1000, std::string(65536, 'x')).ok());
+    EXPECT_EQ(core.sendChunk(transfer, 1000, std::string(65537, 'x')).refusal().code, RefusalCode::TooLarge);
+    proto::ToClient done;
+    done.mutable_resource_done()->set_transfer_id(transfer.bytes());
+    done.mutable_resource_done()->mutable_refusal()->set_code(proto::HASH_MISMATCH);
+    fromEntity(3, done);
+    EXPECT_EQ(answer.refusal.code, RefusalCode::HashMismatch);
+    EXPECT_EQ(core.sendChunk(transfer, 1000, "x").refusal().code, RefusalCode::Cancelled);
+}
+
+// ---- tasks
+
+TEST_F(SessionCoreTest, ATaskGoesThroughItsStates) {
+    const auto held = take("Cyton");
+    const auto task = core.run(held, "Driving", {{"Distance", {std::int64_t{1000}}}}, 2s);
+    EXPECT_EQ(core.task(task)->state, TaskState::Queued);
+    EXPECT_EQ(link.sent[0].body.task().task_id(), task.bytes());
+    EXPECT_DOUBLE_EQ(link.sent[0].body.task().not_after_s(), 2);
+    taskEvent(3, task, proto::TASK_DISPATCHED);
+    taskEvent(3, task, proto::TASK_RUNNING, 0.25);
+    EXPECT_EQ(core.task(task)->state, TaskState::Running);
+    EXPECT_DOUBLE_EQ(core.task(task)->progress, 0.25);
+    taskEvent(3, task, proto::TASK_PAUSED);
+    taskEvent(3, task, proto::TASK_RUNNING);
+    taskEvent(3, task, proto::TASK_SUCCEEDED, 1);
+    EXPECT_EQ(core.task(task)->state, TaskState::Succeeded);
+    EXPECT_THAT(observer.tasks, SizeIs(5));
+    advance(10s);
+    EXPECT_EQ(core.task(task)->state, TaskState::Succeeded);
+}
+
+TEST_F(SessionCoreTest, LateAndDuplicateEventsDoNotTurnATaskBack) {
+    const auto held = take("Cyton");
+    const auto task = core.run(held, "Driving", {}, {});
+    taskEvent(3, task, proto::TASK_RUNNING, 0.5);
+    taskEvent(3, task, proto::TASK_DISPATCHED);
+    EXPECT_EQ(core.task(task)->state, TaskState::Running);
+    taskEvent(3, task, proto::TASK_STOPPED);
+    taskEvent(3, task, proto::TASK_RUNNING, 0.7);
+    taskEvent(3, task, proto::TASK_SUCCEEDED, 1);
+    EXPECT_EQ(core.task(task)->state, TaskState::Stopped);
+    EXPECT_THAT(observer.tasks, SizeIs(2));
+}
+
+TEST_F(SessionCoreTest, AnotherEntityCannotSpeakForATask) {
+    const auto held = take("Cyton");
+    const auto task = core.run(held, "Driving", {}, {});
+    taskEvent(1, task, proto::TASK_SUCCEEDED);
+    EXPECT_EQ(core.task(task)->state, TaskState::Queued);
+}
+
+TEST_F(SessionCoreTest, ATaskNobodyAnswersBecomesUnknownAndIsCancelled) {
+    const auto held = take("Cyton");
+    const auto task = core.run(held, "Driving", {}, {});
+    link.sent.clear();
+    advance(5s);
+    EXPECT_EQ(core.task(task)->state, TaskState::Unknown);
+    EXPECT_EQ(core.task(task)->reason.code, RefusalCode::OutcomeUnknown);
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].body.task_control().action(), proto::CANCEL);
+    taskEvent(3, task, proto::TASK_RUNNING);
+    EXPECT_THAT(link.sent, SizeIs(2)) << "alive after all: it is cancelled again";
+    EXPECT_EQ(core.task(task)->state, TaskState::Unknown);
+}
+
+TEST_F(SessionCoreTest, WhatTheProfileDoesNotHaveIsARefusedTask) {
+    const auto held = take("Cyton");
+    const auto unknown = core.run(held, "Flying", {}, {});
+    EXPECT_EQ(core.task(unknown)->state, TaskState::Refused);
+    EXPECT_EQ(core.task(unknown)->reason.code, RefusalCode::UnknownService);
+    const auto far = core.run(held, "Driving", {{"Distance", {std::int64_t{9000}}}}, {});
+    EXPECT_EQ(core.task(far)->reason.code, RefusalCode::OutOfRange);
+    EXPECT_THAT(link.sent, IsEmpty());
+    EXPECT_FALSE(core.busy());
+}
+
+TEST_F(SessionCoreTest, ControlsAreDoneWhenTheTaskSaysSo) {
+    const auto held = take("Cyton");
+    const auto task = core.run(held, "Driving", {}, {});
+    taskEvent(3, task, proto::TASK_RUNNING);
+    Answer<void> pause, resume, cancel, late;
+    core.control(task, proto::PAUSE, pause.taker());
+    taskEvent(3, task, proto::TASK_RUNNING, 0.1);
+    EXPECT_EQ(pause.count, 0);
+    taskEvent(3, task, proto::TASK_PAUSED);
+    EXPECT_EQ(pause.count, 1);
+    core.control(task, proto::RESUME, resume.taker());
+    taskEvent(3, task, proto::TASK_RUNNING);
+    EXPECT_TRUE(resume.refusal.ok());
+    EXPECT_EQ(resume.count, 1);
+    core.control(task, proto::CANCEL, cancel.taker());
+    taskEvent(3, task, proto::TASK_CANCELLED);
+    EXPECT_TRUE(cancel.refusal.ok());
+    core.control(task, proto::CANCEL, late.taker());
+    EXPECT_EQ(late.refusal.code, RefusalCode::WrongState);
+}
+
+TEST_F(SessionCoreTest, ARefusedPauseLeavesTheTaskRunning) {
+    const auto held = take("Cyton");
+    const auto task = core.run(held, "Driving", {}, {});
+    taskEvent(3, task, proto::TASK_RUNNING);
+    Answer<void> pause;
+    core.control(task, proto::PAUSE, pause.taker());
+    reply(3, task.bytes(), RefusalCode::NotPausable);
+    EXPECT_EQ(pause.refusal.code, RefusalCode::NotPausable);
+    EXPECT_EQ(core.task(task)->state, TaskState::Running);
+}
+
+// ---- heartbeats and the connection
+
+TEST_F(SessionCoreTest, HeartbeatsAreFastWhileATaskRuns) {
+    advance(0ms);
+    EXPECT_THAT(link.beats, SizeIs(1)) << "the first one at once";
+    EXPECT_EQ(core.nextHeartbeat(), clock.now() + 2s);
+    const auto held = take("Cyton");
+    const auto task = core.run(held, "Driving", {}, {});
+    EXPECT_EQ(core.nextHeartbeat(), clock.now() + 50ms);
+    advance(50ms);
+    EXPECT_TRUE(link.beats.back().second);
+    EXPECT_EQ(core.nextHeartbeat(), clock.now() + 50ms);
+    taskEvent(3, task, proto::TASK_SUCCEEDED);
+    advance(50ms);
+    EXPECT_EQ(core.nextHeartbeat(), clock.now() + 2s);
+}
+
+TEST_F(SessionCoreTest, HeartbeatsStayFastWhileAnEntityThatIsHeldIsBusy) {
+    take("Cyton");
+    advance(0ms);
+    status(3, EntityState::BUSY, kMe, {1, 1});
+    EXPECT_LE(core.nextHeartbeat(), clock.now() + 50ms);
+    status(1, EntityState::BUSY, {"other", "bob"}, {1, 1});
+    status(3, EntityState::REG, kMe, {1, 1});
+    advance(50ms);
+    EXPECT_EQ(core.nextHeartbeat(), clock.now() + 2s) << "other people's robots do not count";
+}
+
+TEST_F(SessionCoreTest, ASilentServerIsNoticedSoonerWhileARobotMoves) {
+    advance(9999ms);
+    EXPECT_FALSE(core.serverSilent());
+    advance(1ms);
+    EXPECT_TRUE(core.serverSilent());
+    core.onServerHeartbeat();
+    EXPECT_FALSE(core.serverSilent());
+    take("Cyton");
+    status(3, EntityState::BUSY, kMe, {1, 1});
+    advance(1s);
+    EXPECT_TRUE(core.serverSilent());
+}
+
+TEST_F(SessionCoreTest, ALostConnectionLeavesNothingOpen) {
+    const auto held = take("Cyton");
+    const auto task = core.run(held, "Driving", {}, {});
+    taskEvent(3, task, proto::TASK_RUNNING);
+    Answer<void> set;
+    Answer<std::vector<Held>> check_out;
+    core.set(held, "Driving", {"Distance", {std::int64_t{1}}}, set.taker());
+    core.checkOut({"PeopleBot#2"}, check_out.taker());
+
+    core.onDisconnected("cable cut");
+
+    EXPECT_EQ(core.task(task)->state, TaskState::Unknown);
+    EXPECT_EQ(core.task(task)->reason.code, RefusalCode::OutcomeUnknown);
+    ASSERT_THAT(observer.lost, SizeIs(1));
+    EXPECT_EQ(observer.lost[0].second.code, RefusalCode::NotConnected);
+    EXPECT_EQ(set.count, 1);
+    EXPECT_EQ(check_out.count, 1);
+    EXPECT_EQ(check_out.refusal.code, RefusalCode::NotConnected);
+    EXPECT_EQ(core.pendingRequests(), 0U);
+    EXPECT_EQ(core.nextDeadline(), TimePoint::max());
+    EXPECT_EQ(core.nextHeartbeat(), TimePoint::max());
+    EXPECT_THAT(core.entities(), IsEmpty());
+    EXPECT_EQ(core.find("Cyton").refusal().code, RefusalCode::NotConnected);
+    EXPECT_EQ(core.sendText(held, "x").refusal().code, RefusalCode::NotConnected);
+}
+
+TEST_F(SessionCoreTest, WatchesComeBackWithTheConnection) {
+    ASSERT_TRUE(core.watch(uuid(3), {"pose"}).ok());
+    core.onDisconnected("restart");
+    link.sent.clear();
+    connect();
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_TRUE(link.sent[0].body.watch().on());
+    EXPECT_THAT(link.sent[0].body.watch().streams(), ElementsAre("pose"));
+}
+
+TEST_F(SessionCoreTest, TheLastOfSeveralWatchesTurnsAStreamOff) {
+    ASSERT_TRUE(core.watch(uuid(3), {"pose"}).ok());
+    ASSERT_TRUE(core.watch(uuid(3), {"pose", "sonar"}).ok());
+    link.sent.clear();
+    core.unwatch(uuid(3), {"pose"});
+    EXPECT_THAT(link.sent, IsEmpty());
+    core.unwatch(uuid(3), {"pose", "sonar"});
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_FALSE(link.sent[0].body.watch().on());
+    EXPECT_THAT(link.sent[0].body.watch().streams(), ElementsAre("pose", "sonar"));
+}
+
+TEST_F(SessionCoreTest, ProfilesThatOvertakeTheHandshakeCount) {
+    CoreWorld world;
+    world.join(1, "PeopleBot");
+    EXPECT_FALSE(world.core.complete());
+    world.core.onConnected(kMe, 1);
+    EXPECT_TRUE(world.core.complete());
+    EXPECT_TRUE(world.core.find("PeopleBot").ok());
+}
+
+// ---- bad input
+
+TEST_F(SessionCoreTest, MalformedMessagesAreCountedAndChangeNothing) {
+    take("Cyton");
+    Header head;
+    head.entity = uuid(3);
+    core.onEntityMsg(head, "\xff\xff\xff");
+    core.onEntityMsg(head, "");
+    proto::ToClient message;
+    message.mutable_task()->set_task_id("short");
+    message.mutable_task()->set_state(proto::TASK_RUNNING);
+    fromEntity(3, message);
+    reply(3, "short");
+    EXPECT_EQ(core.malformed(), 4U);
+    EXPECT_THAT(core.held(), SizeIs(1));
+}
+
+TEST_F(SessionCoreTest, OnlyUtf8IsAText) {
+    const auto held = take("Cyton");
+    EXPECT_EQ(core.sendText(held, "\xff").refusal().code, RefusalCode::Malformed);
+    EXPECT_TRUE(core.sendRaw(held, "\xff").ok());
+}
+
+}  // namespace
+}  // namespace axon::client::test

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <mutex>
+#include <string>
+#include <unordered_map>
+
+namespace axon::client {
+
+/// What the two halves of the session logic share, which run under different locks: the newest stop
+/// generation this client has seen of each entity (architecture, section 6; receipts raise it on the signal
+/// lane, commands carry it on the data lane), and the counter that numbers what is sent on the signal lane.
+/// Threads: any; the lock is held for one look-up, and sending a stop to everything does not take it.
+class SignalMarks {
+  public:
+    /// Generations only rise; an older one that arrives late changes nothing.
+    void raise(const std::string& entity, std::int32_t generation) {
+        const std::lock_guard lock(mutex_);
+        auto& newest = newest_[entity];
+        newest = std::max(newest, generation);
+    }
+    std::int32_t of(const std::string& entity) const {
+        const std::lock_guard lock(mutex_);
+        const auto found = newest_.find(entity);
+        return found == newest_.end() ? 0 : found->second;
+    }
+    std::int64_t nextSequence() { return ++sequence_; }
+
+  private:
+    std::atomic<std::int64_t> sequence_{0};
+    mutable std::mutex mutex_;
+    std::unordered_map<std::string, std::int32_t> newest_;  // guarded by mutex_
+};
+
+}  // namespace axon::client

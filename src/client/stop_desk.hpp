@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <functional>
+#include <list>
+#include <map>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "axon/client.hpp"
+#include "client/name_index.hpp"
+#include "client/server_link.hpp"
+#include "client/signal_marks.hpp"
+#include "common/clock.hpp"
+
+namespace axon::proto {
+class StopReceipt;
+}
+
+namespace axon::client {
+
+/// When a stop that is not confirmed is sent again, on both lanes.
+inline constexpr Duration kStopFirstResend = std::chrono::milliseconds{100};
+inline constexpr Duration kStopResendPeriod = std::chrono::milliseconds{250};
+
+/// Gives stops and collects their receipts (architecture, section 7.4).
+///
+/// Where in the flow: beside SessionCore, not in it. It has its own lock in the Ice rim, its own link and its
+/// own list of names, so that a stop never waits for anything that data does. An order is *open* from stop()
+/// until every receipt is confirmed or its deadline has passed; then `done` is called, once, with what is
+/// known. While it is open it is sent again, with the same sequence number (an EM takes it for the same
+/// stop), on the signal lane and on the data lane, at kStopFirstResend and then each kStopResendPeriod.
+/// Losing the connection does not end an order: it is sent again when there is a new one, unless its deadline
+/// passed. Threads: none of its own, not thread-safe; the owner confines it. Failure: refusals.
+class StopDesk {
+  public:
+    using Done = std::function<void(Result<std::vector<Receipt>>)>;
+
+    StopDesk(const Clock& clock, StopLink& link, SignalMarks& marks)
+        : clock_(clock), link_(link), marks_(marks) {}
+
+    void onConnected(const Sender& self);
+    void onDisconnected();
+    void onEntity(Presence presence, const std::string& id, const std::string& name);
+    /// newStopAccepted: the servers' stage. `sequence` is that of the order.
+    void onStopAccepted(std::int64_t sequence);
+    /// A receipt of an EM; those of other people's stops raise the generation and nothing else.
+    void onReceipt(const std::string& entity, const proto::StopReceipt& receipt);
+    /// newRefusalMsg: the servers know no such entity (any more).
+    void onRefusal(std::int64_t sequence, const std::string& entity, const Refusal& refusal);
+
+    /// No names = every entity there is. In doubt it stops: an ambiguous name stops all that it may mean, and
+    /// a name that is not found does not hold up the others (its refusal is the order's answer, when they are
+    /// done).
+    void stop(const std::vector<std::string>& names, Duration deadline, Done done);
+
+    void onTimer();
+    TimePoint nextDeadline() const;
+    /// Ends every open order with what is known: the client is being closed.
+    void endOrders();
+    std::size_t openOrders() const { return orders_.size(); }
+
+  private:
+    struct Order {
+        std::int64_t sequence = 0;
+        bool everything = false;
+        TimePoint given, deadline, resend;
+        std::map<std::string, Receipt> receipts;  // by UUID
+        Refusal unknown;                          // of a name that was not found
+        Done done;
+    };
+    void send(const Order& order, Lane lane, bool only_unconfirmed);
+    Header header(const Order& order, const std::string& entity) const;
+    static bool settled(const Order& order);
+    void finish(std::list<Order>::iterator order);
+    Order* find(std::int64_t sequence);
+
+    const Clock& clock_;
+    StopLink& link_;
+    SignalMarks& marks_;
+    bool connected_ = false;
+    Sender self_;
+    NameIndex names_;
+    std::list<Order> orders_;
+};
+
+}  // namespace axon::client

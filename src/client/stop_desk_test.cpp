@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "client/stop_desk.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "client/test_environment.hpp"
+
+namespace axon::client::test {
+namespace {
+
+using namespace std::chrono_literals;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+struct GivenStop {
+    Lane lane;
+    Header head;
+};
+
+class RecordingStopLink final : public StopLink {
+  public:
+    void sendStopSignal(Lane lane, const Header& head, StopCause) override { sent.push_back({lane, head}); }
+    std::vector<GivenStop> sent;
+};
+
+class StopDeskTest : public ::testing::Test {
+  protected:
+    StopDeskTest() {
+        desk.onConnected(kMe);
+        desk.onEntity(Presence::Joined, uuid(1), "PeopleBot");
+        desk.onEntity(Presence::Joined, uuid(2), "PeopleBot");
+        desk.onEntity(Presence::Joined, uuid(3), "Cyton");
+    }
+    void stop(const std::vector<std::string>& names, Duration deadline = 1s) {
+        desk.stop(names, deadline, [this](Result<std::vector<Receipt>> result) {
+            ++answers;
+            if (result) {
+                receipts = std::move(result).value();
+            } else {
+                refusal = result.refusal();
+            }
+        });
+    }
+    void receipt(int number, proto::StopReceipt::Stage stage, std::int64_t sequence = 1,
+                 const std::string& by = kMe.id) {
+        proto::StopReceipt message;
+        message.set_stop_id(by + ":" + std::to_string(sequence));
+        message.set_stop_generation(7);
+        message.set_stage(stage);
+        message.set_state(proto::REG);
+        desk.onReceipt(uuid(number), message);
+    }
+    void advance(Duration by) {
+        clock.advance(by);
+        desk.onTimer();
+    }
+
+    ManualClock clock;
+    RecordingStopLink link;
+    SignalMarks marks;
+    StopDesk desk{clock, link, marks};
+    int answers = 0;
+    std::vector<Receipt> receipts;
+    Refusal refusal;
+};
+
+TEST_F(StopDeskTest, AReceiptCollectsItsStagesWithTheirTimes) {
+    stop({"Cyton"});
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].lane, Lane::Signal);
+    EXPECT_EQ(link.sent[0].head.entity, uuid(3));
+    clock.advance(1ms);
+    desk.onStopAccepted(1);
+    clock.advance(1ms);
+    receipt(3, proto::StopReceipt::MANAGER);
+    EXPECT_EQ(answers, 0);
+    clock.advance(1ms);
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED);
+
+    EXPECT_EQ(answers, 1);
+    ASSERT_THAT(receipts, SizeIs(1));
+    EXPECT_TRUE(receipts[0].confirmed());
+    EXPECT_EQ(receipts[0].server, Seconds(1ms));
+    EXPECT_EQ(receipts[0].manager, Seconds(2ms));
+    EXPECT_EQ(receipts[0].callback_returned, Seconds(3ms));
+    EXPECT_FALSE(receipts[0].standstill);
+    EXPECT_EQ(receipts[0].stop_generation, 7);
+    EXPECT_EQ(receipts[0].state, EntityState::REG);
+    EXPECT_EQ(marks.of(uuid(3)), 7) << "commands after this stop carry its generation";
+}
+
+TEST_F(StopDeskTest, ALateStageIsSentAgainOnBothLanesAt100ThenEach250Milliseconds) {
+    stop({"Cyton"});
+    link.sent.clear();
+    advance(99ms);
+    EXPECT_THAT(link.sent, IsEmpty());
+    EXPECT_EQ(desk.nextDeadline(), clock.now() + 1ms);
+    advance(1ms);
+    ASSERT_THAT(link.sent, SizeIs(2));
+    EXPECT_EQ(link.sent[0].lane, Lane::Signal);
+    EXPECT_EQ(link.sent[1].lane, Lane::Data);
+    EXPECT_EQ(link.sent[0].head.sequence, 1) << "the same stop, not another one";
+    advance(249ms);
+    EXPECT_THAT(link.sent, SizeIs(2));
+    advance(1ms);
+    EXPECT_THAT(link.sent, SizeIs(4));
+    advance(650ms);
+    EXPECT_EQ(answers, 1) << "the deadline answers with what is known";
+    EXPECT_FALSE(receipts.at(0).confirmed());
+    EXPECT_EQ(desk.nextDeadline(), TimePoint::max());
+}
+
+TEST_F(StopDeskTest, OnlyWhatIsNotConfirmedIsSentAgain) {
+    stop({"Cyton", "PeopleBot#1"});
+    receipt(3, proto::StopReceipt::MANAGER);
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED);
+    link.sent.clear();
+    advance(100ms);
+    ASSERT_THAT(link.sent, SizeIs(2));
+    EXPECT_EQ(link.sent[0].head.entity, uuid(1));
+    EXPECT_EQ(link.sent[1].head.entity, uuid(1));
+}
+
+TEST_F(StopDeskTest, StoppingEverythingIsOneRequest) {
+    stop({});
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].head.entity, "");
+    desk.onStopAccepted(1);
+    receipt(1, proto::StopReceipt::NO_APPLICATION);
+    receipt(2, proto::StopReceipt::CALLBACK_RETURNED);
+    EXPECT_EQ(answers, 0);
+    receipt(3, proto::StopReceipt::STANDSTILL);
+    EXPECT_EQ(answers, 1);
+    ASSERT_THAT(receipts, SizeIs(3));
+    EXPECT_TRUE(receipts[0].no_application);
+    for (const auto& one : receipts) EXPECT_TRUE(one.confirmed() && one.server);
+}
+
+TEST_F(StopDeskTest, InDoubtItStops) {
+    stop({"PeopleBot"});
+    EXPECT_THAT(link.sent, SizeIs(2)) << "both that the name may mean";
+    link.sent.clear();
+    stop({"Nobody", "Cyton"});
+    EXPECT_THAT(link.sent, SizeIs(1)) << "an unknown name does not hold up the others";
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED, 2);
+    EXPECT_EQ(answers, 1);
+    EXPECT_EQ(refusal.code, RefusalCode::UnknownEntity);
+}
+
+TEST_F(StopDeskTest, OtherPeoplesReceiptsRaiseTheGenerationAndNothingElse) {
+    stop({"Cyton"});
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED, 1, "someone-else");
+    EXPECT_EQ(answers, 0);
+    EXPECT_EQ(marks.of(uuid(3)), 7);
+}
+
+TEST_F(StopDeskTest, WithoutAConnectionItIsRefusedAtOnce) {
+    desk.onDisconnected();
+    stop({});
+    EXPECT_EQ(refusal.code, RefusalCode::NotConnected);
+    EXPECT_THAT(link.sent, IsEmpty());
+}
+
+TEST_F(StopDeskTest, AnOpenOrderIsSentAgainOverANewConnection) {
+    stop({"Cyton"}, 10s);
+    desk.onDisconnected();
+    advance(2s);
+    EXPECT_THAT(link.sent, SizeIs(1));
+    desk.onConnected(kMe);
+    desk.onTimer();
+    ASSERT_GE(link.sent.size(), 2U);
+    EXPECT_EQ(link.sent[1].head.entity, uuid(3));
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED);
+    EXPECT_EQ(answers, 1);
+}
+
+TEST_F(StopDeskTest, AnEntityThatIsGoneIsRefused) {
+    stop({"Cyton"});
+    desk.onRefusal(1, uuid(3), {RefusalCode::UnknownEntity, "gone", {}});
+    EXPECT_EQ(answers, 1);
+    EXPECT_EQ(refusal.code, RefusalCode::UnknownEntity);
+}
+
+TEST_F(StopDeskTest, ClosingAnswersEveryOrder) {
+    stop({"Cyton"});
+    stop({});
+    desk.endOrders();
+    EXPECT_EQ(answers, 2);
+}
+
+}  // namespace
+}  // namespace axon::client::test

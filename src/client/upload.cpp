@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "client/upload.hpp"
+
+#include <sodium.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
+namespace axon::client {
+namespace {
+
+constexpr std::size_t kReadBytes = 256 * 1024;
+
+Refusal unreadable(const std::string& name, const std::string& why) {
+    return {RefusalCode::UnknownResource, "The file " + name + " cannot be read: " + why + ".", {}};
+}
+
+}  // namespace
+
+Result<ResourceFile> ResourceFile::open(const std::filesystem::path& path) {
+    ResourceFile out;
+    out.name_ = path.string();
+    std::error_code error;
+    if (std::filesystem::is_directory(path, error))
+        return unreadable(out.name_, "it is a folder; name a file");
+    out.file_.open(path, std::ios::binary);
+    if (!out.file_) return unreadable(out.name_, std::strerror(errno));
+    if (sodium_init() < 0) return Refusal{RefusalCode::Internal, "libsodium could not be initialised.", {}};
+    crypto_hash_sha256_state hash;
+    crypto_hash_sha256_init(&hash);
+    std::vector<char> buffer(kReadBytes);
+    while (true) {
+        out.file_.read(buffer.data(), static_cast<std::streamsize>(buffer.size()));
+        const auto count = static_cast<std::uint64_t>(out.file_.gcount());
+        crypto_hash_sha256_update(&hash, reinterpret_cast<const unsigned char*>(buffer.data()), count);
+        out.size_ += count;
+        if (!out.file_) break;
+    }
+    if (out.file_.bad()) return unreadable(out.name_, std::strerror(errno));
+    out.sha256_.resize(crypto_hash_sha256_BYTES);
+    crypto_hash_sha256_final(&hash, reinterpret_cast<unsigned char*>(out.sha256_.data()));
+    return out;
+}
+
+Result<std::string> ResourceFile::read(std::uint64_t offset, std::size_t count) {
+    std::string content(count, '\0');
+    file_.clear();
+    file_.seekg(static_cast<std::streamoff>(offset));
+    file_.read(content.data(), static_cast<std::streamsize>(count));
+    content.resize(static_cast<std::size_t>(file_.gcount()));
+    if (content.empty()) return unreadable(name_, "it has become shorter while it was sent");
+    return content;
+}
+
+void UploadWindow::credit(std::uint64_t offset, std::uint64_t limit) {
+    {
+        const std::lock_guard lock(mutex_);
+        if (!begun_) begin_ = offset;
+        begun_ = true;
+        limit_ = std::max(limit_, limit);
+    }
+    changed_.notify_all();
+}
+
+void UploadWindow::finish(Refusal refusal) {
+    {
+        const std::lock_guard lock(mutex_);
+        if (!ended_) ended_ = std::move(refusal);
+    }
+    changed_.notify_all();
+}
+
+UploadWindow::Turn UploadWindow::next(std::optional<std::uint64_t> sent, std::uint64_t size) {
+    std::unique_lock lock(mutex_);
+    const auto open = [&] {
+        return begun_ && std::max(sent.value_or(begin_), begin_) < std::min(limit_, size);
+    };
+    changed_.wait(lock, [&] { return ended_ || open(); });
+    if (ended_) return {0, 0, ended_};
+    return {std::max(sent.value_or(begin_), begin_), std::min(limit_, size), std::nullopt};
+}
+
+}  // namespace axon::client
