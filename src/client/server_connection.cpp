@@ -137,7 +137,7 @@ ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, const
         lane.oneway = lane.session->ice_oneway()->ice_invocationTimeout(-1);
         lane.outbox = std::make_shared<transport::Outbox>(
             dataLimits(), [connection = lane.connection](const std::string& why) {
-                connection->disconnect({false, why});
+                connection->disconnect({false, why}, false);
             });
         lane.connection->onClosed([events = std::weak_ptr(events), attempt = login.attempt,
                                    adapter = home.adapter, identity](const transport::CloseReason& reason) {
@@ -245,7 +245,8 @@ void ServerConnection::leave() const {
 void ServerConnection::drop() const {
     for (const auto* lane : {&data_, &signal_}) {
         if (lane->outbox) lane->outbox->close();
-        if (lane->connection) lane->connection->disconnect({false, "this client closed the connection"});
+        if (lane->connection)
+            lane->connection->disconnect({false, "this client closed the connection"}, false);
     }
 }
 

@@ -432,11 +432,21 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes) {
 void SessionCore::onReply(const Header& head, const proto::Reply& reply) {
     const auto id = Id128::fromBytes(reply.request_id());
     const auto refusal = toRefusal(reply.refusal());
+    const auto mine = leases_.find(head.entity);
     if (!id) {
-        ++malformed_;
+        // Text, raw data, reset and the like have no request of their own: a refusal is all that comes back.
+        // The entity's header says which lease it obeys now; while that is ours, the refusal is about an
+        // earlier one.
+        if (refusal.ok()) {
+            ++malformed_;
+            return;
+        }
+        if (mine != leases_.end() && head.held != mine->second.number) {
+            noteRefusal(head.entity, mine->second.number, refusal);
+        }
+        observer_.onServerText(static_cast<int>(refusal.code), label(head.entity) + ": " + refusal.message);
         return;
     }
-    // Text, raw data and the like have no request of their own: a refusal is all that comes back.
     for (const Ask ask : {Ask::Set, Ask::Rearm, Ask::Release}) {
         if (answer(ask, *id, ask == Ask::Release ? Refusal{} : refusal)) return;
     }
@@ -447,8 +457,6 @@ void SessionCore::onReply(const Header& head, const proto::Reply& reply) {
         if (tasks_.count(*id) != 0) {
             finishTask(*id, TaskState::Refused, refusal);
         }
-        const auto mine = leases_.find(head.entity);
-        if (mine != leases_.end()) noteRefusal(head.entity, mine->second.number, refusal);
     }
 }
 
@@ -492,20 +500,15 @@ void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& sta
     for (const auto& event : status.tasks()) onTaskEvent(head.entity, event);
     pace();
 
-    std::vector<Id128> asked;
-    for (const auto& [key, pending] : pending_) {
-        if (key.first == Ask::Services && pending.entity == head.entity) asked.push_back(key.second);
-    }
-    if (asked.empty()) return;
+    const auto asked = Id128::fromBytes(status.request_id());
+    const auto found = asked ? pending_.find({Ask::Services, *asked}) : pending_.end();
+    if (found == pending_.end()) return;
     std::vector<Service> services;
     for (const auto& service : status.services()) services.push_back(fromProto(service));
-    for (const auto& id : asked) {
-        const auto found = pending_.find({Ask::Services, id});
-        const auto done = std::move(found->second.services_done);
-        deadlines_.erase({found->second.deadline, found->first});
-        pending_.erase(found);
-        done(services);
-    }
+    const auto done = std::move(found->second.services_done);
+    deadlines_.erase({found->second.deadline, found->first});
+    pending_.erase(found);
+    done(std::move(services));
 }
 
 // ---- check-outs
@@ -770,6 +773,10 @@ Result<void> SessionCore::sendRaw(const Held& held, std::string_view bytes) {
 Result<void> SessionCore::reset(const Held& held) {
     const auto refusal = ready(held);
     if (!refusal.ok()) return refusal;
+    if (const auto known = entities_.find(held.entity);
+        known != entities_.end() && known->second.facts.latched) {
+        return Refusal{RefusalCode::Latched, label(held.entity) + " was stopped. Rearm it first.", {}};
+    }
     auto head = header(held.entity, kMsgReset, held.lease);
     head.sequence = marks_.nextSequence();
     link_.sendReset(head);

@@ -189,6 +189,7 @@ class Chaos : public CoreWorld {
             }
             case proto::ToEntity::kStatusRequest: {
                 proto::ToClient message;
+                message.mutable_status()->set_request_id(letter.body.status_request().request_id());
                 message.mutable_status()->set_state(proto::REG);
                 fromEntity(number, message);
                 break;

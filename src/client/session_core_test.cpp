@@ -249,6 +249,27 @@ TEST_F(SessionCoreTest, ReleaseIsDoneWhenTheEntityIsFree) {
     EXPECT_THAT(observer.lost, IsEmpty());
 }
 
+TEST_F(SessionCoreTest, ARefusalOfAnEarlierLeaseLeavesTheNewOne) {
+    take("Cyton", 2);
+    proto::ToClient message;
+    message.mutable_reply()->mutable_refusal()->set_code(proto::NOT_HOLDER);
+    Header head;
+    head.entity = uuid(3);
+    head.held = {1, 2};
+    core.onEntityMsg(head, message.SerializeAsString());
+    EXPECT_THAT(core.held(), SizeIs(1));
+    head.held = {1, 3};
+    core.onEntityMsg(head, message.SerializeAsString());
+    EXPECT_THAT(core.held(), IsEmpty());
+}
+
+TEST_F(SessionCoreTest, ResetIsRefusedWhileLatched) {
+    const auto held = take("Cyton");
+    core.onStatus({uuid(3), EntityState::REG, true, 1, kMe, {1, 1}, {}});
+    EXPECT_EQ(core.reset(held).refusal().code, RefusalCode::Latched);
+    EXPECT_TRUE(core.clear(held).ok());
+}
+
 // ---- requests and their time
 
 TEST_F(SessionCoreTest, EachRequestTimesOut) {
@@ -330,6 +351,7 @@ TEST_F(SessionCoreTest, ServicesOfAnyEntityCanBeAskedFor) {
                        [&](Result<std::vector<Service>> services) { got = std::move(services).value(); });
     ASSERT_TRUE(link.sent[0].body.status_request().with_services());
     proto::ToClient message;
+    message.mutable_status()->set_request_id(link.sent[0].body.status_request().request_id());
     message.mutable_status()->set_state(proto::IDLE);
     message.mutable_status()->add_services()->set_name("Turning");
     fromEntity(1, message);
