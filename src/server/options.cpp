@@ -104,8 +104,9 @@ Parsed parseOptions(int argc, char** argv) {
     std::string role = "both";
     std::map<std::string, std::string> endpoints;
     Options options;
-    app.add_option("--config", files,
-                   "frontendserver.cfg, entityserver.cfg: lines KEY=VALUE (docs/reference/configuration.md)");
+    app.add_option(
+        "--config", files,
+        "frontendserver.cfg, entityserver.cfg: lines KEY=VALUE (docs/reference/server_configuration.md)");
     app.add_option("--listen", listen, "Address for all four ports (127.0.0.1)");
     app.add_option("--client-endpoint", endpoints["client"],
                    "HOST:PORT for clients (127.0.0.1:10410); port 0 takes a free one");

@@ -1,0 +1,303 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_server/entity_server_core.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+
+namespace axon::entity_server {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+constexpr const char* kFirst = "00000000-0000-4000-8000-000000000001";
+constexpr const char* kSecond = "00000000-0000-4000-8000-000000000002";
+
+class FakeOutbox final : public EntityOutbox {
+  public:
+    void newClientMsg(const Header& head, std::string_view message) override {
+        lines.push_back("msg " + head.sender.name + " " + std::string(message));
+    }
+    void newClientMsgDataSeq(const Header&, std::string_view data) override {
+        lines.push_back("data " + std::string(data));
+    }
+    void stopSignal(const Header&, StopCause cause) override {
+        lines.push_back(std::string("stop ") + toString(cause));
+    }
+    void resetSignal(const Header&) override { lines.emplace_back("reset"); }
+    void clearSignal(const Header&) override { lines.emplace_back("clear"); }
+    void newClientUpdate(const Header& head, ClientChange) override {
+        lines.push_back("client " + head.sender.id);
+    }
+    void newRefusalMsg(const Header&, const Refusal& refusal) override {
+        lines.push_back("refused " + std::string(refusalName(refusal.code)));
+    }
+    void newHeartbeat(std::int64_t) override { ++heartbeats; }
+    void disconnect(bool, const std::string& why) override { disconnected = why; }
+
+    std::vector<std::string> lines;
+    int heartbeats = 0;
+    std::string disconnected;
+};
+
+class FakeTopic final : public FrontEndTopic {
+  public:
+    void entityBasicPrflUpdate(Presence presence, const Registration& registration,
+                               std::string_view) override {
+        const char* text[] = {"joined ", "changed ", "left "};
+        lines.push_back(text[static_cast<int>(presence)] + registration.name);
+    }
+    void entityUpdate(const EntityStatus& status) override {
+        lines.push_back(std::string("status ") + toString(status.state));
+    }
+    void entitySvcRecord(const Header&, std::int32_t, std::int32_t, std::string_view) override {
+        lines.emplace_back("record");
+    }
+    void entityMsg(Lane lane, const Header& head, std::string_view message) override {
+        lines.push_back((lane == Lane::Signal ? "signal " : "data ") + head.entity.substr(35) + " to " +
+                        head.sender.id + " " + std::string(message));
+    }
+    void entityMsgDataSeq(const Header&, std::string_view) override { lines.emplace_back("samples"); }
+    void entityRefusal(Lane, const Header& head, const Refusal& refusal) override {
+        lines.push_back("refused " + std::string(refusalName(refusal.code)) + " to " + head.sender.id +
+                        " of " + std::to_string(head.sequence));
+    }
+    std::vector<std::string> take() { return std::exchange(lines, {}); }
+
+    std::vector<std::string> lines;
+};
+
+class EntityServerTest : public testing::Test {
+  protected:
+    struct Peer {
+        std::shared_ptr<FakeOutbox> data = std::make_shared<FakeOutbox>();
+        std::shared_ptr<FakeOutbox> signal = std::make_shared<FakeOutbox>();
+        EntityServerCore::SessionRef session;
+    };
+
+    Peer connect() {
+        Peer peer;
+        peer.session = core.open(peer.data);
+        EXPECT_TRUE(core.attach(EntityServerCore::token(*peer.session), peer.signal).ok());
+        return peer;
+    }
+    Registration registration(const std::string& uuid, const std::string& name = "Robot") {
+        Registration out;
+        out.entity = uuid;
+        out.name = name;
+        out.heartbeat_busy_ms = 50;
+        out.heartbeat_idle_ms = 2000;
+        return out;
+    }
+    Peer join(const std::string& uuid, const std::string& name = "Robot") {
+        auto peer = connect();
+        EXPECT_TRUE(core.sendBasicPrfl(peer.session, registration(uuid, name), "profile").ok());
+        return peer;
+    }
+    void status(const Peer& peer, EntityState state, const std::string& holder = {}) {
+        EntityStatus out;
+        out.state = state;
+        out.holder = {holder, holder, Role::Operator};
+        core.sendStatus(peer.session, out);
+    }
+    /// Lets time pass in small steps, as the timer thread does.
+    void pass(Duration time) {
+        const auto end = clock.now() + time;
+        while (clock.now() < end) {
+            const auto next = core.onTimer();
+            clock.set(std::min(std::max(next, clock.now() + 1ms), end));
+        }
+        core.onTimer();
+    }
+    static Header head(const std::string& entity, const std::string& client = "c1") {
+        Header out;
+        out.entity = entity;
+        out.sender = {client, client, Role::Operator};
+        out.sequence = 9;
+        return out;
+    }
+
+    ManualClock clock;
+    SeededRandom random{1};
+    FakeTopic topic;
+    std::vector<std::string> notes;
+    int woken = 0;
+    EntityServerCore core{{},
+                          clock,
+                          random,
+                          topic,
+                          [this](const std::string& line) { notes.push_back(line); },
+                          [this] { ++woken; }};
+};
+
+TEST_F(EntityServerTest, PublishesJoiningChangingAndLeaving) {
+    const auto peer = join(kFirst);
+    EXPECT_THAT(topic.take(), ElementsAre("joined Robot", "status UNAV"));
+    status(peer, EntityState::IDLE);
+    status(peer, EntityState::IDLE);
+    EXPECT_THAT(topic.take(), ElementsAre("status IDLE"));
+    ASSERT_TRUE(core.sendBasicPrfl(peer.session, registration(kFirst), "another profile").ok());
+    EXPECT_THAT(topic.take(), ElementsAre("changed Robot"));
+    core.leave(peer.session, true, "over");
+    core.leave(peer.session, true, "over again");
+    EXPECT_THAT(topic.take(), ElementsAre("left Robot"));
+    EXPECT_EQ(core.entities(), 0U);
+}
+
+TEST_F(EntityServerTest, RegistersNobodyWhoCouldNotBeStopped) {
+    const auto data = std::make_shared<FakeOutbox>();
+    const auto session = core.open(data);
+    const auto result = core.sendBasicPrfl(session, registration(kFirst), "profile");
+    ASSERT_FALSE(result.ok());
+    EXPECT_EQ(result.refusal().code, RefusalCode::WrongState);
+    EXPECT_THAT(topic.lines, IsEmpty());
+}
+
+TEST_F(EntityServerTest, RefusesBadRegistrations) {
+    const auto peer = connect();
+    const auto refusal = [&](Registration registration, std::size_t profile = 1) {
+        return core.sendBasicPrfl(peer.session, std::move(registration), std::string(profile, 'p'))
+            .refusal()
+            .code;
+    };
+    EXPECT_EQ(refusal(registration("no uuid")), RefusalCode::Malformed);
+    EXPECT_EQ(refusal(registration(kFirst, "")), RefusalCode::BadName);
+    EXPECT_EQ(refusal(registration(kFirst, std::string(257, 'x'))), RefusalCode::BadName);
+    auto frantic = registration(kFirst);
+    frantic.heartbeat_busy_ms = 1;
+    EXPECT_EQ(refusal(frantic), RefusalCode::OutOfRange);
+    EXPECT_EQ(refusal(registration(kFirst), 2U << 20U), RefusalCode::TooLarge);
+    EXPECT_EQ(core.entities(), 0U);
+}
+
+TEST_F(EntityServerTest, RefusesASecondOneOfTheSameUuidUntilTheFirstIsGone) {
+    const auto first = join(kFirst);
+    const auto copy = connect();
+    const auto result = core.sendBasicPrfl(copy.session, registration(kFirst), "profile");
+    ASSERT_FALSE(result.ok());
+    EXPECT_EQ(result.refusal().code, RefusalCode::Duplicate);
+    EXPECT_THAT(result.refusal().message, HasSubstr("delete the file uuid"));
+    core.leave(first.session, false, "connection lost");
+    EXPECT_TRUE(core.sendBasicPrfl(copy.session, registration(kFirst), "profile").ok());
+}
+
+TEST_F(EntityServerTest, ATokenIsForOneUse) {
+    const auto peer = connect();
+    EXPECT_FALSE(core.attach(EntityServerCore::token(*peer.session), peer.signal).ok());
+    EXPECT_FALSE(core.attach("guessed", peer.signal).ok());
+}
+
+TEST_F(EntityServerTest, RoutesToTheEntityAddressedAndRefusesTheUnknown) {
+    const auto first = join(kFirst);
+    const auto second = join(kSecond);
+    topic.take();
+    core.clientMsg(head(kFirst), "hello");
+    core.clientMsgDataSeq(head(kSecond), "bytes");
+    EXPECT_THAT(first.data->lines, ElementsAre("msg c1 hello"));
+    EXPECT_THAT(second.data->lines, ElementsAre("data bytes"));
+    core.clientMsg(head("nobody"), "hello");
+    core.stopSignal(head("nobody"), StopCause::Requested);
+    EXPECT_THAT(topic.take(),
+                ElementsAre("refused UNKNOWN_ENTITY to c1 of 9", "refused UNKNOWN_ENTITY to c1 of 9"));
+}
+
+TEST_F(EntityServerTest, SignalsTakeTheSignalLaneAndAllMeansAll) {
+    const auto first = join(kFirst);
+    const auto second = join(kSecond);
+    core.stopSignal(head(""), StopCause::Requested);
+    core.resetSignal(head(kFirst));
+    core.clearSignal(head(kSecond));
+    core.clientUpdate(head(kSecond), ClientChange::Lost);
+    EXPECT_THAT(first.signal->lines, ElementsAre("stop requested", "reset"));
+    EXPECT_THAT(second.signal->lines, ElementsAre("stop requested", "clear", "client c1"));
+    EXPECT_THAT(first.data->lines, IsEmpty());
+}
+
+TEST_F(EntityServerTest, AnEntitySpeaksUnderItsOwnName) {
+    const auto first = join(kFirst, "Master");
+    const auto second = join(kSecond, "Slave");
+    topic.take();
+    core.sendToClient(first.session, Lane::Signal, head("forged", "c7"), "receipt");
+    EXPECT_THAT(topic.take(), ElementsAre("signal 1 to c7 receipt"));
+    core.sendToPeer(first.session, head(kSecond, "forged"), "step");
+    EXPECT_THAT(second.data->lines, ElementsAre("msg Master step"));
+    core.sendToPeer(first.session, head("nobody"), "step");
+    EXPECT_THAT(first.data->lines, ElementsAre("refused UNKNOWN_ENTITY"));
+}
+
+TEST_F(EntityServerTest, WhoIsNotRegisteredSaysNothing) {
+    const auto peer = connect();
+    core.sendToClient(peer.session, Lane::Data, head(kFirst), "hello");
+    core.sendToPeer(peer.session, head(kFirst), "hello");
+    status(peer, EntityState::BUSY);
+    EXPECT_THAT(topic.lines, IsEmpty());
+}
+
+TEST_F(EntityServerTest, HeartbeatsComeInTheRegisteredPeriodAndAtOnceWhenBusy) {
+    const auto peer = join(kFirst);
+    for (int i = 0; i < 10; ++i) {
+        core.keepAlive(peer.session);
+        pass(1s);
+    }
+    EXPECT_GE(peer.signal->heartbeats, 5);
+    EXPECT_LE(peer.signal->heartbeats, 6);
+    peer.signal->heartbeats = 0;
+    status(peer, EntityState::BUSY);
+    EXPECT_EQ(peer.signal->heartbeats, 1);
+    for (int i = 0; i < 10; ++i) {
+        core.keepAlive(peer.session);
+        pass(100ms);
+    }
+    EXPECT_EQ(peer.signal->heartbeats, 21);
+}
+
+TEST_F(EntityServerTest, GivesUpASilentEntityAfterFivePeriods) {
+    const auto peer = join(kFirst);
+    status(peer, EntityState::BUSY);
+    topic.take();
+    pass(249ms);
+    EXPECT_EQ(core.entities(), 1U);
+    pass(1ms);
+    EXPECT_EQ(core.entities(), 0U);
+    EXPECT_THAT(topic.take(), ElementsAre("left Robot"));
+    EXPECT_THAT(peer.signal->disconnected, HasSubstr("250 ms"));
+}
+
+TEST_F(EntityServerTest, PublishesEverythingAgainOnRequest) {
+    join(kFirst, "A");
+    join(kSecond, "B");
+    topic.take();
+    auto request = head("");
+    request.msg_type = kMsgStatus;
+    core.clientRequest(request);
+    EXPECT_EQ(topic.take().size(), 4U);
+}
+
+TEST(EntityServerFlood, DropsAnEntityThatFloods) {
+    ManualClock clock;
+    SeededRandom random{1};
+    FakeTopic topic;
+    CoreSettings settings;
+    settings.messages_per_second = 3;
+    EntityServerCore core(
+        settings, clock, random, topic, [](const std::string&) {}, [] {});
+    const auto data = std::make_shared<FakeOutbox>();
+    const auto session = core.open(data);
+    ASSERT_TRUE(core.attach(EntityServerCore::token(*session), std::make_shared<FakeOutbox>()).ok());
+    Registration registration;
+    registration.entity = kFirst;
+    registration.name = "Robot";
+    ASSERT_TRUE(core.sendBasicPrfl(session, registration, "").ok());
+    topic.take();
+    for (int i = 0; i < 4; ++i) core.sendToClient(session, Lane::Data, {}, "x");
+    EXPECT_EQ(topic.lines.size(), 3U);
+    EXPECT_THAT(data->disconnected, HasSubstr("flooded"));
+}
+
+}  // namespace
+}  // namespace axon::entity_server

@@ -1,0 +1,312 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "front_end_server/front_end_core.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace axon::front_end_server {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::ElementsAre;
+using testing::IsEmpty;
+using testing::UnorderedElementsAre;
+
+class FakeOutbox final : public ClientOutbox {
+  public:
+    void newBasicPrflMsg(Presence presence, const Registration& registration, std::string_view) override {
+        const char* text[] = {"joined ", "changed ", "left "};
+        lines.push_back(text[static_cast<int>(presence)] + registration.name);
+        if (while_told) std::exchange(while_told, nullptr)();
+    }
+    void newStatusMsg(const EntityStatus& status) override {
+        lines.push_back(status.entity + " " + toString(status.state));
+    }
+    void newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view) override {
+        lines.emplace_back("record");
+    }
+    void newEntityMsg(Lane, const Header&, std::string_view message) override {
+        lines.push_back("msg " + std::string(message));
+    }
+    void newEntityMsgDataSeq(const Header&, std::string_view) override { lines.emplace_back("samples"); }
+    void newRefusalMsg(const Header&, const Refusal& refusal) override {
+        lines.push_back("refused " + std::string(refusalName(refusal.code)));
+    }
+    void newStopAccepted(const Header&, std::int32_t entities) override {
+        lines.push_back("stop accepted " + std::to_string(entities));
+    }
+    void newUpdateMsg(RefusalCode, const std::string& text) override { lines.push_back("update " + text); }
+    void newHeartbeat(std::int64_t) override { ++heartbeats; }
+    void disconnect(bool, const std::string&) override { disconnected = true; }
+    std::vector<std::string> take() { return std::exchange(lines, {}); }
+
+    std::vector<std::string> lines;
+    int heartbeats = 0;
+    bool disconnected = false;
+    std::function<void()> while_told;
+};
+
+class FakeTopic final : public EntityTopic {
+  public:
+    void clientMsg(const Header& head, std::string_view message) override {
+        lines.push_back(head.sender.name + " to " + head.entity + " " + std::string(message));
+    }
+    void clientMsgDataSeq(const Header& head, std::string_view) override {
+        lines.push_back("data to " + head.entity);
+    }
+    void clientRequest(const Header&) override { lines.emplace_back("request"); }
+    void clientUpdate(const Header& head, ClientChange change) override {
+        lines.push_back((change == ClientChange::Lost ? "lost to " : "ended to ") + head.entity);
+    }
+    void stopSignal(const Header& head, StopCause cause) override {
+        lines.push_back(std::string("stop (") + toString(cause) + ") by " + head.sender.name + " to " +
+                        head.entity);
+    }
+    void resetSignal(const Header& head) override { lines.push_back("reset to " + head.entity); }
+    void clearSignal(const Header& head) override { lines.push_back("clear to " + head.entity); }
+    std::vector<std::string> take() { return std::exchange(lines, {}); }
+
+    std::vector<std::string> lines;
+};
+
+class FrontEndTest : public testing::Test {
+  protected:
+    struct Peer {
+        std::shared_ptr<FakeOutbox> data = std::make_shared<FakeOutbox>();
+        std::shared_ptr<FakeOutbox> signal = std::make_shared<FakeOutbox>();
+        FrontEndCore::ClientRef client;
+        std::string id() const { return FrontEndCore::me(*client).id; }
+    };
+    Peer join(const std::string& name = "ada") {
+        Peer peer;
+        peer.client = core.setCallback(name, Role::Operator, peer.data).value();
+        EXPECT_TRUE(core.attach(FrontEndCore::token(*peer.client), peer.signal).ok());
+        return peer;
+    }
+    void entity(const std::string& id) {
+        Registration registration;
+        registration.entity = id;
+        registration.name = id;
+        core.entityBasicPrflUpdate(Presence::Joined, registration, "profile");
+    }
+    void status(const std::string& id, EntityState state, const std::string& holder = {}) {
+        EntityStatus out;
+        out.entity = id;
+        out.state = state;
+        out.holder = {holder, "somebody", Role::Operator};
+        core.entityUpdate(out);
+    }
+    static Header to(const std::string& entity) {
+        Header head;
+        head.entity = entity;
+        head.sender = {"forged", "forged", Role::Admin};
+        return head;
+    }
+    void pass(Duration time) {
+        const auto end = clock.now() + time;
+        while (clock.now() < end) {
+            const auto next = core.onTimer();
+            clock.set(std::min(std::max(next, clock.now() + 1ms), end));
+        }
+        core.onTimer();
+    }
+
+    ManualClock clock;
+    SeededRandom random{1};
+    FakeTopic topic;
+    CoreSettings settings;
+    FrontEndCore core{settings, clock, random, topic, [](const std::string&) {}, [] {}};
+};
+
+TEST_F(FrontEndTest, TellsAClientWhoIsThereAndWhatChanges) {
+    entity("e1");
+    const auto peer = join();
+    EXPECT_THAT(peer.data->take(), ElementsAre("joined e1", "e1 UNAV"));
+    status("e1", EntityState::IDLE);
+    status("e1", EntityState::IDLE);
+    entity("e2");
+    core.entityBasicPrflUpdate(Presence::Left, {"e1"}, {});
+    status("e1", EntityState::BUSY);
+    EXPECT_THAT(peer.data->take(), ElementsAre("e1 IDLE", "joined e2", "left e1"));
+}
+
+TEST_F(FrontEndTest, TheLastWordAboutAnEntityIsTheTrueOneThoughItChangesWhileAClientIsTold) {
+    entity("e1");
+    auto data = std::make_shared<FakeOutbox>();
+    // As another thread would, in the middle of the first push.
+    data->while_told = [&] { core.entityBasicPrflUpdate(Presence::Left, {"e1"}, {}); };
+    ASSERT_TRUE(core.setCallback("ada", Role::Operator, data).ok());
+    EXPECT_EQ(data->lines.back(), "left e1");
+
+    entity("e2");
+    auto other = std::make_shared<FakeOutbox>();
+    other->while_told = [&] { status("e2", EntityState::ERR); };
+    ASSERT_TRUE(core.setCallback("bob", Role::Operator, other).ok());
+    EXPECT_EQ(other->lines.back(), "e2 ERR");
+}
+
+TEST_F(FrontEndTest, TheSenderIsTheSessionsNeverThePeers) {
+    const auto peer = join("ada");
+    core.sendToEntity(peer.client, to("e1"), "hello");
+    core.sendStopSignal(peer.client, to("e1"), StopCause::ClientLost);
+    EXPECT_THAT(topic.take(), ElementsAre("ada to e1 hello", "stop (requested) by ada to e1"));
+}
+
+TEST_F(FrontEndTest, AcceptsAStopForAllWithoutALease) {
+    entity("e1");
+    entity("e2");
+    const auto peer = join();
+    core.sendStopSignal(peer.client, to(""), StopCause::Requested);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by ada to "));
+    EXPECT_THAT(peer.signal->take(), ElementsAre("stop accepted 2"));
+}
+
+TEST_F(FrontEndTest, AClientWithOneLaneGetsItsSignalsThere) {
+    auto data = std::make_shared<FakeOutbox>();
+    const auto client = core.setCallback("browser", Role::Operator, data).value();
+    core.sendStopSignal(client, to(""), StopCause::Requested);
+    EXPECT_THAT(data->take(), ElementsAre("stop accepted 0"));
+}
+
+TEST_F(FrontEndTest, StopsForASilentClientExactlyAtItsWatchdog) {
+    entity("e1");
+    const auto peer = join();
+    status("e1", EntityState::BUSY, peer.id());
+    pass(249ms);
+    EXPECT_THAT(topic.lines, IsEmpty());
+    EXPECT_GE(peer.signal->heartbeats, 4);
+    pass(1ms);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by ada to e1", "lost to e1"));
+    EXPECT_TRUE(peer.data->disconnected);
+    EXPECT_TRUE(peer.signal->disconnected);
+    EXPECT_EQ(core.clients(), 0U);
+}
+
+TEST_F(FrontEndTest, KeepAliveFeedsTheWatchdogAndAnIdleClientHasTenSeconds) {
+    entity("e1");
+    const auto peer = join();
+    status("e1", EntityState::BUSY, peer.id());
+    for (int i = 0; i < 20; ++i) {
+        pass(200ms);
+        core.keepAlive(peer.client);
+    }
+    EXPECT_EQ(core.clients(), 1U);
+    status("e1", EntityState::REG, peer.id());
+    pass(9999ms);
+    EXPECT_EQ(core.clients(), 1U);
+    pass(1ms);
+    EXPECT_EQ(core.clients(), 0U);
+}
+
+TEST_F(FrontEndTest, StopsEveryEntityThatALostClientHeldAndNoOther) {
+    for (const char* id : {"e1", "e2", "e3"}) entity(id);
+    const auto ada = join("ada");
+    const auto bob = join("bob");
+    status("e1", EntityState::REG, ada.id());
+    status("e2", EntityState::BUSY, ada.id());
+    status("e3", EntityState::BUSY, bob.id());
+    core.leave(ada.client, Ending::Lost, "connection lost");
+    core.leave(ada.client, Ending::Ended, "again");
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by ada to e1", "lost to e1",
+                                          "stop (client lost) by ada to e2", "lost to e2"));
+}
+
+TEST_F(FrontEndTest, AnOrderlyEndStopsOnlyWhatRuns) {
+    entity("e1");
+    entity("e2");
+    const auto peer = join();
+    status("e1", EntityState::REG, peer.id());
+    status("e2", EntityState::BUSY, peer.id());
+    core.leave(peer.client, Ending::Ended, "over");
+    EXPECT_THAT(topic.take(), ElementsAre("ended to e1", "stop (released) by ada to e2", "ended to e2"));
+}
+
+TEST_F(FrontEndTest, WhatWasReleasedIsNotStopped) {
+    entity("e1");
+    const auto peer = join();
+    status("e1", EntityState::BUSY, peer.id());
+    status("e1", EntityState::IDLE);
+    core.leave(peer.client, Ending::Lost, "connection lost");
+    EXPECT_THAT(topic.lines, IsEmpty());
+}
+
+TEST_F(FrontEndTest, StopsWhatWasGrantedToAClientThatIsGone) {
+    entity("e1");
+    const auto peer = join();
+    core.leave(peer.client, Ending::Lost, "connection lost");
+    status("e1", EntityState::REG, peer.id());
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by ada to e1", "lost to e1"));
+    status("e1", EntityState::REG, "a client of another front-end server");
+    EXPECT_THAT(topic.lines, IsEmpty());
+}
+
+TEST_F(FrontEndTest, RoutesToTheRecipientOrToAll) {
+    const auto ada = join("ada");
+    const auto bob = join("bob");
+    Header head;
+    head.sender.id = ada.id();
+    core.entityMsg(Lane::Data, head, "grant");
+    core.entityMsg(Lane::Signal, head, "receipt");
+    head.sender.id.clear();
+    core.entityMsgDataSeq(head, "sample");
+    head.sender.id = "gone";
+    core.entityMsg(Lane::Data, head, "late");
+    EXPECT_THAT(ada.data->take(), ElementsAre("msg grant", "samples"));
+    EXPECT_THAT(ada.signal->take(), ElementsAre("msg receipt"));
+    EXPECT_THAT(bob.data->take(), ElementsAre("samples"));
+}
+
+TEST_F(FrontEndTest, AnswersRequests) {
+    entity("e1");
+    const auto peer = join();
+    peer.data->take();
+    auto request = to("");
+    request.msg_type = kMsgStatus;
+    core.sendRequest(peer.client, request);
+    EXPECT_THAT(peer.data->take(), ElementsAre("joined e1", "e1 UNAV"));
+    request.msg_type = "WEATHER";
+    core.sendRequest(peer.client, request);
+    EXPECT_THAT(peer.data->take(), ElementsAre("refused NOT_SUPPORTED"));
+}
+
+TEST_F(FrontEndTest, SaysThatTheServerGoes) {
+    const auto peer = join();
+    core.shutDown();
+    EXPECT_THAT(peer.data->take(), ElementsAre("update the server is shutting down"));
+}
+
+TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
+    ManualClock clock;
+    SeededRandom random{1};
+    FakeTopic topic;
+    CoreSettings settings;
+    settings.messages_per_second = 3;
+    settings.clients_max = 1;
+    FrontEndCore core(
+        settings, clock, random, topic, [](const std::string&) {}, [] {});
+    auto data = std::make_shared<FakeOutbox>();
+    const auto client = core.setCallback("ada", Role::Operator, data).value();
+    EXPECT_EQ(core.setCallback("bob", Role::Operator, data).refusal().code, RefusalCode::Overloaded);
+    Registration registration;
+    registration.entity = registration.name = "e1";
+    core.entityBasicPrflUpdate(Presence::Joined, registration, "");
+    EntityStatus status;
+    status.entity = "e1";
+    status.holder.id = FrontEndCore::me(*client).id;
+    core.entityUpdate(status);
+    Header head;
+    head.entity = "e1";
+    for (int i = 0; i < 3; ++i) core.sendToEntity(client, head, "x");
+    topic.take();
+    core.sendStopSignal(client, head, StopCause::Requested);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by ada to e1",
+                                          "stop (improper client) by ada to e1", "lost to e1"));
+    EXPECT_TRUE(data->disconnected);
+}
+
+}  // namespace
+}  // namespace axon::front_end_server

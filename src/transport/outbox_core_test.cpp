@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "transport/outbox_core.hpp"
+
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+
+#include "common/ids.hpp"
+
+namespace axon::transport {
+namespace {
+
+using Core = OutboxCore<int>;
+using Verdict = Core::Verdict;
+
+OutboxLimits small() {
+    OutboxLimits limits;
+    limits.window_bytes = 100;
+    limits.data_bytes = 300;
+    limits.data_messages = 5;
+    limits.control_bytes = 400;
+    limits.control_messages = 4;
+    limits.signals_unsent = 3;
+    return limits;
+}
+
+Verdict offer(Core& core, Traffic traffic, int number, std::size_t bytes = 100) {
+    return core.offer(traffic, bytes, [number] { return number; });
+}
+
+std::vector<int> pump(Core& core) {
+    std::vector<int> out;
+    if (!core.startPump()) return out;
+    while (auto item = core.next()) out.push_back(item->parcel);
+    return out;
+}
+
+TEST(OutboxCore, SendsAtOnceWhileNothingIsInTheWay) {
+    Core core(small());
+    bool copied = false;
+    EXPECT_EQ(core.offer(Traffic::Control, 50, [&] { return copied = true, 1; }), Verdict::Send);
+    EXPECT_EQ(core.offer(Traffic::Data, 60, [&] { return copied = true, 2; }), Verdict::Send);
+    EXPECT_FALSE(copied);
+    EXPECT_EQ(offer(core, Traffic::Data, 3), Verdict::Queued);
+    EXPECT_EQ(core.counts().unsent_bytes, 110U);
+}
+
+TEST(OutboxCore, DropsTheOldestDataAndKeepsControl) {
+    Core core(small());
+    ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Data, 1), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Control, 2, 10), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Data, 3), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Data, 4), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Data, 5), Verdict::Queued);  // 1 goes
+    EXPECT_EQ(core.counts().dropped, 1U);
+    core.sent(100);
+    EXPECT_EQ(pump(core), (std::vector<int>{2, 3}));
+    core.sent(10);
+    core.sent(100);
+    EXPECT_EQ(pump(core), (std::vector<int>{4}));
+}
+
+TEST(OutboxCore, LeavesOutDataThatCouldNeverFit) {
+    Core core(small());
+    ASSERT_EQ(offer(core, Traffic::Data, 0), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Data, 1, 301), Verdict::Dropped);
+    EXPECT_EQ(core.counts().waiting, 0U);
+}
+
+TEST(OutboxCore, DisconnectsWhereControlOverflows) {
+    Core core(small());
+    ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);
+    for (int i = 1; i <= 4; ++i) EXPECT_EQ(offer(core, Traffic::Control, i, 10), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Control, 5, 10), Verdict::Overflow);
+    EXPECT_EQ(offer(core, Traffic::Control, 6, 10), Verdict::Closed);
+    EXPECT_EQ(core.counts().waiting, 0U);
+}
+
+TEST(OutboxCore, NeverQueuesASignal) {
+    Core core(small());
+    ASSERT_EQ(offer(core, Traffic::Data, 0), Verdict::Send);
+    ASSERT_EQ(offer(core, Traffic::Data, 1), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Signal, 2), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Signal, 3), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Signal, 4), Verdict::Overflow);
+}
+
+TEST(OutboxCore, LeavesOutAHeartbeatBehindUnsentMessages) {
+    Core core(small());
+    EXPECT_EQ(offer(core, Traffic::Heartbeat, 0, 10), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Heartbeat, 1, 10), Verdict::Dropped);
+    core.sent(10);
+    EXPECT_EQ(offer(core, Traffic::Heartbeat, 2, 10), Verdict::Send);
+}
+
+TEST(OutboxCore, NothingPassesAMessageThatIsBeingTakenOutOfTheQueue) {
+    Core core(small());
+    ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);
+    ASSERT_EQ(offer(core, Traffic::Control, 1, 10), Verdict::Queued);
+    core.sent(100);
+    ASSERT_TRUE(core.startPump());
+    const auto item = core.next();
+    ASSERT_TRUE(item);
+    // 1 has left the queue and is not with Ice yet.
+    EXPECT_EQ(offer(core, Traffic::Control, 2, 10), Verdict::Queued);
+    EXPECT_FALSE(core.startPump());
+    EXPECT_EQ(core.next()->parcel, 2);
+    EXPECT_FALSE(core.next());
+    EXPECT_EQ(offer(core, Traffic::Control, 3, 10), Verdict::Send);
+}
+
+/// Random traffic against a socket that takes some of it: order kept, bounds kept, control never lost unless
+/// the consumer is disconnected.
+TEST(OutboxCoreProperty, KeepsOrderAndBounds) {
+    for (std::uint64_t seed = 1; seed <= 300; ++seed) {
+        SCOPED_TRACE("seed " + std::to_string(seed));
+        SeededRandom random(seed);
+        const auto limits = small();
+        Core core(limits);
+        std::vector<int> control_offered;
+        std::vector<int> control_sent;
+        int last_sent = -1;
+        std::vector<std::size_t> unsent;
+        bool overflow = false;
+        const auto record = [&](int number, bool control, std::size_t bytes) {
+            EXPECT_GT(number, last_sent);
+            last_sent = number;
+            if (control) control_sent.push_back(number);
+            unsent.push_back(bytes);
+        };
+        std::vector<bool> is_control;
+        for (int number = 0; number < 400 && !overflow; ++number) {
+            const bool control = random.next() % 4 == 0;
+            is_control.push_back(control);
+            const std::size_t bytes = 1 + random.next() % 90;
+            const auto verdict = offer(core, control ? Traffic::Control : Traffic::Data, number, bytes);
+            if (control && verdict != Verdict::Overflow) control_offered.push_back(number);
+            if (verdict == Verdict::Send) record(number, control, bytes);
+            overflow = verdict == Verdict::Overflow;
+            const auto counts = core.counts();
+            ASSERT_LE(counts.unsent_bytes, limits.window_bytes + 90);
+            ASSERT_LE(counts.waiting, limits.data_messages + limits.control_messages);
+            while (!unsent.empty() && random.next() % 3 == 0) {
+                core.sent(unsent.front());
+                unsent.erase(unsent.begin());
+            }
+            if (core.startPump()) {
+                while (auto item = core.next()) {
+                    record(item->parcel, is_control[static_cast<std::size_t>(item->parcel)], item->bytes);
+                }
+            }
+        }
+        if (overflow) continue;
+        while (!unsent.empty()) {
+            core.sent(unsent.front());
+            unsent.erase(unsent.begin());
+            if (core.startPump()) {
+                while (auto item = core.next()) {
+                    record(item->parcel, is_control[static_cast<std::size_t>(item->parcel)], item->bytes);
+                }
+            }
+        }
+        EXPECT_EQ(control_sent, control_offered);
+        EXPECT_EQ(core.counts().waiting, 0U);
+    }
+}
+
+}  // namespace
+}  // namespace axon::transport

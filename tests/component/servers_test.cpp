@@ -1,0 +1,293 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// Both servers in one process over real sockets, with peers that speak the bare contracts.
+#include <gtest/gtest.h>
+
+#include <chrono>
+
+#include "component/raw_peers.hpp"
+#include "server/server.hpp"
+#include "support/loopback.hpp"
+
+namespace axon::test {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr const char* kFirst = "00000000-0000-4000-8000-000000000001";
+constexpr const char* kSecond = "00000000-0000-4000-8000-000000000002";
+
+server::ServerSettings onLoopback() {
+    const auto any_port = loopbackAddress() + ":0";
+    server::ServerSettings settings;
+    settings.client_endpoint = settings.client_signal_endpoint = any_port;
+    settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
+    return settings;
+}
+
+class Servers : public testing::Test {
+  protected:
+    std::string clients() const { return server.clientAddress(Lane::Data); }
+    std::string entities() const { return server.entityAddress(Lane::Data); }
+
+    server::Server server{onLoopback()};
+};
+
+TEST(ServerStart, IsReadyWithin200Milliseconds) {
+    const auto start = std::chrono::steady_clock::now();
+    const server::Server server(onLoopback());
+    EXPECT_LT(std::chrono::steady_clock::now() - start, 200ms);
+    EXPECT_EQ(server.readyLine().rfind("ready client=" + loopbackAddress() + ":", 0), 0U);
+}
+
+TEST(ServerStart, RefusesToListenElsewhereThanOnLoopback) {
+    auto settings = onLoopback();
+    settings.client_endpoint = "0.0.0.0:0";
+    EXPECT_THROW(server::Server{settings}, std::runtime_error);
+    settings.client_endpoint = "no-port";
+    EXPECT_THROW(server::Server{settings}, std::runtime_error);
+    EXPECT_NO_THROW(server::checkLoopback("localhost:10410"));
+}
+
+TEST(ServerStart, SaysThatAPortIsTaken) {
+    const server::Server first(onLoopback());
+    auto settings = onLoopback();
+    settings.client_endpoint = first.clientAddress(Lane::Data);
+    try {
+        const server::Server second(settings);
+        FAIL() << "expected a misconfiguration";
+    } catch (const std::runtime_error& error) {
+        EXPECT_NE(std::string(error.what()).find("another axon-server"), std::string::npos) << error.what();
+    }
+}
+
+TEST_F(Servers, PushesWhoIsThereToWhoComesEarlyAndLate) {
+    RawClient early(clients());
+    RawEntity robot(entities(), kFirst, "PeopleBot");
+    robot.join();
+    robot.status(EntityState::IDLE);
+    EXPECT_TRUE(waitUntil([&] { return early.log.has(std::string("status ") + kFirst + " IDLE"); }));
+    EXPECT_TRUE(early.log.has(std::string("joined PeopleBot ") + kFirst + " profile of PeopleBot"));
+
+    RawClient late(clients());
+    EXPECT_EQ(late.facts.entities, 1);
+    EXPECT_TRUE(waitUntil([&] { return late.log.has(std::string("status ") + kFirst + " IDLE"); }));
+
+    robot.data()->destroy();
+    EXPECT_TRUE(waitUntil([&] { return early.log.has("left PeopleBot") && late.log.has("left PeopleBot"); }));
+}
+
+TEST_F(Servers, CarryMessagesBothWaysInOrder) {
+    RawEntity robot(entities(), kFirst);
+    robot.join();
+    RawClient client(clients());
+    constexpr int kMessages = 500;
+    for (int i = 0; i < kMessages; ++i) client.text(kFirst, std::to_string(i), i + 1);
+    ASSERT_TRUE(waitUntil([&] { return robot.log.count("msg ") == kMessages; }));
+    int expected = 0;
+    for (const auto& line : robot.log.lines()) {
+        if (line.rfind("msg ", 0) == 0) {
+            // The sender is the session's, not what the client wrote.
+            EXPECT_EQ(line, "msg ada@lab TEXT " + std::to_string(expected++));
+        }
+    }
+    for (int i = 0; i < kMessages; ++i) {
+        robot.dataOneway()->sendToClient(transport::toIce(robot.headTo(client.facts.me.id)),
+                                         toRange(std::to_string(i)));
+    }
+    ASSERT_TRUE(waitUntil([&] { return client.log.count("data msg ") == kMessages; }));
+    expected = 0;
+    for (const auto& line : client.log.lines()) {
+        if (line.rfind("data msg ", 0) == 0) {
+            EXPECT_EQ(line, std::string("data msg ") + kFirst + " " + std::to_string(expected++));
+        }
+    }
+}
+
+TEST_F(Servers, CarryMessagesBetweenEntities) {
+    RawEntity first(entities(), kFirst, "Master");
+    RawEntity second(entities(), kSecond, "Slave");
+    first.join();
+    second.join();
+    Header head;
+    head.entity = kSecond;
+    head.msg_type = kMsgTask;
+    first.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 1"));
+    EXPECT_TRUE(waitUntil([&] { return second.log.has("msg Master TASK step 1"); }));
+    head.entity = "nobody";
+    first.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 2"));
+    EXPECT_TRUE(waitUntil([&] { return first.log.has("refused 20"); }));
+}
+
+TEST_F(Servers, RefuseWhatIsForNobody) {
+    RawClient client(clients());
+    client.text(kFirst, "anybody there?", 77);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("refused 20 of 77"); }));
+    client.stop(kFirst);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 0"); }));
+}
+
+TEST_F(Servers, StopOvertakesAFilledDataLane) {
+    RawEntity robot(entities(), kFirst);
+    robot.join();
+    RawClient client(clients());
+    ASSERT_TRUE(waitUntil([&] { return client.log.has("joined"); }));
+    robot.stalled = true;
+    const std::string block(60'000, 'x');
+    for (int i = 0; i < 400; ++i) {
+        client.data()->sendToEntityDataSeq(transport::toIce(client.headTo(kFirst, i)), toRange(block));
+    }
+    const auto start = std::chrono::steady_clock::now();
+    client.stop("");
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested ada@lab"); }));
+    EXPECT_LT(std::chrono::steady_clock::now() - start, 500ms);  // usually less than one
+    EXPECT_EQ(robot.data_received, 0U);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 1"); }));
+}
+
+TEST_F(Servers, DropTheOldestDataOfWhoDoesNotReadAndHurtNobodyElse) {
+    RawEntity stalled(entities(), kFirst, "Stalled");
+    RawEntity healthy(entities(), kSecond, "Healthy");
+    stalled.join();
+    healthy.join();
+    RawClient client(clients());
+    stalled.stalled = true;
+    const std::string block(60'000, 'x');
+    constexpr int kBlocks = 500;  // 30 MB: more than the kernel's buffers
+    for (int i = 1; i <= kBlocks; ++i) {
+        client.data()->sendToEntityDataSeq(transport::toIce(client.headTo(kFirst, i)), toRange(block));
+    }
+    for (int i = 0; i < 100; ++i) client.text(kSecond, std::to_string(i));
+    EXPECT_TRUE(waitUntil([&] { return healthy.log.count("msg ") == 100; }));
+
+    stalled.resume();
+    EXPECT_TRUE(waitUntil([&] { return stalled.log.has("data " + std::to_string(kBlocks)); }));
+    EXPECT_LT(stalled.data_received, static_cast<std::uint64_t>(kBlocks));
+    EXPECT_GT(stalled.data_received, 10U);
+    // What arrived is in order, and the newest did.
+    long last = 0;
+    for (const auto& line : stalled.log.lines()) {
+        if (line.rfind("data ", 0) != 0) continue;
+        const long number = std::stol(line.substr(5));
+        EXPECT_GT(number, last);
+        last = number;
+    }
+    EXPECT_EQ(last, kBlocks);
+}
+
+TEST_F(Servers, StopForAClientWhoseConnectionBreaks) {
+    for (const bool cut_signal : {false, true}) {
+        RawEntity robot(entities(), cut_signal ? kFirst : kSecond);
+        robot.join();
+        RawClient client(clients());
+        const auto id = client.facts.me.id;
+        robot.status(EntityState::BUSY, id);
+        cut_signal ? client.cutSignal() : client.cutData();
+        EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal client lost " + id); }));
+        EXPECT_TRUE(robot.log.has("signal stop client lost"));
+    }
+}
+
+TEST_F(Servers, StopForAClientThatFallsSilentWhileItsTaskRuns) {
+    RawEntity robot(entities(), kFirst);
+    robot.registration.heartbeat_busy_ms =
+        2000;  // the stub sends no keepAlive; only the client is to be late
+    robot.join();
+    RawClient client(clients());
+    const auto start = std::chrono::steady_clock::now();
+    robot.status(EntityState::BUSY, client.facts.me.id);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop client lost"); }));
+    EXPECT_GE(std::chrono::steady_clock::now() - start, 240ms);
+    EXPECT_LT(std::chrono::steady_clock::now() - start, 2s);
+}
+
+TEST_F(Servers, EndInOrderWithoutAStopWhereNothingRuns) {
+    RawEntity robot(entities(), kFirst);
+    robot.join();
+    RawClient client(clients());
+    robot.status(EntityState::REG, client.facts.me.id);
+    client.signal()->destroy();
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal client ended"); }));
+    EXPECT_FALSE(robot.log.has("signal stop"));
+}
+
+TEST_F(Servers, DropOnlyThePeerThatSendsAnOversizeMessage) {
+    RawEntity robot(entities(), kFirst);
+    robot.join();
+    RawClient bad(clients(), "bad@lab");
+    RawClient good(clients(), "good@lab");
+    robot.status(EntityState::BUSY, bad.facts.me.id);
+    const std::string huge((transport::kMessageSizeMaxKib + 1) * 1024, 'x');
+    try {
+        bad.data()->sendToEntity(transport::toIce(bad.headTo(kFirst)), toRange(huge));
+    } catch (const Ice::Exception&) {  // the sender's own communicator may refuse, or the server closes
+    }
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop improper"); }));
+    good.text(kFirst, "still here");
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg good@lab TEXT still here"); }));
+}
+
+TEST_F(Servers, NoticeThatAnEntityManagerIsKilled) {
+    RawClient client(clients());
+    RawEntity robot(entities(), kFirst);
+    robot.join();
+    ASSERT_TRUE(waitUntil([&] { return client.log.has("joined"); }));
+    robot.cutSignal();
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("left"); }));
+    // Its place is free again.
+    RawEntity again(entities(), kFirst);
+    again.join();
+    EXPECT_TRUE(waitUntil([&] { return client.log.count("joined") == 2; }));
+}
+
+TEST_F(Servers, RefuseASecondEntityOfTheSameUuid) {
+    RawEntity first(entities(), kFirst);
+    first.join();
+    RawEntity copy(entities(), kFirst);
+    try {
+        copy.join();
+        FAIL() << "expected a refusal";
+    } catch (const Axon::CommUtil::RequestRefused& refused) {
+        EXPECT_EQ(refused.code, static_cast<int>(RefusalCode::Duplicate));
+        EXPECT_NE(refused.reason.find("delete the file uuid"), std::string::npos) << refused.reason;
+    }
+}
+
+TEST_F(Servers, AnswerASessionOnlyOnItsOwnConnection) {
+    RawClient client(clients());
+    const auto other = transport::makeCommunicator({});
+    const auto foreign = Ice::uncheckedCast<Axon::FrontEndComm::ClientSessionPrx>(
+        other.communicator()->stringToProxy(Ice::identityToString(client.data()->ice_getIdentity()) + ":" +
+                                            transport::tcpEndpoint(clients())));
+    EXPECT_THROW(foreign->sendStopSignal({}, Axon::CommUtil::StopCause::Requested),
+                 Ice::ObjectNotExistException);
+    EXPECT_THROW(foreign->destroy(), Ice::ObjectNotExistException);
+    EXPECT_NO_THROW(client.data()->keepAlive(1));
+}
+
+TEST_F(Servers, OpenOneSessionForEachConnection) {
+    const auto communicator = transport::makeCommunicator({});
+    const auto gate = Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(
+        communicator.communicator()->stringToProxy("ClientGate:" + transport::tcpEndpoint(clients())));
+    gate->open("", "", "one");
+    EXPECT_THROW(gate->open("", "", "two"), Axon::CommUtil::RequestRefused);
+}
+
+TEST_F(Servers, ServeAClientWithoutASignalLane) {
+    RawEntity robot(entities(), kFirst);
+    robot.join();
+    RawClient browser(clients(), "browser", false);
+    browser.dataOneway()->sendStopSignal(transport::toIce(browser.headTo(kFirst)),
+                                         Axon::CommUtil::StopCause::Requested);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested browser"); }));
+    EXPECT_TRUE(waitUntil([&] { return browser.log.has("data stop accepted for 1"); }));
+}
+
+TEST(ServerEnd, TellsItsClients) {
+    auto server = std::make_unique<server::Server>(onLoopback());
+    RawClient client(server->clientAddress(Lane::Data));
+    server.reset();
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("update the server is shutting down"); }));
+}
+
+}  // namespace
+}  // namespace axon::test
