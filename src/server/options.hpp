@@ -23,8 +23,8 @@ struct Parsed {
 Parsed parseOptions(int argc, char** argv);
 
 /// Reads a file in Ice property syntax (frontendserver.cfg, entityserver.cfg) into the settings;
-/// docs/reference/ configuration.md lists the keys. Throws std::runtime_error naming file, key, expectation
-/// and mend.
+/// docs/reference/server_configuration.md lists the keys. Throws std::runtime_error naming file, key,
+/// expectation and mend.
 void readConfiguration(const std::string& file, ServerSettings& settings);
 
 }  // namespace axon::server

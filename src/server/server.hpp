@@ -9,7 +9,7 @@
 
 namespace axon::server {
 
-/// Settings of `axon-server`; docs/reference/ports.md and configuration.md.
+/// Settings of `axon-server`; docs/reference/ports.md and server_configuration.md.
 struct ServerSettings {
     std::string client_endpoint = "127.0.0.1:10410";
     std::string client_signal_endpoint = "127.0.0.1:10411";
