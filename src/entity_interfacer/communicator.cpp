@@ -1,0 +1,622 @@
+// SPDX-License-Identifier: MIT
+#include "entity_interfacer/communicator.hpp"
+
+#include <arpa/inet.h>
+#include <axon/link.pb.h>
+#include <fcntl.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <pthread.h>
+#include <sched.h>
+#include <signal.h>
+#include <sys/ioctl.h>
+#include <sys/socket.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <iostream>
+
+namespace axon {
+
+thread_local const Communicator* Communicator::this_thread_of = nullptr;
+
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr std::uint32_t kProtocol = 1;
+constexpr std::size_t kPendingMax = 32;
+constexpr auto kHelloTime = 1s;
+constexpr auto kSlack = 50ms;  // for a sign of life that has arrived and has not been read yet
+constexpr int kStopPriority = 30;
+constexpr int kWatchPriority = 29;
+constexpr std::size_t kNameMax = 255;
+
+TimePoint now() {
+    return std::chrono::steady_clock::now();
+}
+
+std::int64_t nanoseconds(TimePoint t) {
+    return t.time_since_epoch().count();
+}
+
+/// Threads of the library leave signals to the application's own.
+template <class Body>
+std::thread quietThread(const char* name, Body body) {
+    sigset_t all, former;
+    sigfillset(&all);
+    pthread_sigmask(SIG_SETMASK, &all, &former);
+    std::thread thread(std::move(body));
+    pthread_sigmask(SIG_SETMASK, &former, nullptr);
+    pthread_setname_np(thread.native_handle(), name);
+    return thread;
+}
+
+/// Tasks and whatever else a callback starts do not inherit it.
+bool becomeRealTime(int priority) {
+    sched_param param{};
+    param.sched_priority = priority;
+    return sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &param) == 0;
+}
+
+std::atomic<const WakeUp*> running_program{nullptr};  // run() of this process, for its signal handler
+static_assert(std::atomic<const WakeUp*>::is_always_lock_free);
+
+void onSignalOfProcess(int) {
+    const int saved = errno;
+    if (const auto* wake = running_program.load()) wake->wake();
+    errno = saved;
+}
+
+std::chrono::milliseconds watchdogFrom(std::uint32_t ms, std::chrono::milliseconds usual) {
+    if (ms == 0) return usual;
+    return std::clamp(std::chrono::milliseconds{ms}, 20ms, 10000ms);
+}
+
+[[noreturn]] void misconfigured(const std::string& what) {
+    throw Misconfiguration("axon: " + what);
+}
+
+}  // namespace
+
+Communicator::Communicator(EntityInterfacer::Options options) : options_(std::move(options)) {
+    if (options_.application.empty() || options_.application.size() > kNameMax ||
+        options_.instance.size() > kNameMax)
+        misconfigured(
+            "Options::application: expected the name that the Entity Manager is configured with, 1 to 255 "
+            "characters: set it");
+    address_ = options_.address;
+    if (options_.ports_file.empty()) {
+        const auto range =
+            checkPortRange(options_.first_port, options_.last_port, "Options::first_port, last_port");
+        if (!range) misconfigured(range.refusal().message);
+        ports_ = range.value();
+    } else {
+        const auto file = readPorts(options_.ports_file);
+        if (!file) misconfigured(file.refusal().message);
+        ports_ = file->ports;
+        address_ = file->address;
+    }
+    in_addr parsed{};
+    if (inet_pton(AF_INET, address_.c_str(), &parsed) != 1)
+        misconfigured("address '" + address_ + "': expected an IPv4 address such as 127.0.0.1: correct it");
+    if (!options_.beyond_loopback && !isLoopback(address_))
+        misconfigured(
+            "address " + address_ +
+            ": expected a loopback address (127.x.y.z), for the link has no authentication: use one, or set "
+            "Options::beyond_loopback on a network you trust");
+}
+
+Communicator::~Communicator() {
+    shutdown();
+}
+
+Communicator::Callbacks& Communicator::settableCallbacks() {
+    if (started_) throw std::logic_error("axon: callbacks and handlers are set before start() or run()");
+    return callbacks_;
+}
+
+void Communicator::log(LogLevel level, const std::string& text) const {
+    if (options_.logger) {
+        try {
+            options_.logger(level, text);
+        } catch (...) {
+            std::cerr << "axon: the logger threw while logging: " + text + "\n";
+        }
+        return;
+    }
+    static constexpr std::array names{"", "warning: ", "error: "};
+    std::cerr << "axon: " + std::string(names.at(static_cast<std::size_t>(level))) + text + "\n";
+}
+
+void Communicator::listen() {
+    for (unsigned port = ports_.first; port <= ports_.last; ++port) {
+        Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+        const int on = 1;
+        ::setsockopt(socket.get(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);  // TIME_WAIT of a former run
+        sockaddr_in where{};
+        where.sin_family = AF_INET;
+        where.sin_port = htons(static_cast<std::uint16_t>(port));
+        inet_pton(AF_INET, address_.c_str(), &where.sin_addr);
+        if (::bind(socket.get(), reinterpret_cast<const sockaddr*>(&where), sizeof where) == 0 &&
+            ::listen(socket.get(), 128) == 0) {
+            listener_ = std::move(socket);
+            port_ = static_cast<std::uint16_t>(port);
+            return;
+        }
+        if (errno != EADDRINUSE)
+            misconfigured("cannot listen on " + address_ + ":" + std::to_string(port) + ": " +
+                          std::strerror(errno) +
+                          ": expected an address of this machine: correct Axon.Address or Options::address");
+    }
+    misconfigured("every port of " + std::to_string(ports_.first) + "-" + std::to_string(ports_.last) +
+                  " on " + address_ +
+                  " is in use: expected a free one: widen the range in ports.cfg of both the application and "
+                  "its Entity Manager");
+}
+
+void Communicator::start() {
+    const std::lock_guard lock(shutdown_mutex_);
+    if (shut_down_) throw std::logic_error("axon: start() after shutdown()");
+    if (started_) return;
+    listen();
+    started_ = true;
+    stop_thread_ = quietThread("axon-stop", [this] { stopThread(); });
+    watch_thread_ = quietThread("axon-watch", [this] { watchThread(); });
+    data_thread_ = quietThread("axon-data", [this] { dataThread(); });
+    log(LogLevel::Info, "'" + options_.application + "' waits for its Entity Manager on " + address_ + ":" +
+                            std::to_string(port_));
+}
+
+void Communicator::run() {
+    const WakeUp* none = nullptr;
+    if (!running_program.compare_exchange_strong(none, &run_wake_))
+        throw std::logic_error("axon: one run() per process at a time");
+    struct sigaction action {
+    }, former_int{}, former_term{};
+    action.sa_handler = onSignalOfProcess;
+    sigaction(SIGINT, &action, &former_int);
+    sigaction(SIGTERM, &action, &former_term);
+    const auto restore = [&] {
+        sigaction(SIGINT, &former_int, nullptr);
+        sigaction(SIGTERM, &former_term, nullptr);
+        running_program = nullptr;
+    };
+    try {
+        start();
+    } catch (...) {
+        restore();
+        throw;
+    }
+    while (!quit_) {
+        pollfd wait{run_wake_.fd(), POLLIN, 0};
+        ::poll(&wait, 1, -1);
+        if ((wait.revents & POLLIN) != 0) quit_ = true;
+    }
+    shutdown();
+    restore();
+}
+
+void Communicator::quit() {
+    quit_ = true;
+    run_wake_.wake();
+}
+
+bool Communicator::onOwnThread() const {
+    return this_thread_of == this;
+}
+
+void Communicator::shutdown() {
+    if (onOwnThread()) return quit();
+    const std::lock_guard lock(shutdown_mutex_);
+    if (shut_down_.exchange(true) || !started_) return;
+    ending_ = true;
+    end_stop_thread_ = true;
+    stop_wake_.wake();
+    stop_thread_.join();
+
+    // Handlers that end at once may still say how; the link does not wait for the others.
+    const auto finished = [this] {
+        const std::lock_guard tasks(tasks_mutex_);
+        return std::all_of(tasks_.begin(), tasks_.end(), [](const TaskThread& t) { return t.done->load(); });
+    };
+    for (int i = 0; i < 30 && !finished(); ++i) std::this_thread::sleep_for(10ms);
+    end_watch_thread_ = true;
+    watch_wake_.wake();
+    watch_thread_.join();
+    end_data_thread_ = true;
+    data_wake_.wake();
+    data_thread_.join();
+    for (auto since = now(); !finished(); std::this_thread::sleep_for(10ms)) {
+        if (now() - since < 1s) continue;
+        since = now();
+        const std::lock_guard tasks(tasks_mutex_);
+        for (const auto& running : tasks_)
+            if (!running.done->load())
+                log(LogLevel::Warning, "shutting down waits for the handler of '" + running.task->service +
+                                           "': it should return when stopRequested() is true");
+    }
+    reapTasks();
+}
+
+std::shared_ptr<Link> Communicator::currentLink() const {
+    const std::lock_guard lock(link_mutex_);
+    return link_;
+}
+
+void Communicator::publish(std::shared_ptr<Link> link) {
+    const std::lock_guard lock(link_mutex_);
+    link_.swap(link);
+}
+
+bool Communicator::linked() const {
+    const auto link = currentLink();
+    return link && !link->lost();
+}
+
+// ---- The stop thread: reads the signal connection, calls onStop, nothing else.
+
+void Communicator::stopThread() {
+    this_thread_of = this;
+    if (!becomeRealTime(kStopPriority))
+        log(LogLevel::Info,
+            "the stop thread runs with ordinary priority: real-time scheduling is not permitted here "
+            "(CAP_SYS_NICE or an rtprio limit would allow it)");
+    unsigned faults_seen = 0;
+    while (true) {
+        std::array<pollfd, 2> wait{pollfd{stop_wake_.fd(), POLLIN, 0},
+                                   pollfd{signal_link_ ? signal_link_->signalFd() : -1, POLLIN, 0}};
+        ::poll(wait.data(), wait.size(), -1);
+        if (signal_link_ && (wait[1].revents != 0 || signal_link_->lost())) readSignals(*signal_link_);
+        if ((wait[0].revents & POLLIN) != 0) stop_wake_.drain();
+        if (signal_link_ && signal_link_->lost()) {
+            dispatchStop(StopSignal::Cause::LinkLost);
+            signal_link_.reset();
+            watch_wake_.wake();
+            data_wake_.wake();
+        }
+        if (const auto faults = faults_.load(); faults != faults_seen) {
+            faults_seen = faults;
+            dispatchStop(StopSignal::Cause::Fault);
+        }
+        if (end_stop_thread_) {
+            dispatchStop(StopSignal::Cause::Shutdown);
+            this_thread_of = nullptr;
+            return;
+        }
+        if (!signal_link_) {
+            const std::lock_guard lock(signal_handover_mutex_);
+            signal_link_ = std::move(signal_handover_);
+            if (signal_link_) {
+                baseline_known_ = false;
+                level_.adopt(0);
+            }
+        }
+    }
+}
+
+void Communicator::readSignals(Link& link) {
+    std::array<char, 4096> buffer;
+    std::string payload;
+    bool ended = false;
+    const auto deliver = [&] {
+        proto::EmToEi message;
+        while (link.signal_reader.next(payload)) {
+            if (!message.ParseFromString(payload))
+                return link.cut("malformed message on the signal connection");
+            onSignal(link, message);
+        }
+        if (link.signal_reader.failed()) link.cut("signal connection: " + link.signal_reader.error());
+    };
+    while (!ended) {
+        const auto got = ::recv(link.signalFd(), buffer.data(), buffer.size(), MSG_DONTWAIT);
+        if (got > 0) {
+            link.signal_reader.feed({buffer.data(), static_cast<std::size_t>(got)});
+        } else if (got == 0) {
+            link.cut("the Entity Manager has closed the link");
+            ended = true;
+        } else if (errno == EAGAIN) {
+            ended = true;
+        } else if (errno != EINTR) {
+            link.cut(std::string("signal connection: ") + std::strerror(errno));
+            ended = true;
+        }
+        deliver();
+        if (link.lost()) ended = true;
+    }
+}
+
+void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
+    if (message.has_stop()) {
+        const auto& stop = message.stop();
+        heard_ns_ = nanoseconds(now());
+        if (stop.cause() == proto::STOP_DRILL) return acknowledge(link, stop.stop_generation());
+        if (baseline_known_ && stop.stop_generation() <= level_.generation())
+            return acknowledge(link, level_.generation());
+        baseline_known_ = true;
+        level_.raise(stop.stop_generation(), stop.cause());
+        const bool returned =
+            callStop({static_cast<StopSignal::Cause>(stop.cause()), stop.stop_generation()});
+        if (returned) acknowledge(link, stop.stop_generation());
+        return;
+    }
+    if (!message.has_beat())
+        return link.cut("unexpected message on the signal connection: only beats and stops belong there");
+    const auto& beat = message.beat();
+    heard_ns_ = nanoseconds(now());
+    if (busy_.exchange(beat.busy()) != beat.busy()) watch_wake_.wake();
+    if (!baseline_known_) {
+        baseline_known_ = true;
+        level_.adopt(beat.stop_generation());
+    } else if (beat.stop_generation() > level_.generation()) {
+        // The level says that a stop was given which has not arrived as such.
+        level_.raise(beat.stop_generation(), proto::STOP_REQUESTED);
+        if (callStop({StopSignal::Cause::Requested, beat.stop_generation()}))
+            acknowledge(link, beat.stop_generation());
+    }
+}
+
+void Communicator::dispatchStop(StopSignal::Cause cause) {
+    level_.raiseEpoch(static_cast<int>(cause));
+    callStop({cause, level_.generation()});
+}
+
+bool Communicator::callStop(const StopSignal& signal) {
+    in_callback_ = true;
+    bool returned = true;
+    std::string thrown;
+    if (callbacks_.stop) {
+        try {
+            callbacks_.stop(signal);
+        } catch (const std::exception& error) {
+            returned = false;
+            thrown = error.what();
+        } catch (...) {
+            returned = false;
+            thrown = "something that is no std::exception";
+        }
+    }
+    level_.settle();
+    heard_ns_ = nanoseconds(now());
+    in_callback_ = false;
+    if (!returned)
+        log(LogLevel::Error,
+            "the stop callback threw (" + thrown + "): this stop is not acknowledged; catch inside onStop");
+    return returned;
+}
+
+void Communicator::acknowledge(Link& link, std::uint32_t generation) {
+    proto::EiToEm message;
+    message.mutable_stop_done()->set_stop_generation(generation);
+    message.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+    link.sendSignal(message);
+}
+
+void Communicator::standstill() {
+    const auto link = currentLink();
+    if (!link) return;
+    proto::EiToEm message;
+    message.mutable_stop_done()->set_stop_generation(level_.generation());
+    message.mutable_stop_done()->set_stage(proto::StopReceipt::STANDSTILL);
+    link->sendSignal(message);
+}
+
+void Communicator::fault(const std::string& what) {
+    faults_.fetch_add(1);
+    stop_wake_.wake();
+    log(LogLevel::Error, what + ": stop");
+}
+
+// ---- The watch thread: accepts, beats, watches for silence.
+
+void Communicator::watchThread() {
+    this_thread_of = this;
+    becomeRealTime(kWatchPriority);
+    std::vector<pollfd> wait;
+    while (!end_watch_thread_) {
+        if (watched_ && watched_->lost()) watched_.reset();
+        wait.assign({{watch_wake_.fd(), POLLIN, 0}, {listener_.get(), POLLIN, 0}});
+        auto due = TimePoint::max();
+        if (watched_) due = next_beat_;
+        for (const auto& pending : pending_) {
+            wait.push_back({pending.socket.get(), POLLIN, 0});
+            due = std::min(due, pending.deadline);
+        }
+        timespec timeout{};
+        if (due != TimePoint::max()) {
+            const auto left = std::max<Duration>(due - now(), Duration::zero());
+            timeout.tv_sec = left / 1s;
+            timeout.tv_nsec = (left % 1s).count();
+        }
+        ::ppoll(wait.data(), wait.size(), due == TimePoint::max() ? nullptr : &timeout, nullptr);
+        if (wait[0].revents != 0) {
+            watch_wake_.drain();
+            next_beat_ = std::min(next_beat_, now());  // the period may have become shorter
+        }
+        const auto polled = pending_.size();
+        std::vector<bool> forget(polled, false);
+        for (std::size_t i = 0; i < polled; ++i) {
+            if (wait[i + 2].revents != 0) forget[i] = readHello(pending_[i]);
+            if (pending_[i].deadline <= now()) forget[i] = true;
+        }
+        for (std::size_t i = polled; i-- > 0;)
+            if (forget[i]) pending_.erase(pending_.begin() + static_cast<std::ptrdiff_t>(i));
+        if (wait[1].revents != 0) accept();
+        if (watched_ && next_beat_ <= now()) beat();
+        if (watched_) checkSilence();
+    }
+    if (watched_) watched_->cut("the robot application shuts down");
+    pending_.clear();
+    listener_.reset();
+    this_thread_of = nullptr;
+}
+
+void Communicator::accept() {
+    for (int burst = 0; burst < 64; ++burst) {
+        Descriptor socket(::accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
+        if (!socket.open()) return;
+        const int on = 1;
+        ::setsockopt(socket.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+        if (pending_.size() >= kPendingMax) {
+            // A half-linked Entity Manager is worth more than a stranger that has said nothing yet.
+            auto oldest = std::find_if(pending_.begin(), pending_.end(),
+                                       [](const Pending& p) { return p.nonce.empty(); });
+            if (oldest == pending_.end()) return;
+            pending_.erase(oldest);
+        }
+        pending_.emplace_back();
+        pending_.back().socket = std::move(socket);
+        pending_.back().deadline = now() + kHelloTime;
+        if (readHello(pending_.back())) pending_.pop_back();  // its Hello is usually here already
+    }
+    watch_wake_.wake();
+}
+
+bool Communicator::readHello(Pending& pending) {
+    std::array<char, kHelloMax> buffer;
+    const auto got = ::recv(pending.socket.get(), buffer.data(), buffer.size(), MSG_DONTWAIT);
+    if (got == 0) return true;
+    if (got < 0) return errno != EAGAIN && errno != EINTR;
+    if (!pending.nonce.empty()) return true;  // nothing may be sent before both lanes are welcome
+    pending.reader.feed({buffer.data(), static_cast<std::size_t>(got)});
+    std::string payload;
+    if (!pending.reader.next(payload)) {
+        if (!pending.reader.failed()) return false;
+        refuse(pending, RefusalCode::Malformed, "first frame: " + pending.reader.error());
+        return true;
+    }
+    proto::EmToEi message;
+    if (!message.ParseFromString(payload) || !message.has_hello()) {
+        refuse(pending, RefusalCode::Malformed,
+               "expected Hello as the first frame: see docs/reference/ei-link.md");
+        return true;
+    }
+    return onHello(pending, message.hello());
+}
+
+bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
+    const auto no = [&](RefusalCode code, const std::string& message) {
+        refuse(pending, code, message);
+        return true;
+    };
+    if (hello.protocol() != kProtocol)
+        return no(RefusalCode::NotSupported, "protocol " + std::to_string(hello.protocol()) +
+                                                 ": expected 1: use an Entity Manager of this version");
+    if (hello.application() != options_.application)
+        return no(RefusalCode::UnknownEntity,
+                  "this is the robot application '" + options_.application +
+                      "': correct the application's name in the Entity Manager's configuration, or look on");
+    if (!hello.instance().empty() && hello.instance() != options_.instance)
+        return no(RefusalCode::UnknownEntity,
+                  "this is instance '" + options_.instance + "' of '" + options_.application + "'");
+    if (hello.nonce().size() < 8 || hello.nonce().size() > 64)
+        return no(RefusalCode::Malformed, "nonce: expected 8 to 64 bytes, the same on both connections");
+    if (watched_ && !watched_->lost())
+        return no(RefusalCode::AlreadyHeld, "'" + options_.application +
+                                                "' is linked with another Entity Manager (" +
+                                                watched_->manager + "): end that one first");
+    const auto half =
+        std::find_if(pending_.begin(), pending_.end(), [](const Pending& p) { return !p.nonce.empty(); });
+    if (hello.lane() == proto::LANE_SIGNAL) {
+        if (half != pending_.end())
+            return no(RefusalCode::AlreadyHeld, "another Entity Manager (" + half->manager +
+                                                    ") is just linking with '" + options_.application + "'");
+        pending.nonce = hello.nonce();
+        pending.manager = hello.manager();
+        pending.busy = watchdogFrom(hello.watchdog_busy_ms(), 100ms);
+        pending.idle = watchdogFrom(hello.watchdog_idle_ms(), 500ms);
+        welcome(pending, hello, nullptr);
+        return false;
+    }
+    if (hello.lane() != proto::LANE_DATA)
+        return no(RefusalCode::Malformed, "lane: expected LANE_SIGNAL or LANE_DATA");
+    if (half == pending_.end()) return no(RefusalCode::WrongState, "expected the signal connection first");
+    if (half->nonce != hello.nonce())
+        return no(RefusalCode::AlreadyHeld, "another Entity Manager (" + half->manager +
+                                                ") is just linking with '" + options_.application + "'");
+    welcome(pending, hello, nullptr);
+    watched_ =
+        std::make_shared<Link>(std::move(half->socket), std::move(half->reader), std::move(pending.socket),
+                               std::move(pending.reader), half->manager, half->busy, half->idle, data_wake_);
+    // The half itself goes at its deadline; without a nonce it reserves nothing, without a socket it reads
+    // nothing.
+    half->nonce.clear();
+    half->deadline = now();
+    heard_ns_ = nanoseconds(now());
+    busy_ = false;
+    slow_warned_ = false;
+    next_beat_ = now();
+    {
+        const std::lock_guard lock(signal_handover_mutex_);
+        signal_handover_ = watched_;
+    }
+    {
+        const std::lock_guard lock(data_handover_mutex_);
+        data_handover_ = watched_;
+    }
+    stop_wake_.wake();
+    data_wake_.wake();
+    return true;
+}
+
+void Communicator::refuse(Pending& pending, RefusalCode code, const std::string& message) {
+    proto::Refusal refusal;
+    refusal.set_code(static_cast<proto::RefusalCode>(code));
+    refusal.set_message(message);
+    welcome(pending, proto::Hello{}, &refusal);
+}
+
+void Communicator::welcome(Pending& pending, const proto::Hello& hello, const proto::Refusal* refusal) {
+    proto::EiToEm message;
+    auto& welcome = *message.mutable_welcome();
+    welcome.set_protocol(kProtocol);
+    welcome.set_application(options_.application);
+    welcome.set_instance(options_.instance);
+    welcome.set_lane(hello.lane());
+    welcome.set_nonce(hello.nonce());
+    if (refusal != nullptr) *welcome.mutable_refusal() = *refusal;
+    std::string frame;
+    appendFrame(frame, message.SerializeAsString());
+    [[maybe_unused]] const auto sent =
+        ::send(pending.socket.get(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+}
+
+void Communicator::beat() {
+    const bool busy = busy_;
+    next_beat_ = now() + (busy ? watched_->watchdog_busy : watched_->watchdog_idle) / 5;
+    proto::EiToEm message;
+    auto& beat = *message.mutable_beat();
+    beat.set_sequence(++beat_sequence_);
+    beat.set_busy(busy);
+    beat.set_stop_generation(level_.generation());
+    beat.set_stopped(level_.settled());
+    watched_->sendSignal(message);
+}
+
+void Communicator::checkSilence() {
+    if (in_callback_) return;  // the stop thread cannot listen while the application's callback has it
+    const auto time = now();
+    const auto heard = TimePoint{Duration{heard_ns_.load()}};
+    const auto timeout = busy_ ? watched_->watchdog_busy : watched_->watchdog_idle;
+    const auto silent = time - heard;
+    if (silent < timeout) {
+        if (silent > timeout * 3 / 5 && !slow_warned_) {
+            slow_warned_ = true;
+            log(LogLevel::Warning,
+                "beats of the Entity Manager come late (more than half of the watchdog of " +
+                    std::to_string(timeout.count()) + " ms): this machine is overloaded");
+        }
+        next_beat_ = std::min(next_beat_, heard + timeout);
+        return;
+    }
+    int unread = 0;
+    if (silent < timeout + kSlack && ::ioctl(watched_->signalFd(), FIONREAD, &unread) == 0 && unread > 0) {
+        next_beat_ = std::min(next_beat_, time + 2ms);
+        return;
+    }
+    watched_->cut("the Entity Manager has been silent for " + std::to_string(timeout.count()) + " ms");
+    stop_wake_.wake();
+}
+
+}  // namespace axon

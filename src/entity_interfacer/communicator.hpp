@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+#include <array>
+#include <atomic>
+#include <condition_variable>
+#include <deque>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "common/clock.hpp"
+#include "common/port_range.hpp"
+#include "entity_interfacer/axon/entity_interfacer.hpp"
+#include "entity_interfacer/link.hpp"
+#include "entity_interfacer/running_task.hpp"
+#include "entity_interfacer/stop_level.hpp"
+
+namespace axon::proto {
+class EiToEm;
+class EmToEi;
+class Hello;
+class LinkBeat;
+class Refusal;
+class StopSignal;
+class TaskDispatch;
+}  // namespace axon::proto
+
+namespace axon {
+
+struct Stream::Channel {
+    Channel(std::string stream_name, Communicator& owner)
+        : name(std::move(stream_name)), communicator(owner) {}
+    const std::string name;
+    Communicator& communicator;
+    std::atomic<std::uint64_t> sequence{0};
+    std::atomic<bool> wanted{true};
+};
+
+/// The communication port of the Entity Interfacer (thesis 3.3.2): sockets and threads.
+///
+/// Threads: the *stop thread* reads the signal connection and runs the stop callback; the *watch thread*
+/// accepts, beats and watches for silence; the *data thread* reads the data connection and runs all other
+/// callbacks; one thread per running task. They hand links over by pointer and wake each other by eventfd.
+class Communicator {
+  public:
+    struct Callbacks {
+        std::function<Decision(const std::string&, const Parameter&)> parameter;
+        std::function<Decision(const std::string&, const std::string&, const std::filesystem::path&)>
+            resource;
+        std::function<Decision(const Task&)> task_request;
+        std::map<std::string, EntityInterfacer::TaskHandler, std::less<>> tasks;
+        EntityInterfacer::TaskHandler any_task;
+        std::function<void(const Task&)> pause, resume;
+        std::function<void(const std::string&, const std::string&)> text;
+        std::function<void(const std::vector<std::string>&, const std::string&)> raw;
+        std::function<void(const StopSignal&)> stop;
+        std::function<void()> link_up;
+        std::function<void(const std::string&)> link_down;
+    };
+
+    explicit Communicator(EntityInterfacer::Options options);
+    ~Communicator();
+
+    /// Throws std::logic_error once started.
+    Callbacks& settableCallbacks();
+    void upload(bool services, const std::filesystem::path& file);
+
+    void start();
+    void run();
+    void quit();
+    void shutdown();
+
+    bool linked() const;
+    std::uint16_t port() const { return port_.load(); }
+
+    /// To the Entity Manager that is linked now, if any. False when larger than a frame.
+    bool send(const proto::EiToEm& message, Link::Kind kind);
+    void standstill();
+    void setPosition(double x, double y, double z);
+    void setServiceActive(std::string_view service, bool active, std::string_view reason);
+    void sendTaskFeedback(std::string_view service, std::string_view text);
+    std::shared_ptr<Stream::Channel> channel(std::string_view name);
+    void log(LogLevel level, const std::string& text) const;
+
+  private:
+    struct Profile {
+        std::filesystem::path file;
+        std::filesystem::file_time_type changed;
+        std::uintmax_t size = 0;
+        std::string xml;
+        bool send = false;
+    };
+    struct TaskThread {
+        std::shared_ptr<Task::Running> task;
+        std::thread thread;
+        std::shared_ptr<std::atomic<bool>> done;
+    };
+    /// A connection whose peer has not yet proved to be our Entity Manager.
+    struct Pending {
+        Descriptor socket;
+        FrameReader reader{kHelloMax};
+        TimePoint deadline;
+        std::string nonce, manager;  // once its Hello for the signal lane is accepted
+        std::chrono::milliseconds busy{0}, idle{0};
+    };
+    static constexpr std::size_t kHelloMax = 4096;
+
+    // Stop thread
+    void stopThread();
+    void readSignals(Link& link);
+    void onSignal(Link& link, const proto::EmToEi& message);
+    void dispatchStop(StopSignal::Cause cause);
+    bool callStop(const StopSignal& signal);
+    void acknowledge(Link& link, std::uint32_t generation);
+
+    // Watch thread
+    void watchThread();
+    void accept();
+    /// True when the connection is to be forgotten here: dropped, or part of a link.
+    bool readHello(Pending& pending);
+    bool onHello(Pending& pending, const proto::Hello& hello);
+    void refuse(Pending& pending, RefusalCode code, const std::string& message);
+    void welcome(Pending& pending, const proto::Hello& hello, const proto::Refusal* refusal);
+    void beat();
+    void checkSilence();
+
+    // Data thread
+    void dataThread();
+    void readData(const std::shared_ptr<Link>& link);
+    void onData(const std::shared_ptr<Link>& link, const proto::EmToEi& message);
+    void onTask(const std::shared_ptr<Link>& link, const proto::TaskDispatch& dispatch);
+    void runTask(const std::shared_ptr<Task::Running>& task, const EntityInterfacer::TaskHandler& handler);
+    void adoptDataLink(const std::shared_ptr<Link>& link);
+    void sendProfiles(Link& link, bool all);
+    void watchProfiles();
+    void reapTasks();
+    std::shared_ptr<Task::Running> findTask(const std::string& id_bytes);
+    template <class Call>
+    void guarded(const char* what, Call call);
+
+    std::shared_ptr<Link> currentLink() const;
+    void publish(std::shared_ptr<Link> link);
+    void fault(const std::string& what);
+    void listen();
+    bool onOwnThread() const;
+
+    static thread_local const Communicator* this_thread_of;  // a thread knows whose it is
+
+    // Constant after start()
+    EntityInterfacer::Options options_;
+    PortRange ports_;
+    std::string address_;
+    Callbacks callbacks_;
+    Descriptor listener_;
+
+    std::atomic<bool> started_{false};
+    std::atomic<bool> shut_down_{false};
+    std::atomic<bool> ending_{false};
+    std::atomic<std::uint16_t> port_{0};
+    std::mutex shutdown_mutex_;
+
+    StopLevel level_;
+    WakeUp stop_wake_, watch_wake_, data_wake_, run_wake_;
+    std::atomic<bool> quit_{false};
+    std::atomic<bool> end_stop_thread_{false}, end_watch_thread_{false}, end_data_thread_{false};
+    std::atomic<unsigned> faults_{0};
+
+    // Written by the stop thread, read by the watch thread
+    std::atomic<std::int64_t> heard_ns_{0};
+    std::atomic<bool> busy_{false};
+    std::atomic<bool> in_callback_{false};
+
+    // Links on their way from the watch thread to the other two
+    std::mutex signal_handover_mutex_, data_handover_mutex_;
+    std::shared_ptr<Link> signal_handover_, data_handover_;
+
+    // Stop thread
+    std::shared_ptr<Link> signal_link_;
+    bool baseline_known_ = false;
+
+    // Watch thread
+    std::shared_ptr<Link> watched_;
+    std::deque<Pending> pending_;
+    TimePoint next_beat_{};
+    std::uint64_t beat_sequence_ = 0;
+    bool slow_warned_ = false;
+
+    // Data thread
+    std::deque<std::string> recent_tasks_;
+    TimePoint next_profile_look_{};
+
+    mutable std::mutex link_mutex_;
+    std::shared_ptr<Link> link_;  // what senders see, published by the data thread; guarded by link_mutex_
+
+    std::mutex statements_mutex_;
+    std::array<Profile, 2> profiles_;  // these four guarded by statements_mutex_
+    std::optional<std::array<double, 3>> position_;
+    std::map<std::string, std::pair<bool, std::string>, std::less<>> active_;
+    std::map<std::string, std::shared_ptr<Stream::Channel>, std::less<>> channels_;
+
+    std::mutex tasks_mutex_;
+    std::vector<TaskThread> tasks_;  // guarded by tasks_mutex_
+
+    std::thread stop_thread_, watch_thread_, data_thread_;
+};
+
+}  // namespace axon

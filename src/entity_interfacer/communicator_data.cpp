@@ -1,0 +1,391 @@
+// SPDX-License-Identifier: MIT
+// The data thread of the Communicator: requests in, callbacks called, profiles out; and the task threads.
+#include <axon/link.pb.h>
+#include <poll.h>
+#include <sys/socket.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+
+#include "entity_interfacer/communicator.hpp"
+
+namespace axon {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr std::size_t kProfileMax = kFrameMax - 4096;
+constexpr std::size_t kTasksMax = 64;
+constexpr std::size_t kRecentMax = 256;
+constexpr auto kProfileLook = 1s;
+
+std::optional<std::string> readFile(const std::filesystem::path& file) {
+    std::ifstream in(file, std::ios::binary);
+    if (!in) return std::nullopt;
+    std::string text(kProfileMax + 1, '\0');
+    in.read(text.data(), static_cast<std::streamsize>(text.size()));
+    if (in.bad()) return std::nullopt;
+    text.resize(static_cast<std::size_t>(in.gcount()));
+    return text;
+}
+
+}  // namespace
+
+bool Communicator::send(const proto::EiToEm& message, Link::Kind kind) {
+    const auto link = currentLink();
+    return !link || link->sendData(message, kind);
+}
+
+void Communicator::setPosition(double x, double y, double z) {
+    proto::EiToEm message;
+    auto& position = *message.mutable_position();
+    position.set_xpos(x);
+    position.set_ypos(y);
+    position.set_zpos(z);
+    {
+        const std::lock_guard lock(statements_mutex_);
+        position_ = {x, y, z};
+    }
+    send(message, Link::Kind::Droppable);
+}
+
+void Communicator::setServiceActive(std::string_view service, bool active, std::string_view reason) {
+    proto::EiToEm message;
+    auto& body = *message.mutable_active();
+    body.set_service(std::string(service));
+    body.set_active(active);
+    body.set_reason(std::string(reason));
+    {
+        const std::lock_guard lock(statements_mutex_);
+        active_[std::string(service)] = {active, std::string(reason)};
+    }
+    send(message, Link::Kind::Control);
+}
+
+void Communicator::sendTaskFeedback(std::string_view service, std::string_view text) {
+    std::vector<std::shared_ptr<Task::Running>> running;
+    {
+        const std::lock_guard lock(tasks_mutex_);
+        for (const auto& task : tasks_)
+            if (task.task->service == service) running.push_back(task.task);
+    }
+    for (const auto& task : running) task->feedback(text);
+}
+
+std::shared_ptr<Stream::Channel> Communicator::channel(std::string_view name) {
+    const std::lock_guard lock(statements_mutex_);
+    auto& channel = channels_[std::string(name)];
+    if (!channel) channel = std::make_shared<Stream::Channel>(std::string(name), *this);
+    return channel;
+}
+
+void Communicator::upload(bool services, const std::filesystem::path& file) {
+    auto text = readFile(file);
+    if (!text || text->empty() || text->size() > kProfileMax)
+        throw Misconfiguration("axon: " + file.string() + ": expected a readable " +
+                               (services ? "services" : "basic") +
+                               " profile (XML, 1 byte to 1020 KiB): create it or correct the path");
+    std::error_code ignored;
+    const std::lock_guard lock(statements_mutex_);
+    profiles_.at(services ? 1 : 0) = {file, std::filesystem::last_write_time(file, ignored), text->size(),
+                                      std::move(*text), true};
+    data_wake_.wake();
+}
+
+void Communicator::sendProfiles(Link& link, bool all) {
+    const std::lock_guard lock(statements_mutex_);
+    for (std::size_t i = 0; i < profiles_.size(); ++i) {
+        auto& profile = profiles_.at(i);
+        if (profile.file.empty() || (!all && !profile.send)) continue;
+        profile.send = false;
+        proto::EiToEm message;
+        auto& upload = *message.mutable_profile();
+        upload.set_services(i == 1);
+        upload.set_file_name(profile.file.string());
+        upload.set_xml(profile.xml);
+        link.sendData(message, Link::Kind::Control);
+    }
+}
+
+void Communicator::watchProfiles() {
+    if (!options_.watch_profiles || std::chrono::steady_clock::now() < next_profile_look_) return;
+    next_profile_look_ = std::chrono::steady_clock::now() + kProfileLook;
+    for (std::size_t i = 0; i < profiles_.size(); ++i) {
+        std::filesystem::path file;
+        std::filesystem::file_time_type changed;
+        std::uintmax_t size = 0;
+        {
+            const std::lock_guard lock(statements_mutex_);
+            file = profiles_.at(i).file;
+            changed = profiles_.at(i).changed;
+            size = profiles_.at(i).size;
+        }
+        if (file.empty()) continue;
+        std::error_code gone;
+        const auto time = std::filesystem::last_write_time(file, gone);
+        const auto length = gone ? 0 : std::filesystem::file_size(file, gone);
+        if (gone || length == 0 || (time == changed && length == size))
+            continue;  // an editor may be replacing it
+        auto text = readFile(file);
+        if (!text || text->empty()) continue;
+        const bool fits = text->size() <= kProfileMax;
+        {
+            const std::lock_guard lock(statements_mutex_);
+            auto& profile = profiles_.at(i);
+            if (profile.file != file) continue;
+            profile.changed = time;
+            profile.size = length;
+            if (fits) profile.xml = std::move(*text);
+            profile.send = fits;
+        }
+        if (fits)
+            log(LogLevel::Info, file.string() + " has changed: uploaded again");
+        else
+            log(LogLevel::Error, file.string() + ": expected at most 1020 KiB: shorten it");
+    }
+}
+
+template <class Call>
+void Communicator::guarded(const char* what, Call call) {
+    try {
+        call();
+    } catch (const std::exception& error) {
+        fault(std::string("an exception left ") + what + " (" + error.what() + ")");
+    } catch (...) {
+        fault(std::string("an exception left ") + what);
+    }
+}
+
+void Communicator::dataThread() {
+    this_thread_of = this;
+    std::shared_ptr<Link> link;
+    const auto drop = [&] {
+        if (!link) return;
+        publish(nullptr);
+        log(LogLevel::Warning, "link lost: " + link->reason());
+        if (callbacks_.link_down) guarded("onLinkDown", [&] { callbacks_.link_down(link->reason()); });
+        link.reset();
+    };
+    while (!end_data_thread_) {
+        std::array<pollfd, 2> wait{pollfd{data_wake_.fd(), POLLIN, 0},
+                                   pollfd{link ? link->dataFd() : -1, POLLIN, 0}};
+        if (link && link->pending()) wait[1].events |= POLLOUT;
+        ::poll(wait.data(), wait.size(), 1000);
+        if (wait[0].revents != 0) data_wake_.drain();
+        if (link && (wait[1].revents & POLLOUT) != 0) link->flush();
+        if (link && (wait[1].revents & ~POLLOUT) != 0) readData(link);
+        if (link && link->lost()) drop();
+        std::shared_ptr<Link> next;
+        {
+            const std::lock_guard lock(data_handover_mutex_);
+            next = std::move(data_handover_);
+        }
+        if (next) {
+            drop();
+            link = next;
+            adoptDataLink(link);
+        }
+        watchProfiles();
+        if (link) sendProfiles(*link, false);
+        reapTasks();
+    }
+    drop();
+    this_thread_of = nullptr;
+}
+
+void Communicator::adoptDataLink(const std::shared_ptr<Link>& link) {
+    sendProfiles(*link, true);
+    {
+        const std::lock_guard lock(statements_mutex_);
+        // Before the senders see the link, so that these are not followed by older values.
+        if (position_) {
+            proto::EiToEm message;
+            message.mutable_position()->set_xpos(position_->at(0));
+            message.mutable_position()->set_ypos(position_->at(1));
+            message.mutable_position()->set_zpos(position_->at(2));
+            link->sendData(message, Link::Kind::Control);
+        }
+        for (const auto& [service, state] : active_) {
+            proto::EiToEm message;
+            message.mutable_active()->set_service(service);
+            message.mutable_active()->set_active(state.first);
+            message.mutable_active()->set_reason(state.second);
+            link->sendData(message, Link::Kind::Control);
+        }
+        for (const auto& [name, channel] : channels_) channel->wanted = true;
+    }
+    publish(link);
+    log(LogLevel::Info, "linked with Entity Manager " + link->manager);
+    if (callbacks_.link_up) guarded("onLinkUp", [&] { callbacks_.link_up(); });
+}
+
+void Communicator::readData(const std::shared_ptr<Link>& link) {
+    std::array<char, 64 * 1024> buffer;
+    const auto got = ::recv(link->dataFd(), buffer.data(), buffer.size(), MSG_DONTWAIT);
+    if (got == 0) link->cut("the Entity Manager has closed the link");
+    if (got < 0 && errno != EAGAIN && errno != EINTR)
+        link->cut(std::string("data connection: ") + std::strerror(errno));
+    if (got <= 0) return stop_wake_.wake();
+    link->data_reader.feed({buffer.data(), static_cast<std::size_t>(got)});
+    std::string payload;
+    while (!link->lost() && link->data_reader.next(payload)) {
+        proto::EmToEi message;
+        if (!message.ParseFromString(payload))
+            link->cut("malformed message on the data connection");
+        else
+            onData(link, message);
+    }
+    if (link->data_reader.failed()) link->cut("data connection: " + link->data_reader.error());
+}
+
+void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi& message) {
+    const auto answer = [&](std::uint64_t request, const char* what, const std::function<Decision()>& ask) {
+        auto decision =
+            Decision::deny(std::string(what) + " threw an exception: the robot application has stopped");
+        guarded(what, [&] { decision = ask(); });
+        proto::EiToEm reply;
+        auto& body = *reply.mutable_answer();
+        body.set_request(request);
+        body.mutable_refusal()->set_code(decision.granted() ? proto::OK : proto::DENIED);
+        body.mutable_refusal()->set_message(decision.reason());
+        link->sendData(reply, Link::Kind::Control);
+    };
+    switch (message.body_case()) {
+        case proto::EmToEi::kParam:
+            return answer(message.param().request(), "onParameter", [&] {
+                return callbacks_.parameter ? callbacks_.parameter(message.param().service(),
+                                                                   fromProto(message.param().param()))
+                                            : Decision::grant();
+            });
+        case proto::EmToEi::kResource:
+            return answer(message.resource().request(), "onResource", [&] {
+                const auto& request = message.resource();
+                return callbacks_.resource
+                           ? callbacks_.resource(request.service(), request.resource(), request.path())
+                           : Decision::grant();
+            });
+        case proto::EmToEi::kTask:
+            return onTask(link, message.task());
+        case proto::EmToEi::kCancel:
+            if (const auto task = findTask(message.cancel().task_id())) task->cancel();
+            return;
+        case proto::EmToEi::kPause:
+            if (const auto task = findTask(message.pause().task_id())) {
+                const bool resume = message.pause().resume();
+                task->setPaused(!resume);
+                const auto& callback = resume ? callbacks_.resume : callbacks_.pause;
+                if (callback) guarded(resume ? "onResume" : "onPause", [&] { callback(Task(task)); });
+            }
+            return;
+        case proto::EmToEi::kText:
+            if (callbacks_.text)
+                guarded("onText", [&] { callbacks_.text(message.text().text(), message.text().from()); });
+            return;
+        case proto::EmToEi::kRaw:
+            if (callbacks_.raw)
+                guarded("onRaw", [&] {
+                    const auto& blocks = message.raw().data();
+                    callbacks_.raw({blocks.begin(), blocks.end()}, message.raw().from());
+                });
+            return;
+        case proto::EmToEi::kStream: {
+            const std::lock_guard lock(statements_mutex_);
+            for (const auto& [name, channel] : channels_)
+                if (message.stream().stream().empty() || message.stream().stream() == name)
+                    channel->wanted = message.stream().on();
+            return;
+        }
+        case proto::EmToEi::kProfileError:
+            return log(LogLevel::Error,
+                       "the Entity Manager cannot use the profiles: " + message.profile_error().message());
+        case proto::EmToEi::kHello:
+        case proto::EmToEi::kBeat:
+        case proto::EmToEi::kStop:
+            return link->cut("a signal on the data connection");
+        case proto::EmToEi::BODY_NOT_SET:
+            return;  // of a later protocol: fields may be added
+    }
+}
+
+void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDispatch& dispatch) {
+    const auto task = std::make_shared<Task::Running>(dispatch, link, level_);
+    const auto refuse = [&](RefusalCode code, const std::string& message) {
+        task->answer({code, message, {}});
+    };
+    if (task->id.empty()) return refuse(RefusalCode::Malformed, "task id: expected 16 bytes");
+    if (std::find(recent_tasks_.begin(), recent_tasks_.end(), task->id) != recent_tasks_.end())
+        return refuse(RefusalCode::Duplicate, "a task of this id has been dispatched before");
+    if (level_.generation() > task->generation)
+        return refuse(RefusalCode::OldGeneration,
+                      "a stop has come since this task was requested: request it again");
+    const auto own = callbacks_.tasks.find(task->service);
+    const auto* handler = own != callbacks_.tasks.end() ? &own->second : &callbacks_.any_task;
+    if (!*handler)
+        return refuse(RefusalCode::UnknownService, "the robot application has no handler for '" +
+                                                       task->service + "': add onTask(\"" + task->service +
+                                                       "\", …) or take the service out of its profile");
+    if (callbacks_.task_request) {
+        auto decision = Decision::deny("onTaskRequest threw an exception: the robot application has stopped");
+        guarded("onTaskRequest", [&] { decision = callbacks_.task_request(Task(task)); });
+        if (!decision.granted()) return refuse(RefusalCode::Denied, decision.reason());
+    }
+    reapTasks();
+    const std::lock_guard lock(tasks_mutex_);
+    if (ending_) return refuse(RefusalCode::Unavailable, "the robot application is shutting down");
+    if (tasks_.size() >= kTasksMax) return refuse(RefusalCode::QueueFull, "64 tasks are running already");
+    recent_tasks_.push_back(task->id);
+    if (recent_tasks_.size() > kRecentMax) recent_tasks_.pop_front();
+    TaskThread entry{task, {}, std::make_shared<std::atomic<bool>>(false)};
+    try {
+        entry.thread = std::thread([this, task, handler, done = entry.done] {
+            runTask(task, *handler);
+            done->store(true);
+            if (!ending_) data_wake_.wake();
+        });
+    } catch (const std::system_error&) {
+        return refuse(RefusalCode::Overloaded, "no thread for the task: the machine is out of resources");
+    }
+    tasks_.push_back(std::move(entry));
+}
+
+void Communicator::runTask(const std::shared_ptr<Task::Running>& running,
+                           const EntityInterfacer::TaskHandler& handler) {
+    this_thread_of = this;
+    if (const auto refusal = running->waitForStart()) return running->answer(*refusal);
+    running->answer({});
+    Task task(running);
+    try {
+        handler(task);
+        running->handlerReturned();
+    } catch (const std::exception& error) {
+        running->end(false, std::string("an exception left the handler: ") + error.what());
+        fault("an exception left the handler of '" + running->service + "' (" + error.what() + ")");
+    } catch (...) {
+        running->end(false, "an exception left the handler");
+        fault("an exception left the handler of '" + running->service + "'");
+    }
+}
+
+std::shared_ptr<Task::Running> Communicator::findTask(const std::string& id_bytes) {
+    const std::lock_guard lock(tasks_mutex_);
+    for (const auto& running : tasks_)
+        if (running.task->id_bytes == id_bytes) return running.task;
+    return nullptr;
+}
+
+void Communicator::reapTasks() {
+    std::vector<TaskThread> finished;
+    {
+        const std::lock_guard lock(tasks_mutex_);
+        const auto first =
+            std::partition(tasks_.begin(), tasks_.end(), [](const TaskThread& t) { return !t.done->load(); });
+        std::move(first, tasks_.end(), std::back_inserter(finished));
+        tasks_.erase(first, tasks_.end());
+    }
+    for (auto& task : finished) task.thread.join();
+}
+
+}  // namespace axon

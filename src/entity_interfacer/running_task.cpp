@@ -1,0 +1,371 @@
+// SPDX-License-Identifier: MIT
+#include "entity_interfacer/running_task.hpp"
+
+#include <axon/link.pb.h>
+
+#include <algorithm>
+
+#include "common/ids.hpp"
+
+namespace axon {
+namespace {
+
+using namespace std::chrono_literals;
+
+// The signal lane repeats the generation at least every 100 ms; a second without is a broken peer.
+constexpr auto kSettleTime = 1s;
+constexpr std::size_t kTextMax = 64 * 1024;
+
+std::string idText(const std::string& bytes) {
+    const auto id = Id128::fromBytes(bytes);
+    return id ? id->toString() : std::string{};
+}
+
+template <class Wanted>
+const Wanted& valueAs(const Parameter& parameter, const char* type) {
+    if (!parameter.values.empty())
+        if (const auto* value = std::get_if<Wanted>(&parameter.values.front())) return *value;
+    throw std::invalid_argument("parameter '" + parameter.name + "': expected a value of type " + type +
+                                ": correct its data type in the services profile, or the call");
+}
+
+double asNumber(const Value& value, const std::string& name) {
+    if (const auto* d = std::get_if<double>(&value)) return *d;
+    if (const auto* i = std::get_if<std::int64_t>(&value)) return static_cast<double>(*i);
+    throw std::invalid_argument("parameter '" + name + "': expected numbers (DBL or INT)");
+}
+
+template <class Wanted>
+std::vector<Wanted> valuesAs(const Parameter* parameter) {
+    std::vector<Wanted> values;
+    if (parameter == nullptr) return values;
+    for (const auto& value : parameter->values) {
+        const auto* wanted = std::get_if<Wanted>(&value);
+        if (wanted == nullptr)
+            throw std::invalid_argument("parameter '" + parameter->name +
+                                        "': its values are of another type");
+        values.push_back(*wanted);
+    }
+    return values;
+}
+
+const Parameter& required(const Task::Running& task, std::string_view name) {
+    const auto* parameter = task.find(name);
+    if (parameter != nullptr) return *parameter;
+    throw std::invalid_argument(
+        "parameter '" + std::string(name) +
+        "' was not given: mark it required in the services profile, or pass a fallback");
+}
+
+}  // namespace
+
+Parameter fromProto(const proto::Param& param) {
+    Parameter parameter{param.name(), {}, param.units()};
+    for (const auto& value : param.values()) switch (value.kind_case()) {
+            case proto::Value::kInt:
+                parameter.values.emplace_back(static_cast<std::int64_t>(value.int_()));
+                break;
+            case proto::Value::kDbl:
+                parameter.values.emplace_back(value.dbl());
+                break;
+            case proto::Value::kStr:
+                parameter.values.emplace_back(value.str());
+                break;
+            case proto::Value::kBool:
+                parameter.values.emplace_back(value.bool_());
+                break;
+            case proto::Value::KIND_NOT_SET:
+                break;
+        }
+    return parameter;
+}
+
+void toProto(const Value& value, proto::Param& param) {
+    auto& out = *param.add_values();
+    if (const auto* i = std::get_if<std::int64_t>(&value)) out.set_int_(*i);
+    if (const auto* d = std::get_if<double>(&value)) out.set_dbl(*d);
+    if (const auto* s = std::get_if<std::string>(&value)) out.set_str(*s);
+    if (const auto* b = std::get_if<bool>(&value)) out.set_bool_(*b);
+}
+
+double Parameter::number() const {
+    if (values.empty()) valueAs<double>(*this, "DBL");
+    return asNumber(values.front(), name);
+}
+std::int64_t Parameter::integer() const {
+    return valueAs<std::int64_t>(*this, "INT");
+}
+const std::string& Parameter::text() const {
+    return valueAs<std::string>(*this, "STR");
+}
+bool Parameter::flag() const {
+    return valueAs<bool>(*this, "BOOL");
+}
+
+Task::Running::Running(const proto::TaskDispatch& dispatch, std::shared_ptr<Link> link, StopLevel& level)
+    : id_bytes(dispatch.task_id()),
+      id(idText(dispatch.task_id())),
+      service(dispatch.service()),
+      generation(dispatch.stop_generation()),
+      epoch(level.epoch()),
+      link_(std::move(link)),
+      level_(level) {
+    for (const auto& param : dispatch.params()) parameters.push_back(fromProto(param));
+    for (const auto& resource : dispatch.resources()) resources.emplace_back(resource.name(), resource.url());
+}
+
+const Parameter* Task::Running::find(std::string_view name) const {
+    const auto found = std::find_if(parameters.begin(), parameters.end(),
+                                    [&](const Parameter& p) { return p.name == name && !p.values.empty(); });
+    return found == parameters.end() ? nullptr : &*found;
+}
+
+bool Task::Running::stopRequested() const {
+    return link_->lost() || level_.generation() > generation || level_.epoch() > epoch ||
+           cancelled_.load(std::memory_order_acquire);
+}
+
+StopSignal::Cause Task::Running::stopCause() const {
+    if (level_.generation() > generation || level_.epoch() > epoch)
+        return static_cast<StopSignal::Cause>(level_.cause());
+    if (link_->lost()) return StopSignal::Cause::LinkLost;
+    return cancelled_ ? StopSignal::Cause::Cancel : StopSignal::Cause::Unspecified;
+}
+
+void Task::Running::cancel() {
+    cancelled_.store(true, std::memory_order_release);
+    level_.notify();
+}
+
+void Task::Running::setPaused(bool paused) {
+    paused_.store(paused, std::memory_order_release);
+    level_.notify();
+    const std::lock_guard lock(mutex_);
+    if (ended_ || !answered_) return;
+    proto::TaskEvent event;
+    event.set_state(paused ? proto::TASK_PAUSED : proto::TASK_RUNNING);
+    reportLocked(event);
+}
+
+bool Task::Running::waitWhilePaused() {
+    level_.wait([this] { return !paused() || stopRequested(); });
+    return !stopRequested();
+}
+
+bool Task::Running::waitFor(std::chrono::nanoseconds time) {
+    return !level_.waitUntil(std::chrono::steady_clock::now() + time, [this] { return stopRequested(); });
+}
+
+std::optional<Refusal> Task::Running::waitForStart() {
+    level_.waitUntil(std::chrono::steady_clock::now() + kSettleTime, [this] {
+        return stopRequested() || (level_.settled() && level_.generation() >= generation);
+    });
+    if (level_.generation() > generation)
+        return Refusal{RefusalCode::OldGeneration,
+                       "a stop has come since this task was requested: request it again",
+                       {}};
+    if (cancelled_) return Refusal{RefusalCode::Cancelled, "cancelled before it began", {}};
+    if (stopRequested()) return Refusal{RefusalCode::Stopped, "the robot application has stopped itself", {}};
+    if (!level_.settled())
+        return Refusal{RefusalCode::TimedOut,
+                       "the robot application's stop callback has not returned: make it return at once",
+                       {}};
+    if (level_.generation() < generation)
+        return Refusal{
+            RefusalCode::WrongState, "the signal lane has not announced this task's stop generation", {}};
+    return std::nullopt;
+}
+
+void Task::Running::progress(double part) {
+    const std::lock_guard lock(mutex_);
+    if (ended_) return;
+    progress_ = std::clamp(part, 0.0, 1.0);
+    proto::TaskEvent event;
+    event.set_state(paused() ? proto::TASK_PAUSED : proto::TASK_RUNNING);
+    reportLocked(event);
+}
+
+void Task::Running::feedback(std::string_view text) {
+    const std::lock_guard lock(mutex_);
+    if (ended_) return;
+    feedback_ = text.substr(0, kTextMax);
+    proto::TaskEvent event;
+    event.set_state(paused() ? proto::TASK_PAUSED : proto::TASK_RUNNING);
+    reportLocked(event);
+}
+
+void Task::Running::result(std::string_view name, std::vector<Value> values, std::string_view units) {
+    const std::lock_guard lock(mutex_);
+    if (ended_) return;
+    const auto known =
+        std::find_if(results_.begin(), results_.end(), [&](const Output& o) { return o.name == name; });
+    auto& output = known != results_.end() ? *known : results_.emplace_back();
+    output = {std::string(name), std::move(values), std::string(units)};
+}
+
+void Task::Running::answer(const Refusal& refusal) {
+    const std::lock_guard lock(mutex_);
+    answered_ = true;
+    if (!refusal.ok()) ended_ = true;
+    proto::EiToEm message;
+    auto& answer = *message.mutable_task_answer();
+    answer.set_task_id(id_bytes);
+    answer.mutable_refusal()->set_code(static_cast<proto::RefusalCode>(refusal.code));
+    answer.mutable_refusal()->set_message(refusal.message);
+    link_->sendData(message, Link::Kind::Control);
+}
+
+void Task::Running::end(bool succeeded, std::string_view reason) {
+    const std::lock_guard lock(mutex_);
+    if (ended_) return;
+    ended_ = true;
+    proto::TaskEvent event;
+    event.set_state(succeeded ? proto::TASK_SUCCEEDED : proto::TASK_FAILED);
+    if (succeeded) {
+        progress_ = 1;
+    } else {
+        event.mutable_reason()->set_code(proto::FAILED);
+        event.mutable_reason()->set_message(std::string(reason.substr(0, kTextMax)));
+    }
+    reportLocked(event);
+}
+
+void Task::Running::handlerReturned() {
+    if (!stopRequested()) return end(true, {});
+    const std::lock_guard lock(mutex_);
+    if (ended_) return;
+    ended_ = true;
+    const auto cause = stopCause();
+    const bool cancelled = cause == StopSignal::Cause::Cancel;
+    proto::TaskEvent event;
+    event.set_state(cancelled ? proto::TASK_CANCELLED : proto::TASK_STOPPED);
+    event.mutable_reason()->set_code(cancelled ? proto::CANCELLED : proto::STOPPED);
+    event.mutable_reason()->set_message(std::string("the handler ended after a stop: ") + toString(cause));
+    reportLocked(event);
+}
+
+bool Task::Running::ended() const {
+    const std::lock_guard lock(mutex_);
+    return ended_;
+}
+
+void Task::Running::reportLocked(proto::TaskEvent& event) {
+    event.set_task_id(id_bytes);
+    event.set_service(service);
+    event.set_progress(progress_);
+    event.set_feedback(feedback_);
+    for (const auto& output : results_) {
+        auto& param = *event.add_results();
+        param.set_name(output.name);
+        param.set_units(output.units);
+        for (const auto& value : output.values) toProto(value, param);
+    }
+    proto::EiToEm message;
+    message.mutable_task()->mutable_event()->Swap(&event);
+    if (link_->sendData(message, Link::Kind::Control)) return;
+    // Larger than a frame: the verdict must arrive, so it goes without the results.
+    auto& small = *message.mutable_task()->mutable_event();
+    small.clear_results();
+    small.set_feedback("results dropped: together they exceed 1 MiB");
+    link_->sendData(message, Link::Kind::Control);
+}
+
+// Task, the face of it.
+const std::string& Task::id() const {
+    return running_->id;
+}
+const std::string& Task::service() const {
+    return running_->service;
+}
+bool Task::has(std::string_view name) const {
+    return running_->find(name) != nullptr;
+}
+double Task::number(std::string_view name) const {
+    return required(*running_, name).number();
+}
+std::int64_t Task::integer(std::string_view name) const {
+    return required(*running_, name).integer();
+}
+std::string Task::text(std::string_view name) const {
+    return required(*running_, name).text();
+}
+bool Task::flag(std::string_view name) const {
+    return required(*running_, name).flag();
+}
+double Task::number(std::string_view name, double fallback) const {
+    return has(name) ? number(name) : fallback;
+}
+std::int64_t Task::integer(std::string_view name, std::int64_t fallback) const {
+    return has(name) ? integer(name) : fallback;
+}
+std::string Task::text(std::string_view name, std::string_view fallback) const {
+    return has(name) ? text(name) : std::string(fallback);
+}
+bool Task::flag(std::string_view name, bool fallback) const {
+    return has(name) ? flag(name) : fallback;
+}
+
+std::vector<double> Task::numbers(std::string_view name) const {
+    std::vector<double> values;
+    if (const auto* parameter = running_->find(name))
+        for (const auto& value : parameter->values) values.push_back(asNumber(value, parameter->name));
+    return values;
+}
+std::vector<std::int64_t> Task::integers(std::string_view name) const {
+    return valuesAs<std::int64_t>(running_->find(name));
+}
+std::vector<std::string> Task::texts(std::string_view name) const {
+    return valuesAs<std::string>(running_->find(name));
+}
+std::vector<bool> Task::flags(std::string_view name) const {
+    return valuesAs<bool>(running_->find(name));
+}
+
+std::string Task::units(std::string_view name) const {
+    const auto* parameter = running_->find(name);
+    return parameter == nullptr ? std::string{} : parameter->units;
+}
+const std::vector<Parameter>& Task::parameters() const {
+    return running_->parameters;
+}
+std::filesystem::path Task::resource(std::string_view name) const {
+    for (const auto& [known, path] : running_->resources)
+        if (known == name) return path;
+    return {};
+}
+
+void Task::progress(double part) {
+    running_->progress(part);
+}
+void Task::feedback(std::string_view text) {
+    running_->feedback(text);
+}
+void Task::result(std::string_view name, Value value, std::string_view units) {
+    running_->result(name, {std::move(value)}, units);
+}
+void Task::result(std::string_view name, std::vector<Value> values, std::string_view units) {
+    running_->result(name, std::move(values), units);
+}
+bool Task::stopRequested() const {
+    return running_->stopRequested();
+}
+StopSignal::Cause Task::stopCause() const {
+    return running_->stopCause();
+}
+bool Task::paused() const {
+    return running_->paused();
+}
+bool Task::waitWhilePaused() const {
+    return running_->waitWhilePaused();
+}
+bool Task::waitFor(std::chrono::nanoseconds time) const {
+    return running_->waitFor(time);
+}
+void Task::succeed() {
+    running_->end(true, {});
+}
+void Task::fail(std::string_view reason) {
+    running_->end(false, reason);
+}
+
+}  // namespace axon

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+#include <atomic>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/refusal.hpp"
+#include "entity_interfacer/axon/entity_interfacer.hpp"
+#include "entity_interfacer/link.hpp"
+#include "entity_interfacer/stop_level.hpp"
+
+namespace axon::proto {
+class Param;
+class Refusal;
+class TaskDispatch;
+class TaskEvent;
+}  // namespace axon::proto
+
+namespace axon {
+
+/// What the copies of a Task share. States: waiting for the stop level to settle, running, paused, ended.
+/// Threads: any; values and identity are constant after construction, the rest is atomic or under mutex_.
+class Task::Running {
+  public:
+    Running(const proto::TaskDispatch& dispatch, std::shared_ptr<Link> link, StopLevel& level);
+
+    const std::string id_bytes;
+    const std::string id;
+    const std::string service;
+    const std::uint32_t generation;
+    const std::uint64_t epoch;
+    std::vector<Parameter> parameters;
+    std::vector<std::pair<std::string, std::string>> resources;  // name, path
+
+    const Parameter* find(std::string_view name) const;
+
+    bool stopRequested() const;
+    StopSignal::Cause stopCause() const;
+    void cancel();
+    bool paused() const { return paused_.load(std::memory_order_acquire); }
+    void setPaused(bool paused);
+    bool waitWhilePaused();
+    bool waitFor(std::chrono::nanoseconds time);
+    /// Until the stop before this task is through and the signal lane has caught up with its generation. The
+    /// refusal that the task earns otherwise; nothing when it may start.
+    std::optional<Refusal> waitForStart();
+
+    void progress(double part);
+    void feedback(std::string_view text);
+    void result(std::string_view name, std::vector<Value> values, std::string_view units);
+    void answer(const Refusal& refusal);
+    /// The verdict, sent once.
+    void end(bool succeeded, std::string_view reason);
+    /// The handler has returned without throwing.
+    void handlerReturned();
+    bool ended() const;
+
+  private:
+    void reportLocked(proto::TaskEvent& event);
+
+    const std::shared_ptr<Link> link_;
+    StopLevel& level_;
+    std::atomic<bool> cancelled_{false};
+    std::atomic<bool> paused_{false};
+    mutable std::mutex mutex_;
+    bool ended_ = false;  // these five guarded by mutex_
+    bool answered_ = false;
+    double progress_ = -1;
+    std::string feedback_;
+    struct Output {
+        std::string name;
+        std::vector<Value> values;
+        std::string units;
+    };
+    std::vector<Output> results_;
+};
+
+Parameter fromProto(const proto::Param& param);
+void toProto(const Value& value, proto::Param& param);
+
+}  // namespace axon

@@ -1,0 +1,588 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/back_end_interface.hpp"
+
+#include <arpa/inet.h>
+#include <axon/link.pb.h>
+#include <netinet/tcp.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <asio/buffer.hpp>
+#include <asio/ip/tcp.hpp>
+#include <asio/post.hpp>
+#include <asio/steady_timer.hpp>
+#include <asio/write.hpp>
+#include <atomic>
+#include <cerrno>
+#include <cstring>
+#include <deque>
+#include <functional>
+#include <map>
+#include <set>
+#include <stdexcept>
+#include <vector>
+
+#include "common/snapshot.hpp"
+#include "common/watchdog.hpp"
+#include "entity_interfacer/frame.hpp"
+
+namespace axon::entity_manager {
+namespace {
+
+using namespace std::chrono_literals;
+using tcp = asio::ip::tcp;
+
+constexpr std::uint32_t kProtocol = 1;
+constexpr std::size_t kHelloMax = 4096;
+constexpr auto kHelloTime = 1s;
+constexpr auto kLookPeriod = 100ms;
+constexpr Duration kFirstBackoff = 50ms;
+constexpr Duration kLastBackoff = 1s;
+constexpr unsigned kNearPorts = 32;   // tried at every look
+constexpr std::size_t kAtOnce = 16;   // handshakes under way
+constexpr int kConnectsPerTurn = 64;  // then the strand may do something else
+constexpr Duration kPassOtherApplication = 500ms;
+constexpr Duration kPassStranger = 2s;
+constexpr Duration kPassClosed = 200ms;
+constexpr Duration kSlack = 50ms;  // for a sign of life that has arrived and has not been read yet
+constexpr std::size_t kQueueFrames = 1024;
+constexpr std::size_t kQueueBytes = 4 * 1024 * 1024;
+constexpr int kPriority = 6;  // SO_PRIORITY: the highest that needs no privilege
+
+TimePoint now() {
+    return std::chrono::steady_clock::now();
+}
+
+/// The signal connection for those who may not wait for the strand. A duplicate descriptor, so that it
+/// outlives the strand's own for as long as somebody is writing. Threads: any; no lock: one small send(2) is
+/// atomic.
+class SignalSocket {
+  public:
+    explicit SignalSocket(int original) : fd_(::dup(original)) {}
+    ~SignalSocket() {
+        if (fd_ >= 0) ::close(fd_);
+    }
+    SignalSocket(const SignalSocket&) = delete;
+    SignalSocket& operator=(const SignalSocket&) = delete;
+
+    /// Whole and at once, or the connection ends, which stops the robot as well.
+    void write(const proto::EmToEi& message) const {
+        std::string frame;
+        appendFrame(frame, message.SerializeAsString());
+        const auto sent = ::send(fd_, frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+        if (sent != static_cast<ssize_t>(frame.size())) cut();
+    }
+    void cut() const { ::shutdown(fd_, SHUT_RDWR); }
+    bool open() const { return fd_ >= 0; }
+
+  private:
+    const int fd_;
+};
+
+}  // namespace
+
+class BackEndInterface::Connections : public std::enable_shared_from_this<Connections> {
+  public:
+    Connections(asio::any_io_executor strand, BackEndSettings settings, const StopGate& stop_gate,
+                RandomSource& random, BackEndEvents& events)
+        : strand_(std::move(strand)),
+          settings_(std::move(settings)),
+          stop_gate_(stop_gate),
+          random_(random),
+          events_(events),
+          look_timer_(strand_),
+          beat_timer_(strand_),
+          watchdog_(settings_.watchdog_busy, settings_.watchdog_idle, now()) {}
+
+    void start() {
+        if (closed_ || started_) return;
+        started_ = true;
+        lookIn(Duration::zero());
+    }
+
+    void close() {
+        closed_ = true;
+        look_timer_.cancel();
+        beat_timer_.cancel();
+        abandonHandshakes();
+        dropPeer();
+    }
+
+    void send(const proto::EmToEi& message) {
+        const auto peer = peer_;
+        if (!peer) return;
+        std::string frame;
+        if (!appendFrame(frame, message.SerializeAsString()))
+            return refused({RefusalCode::TooLarge,
+                            "a message to the robot application exceeds 1 MiB: send less at once",
+                            {}});
+        // A task must not wait for a generation that nobody has announced.
+        if (message.has_task() && message.task().stop_generation() > announced_.load()) {
+            announce(message.task().stop_generation());
+            beat();
+        }
+        if (peer->queued.size() + peer->writing.size() + frame.size() > kQueueBytes ||
+            peer->queued_frames >= kQueueFrames) {
+            asio::post(strand_, [self = shared_from_this(), peer] {
+                self->lost(peer, "the robot application does not read: the queue to it is full");
+            });
+            return;
+        }
+        peer->queued += frame;
+        ++peer->queued_frames;
+        if (peer->writing.empty()) writeNext(peer);
+    }
+
+    void stop(std::uint32_t generation, StopCause cause) {
+        announce(generation);
+        const auto signal = signal_.load();
+        if (!signal) return;
+        proto::EmToEi message;
+        message.mutable_stop()->set_stop_generation(generation);
+        message.mutable_stop()->set_cause(static_cast<proto::StopCause>(cause));
+        signal->write(message);
+    }
+
+    void setBusy(bool busy) {
+        if (watchdog_.busy() == busy) return;
+        watchdog_.setBusy(busy, now());
+        if (peer_) onBeatTimer();
+    }
+
+  private:
+    /// The connections of one link.
+    struct Peer {
+        Peer(tcp::socket signal_socket, FrameReader from_signal, tcp::socket data_socket,
+             FrameReader from_data)
+            : signal(std::move(signal_socket)),
+              data(std::move(data_socket)),
+              signal_reader(std::move(from_signal)),
+              data_reader(std::move(from_data)) {}
+        tcp::socket signal, data;
+        FrameReader signal_reader, data_reader;
+        std::array<char, 4096> signal_bytes;
+        std::array<char, 64 * 1024> data_bytes;
+        std::string queued, writing;
+        std::size_t queued_frames = 0;
+    };
+
+    /// One connection on which Hello has been said and Welcome is awaited.
+    struct Handshake {
+        Handshake(const asio::any_io_executor& strand, std::uint16_t to)
+            : port(to), socket(strand), deadline(strand), reader(kHelloMax) {}
+        const std::uint16_t port;
+        tcp::socket socket;
+        asio::steady_timer deadline;
+        FrameReader reader;
+        std::string nonce, hello;
+        bool closed = false;  // by the peer, which is then no stranger that keeps silent
+        std::array<char, kHelloMax> bytes;
+        std::function<void(const std::shared_ptr<Handshake>&, const proto::Welcome*)>
+            done;  // null = no valid answer
+    };
+
+    // ---- Looking
+
+    void lookIn(Duration time) {
+        look_timer_.expires_after(time);
+        look_timer_.async_wait([self = shared_from_this()](const asio::error_code& error) {
+            if (!error) self->look();
+        });
+    }
+
+    void look() {
+        if (closed_ || peer_ || linking_) return;
+        ports_.clear();
+        const auto time = now();
+        const auto& range = settings_.where.ports;
+        const bool whole = time >= next_whole_look_;
+        if (whole) {
+            backoff_ = std::min(kLastBackoff, backoff_ * 2);
+            next_whole_look_ = time + backoff_;
+        }
+        if (last_good_ != 0) ports_.push_back(last_good_);
+        const unsigned last =
+            whole ? range.last : std::min<unsigned>(range.last, range.first + kNearPorts - 1);
+        for (unsigned port = range.first; port <= last; ++port)
+            if (port != last_good_) ports_.push_back(static_cast<std::uint16_t>(port));
+        std::erase_if(pass_over_, [&](const auto& entry) { return entry.second <= time; });
+        tryNext();
+    }
+
+    void tryNext() {
+        if (closed_ || peer_ || linking_) return;
+        for (int turn = 0; !ports_.empty() && handshakes_.size() < kAtOnce; ++turn) {
+            if (turn >= kConnectsPerTurn) {
+                asio::post(strand_, [self = shared_from_this()] { self->tryNext(); });
+                return;
+            }
+            const auto port = ports_.front();
+            ports_.pop_front();
+            if (pass_over_.contains(port) || underWay(port)) continue;
+            // A nonce for each: an answer then belongs to one connection only.
+            if (!shake(port, proto::LANE_SIGNAL, Id128::random(random_).bytes(),
+                       [this](const auto& handshake, const auto* welcome) {
+                           onSignalAnswer(handshake, welcome);
+                       }))
+                continue;
+        }
+        if (ports_.empty()) lookIn(kLookPeriod);
+    }
+
+    bool underWay(std::uint16_t port) const {
+        return std::any_of(handshakes_.begin(), handshakes_.end(),
+                           [&](const auto& h) { return h->port == port; });
+    }
+
+    /// False when nobody listens there: on loopback the kernel says so within the call, which keeps the whole
+    /// range cheap.
+    template <class Done>
+    bool shake(std::uint16_t port, proto::LinkLane lane, const std::string& nonce, Done done) {
+        const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+        if (fd < 0) return false;
+        sockaddr_in to{};
+        to.sin_family = AF_INET;
+        to.sin_port = htons(port);
+        ::inet_pton(AF_INET, settings_.where.address.c_str(), &to.sin_addr);
+        if (::connect(fd, reinterpret_cast<const sockaddr*>(&to), sizeof to) != 0 && errno != EINPROGRESS) {
+            ::close(fd);
+            return false;
+        }
+        const int on = 1;
+        ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+        if (lane == proto::LANE_SIGNAL)
+            ::setsockopt(fd, SOL_SOCKET, SO_PRIORITY, &kPriority, sizeof kPriority);
+        const auto handshake = std::make_shared<Handshake>(strand_, port);
+        handshake->socket.assign(tcp::v4(), fd);
+        handshake->done = std::move(done);
+        proto::EmToEi message;
+        auto& hello = *message.mutable_hello();
+        hello.set_protocol(kProtocol);
+        hello.set_application(settings_.application);
+        hello.set_instance(settings_.instance);
+        hello.set_lane(lane);
+        hello.set_nonce(nonce);
+        hello.set_manager(settings_.manager);
+        hello.set_watchdog_busy_ms(static_cast<std::uint32_t>(settings_.watchdog_busy.count()));
+        hello.set_watchdog_idle_ms(static_cast<std::uint32_t>(settings_.watchdog_idle.count()));
+        appendFrame(handshake->hello, message.SerializeAsString());
+        handshakes_.insert(handshake);
+        handshake->nonce = nonce;
+        handshake->deadline.expires_after(kHelloTime);
+        handshake->deadline.async_wait([self = shared_from_this(), handshake](const asio::error_code& error) {
+            if (!error) self->answered(handshake, nullptr);
+        });
+        handshake->socket.async_wait(
+            tcp::socket::wait_write, [self = shared_from_this(), handshake](const asio::error_code& error) {
+                if (error) return self->answered(handshake, nullptr);
+                asio::async_write(handshake->socket, asio::buffer(handshake->hello),
+                                  [self, handshake](const asio::error_code& failed, std::size_t) {
+                                      if (failed) return self->answered(handshake, nullptr);
+                                      self->readWelcome(handshake);
+                                  });
+            });
+        return true;
+    }
+
+    void readWelcome(const std::shared_ptr<Handshake>& handshake) {
+        handshake->socket.async_read_some(
+            asio::buffer(handshake->bytes),
+            [self = shared_from_this(), handshake](const asio::error_code& error, std::size_t count) {
+                if (error) {
+                    handshake->closed = true;
+                    return self->answered(handshake, nullptr);
+                }
+                handshake->reader.feed({handshake->bytes.data(), count});
+                std::string payload;
+                if (!handshake->reader.next(payload)) {
+                    if (handshake->reader.failed()) return self->answered(handshake, nullptr);
+                    return self->readWelcome(handshake);
+                }
+                proto::EiToEm message;
+                if (!message.ParseFromString(payload) || !message.has_welcome())
+                    return self->answered(handshake, nullptr);
+                self->answered(handshake, &message.welcome());
+            });
+    }
+
+    /// Once per handshake: it leaves the set, whatever the answer.
+    void answered(const std::shared_ptr<Handshake>& handshake, const proto::Welcome* welcome) {
+        if (handshakes_.erase(handshake) == 0) return;
+        handshake->deadline.cancel();
+        const auto done = std::exchange(handshake->done, nullptr);
+        if (!closed_) done(handshake, welcome);
+    }
+
+    void abandonHandshakes() {
+        for (const auto& handshake : handshakes_) {
+            asio::error_code ignored;
+            handshake->deadline.cancel();
+            handshake->socket.close(ignored);
+            handshake->done = nullptr;
+        }
+        handshakes_.clear();
+    }
+
+    void onSignalAnswer(const std::shared_ptr<Handshake>& signal, const proto::Welcome* welcome) {
+        const auto& nonce = signal->nonce;
+        if (welcome == nullptr || linking_ || peer_) {
+            if (welcome == nullptr)
+                pass_over_[signal->port] = now() + (signal->closed ? kPassClosed : kPassStranger);
+        } else if (welcome->refusal().code() != proto::OK) {
+            pass_over_[signal->port] = now() + kPassOtherApplication;
+            if (welcome->application() == settings_.application &&
+                welcome->refusal().code() != proto::UNKNOWN_ENTITY) {
+                pass_over_.erase(signal->port);  // ours, and its other Entity Manager may go at any time
+                refused(
+                    {static_cast<RefusalCode>(welcome->refusal().code()), welcome->refusal().message(), {}});
+            }
+        } else if (welcome->protocol() != kProtocol || welcome->nonce() != nonce ||
+                   welcome->application() != settings_.application) {
+            pass_over_[signal->port] = now() + kPassStranger;  // an echo, perhaps
+        } else {
+            linking_ = true;
+            abandonHandshakes();
+            const bool shaking = shake(signal->port, proto::LANE_DATA, nonce,
+                                       [this, signal](const auto& data, const auto* second) {
+                                           linking_ = false;
+                                           if (second == nullptr || second->refusal().code() != proto::OK)
+                                               return lookIn(kFirstBackoff);
+                                           up(signal, data);
+                                       });
+            if (shaking) return;
+            linking_ = false;
+            lookIn(kFirstBackoff);
+            return;
+        }
+        tryNext();
+    }
+
+    void refused(const Refusal& refusal) {
+        if (refusal.code == last_refusal_.code && refusal.message == last_refusal_.message) return;
+        last_refusal_ = refusal;
+        asio::post(strand_, [self = shared_from_this(), refusal] {
+            if (!self->closed_) self->events_.onLinkRefused(refusal);
+        });
+    }
+
+    // ---- Linked
+
+    void up(const std::shared_ptr<Handshake>& signal, const std::shared_ptr<Handshake>& data) {
+        const auto duplicate = std::make_shared<const SignalSocket>(signal->socket.native_handle());
+        if (!duplicate->open())
+            return lookIn(kLastBackoff);  // out of descriptors: without a stop there is no link
+        peer_ = std::make_shared<Peer>(std::move(signal->socket), std::move(signal->reader),
+                                       std::move(data->socket), std::move(data->reader));
+        peer_->signal_reader.setLimit(kFrameMax);
+        peer_->data_reader.setLimit(kFrameMax);
+        last_good_ = signal->port;
+        last_refusal_ = {};
+        backoff_ = kFirstBackoff / 2;
+        next_whole_look_ = {};
+        look_timer_.cancel();
+        watchdog_.feed(now());
+        announced_ = stop_gate_.generation();
+        gate_seen_ = announced_;
+        signal_.store(duplicate);
+        onBeatTimer();
+        const auto peer = peer_;
+        readSignal(peer);
+        readData(peer);
+        events_.onLinkUp();
+        // What came in one piece with the answers.
+        if (deliver(peer, peer->signal_reader, true)) deliver(peer, peer->data_reader, false);
+    }
+
+    void readSignal(const std::shared_ptr<Peer>& peer) {
+        peer->signal.async_read_some(
+            asio::buffer(peer->signal_bytes),
+            [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
+                if (self->peer_ != peer) return;
+                if (error) return self->lost(peer, "the robot application has closed the link");
+                peer->signal_reader.feed({peer->signal_bytes.data(), count});
+                if (self->deliver(peer, peer->signal_reader, true)) self->readSignal(peer);
+            });
+    }
+
+    void readData(const std::shared_ptr<Peer>& peer) {
+        peer->data.async_read_some(
+            asio::buffer(peer->data_bytes),
+            [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
+                if (self->peer_ != peer) return;
+                if (error) return self->lost(peer, "the robot application has closed the link");
+                peer->data_reader.feed({peer->data_bytes.data(), count});
+                if (self->deliver(peer, peer->data_reader, false)) self->readData(peer);
+            });
+    }
+
+    /// False when the link has ended meanwhile.
+    bool deliver(const std::shared_ptr<Peer>& peer, FrameReader& reader, bool signal) {
+        std::string payload;
+        while (peer_ == peer && reader.next(payload)) {
+            proto::EiToEm message;
+            const bool parsed = message.ParseFromString(payload);
+            const bool is_signal = message.has_beat() || message.has_stop_done();
+            if (!parsed || message.has_welcome() ||
+                (is_signal != signal && message.body_case() != proto::EiToEm::BODY_NOT_SET)) {
+                lost(peer, "the robot application has sent a malformed message");
+                return false;
+            }
+            if (message.has_beat())
+                watchdog_.feed(now());
+            else if (message.body_case() != proto::EiToEm::BODY_NOT_SET)
+                events_.onLinkMessage(message);
+        }
+        if (peer_ != peer) return false;
+        if (!reader.failed()) return true;
+        lost(peer, "the robot application has sent a malformed frame: " + reader.error());
+        return false;
+    }
+
+    void writeNext(const std::shared_ptr<Peer>& peer) {
+        peer->writing.swap(peer->queued);
+        peer->queued.clear();
+        peer->queued_frames = 0;
+        asio::async_write(peer->data, asio::buffer(peer->writing),
+                          [self = shared_from_this(), peer](const asio::error_code& error, std::size_t) {
+                              if (self->peer_ != peer) return;
+                              if (error) return self->lost(peer, "the robot application has closed the link");
+                              peer->writing.clear();
+                              if (!peer->queued.empty()) self->writeNext(peer);
+                          });
+    }
+
+    // ---- Beats
+
+    void announce(std::uint32_t generation) {
+        auto known = announced_.load();
+        while (known < generation && !announced_.compare_exchange_weak(known, generation)) {
+        }
+    }
+
+    void beat() {
+        // The level heals itself: a generation that was raised a whole period ago, and never given to stop(),
+        // is announced here. Younger ones are about to arrive with their cause.
+        const auto gate = stop_gate_.generation();
+        if (gate_seen_ == gate) announce(gate);
+        gate_seen_ = gate;
+        proto::EmToEi message;
+        auto& body = *message.mutable_beat();
+        body.set_sequence(++beat_sequence_);
+        body.set_busy(watchdog_.busy());
+        body.set_stop_generation(announced_);
+        if (const auto signal = signal_.load()) signal->write(message);
+    }
+
+    void onBeatTimer() {
+        if (closed_ || !peer_) return;
+        const auto peer = peer_;
+        beat();
+        const auto time = now();
+        if (watchdog_.expired(time)) {
+            asio::error_code error;
+            const bool unread = peer->signal.available(error) > 0 && !error;
+            if (!unread || time >= watchdog_.deadline() + kSlack) {
+                const auto ms =
+                    std::chrono::duration_cast<std::chrono::milliseconds>(watchdog_.timeout()).count();
+                asio::post(strand_, [self = shared_from_this(), peer, ms] {
+                    self->lost(peer,
+                               "the robot application has been silent for " + std::to_string(ms) + " ms");
+                });
+                return;
+            }
+        }
+        auto next = time + watchdog_.timeout() / 5;
+        if (watchdog_.deadline() > time) next = std::min(next, watchdog_.deadline());
+        beat_timer_.expires_at(std::chrono::steady_clock::time_point{next.time_since_epoch()});
+        beat_timer_.async_wait([self = shared_from_this(), peer](const asio::error_code& error) {
+            if (!error && self->peer_ == peer) self->onBeatTimer();
+        });
+    }
+
+    void dropPeer() {
+        if (!peer_) return;
+        if (const auto signal = signal_.load()) signal->cut();
+        signal_.store(nullptr);
+        asio::error_code ignored;
+        peer_->signal.close(ignored);
+        peer_->data.close(ignored);
+        peer_.reset();
+        beat_timer_.cancel();
+    }
+
+    void lost(const std::shared_ptr<Peer>& peer, const std::string& reason) {
+        if (closed_ || peer_ != peer) return;
+        dropPeer();
+        lookIn(kFirstBackoff);
+        events_.onLinkDown(reason);
+    }
+
+    // Constant after construction
+    const asio::any_io_executor strand_;
+    const BackEndSettings settings_;
+    const StopGate& stop_gate_;
+    RandomSource& random_;
+    BackEndEvents& events_;
+
+    // Any thread
+    Snapshot<SignalSocket> signal_{nullptr};
+    std::atomic<std::uint32_t> announced_{0};
+
+    // Confined to the strand
+    bool started_ = false, closed_ = false, linking_ = false;
+    asio::steady_timer look_timer_, beat_timer_;
+    std::deque<std::uint16_t> ports_;
+    std::map<std::uint16_t, TimePoint> pass_over_;
+    std::set<std::shared_ptr<Handshake>> handshakes_;
+    std::uint16_t last_good_ = 0;
+    Duration backoff_ = kFirstBackoff / 2;
+    TimePoint next_whole_look_{};
+    Refusal last_refusal_;
+    std::shared_ptr<Peer> peer_;
+    Watchdog watchdog_;
+    std::uint64_t beat_sequence_ = 0;
+    std::uint32_t gate_seen_ = 0;
+};
+
+BackEndInterface::BackEndInterface(asio::any_io_executor strand, BackEndSettings settings,
+                                   const StopGate& stop_gate, RandomSource& random, BackEndEvents& events) {
+    if (settings.application.empty() || settings.application.size() > 255)
+        throw std::invalid_argument(
+            "application: expected the name of the robot application, 1 to 255 characters: set it");
+    in_addr ignored{};
+    if (::inet_pton(AF_INET, settings.where.address.c_str(), &ignored) != 1)
+        throw std::invalid_argument("address '" + settings.where.address +
+                                    "': expected an IPv4 address such as 127.0.0.1");
+    if (!settings.beyond_loopback && !isLoopback(settings.where.address))
+        throw std::invalid_argument(
+            "address " + settings.where.address +
+            ": expected a loopback address (127.x.y.z), for the link has no authentication: use "
+            "one, or allow others explicitly on a network you trust");
+    const auto range = checkPortRange(settings.where.ports.first, settings.where.ports.last, "ports");
+    if (!range) throw std::invalid_argument(range.refusal().message);
+    connections_ =
+        std::make_shared<Connections>(std::move(strand), std::move(settings), stop_gate, random, events);
+}
+
+BackEndInterface::~BackEndInterface() {
+    connections_->close();
+}
+void BackEndInterface::start() {
+    connections_->start();
+}
+void BackEndInterface::close() {
+    connections_->close();
+}
+void BackEndInterface::send(const proto::EmToEi& message) {
+    connections_->send(message);
+}
+void BackEndInterface::stop(std::uint32_t generation, StopCause cause) {
+    connections_->stop(generation, cause);
+}
+void BackEndInterface::setBusy(bool busy) {
+    connections_->setBusy(busy);
+}
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <asio/any_io_executor.hpp>
+#include <chrono>
+#include <memory>
+#include <string>
+
+#include "common/ids.hpp"
+#include "common/port_range.hpp"
+#include "entity_manager/ports.hpp"
+#include "entity_manager/stop_gate.hpp"
+
+namespace axon::proto {
+class EiToEm;
+}
+
+namespace axon::entity_manager {
+
+struct BackEndSettings {
+    std::string application;  ///< the robot application's name, as its Entity Interfacer was given it
+    std::string instance;     ///< empty = any instance
+    LinkPorts where;          ///< of ports.cfg
+    std::string manager;      ///< who we are, for the messages that a second Entity Manager gets
+    std::chrono::milliseconds watchdog_busy{100};
+    std::chrono::milliseconds watchdog_idle{500};
+    bool beyond_loopback = false;  ///< the link has no authentication
+};
+
+/// Whom the link tells. Called on the strand, never from within a call of BackEndInterface.
+class BackEndEvents {
+  public:
+    virtual ~BackEndEvents() = default;
+    virtual void onLinkUp() = 0;
+    virtual void onLinkDown(const std::string& reason) = 0;
+    /// Everything but Welcome and beats, from both lanes.
+    virtual void onLinkMessage(const proto::EiToEm& message) = 0;
+    /// For the operator: our application is there and does not want us (ALREADY_HELD, NOT_SUPPORTED), or a
+    /// message was larger than a frame (TOO_LARGE). Told when the reason changes.
+    virtual void onLinkRefused(const Refusal&) {}
+};
+
+/// The Entity Manager's end of the link to the robot application (thesis 3.3.1), over TCP.
+///
+/// Where in the flow: between EntityManagerCore and the Entity Interfacer.
+///
+/// States: looking → linking (first connection welcome) → linked → looking. While looking it tries the first
+/// 32 ports of the range and the last good one every 100 ms, and the whole range with backoff (50 ms to 1 s):
+/// a robot application listens on its first free port, so it is found within the shorter period. Listeners
+/// that are not our application are passed over for a while.
+///
+/// Threads: everything on the strand it is given, but stop(), which any thread may call: it writes to the
+/// signal connection at once, past the strand and everything queued. Ownership: destroyed on the strand, or
+/// when the strand runs no more; no event after that. Failure: an application that is silent, closes, sends
+/// nonsense or does not read ends the link (onLinkDown), and looking begins again.
+class BackEndInterface final : public BackEndPort {
+  public:
+    /// Throws std::invalid_argument, with the mend, where the settings cannot work.
+    BackEndInterface(asio::any_io_executor strand, BackEndSettings settings, const StopGate& stop_gate,
+                     RandomSource& random, BackEndEvents& events);
+    ~BackEndInterface() override;
+    BackEndInterface(const BackEndInterface&) = delete;
+    BackEndInterface& operator=(const BackEndInterface&) = delete;
+
+    /// Begins to look. From then on for ever, until close().
+    void start();
+    /// Ends the link (the application stops by itself) without an event.
+    void close();
+
+    void send(const proto::EmToEi& message) override;
+    void stop(std::uint32_t generation, StopCause cause) override;
+    void setBusy(bool busy) override;
+
+  private:
+    class Connections;
+    std::shared_ptr<Connections> connections_;
+};
+
+}  // namespace axon::entity_manager
