@@ -1,0 +1,140 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "crowd.hpp"
+
+#include <axon/link.pb.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include <asio/post.hpp>
+#include <asio/thread_pool.hpp>
+#include <map>
+#include <memory>
+#include <thread>
+#include <vector>
+
+#include "board.hpp"
+#include "entity_manager/entity_manager.hpp"
+#include "entity_manager/server_communicators.hpp"
+
+namespace axon::bench {
+
+namespace {
+
+using namespace axon::entity_manager;
+
+/// An Entity Interfacer without a socket: grants everything, notes arrivals.
+class MemoryLink final : public BackEndLink {
+  public:
+    MemoryLink(const EntityManager::Strand& strand, BackEndSink& sink, std::string name, Slot& slot)
+        : strand_(strand), sink_(sink), name_(std::move(name)), slot_(slot) {}
+
+    void start() override {
+        asio::post(strand_, [this] {
+            sink_.onLinkUp();
+            upload(false, "<BasicProfile name=\"" + name_ + "\" category=\"MACHINE\" type=\"STATIONARY\" xpos=\"0\" ypos=\"0\" zpos=\"0\"/>");
+            upload(true, "<ServiceProfile count=\"1\"><Service name=\"Nothing\" type=\"SMPL\" global_id=\"nothing\"/></ServiceProfile>");
+        });
+    }
+    void close() override {}
+
+    void stop(std::uint32_t generation, StopCause) override {
+        slot_.stop_at = nowNs();
+        ++slot_.stops;
+        asio::post(strand_, [this, generation] {
+            proto::EiToEm done;
+            done.mutable_stop_done()->set_stop_generation(generation);
+            done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+            sink_.onLinkMessage(done);
+        });
+    }
+    void send(const proto::EmToEi& message) override {
+        if (!message.has_raw()) return;
+        for (const auto& block : message.raw().data()) {
+            if (!batchIntact(block.data(), block.size())) ++slot_.corrupt;
+        }
+        slot_.data_at = nowNs();
+        ++slot_.data;
+    }
+    void setBusy(bool) override {}
+
+  private:
+    void upload(bool services, const std::string& xml) {
+        proto::EiToEm message;
+        auto& profile = *message.mutable_profile();
+        profile.set_services(services);
+        profile.set_file_name(services ? "services.xml" : "basic.xml");
+        profile.set_xml(xml);
+        sink_.onLinkMessage(message);
+    }
+
+    const EntityManager::Strand strand_;
+    BackEndSink& sink_;
+    const std::string name_;
+    Slot& slot_;
+};
+
+class MemoryStorage final : public Storage, public ResourceStore {
+  public:
+    std::optional<std::string> load(std::string_view key) override {
+        const auto found = values_.find(std::string(key));
+        if (found == values_.end()) return std::nullopt;
+        return found->second;
+    }
+    void save(std::string_view key, std::string_view value) override { values_[std::string(key)] = value; }
+
+    Result<std::uint64_t> begin(const proto::ResourceOffer&) override { return refused(); }
+    Result<void> write(std::string_view, std::uint64_t, std::string_view) override { return refused(); }
+    Result<std::string> finish(std::string_view) override { return refused(); }
+    void suspend(std::string_view) override {}
+    void remove(std::string_view, std::string_view) override {}
+    std::optional<std::string> find(std::string_view, std::string_view) override { return std::nullopt; }
+
+  private:
+    static Refusal refused() { return {RefusalCode::NotSupported, "a benchmark's entity keeps no files", {}}; }
+    std::map<std::string, std::string> values_;
+};
+
+}  // namespace
+
+int runCrowd(const std::string& board_file, std::size_t entities, const std::string& entity_server) {
+    spdlog::set_level(spdlog::level::err);
+    Board board(board_file, entities, false);
+    SteadyClock clock;
+    asio::thread_pool executor(1);
+    const auto ice = std::make_shared<ServerCommunicators>(1, 1);
+    const auto colon = entity_server.rfind(':');
+    ServerAddress server;
+    server.host = entity_server.substr(0, colon);
+    server.port = static_cast<std::uint16_t>(std::stoi(entity_server.substr(colon + 1)));
+
+    struct Member {
+        SystemRandom random;
+        MemoryStorage storage;
+        std::shared_ptr<EntityManager> manager;
+    };
+    std::vector<std::unique_ptr<Member>> members;
+    for (std::size_t i = 0; i < entities; ++i) {
+        auto member = std::make_unique<Member>();
+        CoreSettings settings;
+        settings.application = "bench-" + std::to_string(i);
+        member->manager = EntityManager::create(
+            executor.get_executor(), ice, settings, server,
+            [&](const EntityManager::Strand& strand, BackEndSink& sink) {
+                return std::make_unique<MemoryLink>(strand, sink, settings.application, board[i]);
+            },
+            clock, member->random, member->storage, member->storage);
+        member->manager->start();
+        members.push_back(std::move(member));
+        // Logging in costs the server; 32 at a time keeps every handshake within its time-out.
+        while (i >= 32 && members[i - 32]->manager->state() != EntityState::IDLE) std::this_thread::yield();
+    }
+    for (const auto& member : members)
+        while (member->manager->state() != EntityState::IDLE) std::this_thread::sleep_for(std::chrono::milliseconds{1});
+    board.ready() = static_cast<std::uint32_t>(entities);
+
+    const auto parent = ::getppid();
+    while (::getppid() == parent) std::this_thread::sleep_for(std::chrono::milliseconds{200});
+    return 0;
+}
+
+}  // namespace axon::bench

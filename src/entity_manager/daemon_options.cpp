@@ -1,0 +1,135 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/daemon_options.hpp"
+
+#include <Ice/Ice.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdlib>
+#include <fstream>
+#include <set>
+#include <stdexcept>
+
+namespace axon::entity_manager {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+const std::set<std::string> kKeys{"Axon.Application", "Axon.Instance",      "Axon.Server",       "Axon.User",
+                                  "Axon.Password",    "Axon.Ports",         "Axon.PortsFile",    "Axon.State",
+                                  "Axon.LogLevel",    "Axon.WatchdogBusyMs", "Axon.WatchdogIdleMs", "Axon.Address"};
+
+fs::path defaultStateFolder(const std::string& application, const std::string& instance) {
+    const char* state = std::getenv("XDG_STATE_HOME");
+    const char* home = std::getenv("HOME");
+    fs::path root = state && *state ? fs::path(state) : fs::path(home && *home ? home : "/var/lib") / ".local/state";
+    return root / "axon" / (instance.empty() ? application : application + "-" + instance);
+}
+
+int integerBetween(const std::string& what, const std::string& text, int low, int high) {
+    std::size_t used = 0;
+    int value = 0;
+    try {
+        value = std::stoi(text, &used);
+    } catch (const std::exception&) {
+        used = 0;
+    }
+    if (used != text.size() || text.empty() || value < low || value > high)
+        throw std::runtime_error(what + ": expected a whole number from " + std::to_string(low) + " to " +
+                                 std::to_string(high) + ", not '" + text + "'");
+    return value;
+}
+
+template <class T>
+T accepted(Result<T> result) {
+    if (!result) throw std::runtime_error(result.refusal().message);
+    return std::move(result).value();
+}
+
+/// Ice property syntax, as the thesis' configuration files: Name=value, # comments.
+std::map<std::string, std::string> readConfiguration(const std::string& file) {
+    std::map<std::string, std::string> values;
+    if (file.empty()) return values;
+    if (!std::ifstream(file))
+        throw std::runtime_error(file + ": cannot be read; expected a configuration file (docs/reference/configuration.md)");
+    const auto properties = Ice::createProperties();
+    properties->load(file);
+    for (const auto& [key, value] : properties->getPropertiesForPrefix("Axon.")) {
+        if (!kKeys.contains(key)) {
+            std::string known;
+            for (const auto& name : kKeys) known += (known.empty() ? "" : ", ") + name;
+            throw std::runtime_error(file + ": unknown property '" + key + "'; expected one of " + known);
+        }
+        values[key] = value;
+    }
+    return values;
+}
+
+}  // namespace
+
+DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
+    CLI::App app{
+        "The Entity Manager: stands beside one robot application, connects it to the Axon server, and guards it: who\n"
+        "may command it, what may run, and that it stops.\n\n"
+        "  axon-entity-manager --application hello\n"
+        "  axon-entity-manager --application peoplebot --server lab.example:10412 --config entitymanager.cfg\n"};
+    app.set_version_flag("--version", AXON_VERSION);
+    std::string config, application, instance, server, ports, ports_file, address, state, log_level;
+    app.add_option("-c,--config", config, "Configuration file in Ice property syntax; the options below win over it");
+    app.add_option("-a,--application", application, "Name the robot application gives its Entity Interfacer (Axon.Application)");
+    app.add_option("--instance", instance, "Which of several applications of the same name on this host (Axon.Instance)");
+    app.add_option("-s,--server", server, "host:port of the entity server (Axon.Server) [127.0.0.1:10412]");
+    app.add_option("--ports", ports, "Port range to look for the application in (Axon.Ports) [5500-8000]");
+    app.add_option("--ports-file", ports_file, "ports.cfg to read the range from (Axon.PortsFile)");
+    app.add_option("--address", address, "Address where the application listens (Axon.Address) [127.0.0.1]");
+    app.add_option("--state", state, "Folder for identity, leases and resources (Axon.State) [~/.local/state/axon/APPLICATION]");
+    app.add_option("--log-level", log_level, "trace, debug, info, warning, error (Axon.LogLevel) [info]");
+
+    DaemonOptions options;
+    try {
+        app.parse(argc, argv);
+    } catch (const CLI::ParseError& e) {
+        options.exit_code = app.exit(e) == 0 ? 0 : 2;
+        return options;
+    }
+    const auto file = readConfiguration(config);
+    const auto chosen = [&file](const std::string& option, const char* key, const std::string& otherwise) {
+        if (!option.empty()) return option;
+        const auto found = file.find(key);
+        return found == file.end() ? otherwise : found->second;
+    };
+
+    options.core.application = chosen(application, "Axon.Application", "");
+    if (options.core.application.empty())
+        throw std::runtime_error("no application named; say --application NAME, the name that the robot application gives its "
+                                 "Entity Interfacer, or Axon.Application=NAME in the configuration file");
+    options.back_end.application = options.core.application;
+    options.back_end.instance = chosen(instance, "Axon.Instance", "");
+    if (const auto from = chosen(ports_file, "Axon.PortsFile", ""); !from.empty()) options.back_end.where = accepted(readPorts(from));
+    if (const auto range = chosen(ports, "Axon.Ports", ""); !range.empty())
+        options.back_end.where.ports = accepted(parsePorts("Axon.Ports = " + range, "--ports")).ports;
+    options.back_end.where.address = chosen(address, "Axon.Address", options.back_end.where.address);
+
+    const auto at = chosen(server, "Axon.Server", "127.0.0.1:10412");
+    const auto colon = at.rfind(':');
+    if (colon == std::string::npos || colon == 0)
+        throw std::runtime_error("--server: expected host:port, as 127.0.0.1:10412, not '" + at + "'");
+    options.server.host = at.substr(0, colon);
+    options.server.port = static_cast<std::uint16_t>(integerBetween("--server, the port", at.substr(colon + 1), 1, 65535));
+    options.server.user = chosen("", "Axon.User", "");
+    options.server.password = chosen("", "Axon.Password", "");
+
+    options.core.server_watchdog_busy =
+        std::chrono::milliseconds(integerBetween("Axon.WatchdogBusyMs", chosen("", "Axon.WatchdogBusyMs", "250"), 50, 2000));
+    options.core.server_watchdog_idle =
+        std::chrono::milliseconds(integerBetween("Axon.WatchdogIdleMs", chosen("", "Axon.WatchdogIdleMs", "10000"), 250, 60000));
+    options.log_level = chosen(log_level, "Axon.LogLevel", "info");
+    static const std::set<std::string> kLevels{"trace", "debug", "info", "warning", "error", "critical", "off"};
+    if (!kLevels.contains(options.log_level))
+        throw std::runtime_error("--log-level: expected trace, debug, info, warning, error, critical or off, not '" +
+                                 options.log_level + "'");
+    options.state_folder = chosen(state, "Axon.State", defaultStateFolder(options.core.application, options.back_end.instance));
+    return options;
+}
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <filesystem>
+#include <optional>
+#include <string>
+
+#include "entity_manager/back_end_interface.hpp"
+#include "entity_manager/entity_communicator.hpp"
+#include "entity_manager/entity_manager_core.hpp"
+
+namespace axon::entity_manager {
+
+/// All that axon-entity-manager is told: command line over configuration file over defaults
+/// (docs/reference/configuration.md).
+struct DaemonOptions {
+    CoreSettings core;
+    ServerAddress server;
+    BackEndSettings back_end;
+    std::filesystem::path state_folder;
+    std::string log_level = "info";
+    /// Set when there is nothing to run: --help, --version, or a wrong command line (which has been explained).
+    std::optional<int> exit_code;
+};
+
+/// Throws std::runtime_error with the mend for a configuration that cannot be used.
+DaemonOptions readDaemonOptions(int argc, const char* const* argv);
+
+}  // namespace axon::entity_manager

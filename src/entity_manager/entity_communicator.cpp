@@ -1,0 +1,394 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/entity_communicator.hpp"
+
+#include <Ice/Ice.h>
+#include <axon/entitycomm.h>
+#include <axon/messages.pb.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <asio/post.hpp>
+#include <asio/steady_timer.hpp>
+#include <atomic>
+
+#include "entity_manager/server_communicators.hpp"
+#include "transport/communicator.hpp"
+#include "transport/convert.hpp"
+
+namespace axon::entity_manager {
+
+namespace {
+
+using namespace std::chrono_literals;
+namespace wire = ::Axon::CommUtil;
+using ::Axon::EntityComm::EntityCallback;
+using ::Axon::EntityComm::EntityCallbackPrx;
+using ::Axon::EntityComm::EntityGatePrx;
+using ::Axon::EntityComm::EntitySessionPrx;
+using transport::ByteRange;
+using transport::toRange;
+
+constexpr auto kFirstBackoff = 100ms;
+constexpr auto kLastBackoff = 2000ms;
+constexpr int kLoginTimeoutMs = 3000;
+constexpr std::size_t kDataInFlight = 4U << 20U;
+constexpr std::size_t kControlInFlight = 16U << 20U;
+
+/// Carries what the server pushes to the events, and nothing else. One per lane; both hold no state.
+class EntityCallbackServant final : public EntityCallback {
+  public:
+    explicit EntityCallbackServant(std::weak_ptr<ServerEvents> events) : events_(std::move(events)) {}
+
+    void newClientMsg(wire::Header head, ByteRange msg, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->clientMsg(transport::fromIce(std::move(head)), std::string(transport::toView(msg)));
+    }
+    void newClientMsgDataSeq(wire::Header head, ByteRange data, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->clientMsgDataSeq(transport::fromIce(std::move(head)), std::string(transport::toView(data)));
+    }
+    void stopSignal(wire::Header head, wire::StopCause cause, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->stopSignal(transport::fromIce(std::move(head)), transport::fromIce(cause));
+    }
+    void resetSignal(wire::Header head, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->resetSignal(transport::fromIce(std::move(head)));
+    }
+    void clearSignal(wire::Header head, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->clearSignal(transport::fromIce(std::move(head)));
+    }
+    void newClientUpdate(wire::Header head, wire::ClientChange change, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->clientUpdate(transport::fromIce(std::move(head)), transport::fromIce(change));
+    }
+    void newHeartbeat(double, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->serverHeartbeat();
+    }
+    void newRefusalMsg(wire::Header head, int code, std::string reason, const Ice::Current&) override {
+        if (const auto events = events_.lock()) events->undeliverable(transport::fromIce(std::move(head)), code, reason);
+    }
+
+  private:
+    const std::weak_ptr<ServerEvents> events_;
+};
+
+}  // namespace
+
+/// Lives on the strand; Ice's callbacks hold it weakly and post to it, with the number of the attempt that they belong
+/// to, so that what arrives late from an earlier attempt changes nothing.
+class EntityCommunicator::Connection : public std::enable_shared_from_this<Connection> {
+  public:
+    Connection(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice, ServerAddress address,
+               std::weak_ptr<ServerEvents> events)
+        : strand_(std::move(strand)),
+          ice_(std::move(ice)),
+          address_(std::move(address)),
+          events_(std::move(events)),
+          retry_(strand_),
+          beat_(strand_),
+          servant_(std::make_shared<EntityCallbackServant>(events_)) {}
+
+    void want(bool wanted) {
+        if (wanted == wanted_) return;
+        wanted_ = wanted;
+        if (wanted) {
+            backoff_ = kFirstBackoff;
+            login();
+            return;
+        }
+        if (up_) leave();
+        drop();
+    }
+
+    /// After this no event is raised any more.
+    void close() {
+        wanted_ = false;
+        closed_ = true;
+        if (up_) leave();
+        drop();
+    }
+
+    void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) {
+        if (!up_) return;
+        const auto bytes = profile.SerializeAsString();
+        const auto attempt = attempt_;
+        guarded([&] {
+            session_->sendBasicPrflAsync(transport::toIce(registration), toRange(bytes), [] {}, failure(attempt, "registration"));
+        });
+    }
+
+    void sendStatus(const EntityStatus& status) {
+        if (!up_) return;
+        const bool busy = status.state == EntityState::BUSY;
+        guarded([&] { oneway_->sendStatusAsync(transport::toIce(status), [] {}, {}, {}); });
+        if (std::exchange(busy_, busy) != busy) keepAlive();
+    }
+
+    void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
+        if (!up_) return;
+        const auto bytes = message.SerializeAsString();
+        if (*in_flight_ > kControlInFlight) {
+            // Posted, because the core is waiting for this call to return.
+            post([attempt = attempt_](Connection& self) {
+                self.failed(attempt, "the server does not read what it is sent");
+            });
+            return;
+        }
+        send(bytes, [&](auto sent) {
+            const auto& proxy = lane == Lane::Signal ? signal_oneway_ : oneway_;
+            proxy->sendToClientAsync(transport::toIce(head), toRange(bytes), [] {}, {}, sent);
+        });
+    }
+
+    void sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
+        if (!up_) return;
+        if (*in_flight_ > kDataInFlight) {
+            ++dropped_;
+            return;
+        }
+        const auto bytes = message.SerializeAsString();
+        send(bytes, [&](auto sent) {
+            oneway_->sendToClientDataSeqAsync(transport::toIce(head), toRange(bytes), [] {}, {}, sent);
+        });
+    }
+
+    std::uint64_t dropped() const { return dropped_; }
+
+  private:
+    /// Counts the bytes from the call until Ice has written them.
+    template <class Call>
+    void send(const std::string& bytes, Call call) {
+        const auto size = bytes.size();
+        const auto in_flight = in_flight_;
+        *in_flight += size;
+        guarded([&] { call([in_flight, size](bool) { *in_flight -= size; }); });
+    }
+
+    /// AMI calls may throw at once; the close callback of the connection reports the loss, so there is nothing to add.
+    template <class Call>
+    void guarded(Call call) {
+        try {
+            call();
+        } catch (const Ice::Exception& e) {
+            const auto attempt = attempt_;
+            const std::string reason = e.what();
+            post([attempt, reason](Connection& self) { self.failed(attempt, reason); });
+        }
+    }
+
+    template <class Action>
+    void post(Action action) {
+        asio::post(strand_, [weak = weak_from_this(), action = std::move(action)] {
+            if (const auto self = weak.lock()) action(*self);
+        });
+    }
+
+    /// What to do when step `what` of the attempt fails; runs on an Ice thread.
+    std::function<void(std::exception_ptr)> failure(std::uint64_t attempt, std::string what) {
+        return [weak = weak_from_this(), attempt, what = std::move(what)](const std::exception_ptr& problem) {
+            const auto self = weak.lock();
+            if (!self) return;
+            const auto reason = what + ": " + transport::translate(problem).message;
+            self->post([attempt, reason](Connection& me) { me.failed(attempt, reason); });
+        };
+    }
+
+    void failed(std::uint64_t attempt, const std::string& reason) {
+        if (attempt == attempt_) lost(reason);
+    }
+
+    void login() {
+        const auto attempt = ++attempt_;
+        guarded([&] {
+            const auto gate = gateTo(ice_->data(), "tcp -h " + address_.host + " -p " + std::to_string(address_.port));
+            open(attempt, gate, [attempt, gate](Connection& self, const auto& session) {
+                self.data_connection_ = self.adopt(attempt, gate, self.ice_->dataAdapter());
+                self.session_ = self.over(self.data_connection_, session);
+                self.nameOurselves(attempt);
+            });
+        });
+    }
+
+    std::shared_ptr<EntityGatePrx> gateTo(const std::shared_ptr<Ice::Communicator>& communicator, const std::string& endpoint) {
+        // A connection identifier of its own: Entity Managers that share the communicator must not share connections.
+        const auto proxy = communicator->stringToProxy("EntityGate:" + endpoint + " -t 3000");
+        return Ice::uncheckedCast<EntityGatePrx>(
+            proxy->ice_connectionId(std::to_string(reinterpret_cast<std::uintptr_t>(this)) + "-" + std::to_string(attempt_))
+                ->ice_invocationTimeout(kLoginTimeoutMs));
+    }
+
+    template <class Then>
+    void open(std::uint64_t attempt, const std::shared_ptr<EntityGatePrx>& gate, Then then) {
+        gate->openAsync(
+            address_.user, address_.password,
+            [weak = weak_from_this(), attempt, then](const std::shared_ptr<EntitySessionPrx>& session) {
+                if (const auto self = weak.lock())
+                    self->post([attempt, then, session](Connection& me) {
+                        if (attempt == me.attempt_) me.guarded([&] { then(me, session); });
+                    });
+            },
+            failure(attempt, "log-in at " + address_.host + ":" + std::to_string(address_.port)));
+    }
+
+    std::shared_ptr<Ice::Connection> adopt(std::uint64_t attempt, const std::shared_ptr<EntityGatePrx>& gate,
+                                           const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+        auto connection = gate->ice_getCachedConnection();
+        if (!connection) throw Ice::ConnectionLostException(__FILE__, __LINE__);
+        connection->setAdapter(adapter);
+        connection->setCloseCallback([weak = weak_from_this(), attempt](const std::shared_ptr<Ice::Connection>&) {
+            if (const auto self = weak.lock())
+                self->post([attempt](Connection& me) { me.failed(attempt, "the server closed the connection"); });
+        });
+        return connection;
+    }
+
+    std::shared_ptr<EntitySessionPrx> over(const std::shared_ptr<Ice::Connection>& connection,
+                                           const std::shared_ptr<EntitySessionPrx>& session) {
+        return Ice::uncheckedCast<EntitySessionPrx>(
+            connection->createProxy(session->ice_getIdentity())->ice_invocationTimeout(kLoginTimeoutMs));
+    }
+
+    std::shared_ptr<EntityCallbackPrx> callback(const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+        return Ice::uncheckedCast<EntityCallbackPrx>(adapter->addWithUUID(servant_));
+    }
+
+    void nameOurselves(std::uint64_t attempt) {
+        data_callback_ = callback(ice_->dataAdapter());
+        session_->setCallbackAsync(
+            data_callback_,
+            [weak = weak_from_this(), attempt](const ::Axon::EntityComm::SessionFacts& facts) {
+                if (const auto self = weak.lock())
+                    self->post([attempt, facts](Connection& me) {
+                        if (attempt == me.attempt_) me.guarded([&] { me.loginSignalLane(attempt, facts); });
+                    });
+            },
+            failure(attempt, "setCallback"));
+    }
+
+    void loginSignalLane(std::uint64_t attempt, const ::Axon::EntityComm::SessionFacts& facts) {
+        const auto gate = gateTo(ice_->signal(), facts.signalEndpoint);
+        open(attempt, gate, [attempt, gate, token = facts.token](Connection& self, const auto& session) {
+            self.signal_connection_ = self.adopt(attempt, gate, self.ice_->signalAdapter());
+            self.signal_session_ = self.over(self.signal_connection_, session);
+            self.signal_callback_ = self.callback(self.ice_->signalAdapter());
+            self.signal_session_->attachSignalLaneAsync(
+                token, self.signal_callback_,
+                [weak = self.weak_from_this(), attempt] {
+                    if (const auto me = weak.lock())
+                        me->post([attempt](Connection& it) {
+                            if (attempt == it.attempt_) it.joined();
+                        });
+                },
+                self.failure(attempt, "attachSignalLane"));
+        });
+    }
+
+    void joined() {
+        oneway_ = Ice::uncheckedCast<EntitySessionPrx>(session_->ice_oneway()->ice_invocationTimeout(-1));
+        signal_oneway_ = Ice::uncheckedCast<EntitySessionPrx>(signal_session_->ice_oneway()->ice_invocationTimeout(-1));
+        in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
+        up_ = true;
+        busy_ = false;
+        said_ = false;
+        backoff_ = kFirstBackoff;
+        if (const auto events = events_.lock()) events->serverUp();
+        keepAlive();
+    }
+
+    void keepAlive() {
+        if (!up_) return;
+        guarded([&] { signal_oneway_->keepAliveAsync(static_cast<double>(++beats_), [] {}, {}, {}); });
+        beat_.expires_after(busy_ ? 50ms : 2000ms);
+        beat_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
+            if (cancelled) return;
+            if (const auto self = weak.lock()) self->keepAlive();
+        });
+    }
+
+    /// An orderly end: the server hears of it before the connection closes.
+    void leave() {
+        guarded([&] { oneway_->destroyAsync([] {}, {}, {}); });
+    }
+
+    void lost(const std::string& reason) {
+        const bool was_up = up_;
+        drop();
+        if (closed_) return;
+        if (const auto events = events_.lock(); events && was_up) events->serverDown(reason);
+        if (!wanted_) return;
+        if (!std::exchange(said_, true))
+            spdlog::warn("no session with the entity server at {}:{} ({}); trying again until there is one", address_.host,
+                         address_.port, reason);
+        retry_.expires_after(backoff_);
+        backoff_ = std::min<std::chrono::milliseconds>(backoff_ * 2, kLastBackoff);
+        retry_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
+            if (cancelled) return;
+            const auto self = weak.lock();
+            if (self && self->wanted_ && !self->up_) self->login();
+        });
+    }
+
+    void drop() {
+        ++attempt_;
+        up_ = false;
+        retry_.cancel();
+        beat_.cancel();
+        forget(data_callback_, ice_->dataAdapter());
+        forget(signal_callback_, ice_->signalAdapter());
+        for (auto* connection : {&data_connection_, &signal_connection_}) {
+            if (*connection) (*connection)->close(Ice::ConnectionClose::Gracefully);
+            connection->reset();
+        }
+        session_ = signal_session_ = oneway_ = signal_oneway_ = nullptr;
+    }
+
+    void forget(std::shared_ptr<EntityCallbackPrx>& callback, const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+        if (!callback) return;
+        try {
+            adapter->remove(callback->ice_getIdentity());
+        } catch (const Ice::Exception&) {  // the communicator has been destroyed: nothing is left to forget
+        }
+        callback = nullptr;
+    }
+
+    // Constant after construction.
+    const asio::any_io_executor strand_;
+    const std::shared_ptr<ServerCommunicators> ice_;
+    const ServerAddress address_;
+    const std::weak_ptr<ServerEvents> events_;
+
+    // Confined to the strand.
+    asio::steady_timer retry_;
+    asio::steady_timer beat_;
+    std::shared_ptr<EntityCallbackServant> servant_;
+    std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
+    std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
+    std::shared_ptr<EntitySessionPrx> session_, signal_session_, oneway_, signal_oneway_;
+    std::shared_ptr<std::atomic<std::size_t>> in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
+    std::chrono::milliseconds backoff_ = kFirstBackoff;
+    std::uint64_t attempt_ = 0;
+    std::uint64_t beats_ = 0;
+    bool wanted_ = false;
+    bool up_ = false;
+    bool busy_ = false;
+    bool said_ = false;
+    bool closed_ = false;
+    std::atomic<std::uint64_t> dropped_{0};
+};
+
+EntityCommunicator::EntityCommunicator(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice,
+                                       ServerAddress address, std::weak_ptr<ServerEvents> events)
+    : connection_(std::make_shared<Connection>(std::move(strand), std::move(ice), std::move(address), std::move(events))) {}
+
+EntityCommunicator::~EntityCommunicator() { connection_->close(); }
+
+void EntityCommunicator::wantConnection(bool wanted) { connection_->want(wanted); }
+void EntityCommunicator::sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) {
+    connection_->sendBasicPrfl(registration, profile);
+}
+void EntityCommunicator::sendStatus(const EntityStatus& status) { connection_->sendStatus(status); }
+void EntityCommunicator::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
+    connection_->sendToClient(lane, head, message);
+}
+void EntityCommunicator::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
+    connection_->sendToClientDataSeq(head, message);
+}
+std::uint64_t EntityCommunicator::droppedData() const { return connection_->dropped(); }
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,207 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/entity_manager.hpp"
+
+#include <axon/link.pb.h>
+#include <spdlog/spdlog.h>
+
+#include <asio/post.hpp>
+#include <future>
+#include <utility>
+
+namespace axon::entity_manager {
+
+namespace {
+constexpr int kEventsPerTurn = 128;  // then other strands of the executor get a turn
+}
+
+EntityManager::EntityManager(asio::any_io_executor executor, std::string name)
+    : strand_(asio::make_strand(std::move(executor))), name_(std::move(name)), timer_(strand_) {}
+
+std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor executor,
+                                                     std::shared_ptr<ServerCommunicators> ice,
+                                                     CoreSettings settings, ServerAddress server,
+                                                     const BackEndFactory& back_end, Clock& clock, RandomSource& random,
+                                                     Storage& storage, ResourceStore& resources) {
+    const std::shared_ptr<EntityManager> self(new EntityManager(std::move(executor), settings.application));
+    self->back_end_ = back_end(self->strand_, self->gate_, *self);
+    self->server_ = std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), std::move(server), self);
+    self->core_ = std::make_unique<EntityManagerCore>(std::move(settings), clock, random, *self->back_end_.port, *self->server_,
+                                                      storage, resources, self->gate_);
+    return self;
+}
+
+EntityManager::~EntityManager() = default;
+
+EntityManager::BackEndFactory EntityManager::overTcp(BackEndSettings settings, RandomSource& random) {
+    return [settings = std::move(settings), &random](const Strand& strand, const StopGate& gate, BackEndEvents& events) {
+        auto link = std::make_unique<BackEndInterface>(strand, settings, gate, random, events);
+        auto* const at = link.get();
+        return BackEnd{std::move(link), [at] { at->start(); }, [at] { at->close(); }};
+    };
+}
+
+void EntityManager::start() {
+    asio::post(strand_, [self = shared_from_this()] {
+        self->back_end_.start();
+        self->afterEvents();
+    });
+}
+
+void EntityManager::stop() {
+    std::promise<void> done;
+    asio::post(strand_, [this, &done] {
+        if (!std::exchange(stopped_, true)) {
+            core_->shutDown();
+            server_->wantConnection(false);
+            back_end_.close();
+            timer_.cancel();
+        }
+        done.set_value();
+    });
+    done.get_future().wait();
+}
+
+// -- from the server ------------------------------------------------------------------------------------------------
+
+void EntityManager::stopSignal(Header head, StopCause cause) {
+    const auto generation = gate_.raise(head.sender.id, head.sequence);
+    if (!generation) return;  // the same stop by another path
+    back_end_.port->stop(*generation, cause);
+    wake(inbox_.pushSignal([this, head = std::move(head), cause, generation = *generation] {
+        core_->onStopSignal(head, cause, generation);
+    }));
+}
+
+void EntityManager::resetSignal(Header head) {
+    wake(inbox_.pushSignal([this, head = std::move(head)] { core_->onResetSignal(head); }));
+}
+
+void EntityManager::clearSignal(Header head) {
+    wake(inbox_.pushSignal([this, head = std::move(head)] { core_->onClearSignal(head); }));
+}
+
+void EntityManager::clientUpdate(Header head, ClientChange change) {
+    wake(inbox_.pushControl([this, head = std::move(head), change] { core_->onClientUpdate(head, change); }));
+}
+
+void EntityManager::serverHeartbeat() {
+    wake(inbox_.pushControl([this] { core_->onServerHeartbeat(); }));
+}
+
+void EntityManager::clientMsg(Header head, std::string bytes) {
+    wake(inbox_.pushControl([this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }));
+}
+
+void EntityManager::clientMsgDataSeq(Header head, std::string bytes) {
+    const auto size = bytes.size();
+    wake(inbox_.pushData([this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }, size));
+}
+
+void EntityManager::undeliverable(const Header& head, int code, const std::string& reason) {
+    spdlog::warn("{}: {} to {} could not be delivered: {} ({})", name_, head.msg_type, head.entity, reason, code);
+}
+
+void EntityManager::serverUp() {
+    core_->onServerUp();
+    afterEvents();
+}
+
+void EntityManager::serverDown(const std::string& reason) {
+    spdlog::warn("{}: the session with the server is lost: {}", name_, reason);
+    core_->onServerDown(reason);
+    afterEvents();
+}
+
+// -- from the robot application -------------------------------------------------------------------------------------
+
+void EntityManager::onLinkUp() {
+    core_->onLinkUp();
+    afterEvents();
+}
+
+void EntityManager::onLinkDown(const std::string& reason) {
+    spdlog::warn("{}: the link to the robot application is down: {}", name_, reason);
+    core_->onLinkDown(reason);
+    afterEvents();
+}
+
+void EntityManager::onLinkRefused(const Refusal& refusal) {
+    spdlog::warn("{}: no link to the robot application: {} ({})", name_, refusal.message, refusalName(refusal.code));
+}
+
+void EntityManager::onLinkMessage(const proto::EiToEm& message) {
+    core_->onLinkMessage(message);
+    afterEvents();
+}
+
+// -- the strand -----------------------------------------------------------------------------------------------------
+
+void EntityManager::wake(Inbox::Verdict verdict) {
+    switch (verdict) {
+        case Inbox::Verdict::AlreadyScheduled: return;
+        case Inbox::Verdict::Scheduled:
+            asio::post(strand_, [weak = weak_from_this()] {
+                if (const auto self = weak.lock()) self->drain();
+            });
+            return;
+        case Inbox::Verdict::Overflow:
+            // Control may not be lost, so the peer that sends faster than it is handled is dropped; the loss of the
+            // session stops the robot.
+            asio::post(strand_, [weak = weak_from_this()] {
+                const auto self = weak.lock();
+                if (!self || self->stopped_) return;
+                spdlog::error("{}: more than the bounded number of control messages wait; leaving the server", self->name_);
+                self->server_->wantConnection(false);
+                self->serverDown("control messages arrived faster than they could be handled");
+            });
+            return;
+    }
+}
+
+void EntityManager::drain() {
+    for (int handled = 0; handled < kEventsPerTurn; ++handled) {
+        const auto event = inbox_.take();
+        if (!event) {
+            afterEvents();
+            return;
+        }
+        if (!stopped_) event();
+    }
+    afterEvents();
+    asio::post(strand_, [weak = weak_from_this()] {
+        if (const auto self = weak.lock()) self->drain();
+    });
+}
+
+void EntityManager::afterEvents() {
+    const auto state = core_->state();
+    if (const auto before = state_.exchange(state); before != state) {
+        const auto reason = core_->status().reason;
+        spdlog::info("{}: {} -> {}{}{}", name_, toString(before), toString(state), reason.empty() ? "" : ": ", reason);
+    }
+    if (const bool latched = core_->latched(); std::exchange(latched_, latched) != latched)
+        spdlog::info("{}: {}", name_, latched ? "stopped and latched" : "rearmed");
+    armTimer();
+}
+
+void EntityManager::armTimer() {
+    if (stopped_) return;
+    const auto deadline = core_->nextDeadline();
+    if (deadline == armed_) return;
+    armed_ = deadline;
+    if (deadline == TimePoint::max()) {
+        timer_.cancel();
+        return;
+    }
+    timer_.expires_at(deadline);
+    timer_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
+        if (cancelled) return;
+        const auto self = weak.lock();
+        if (!self || self->stopped_) return;
+        self->armed_ = TimePoint::max();
+        self->core_->onTimer();
+        self->afterEvents();
+    });
+}
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <asio/any_io_executor.hpp>
+#include <asio/steady_timer.hpp>
+#include <asio/strand.hpp>
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "common/clock.hpp"
+#include "common/ids.hpp"
+#include "entity_manager/back_end_interface.hpp"
+#include "entity_manager/entity_communicator.hpp"
+#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/inbox.hpp"
+
+namespace axon::entity_manager {
+
+/// One Entity Manager as it runs: the core on a strand, the link to its robot application and the sessions with the
+/// server (thesis: EntityManager). The daemon has one; a benchmark has thousands on one executor and one pair of
+/// communicators.
+///
+/// Threads: everything is confined to the strand but the way of a stop: the signal thread writes it to the Entity
+/// Interfacer, raises the generation, and only then tells the strand (architecture, section 7.1).
+/// Ownership: a shared object, because pushes of the server may be under way while it ends. stop() before the last
+/// reference is dropped.
+class EntityManager final : public ServerEvents, private BackEndEvents, public std::enable_shared_from_this<EntityManager> {
+  public:
+    using Strand = asio::strand<asio::any_io_executor>;
+    /// The link to the robot application, and what begins it; a benchmark puts one in memory here.
+    struct BackEnd {
+        std::unique_ptr<BackEndPort> port;
+        std::function<void()> start, close;
+    };
+    using BackEndFactory = std::function<BackEnd(const Strand&, const StopGate&, BackEndEvents&)>;
+    /// The one over TCP.
+    static BackEndFactory overTcp(BackEndSettings settings, RandomSource& random);
+
+    /// The executor's threads run the strand; it and all references must outlive the object.
+    static std::shared_ptr<EntityManager> create(asio::any_io_executor executor,
+                                                 std::shared_ptr<ServerCommunicators> ice, CoreSettings settings,
+                                                 ServerAddress server, const BackEndFactory& back_end, Clock& clock,
+                                                 RandomSource& random, Storage& storage, ResourceStore& resources);
+    ~EntityManager() override;
+
+    void start();
+    /// Stops the robot, leaves the server, closes the link. Blocks until the strand has done so (below a second).
+    void stop();
+
+    /// Copies made on the strand after each event; any thread.
+    EntityState state() const { return state_.load(); }
+    const std::string& uuid() const { return core_->uuid(); }
+
+    // ServerEvents, on Ice's threads.
+    void serverUp() override;
+    void serverDown(const std::string& reason) override;
+    void clientMsg(Header head, std::string bytes) override;
+    void clientMsgDataSeq(Header head, std::string bytes) override;
+    void stopSignal(Header head, StopCause cause) override;
+    void resetSignal(Header head) override;
+    void clearSignal(Header head) override;
+    void clientUpdate(Header head, ClientChange change) override;
+    void serverHeartbeat() override;
+    void undeliverable(const Header& head, int code, const std::string& reason) override;
+
+  private:
+    EntityManager(asio::any_io_executor executor, std::string name);
+
+    // BackEndEvents, on the strand.
+    void onLinkUp() override;
+    void onLinkDown(const std::string& reason) override;
+    void onLinkMessage(const proto::EiToEm& message) override;
+    void onLinkRefused(const Refusal& refusal) override;
+
+    void wake(Inbox::Verdict verdict);
+    void drain();
+    void afterEvents();
+    void armTimer();
+
+    Strand strand_;
+    const std::string name_;
+    Inbox inbox_;
+    StopGate gate_;
+    BackEnd back_end_;
+    std::unique_ptr<EntityCommunicator> server_;
+    std::unique_ptr<EntityManagerCore> core_;
+    asio::steady_timer timer_;
+    TimePoint armed_ = TimePoint::max();
+    std::atomic<EntityState> state_{EntityState::UNAV};
+    bool latched_ = false;
+    bool stopped_ = false;
+};
+
+}  // namespace axon::entity_manager

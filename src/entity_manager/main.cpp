@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <Ice/Ice.h>
+#include <spdlog/spdlog.h>
+
+#include <asio/thread_pool.hpp>
+#include <future>
+#include <iostream>
+
+#include "entity_manager/daemon_options.hpp"
+#include "entity_manager/entity_manager.hpp"
+#include "entity_manager/file_storage.hpp"
+#include "entity_manager/server_communicators.hpp"
+
+int main(int argc, char** argv) {
+    using namespace axon;
+    using namespace axon::entity_manager;
+
+    Ice::CtrlCHandler interrupts;  // first: it blocks the signals before any thread exists
+    try {
+        const auto options = readDaemonOptions(argc, argv);
+        if (options.exit_code) return *options.exit_code;
+        spdlog::set_level(spdlog::level::from_str(options.log_level));
+
+        SteadyClock clock;
+        SystemRandom random;
+        FileStorage storage(options.state_folder);
+        FileResourceStore resources(options.state_folder);
+        asio::thread_pool executor(1);
+        const auto ice = std::make_shared<ServerCommunicators>(1, 1);
+        const auto manager = EntityManager::create(executor.get_executor(), ice, options.core, options.server,
+                                                   EntityManager::overTcp(options.back_end, random), clock, random, storage,
+                                                   resources);
+
+        std::promise<void> ended;
+        std::atomic_flag once;
+        interrupts.setCallback([&](int) {
+            if (!once.test_and_set()) ended.set_value();
+        });
+        manager->start();
+        std::cout << "ready application=" << options.core.application << " entity=" << manager->uuid()
+                  << " server=" << options.server.host << ':' << options.server.port << std::endl;
+        ended.get_future().wait();
+        manager->stop();
+        executor.join();
+        return 0;
+    } catch (const std::exception& problem) {
+        std::cerr << "axon-entity-manager: " << problem.what() << std::endl;
+        return 2;
+    }
+}

@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/server_communicators.hpp"
+
+#include "transport/communicator.hpp"
+
+namespace axon::entity_manager {
+
+ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads)
+    : data_(transport::makeCommunicator({.name = "axon-em-data", .lane = Lane::Data, .client_threads = data_threads})),
+      signal_(transport::makeCommunicator({.name = "axon-em-signal", .lane = Lane::Signal, .client_threads = signal_threads})),
+      data_adapter_(data_->createObjectAdapter("")),
+      signal_adapter_(signal_->createObjectAdapter("")) {
+    data_adapter_->activate();
+    signal_adapter_->activate();
+}
+
+}  // namespace axon::entity_manager

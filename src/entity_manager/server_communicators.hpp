@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+#include <memory>
+
+namespace axon::entity_manager {
+
+/// The two Ice communicators of a process that hosts Entity Managers, shared by all of them: data, and signals with a
+/// client thread pool of its own, because pushes over an outgoing connection are dispatched by that pool
+/// (performance.md). Destroying it closes every connection and joins the threads, so it outlives its Entity Managers.
+class ServerCommunicators {
+  public:
+    /// Throws std::runtime_error for settings Ice does not accept.
+    explicit ServerCommunicators(int data_threads = 2, int signal_threads = 1);
+
+    const std::shared_ptr<Ice::Communicator>& data() const { return data_.communicator(); }
+    const std::shared_ptr<Ice::Communicator>& signal() const { return signal_.communicator(); }
+    const std::shared_ptr<Ice::ObjectAdapter>& dataAdapter() const { return data_adapter_; }
+    const std::shared_ptr<Ice::ObjectAdapter>& signalAdapter() const { return signal_adapter_; }
+
+  private:
+    Ice::CommunicatorHolder data_;
+    Ice::CommunicatorHolder signal_;
+    std::shared_ptr<Ice::ObjectAdapter> data_adapter_;  // no endpoints: pushes come over our own connections
+    std::shared_ptr<Ice::ObjectAdapter> signal_adapter_;
+};
+
+}  // namespace axon::entity_manager

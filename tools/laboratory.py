@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Axon's programs as real processes, for ./demo and the end-to-end tests: each with its log, ended by its own id."""
+import json
+import os
+import pathlib
+import signal
+import subprocess
+import tempfile
+import time
+
+
+class Failed(Exception):
+    """Something did not do what it should; the text says what was expected and what came."""
+
+
+class Process:
+    def __init__(self, name, command, folder, env):
+        self.name = name
+        self.command = [str(word) for word in command]
+        self.log = folder / f"{name}.log"
+        self.output = open(self.log, "ab")
+        self.child = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=self.output,
+                                      stderr=subprocess.STDOUT, env=env, start_new_session=True)
+
+    def text(self):
+        return self.log.read_text(errors="replace")
+
+    def wait_for(self, begin, seconds=15.0):
+        """The first line that begins with `begin`."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            for line in self.text().splitlines():
+                if line.startswith(begin):
+                    return line
+            if self.child.poll() is not None:
+                break
+            time.sleep(0.005)
+        tail = "\n".join(self.text().splitlines()[-8:])
+        raise Failed(f"{self.name} did not say '{begin}' within {seconds:g} s; its log ends:\n{tail}")
+
+    def kill(self):
+        """kill -9: nothing of it can say good-bye."""
+        self.child.kill()
+        self.child.wait()
+        self.output.close()
+
+    def end(self):
+        """The orderly end; the exit status."""
+        if self.child.poll() is None:
+            self.child.send_signal(signal.SIGTERM)
+            try:
+                self.child.wait(5)
+            except subprocess.TimeoutExpired:
+                self.child.kill()
+                self.child.wait()
+        self.output.close()
+        return self.child.returncode
+
+
+def addresses(ready_line):
+    """{"client": "127.0.0.1:10410", …} of "ready client=127.0.0.1:10410 …"."""
+    return dict(word.split("=", 1) for word in ready_line.split()[1:] if "=" in word)
+
+
+def wait_until(holds, what, seconds=10.0):
+    """Polls an effect of real processes; raises Failed with `what` when it does not come about."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if value := holds():
+            return value
+        time.sleep(0.02)
+    raise Failed(f"{what}: not within {seconds:g} s")
+
+
+class Laboratory:
+    """A server and any number of entities on loopback, on ports of their own, in a folder of its own."""
+
+    def __init__(self, programs, application="peoplebot", ports="5500-8000"):
+        self.bin = pathlib.Path(programs).resolve()
+        self.folder = pathlib.Path(tempfile.mkdtemp(prefix="axon-"))
+        self.application = application
+        self.ports = ports
+        self.env = dict(os.environ, XDG_RUNTIME_DIR=str(self.folder), XDG_STATE_HOME=str(self.folder / "state"))
+        for name in ("AXON_SERVER", "AXON_AGENT"):
+            self.env.pop(name, None)
+        self.processes = []
+
+    def start(self, name, program, *options):
+        process = Process(name, [self.bin / program, *options], self.folder, self.env)
+        self.processes.append(process)
+        return process
+
+    def start_server(self, fixed_ports=None):
+        """On free ports, or on those of an earlier start (a dict as addresses() returns)."""
+        at = fixed_ports or {}
+        options = []
+        for option, key in (("--client-endpoint", "client"), ("--client-signal-endpoint", "client-signal"),
+                            ("--entity-endpoint", "entity"), ("--entity-signal-endpoint", "entity-signal")):
+            options += [option, at.get(key, "127.0.0.1:0")]
+        self.server = self.start(f"axon-server-{len(self.processes)}", "axon-server", *options)
+        self.at = addresses(self.server.wait_for("ready "))
+        self.env["AXON_SERVER"] = self.at["client"]
+        return self.server
+
+    def start_robot(self, port=0, name="lab"):
+        """A virtual PeopleBot; returns the process, with .address and .truth_file."""
+        truth = self.folder / f"{name}.truth"
+        lab = self.start(f"{name}-{len(self.processes)}", "axon-lab", "--port", str(port), "--truth", truth)
+        lab.address = next(iter(addresses(lab.wait_for("ready ")).values()))
+        lab.truth_file = truth
+        return lab
+
+    def start_application(self, robot_address, suffix=""):
+        return self.start(f"app{suffix}-{len(self.processes)}", "axon-peoplebot", "--robot", robot_address,
+                          "--application", self.application + suffix, "--ports", self.ports)
+
+    def start_manager(self, suffix="", *options):
+        return self.start(f"em{suffix}-{len(self.processes)}", "axon-entity-manager", "--application",
+                          self.application + suffix, "--server", self.at["entity"], "--ports", self.ports, *options)
+
+    def axon(self, *words, timeout=60, env=None):
+        """`axon --json words…`: (exit status, the JSON objects it printed, what it said on stderr)."""
+        done = subprocess.run([self.bin / "axon", "--json", *words], env=env or self.env, stdin=subprocess.DEVNULL,
+                              capture_output=True, timeout=timeout, check=False)
+        lines = [json.loads(line) for line in done.stdout.decode().splitlines() if line.startswith("{")]
+        return done.returncode, lines, done.stderr.decode(errors="replace")
+
+    def axon_in_background(self, name, *words):
+        """`axon --json words…` as a process of the laboratory, to be killed or ended."""
+        return self.start(f"{name}-{len(self.processes)}", "axon", "--json", *words)
+
+    def entities(self):
+        _, lines, _ = self.axon("ls")
+        return [entity for line in lines for entity in line.get("entities", [line]) if "state" in entity]
+
+    def wait_for_entity(self, name="PeopleBot", state="IDLE", count=1, seconds=15.0):
+        def there():
+            found = [e for e in self.entities() if e["name"] == name and e["state"] == state]
+            return found if len(found) >= count else None
+        return wait_until(there, f"{count} × {name} in {state}", seconds)
+
+    @staticmethod
+    def truth(robot):
+        """The newest ground truth of a virtual robot: {"x_m":…, "y_m":…, "theta_deg":…, "speed_m_s":…}."""
+        lines = robot.truth_file.read_text().splitlines() if robot.truth_file.exists() else []
+        for line in reversed(lines):
+            if line.endswith("}"):
+                return json.loads(line)
+        return {}
+
+    def wait_until_moving(self, robot, seconds=15.0):
+        return wait_until(lambda: abs(self.truth(robot).get("speed_m_s", 0)) > 0.1, "the robot moves", seconds)
+
+    def wait_until_standing(self, robot, seconds=5.0):
+        return wait_until(lambda: abs(self.truth(robot).get("speed_m_s", 1)) < 0.02, "the robot stands", seconds)
+
+    def end(self):
+        subprocess.run([self.bin / "axon", "agent", "stop"], env=self.env, stdout=subprocess.DEVNULL,
+                       stderr=subprocess.DEVNULL, timeout=20, check=False)
+        for process in reversed(self.processes):
+            process.end()
