@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/arguments.hpp"
+
+#include <algorithm>
+#include <cctype>
+
+#include "messages/text.hpp"
+
+namespace axon::cli {
+namespace {
+
+char folded(char c) {
+    if (c == '_' || c == '-') return ' ';
+    return static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+}
+
+std::string nameList(const std::vector<std::string_view>& names) {
+    std::vector<std::string> list(names.begin(), names.end());
+    return alternatives(list);
+}
+
+/// The one of `things` that a person means by `name`.
+template <class Thing, class NameOf>
+Result<const Thing*> findByName(const std::vector<Thing>& things, std::string_view name, NameOf nameOf,
+                                RefusalCode unknown, const std::string& owner, const std::string& kind) {
+    std::vector<std::string_view> names;
+    std::vector<const Thing*> similar;
+    for (const auto& thing : things) {
+        if (nameOf(thing) == name) return &thing;
+        names.push_back(nameOf(thing));
+        if (sameToAPerson(nameOf(thing), name)) similar.push_back(&thing);
+    }
+    if (similar.size() == 1) return similar.front();
+    if (similar.size() > 1) {
+        std::vector<std::string_view> candidates;
+        for (const auto* thing : similar) candidates.push_back(nameOf(*thing));
+        return Refusal{unknown, inQuotes(name) + " may be " + nameList(candidates) + ": write it exactly"};
+    }
+    auto message = owner + " has no " + kind + " " + inQuotes(name);
+    if (const auto near = nearNames(name, names); !near.empty()) {
+        message += ": did you mean " + alternatives(near) + "?";
+    } else if (names.empty()) {
+        message += ", nor any other";
+    } else if (names.size() <= 8) {
+        message += "; it has " + nameList(names);
+    }
+    return Refusal{unknown, message};
+}
+
+}  // namespace
+
+bool sameToAPerson(std::string_view a, std::string_view b) {
+    return std::equal(a.begin(), a.end(), b.begin(), b.end(),
+                      [](char x, char y) { return folded(x) == folded(y); });
+}
+
+Result<const Service*> findService(const std::vector<Service>& services, std::string_view name) {
+    auto by_name = findByName(
+        services, name, [](const Service& s) -> std::string_view { return s.name; },
+        RefusalCode::UnknownService, "the entity", "service");
+    if (by_name) return by_name;
+    for (const auto& service : services) {
+        if (!service.global_id.empty() && service.global_id == name) return &service;
+    }
+    return by_name;
+}
+
+Result<const Parameter*> findParameter(const Service& service, std::string_view name) {
+    return findByName(
+        service.parameters, name, [](const Parameter& p) -> std::string_view { return p.name; },
+        RefusalCode::UnknownParameter, inQuotes(service.name), "parameter");
+}
+
+Result<const client::Resource*> findResource(const Service& service, std::string_view name) {
+    return findByName(
+        service.resources, name, [](const client::Resource& r) -> std::string_view { return r.name; },
+        RefusalCode::UnknownResource, inQuotes(service.name), "resource");
+}
+
+std::optional<Measure> splitMeasure(std::string_view text) {
+    const auto digit = [&](std::size_t at) {
+        return at < text.size() && std::isdigit(static_cast<unsigned char>(text[at])) != 0;
+    };
+    std::size_t i = 0;
+    if (i < text.size() && (text[i] == '+' || text[i] == '-')) ++i;
+    const auto first = i;
+    while (digit(i)) ++i;
+    auto digits = i - first;
+    if (i < text.size() && text[i] == '.') {
+        const auto point = ++i;
+        while (digit(i)) ++i;
+        digits += i - point;
+    }
+    if (digits == 0) return std::nullopt;
+    if (i < text.size() && (text[i] == 'e' || text[i] == 'E')) {
+        auto exponent = i + 1;
+        if (exponent < text.size() && (text[exponent] == '+' || text[exponent] == '-')) ++exponent;
+        if (digit(exponent)) {
+            i = exponent;
+            while (digit(i)) ++i;
+        }
+    }
+    const auto units = trimmed(text.substr(i));
+    // A letter, a sign such as % or °; not a second number ("1,2", "1:30").
+    if (units.empty()) return std::nullopt;
+    const auto lead = static_cast<unsigned char>(units.front());
+    if (std::isalpha(lead) == 0 && lead != '%' && lead < 0x80U) return std::nullopt;
+    return Measure{std::string(text.substr(0, i)), std::string(units)};
+}
+
+Result<std::vector<Argument>> readArguments(const Service& service, const std::vector<std::string>& words) {
+    std::vector<Argument> arguments;
+    for (const auto& word : words) {
+        const auto equals = word.find('=');
+        if (equals == std::string::npos || equals == 0) {
+            return Refusal{RefusalCode::Malformed, "expected PARAMETER=VALUE, found " + inQuotes(word)};
+        }
+        const auto parameter = findParameter(service, trimmed(std::string_view(word).substr(0, equals)));
+        if (!parameter) return parameter.refusal();
+        const auto& meta = *parameter.value();
+        auto value = word.substr(equals + 1);
+        std::string units;
+        const bool number = meta.data_type == "INT" || meta.data_type == "DBL";
+        if (number && !meta.units.empty()) {
+            if (const auto measure = splitMeasure(value)) {
+                value = measure->number;
+                units = measure->units;
+            }
+        }
+        const auto same = std::find_if(arguments.begin(), arguments.end(),
+                                       [&](const Argument& a) { return a.name == meta.name; });
+        if (same == arguments.end()) {
+            arguments.push_back({meta.name, {value}, units, true});
+        } else {
+            if (!meta.multiple) {
+                return Refusal{RefusalCode::WrongType,
+                               inQuotes(meta.name) + " takes one value and was given more"};
+            }
+            if (same->units.empty()) same->units = units;
+            if (!units.empty() && units != same->units) {
+                return Refusal{RefusalCode::WrongUnits, inQuotes(meta.name) + " was given in " +
+                                                            inQuotes(same->units) + " and in " +
+                                                            inQuotes(units)};
+            }
+            same->values.emplace_back(value);
+        }
+    }
+    return arguments;
+}
+
+}  // namespace axon::cli

@@ -1,0 +1,228 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/arguments.hpp"
+
+#include <gmock/gmock.h>
+
+#include "cli/command_line.hpp"
+#include "cli/fake_station.hpp"
+#include "cli/words.hpp"
+
+using namespace axon;
+using namespace axon::cli;
+using testing::HasSubstr;
+
+namespace {
+
+const Service& driving() {
+    static const Service service = FakeStation().services_.front();
+    return service;
+}
+
+std::string textAt(const Argument& argument, std::size_t i) {
+    return std::get<std::string>(argument.values.at(i));
+}
+
+Parsed parse(std::vector<std::string> words) {
+    return parseCommandLine(std::move(words), [](const char*) { return static_cast<const char*>(nullptr); });
+}
+
+}  // namespace
+
+TEST(ReadArguments, ResolvesNamesAsPeopleTypeThem) {
+    for (const auto* word : {"Range Threshold=500", "range_threshold=500", "RANGE-THRESHOLD=500", " range threshold =500"}) {
+        const auto arguments = readArguments(driving(), {word});
+        ASSERT_TRUE(arguments) << word;
+        EXPECT_EQ(arguments->at(0).name, "Range Threshold");
+        EXPECT_EQ(textAt(arguments->at(0), 0), "500");
+        EXPECT_TRUE(arguments->at(0).from_text);
+    }
+}
+
+TEST(ReadArguments, TakesUnitsOffNumbersOnly) {
+    const auto arguments = readArguments(driving(), {"Distance=1500 mm", "Range Threshold=1e3", "Colours=5mm"});
+    ASSERT_TRUE(arguments);
+    EXPECT_EQ(textAt(arguments->at(0), 0), "1500");
+    EXPECT_EQ(arguments->at(0).units, "mm");
+    EXPECT_EQ(textAt(arguments->at(1), 0), "1e3");
+    EXPECT_EQ(arguments->at(1).units, "");
+    EXPECT_EQ(textAt(arguments->at(2), 0), "5mm");
+}
+
+TEST(ReadArguments, CollectsRepeatedKeysOfMultipleParameters) {
+    const auto arguments = readArguments(driving(), {"Colours=red", "colours=green"});
+    ASSERT_TRUE(arguments);
+    ASSERT_EQ(arguments->size(), 1U);
+    EXPECT_EQ(arguments->at(0).values.size(), 2U);
+}
+
+TEST(ReadArguments, RefusesARepeatedKeyOfASingleParameter) {
+    const auto arguments = readArguments(driving(), {"Distance=1", "distance=2"});
+    ASSERT_FALSE(arguments);
+    EXPECT_EQ(arguments.refusal().code, RefusalCode::WrongType);
+}
+
+TEST(ReadArguments, KeepsEmptyValuesAndFurtherEqualsSigns) {
+    const auto arguments = readArguments(driving(), {"Colours=", "Colours=a=b"});
+    ASSERT_TRUE(arguments);
+    EXPECT_EQ(textAt(arguments->at(0), 0), "");
+    EXPECT_EQ(textAt(arguments->at(0), 1), "a=b");
+}
+
+TEST(ReadArguments, NamesTheNearOnesOfAnUnknownParameter) {
+    const auto arguments = readArguments(driving(), {"Distanz=1"});
+    ASSERT_FALSE(arguments);
+    EXPECT_EQ(arguments.refusal().code, RefusalCode::UnknownParameter);
+    EXPECT_THAT(arguments.refusal().message, HasSubstr("did you mean \"Distance\"?"));
+}
+
+TEST(ReadArguments, RefusesAWordThatIsNoPair) {
+    for (const auto* word : {"1000", "=1000", ""}) {
+        const auto arguments = readArguments(driving(), {word});
+        ASSERT_FALSE(arguments) << word;
+        EXPECT_EQ(arguments.refusal().code, RefusalCode::Malformed);
+    }
+}
+
+TEST(ReadArguments, RefusesTwoUnitsForOneParameter) {
+    auto service = driving();
+    service.parameters[0].multiple = true;
+    const auto arguments = readArguments(service, {"Distance=1mm", "Distance=1m"});
+    ASSERT_FALSE(arguments);
+    EXPECT_EQ(arguments.refusal().code, RefusalCode::WrongUnits);
+}
+
+TEST(FindService, PrefersTheExactNameAndTakesTheOnlySimilarOne) {
+    auto other = driving();
+    other.name = "DRIVING";
+    const std::vector<Service> both{driving(), other};
+    EXPECT_EQ(findService(both, "DRIVING").value(), &both[1]);
+    EXPECT_FALSE(findService(both, "driving"));
+    const std::vector<Service> one{driving()};
+    EXPECT_TRUE(findService(one, "driving"));
+    EXPECT_TRUE(findService(one, "peoplebot_drive"));
+    const auto unknown = findService(one, "Drivign");
+    ASSERT_FALSE(unknown);
+    EXPECT_THAT(unknown.refusal().message, HasSubstr("\"Driving\""));
+}
+
+TEST(SplitMeasure, TellsNumbersFromMeasures) {
+    EXPECT_FALSE(splitMeasure("1500"));
+    EXPECT_FALSE(splitMeasure("1e3"));
+    EXPECT_FALSE(splitMeasure("-1.5"));
+    EXPECT_FALSE(splitMeasure("fast"));
+    EXPECT_FALSE(splitMeasure("1,2"));
+    EXPECT_FALSE(splitMeasure(""));
+    EXPECT_FALSE(splitMeasure("."));
+    EXPECT_EQ(splitMeasure("-1.5e-3m/s")->number, "-1.5e-3");
+    EXPECT_EQ(splitMeasure("-1.5e-3m/s")->units, "m/s");
+    EXPECT_EQ(splitMeasure("5e")->units, "e");
+    EXPECT_EQ(splitMeasure("90°")->units, "°");
+    EXPECT_EQ(splitMeasure(".5 %")->units, "%");
+}
+
+TEST(CommandLine, ReadsAVerbWithGlobalOptionsAfterIt) {
+    const auto parsed = parse({"run", "PeopleBot", "Driving", "Distance=-1000", "Range Threshold=[1,2]", "--json",
+                               "--server", "lab:4000", "--wait", "2.5"});
+    ASSERT_TRUE(parsed.line) << parsed.err;
+    EXPECT_STREQ(parsed.line->verb->name, "run");
+    EXPECT_EQ(parsed.line->args["parameters"], Json({"Distance=-1000", "Range Threshold=[1,2]"}));
+    EXPECT_EQ(parsed.line->args["wait"], 2.5);
+    EXPECT_TRUE(parsed.line->settings.json);
+    EXPECT_EQ(parsed.line->settings.server, "lab:4000");
+}
+
+TEST(CommandLine, TakesAnOperandThatIsCalledLikeAVerb) {
+    const auto parsed = parse({"run", "reset", "stop"});
+    ASSERT_TRUE(parsed.line) << parsed.err;
+    EXPECT_STREQ(parsed.line->verb->name, "run");
+    EXPECT_EQ(parsed.line->args["entity"], "reset");
+    EXPECT_EQ(parsed.line->args["service"], "stop");
+}
+
+TEST(CommandLine, LeavesTheCommandUnderCheckoutAlone) {
+    const auto parsed = parse({"--timeout", "3", "checkout", "A", "B", "--json", "--", "ls", "--help", "--", "-x"});
+    ASSERT_TRUE(parsed.line) << parsed.err;
+    EXPECT_EQ(parsed.line->args["entity"], Json({"A", "B"}));
+    EXPECT_EQ(parsed.line->command, (std::vector<std::string>{"ls", "--help", "--", "-x"}));
+    EXPECT_TRUE(parsed.line->settings.json);
+}
+
+TEST(CommandLine, SendsTextsThatLookLikeOptionsOrLists) {
+    auto parsed = parse({"send", "A", "--", "--raw"});
+    ASSERT_TRUE(parsed.line) << parsed.err;
+    EXPECT_EQ(parsed.line->args["text"], "--raw");
+    parsed = parse({"send", "A", "[1, 2]"});
+    ASSERT_TRUE(parsed.line) << parsed.err;
+    EXPECT_EQ(parsed.line->args["text"], "[1, 2]");
+    parsed = parse({"send", "A", "--raw", "hi"});
+    ASSERT_TRUE(parsed.line) << parsed.err;
+    EXPECT_EQ(parsed.line->args["hex"], "6869");
+}
+
+TEST(CommandLine, SaysWhatIsWrongAndHowToMendIt) {
+    for (const auto& [words, expected] : std::vector<std::pair<std::vector<std::string>, std::string>>{
+             {{"rnu"}, "did you mean \"run\"?"},
+             {{"run", "A"}, "Usage: axon run ENTITY SERVICE [PARAMETER=VALUE…]"},
+             {{"ls", "--colour"}, "Usage: axon ls"},
+             {{"send", "A"}, "a TEXT or --file FILE"},
+             {{"upload", "A", "S", "R", "/no/such/file"}, "found none at \"/no/such/file\""},
+             {{"watch", "A", "--for", "long"}, "Usage: axon watch"},
+             {{"ls", "--server", "here"}, "HOST:PORT"},
+             {{"ls", "--timeout", "0"}, "Usage"},
+             {{"completion", "tcsh"}, "bash"},
+             {{"profile", "mend", "a.xml"}, "check"}}) {
+        const auto parsed = parse(words);
+        EXPECT_FALSE(parsed.line) << words.front();
+        EXPECT_EQ(parsed.exit, kUsage);
+        EXPECT_THAT(parsed.err, HasSubstr(expected));
+        EXPECT_THAT(parsed.err, HasSubstr("mend: "));
+    }
+}
+
+TEST(CommandLine, HelpTeachesByExamples) {
+    const auto root = parse({"--help"});
+    EXPECT_EQ(root.exit, kDone);
+    EXPECT_THAT(root.out, HasSubstr("axon run PeopleBot Driving Distance=1000"));
+    EXPECT_THAT(root.out, testing::Not(HasSubstr("__complete")));
+    for (const auto* verb : verbs()) {
+        if (verb->hidden) continue;
+        const auto help = parse({verb->name, "--help"});
+        EXPECT_EQ(help.exit, kDone) << verb->name;
+        EXPECT_THAT(help.out, HasSubstr("Examples:")) << verb->name;
+        EXPECT_THAT(help.out, HasSubstr(std::string("Usage: axon ") + verb->name)) << verb->name;
+    }
+}
+
+TEST(CommandLine, TakesTheServerFromTheEnvironmentUnlessTold) {
+    const auto environment = [](const char* name) { return std::string_view(name) == "AXON_SERVER" ? "lab:1" : nullptr; };
+    EXPECT_EQ(parseCommandLine({"ls"}, environment).line->settings.server, "lab:1");
+    EXPECT_EQ(parseCommandLine({"ls", "--server", "lab:2"}, environment).line->settings.server, "lab:2");
+}
+
+TEST(Words, NumbersEntitiesOfOneName) {
+    const FakeStation station;
+    const auto all = station.entities();
+    EXPECT_EQ(callName(all[0], all), "PeopleBot#1");
+    EXPECT_EQ(callName(all[1], all), "PeopleBot#2");
+    EXPECT_EQ(callName(all[2], all), "Cyton");
+}
+
+TEST(Words, QuotesForTheShellWhatNeedsIt) {
+    EXPECT_EQ(shellWord("PeopleBot#2"), "PeopleBot#2");
+    EXPECT_EQ(shellWord("Cyton Arm"), "'Cyton Arm'");
+    EXPECT_EQ(shellWord("it's"), "'it'\\''s'");
+    EXPECT_EQ(shellWord(""), "''");
+}
+
+TEST(Words, NamesTheHolderAndTheMendOfARefusal) {
+    const auto event = errorEvent({RefusalCode::AlreadyHeld, "PeopleBot is held", "eve@lab"}, "PeopleBot");
+    EXPECT_EQ(event["code"], "ALREADY_HELD");
+    EXPECT_EQ(event["holder"], "eve@lab");
+    EXPECT_THAT(event["mend"].get<std::string>(), HasSubstr("eve@lab"));
+    EXPECT_EQ(errorEvent({RefusalCode::Latched, "stopped", {}}, "Cyton Arm")["mend"],
+              "axon rearm 'Cyton Arm', when it is safe to move again");
+}
+
+TEST(Words, SurvivesTextThatIsNoUtf8) {
+    EXPECT_EQ(line({{"text", "a\xff"}}), "{\"text\":\"a\xEF\xBF\xBD\"}");
+}

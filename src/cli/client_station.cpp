@@ -1,0 +1,228 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/client_station.hpp"
+
+#include <algorithm>
+#include <deque>
+#include <map>
+#include <mutex>
+
+namespace axon::cli {
+namespace {
+
+using client::CheckOut;
+using client::Client;
+using client::Task;
+
+/// Check-outs and tasks by name, and one callback of the library spread to those who listen.
+class ClientStation final : public Station {
+  public:
+    explicit ClientStation(std::unique_ptr<Client> client) : client_(std::move(client)) {}
+
+    Sender self() const override { return client_->self(); }
+    std::string server() const override { return client_->server(); }
+    bool connected() const override { return client_->connected(); }
+    std::vector<Entity> entities() const override { return client_->entities(); }
+    Result<Entity> find(const std::string& name) const override { return client_->find(name); }
+    Result<std::vector<Service>> services(const std::string& entity) const override {
+        return client_->services(entity);
+    }
+    Result<std::vector<Receipt>> stop(const std::vector<std::string>& entities, Seconds deadline) override {
+        return client_->stop(entities, deadline);
+    }
+    Result<void> rearm(const std::string& entity) override { return client_->rearm(entity); }
+
+    std::vector<Entity> held() const override {
+        std::vector<Entity> entities;
+        for (const auto& check_out : client_->held()) entities.push_back(check_out.entity());
+        return entities;
+    }
+
+    std::optional<Refusal> lost(const std::string& entity) const override {
+        const std::lock_guard lock(mutex_);
+        const auto found = rooms_.find(entity);
+        return found == rooms_.end() ? std::nullopt : found->second.lost;
+    }
+
+    Result<void> checkOut(const std::vector<std::string>& entities) override {
+        auto granted = client_->checkOut(entities);
+        if (!granted) return granted.refusal();
+        for (const auto& check_out : granted.value()) {
+            const auto id = check_out.entity().id;
+            {
+                const std::lock_guard lock(mutex_);
+                rooms_[id].lost.reset();
+            }
+            check_out.onText([this, id](const std::string& text) {
+                tell(id, [&](const Listener& listener) {
+                    if (listener.text) listener.text(text);
+                });
+            });
+            check_out.onRaw([this, id](const std::string& bytes) {
+                tell(id, [&](const Listener& listener) {
+                    if (listener.raw) listener.raw(bytes);
+                });
+            });
+            check_out.onLost([this, id](const Refusal& refusal) {
+                {
+                    const std::lock_guard lock(mutex_);
+                    rooms_[id].lost = refusal;
+                }
+                tell(id, [&](const Listener& listener) {
+                    if (listener.lost) listener.lost(refusal);
+                });
+            });
+        }
+        return {};
+    }
+
+    Result<void> release(const std::string& entity) override {
+        return with(entity, [](const CheckOut& held) { return held.release(); });
+    }
+    Result<void> reset(const std::string& entity) override {
+        return with(entity, [](const CheckOut& held) { return held.reset(); });
+    }
+    Result<void> clear(const std::string& entity) override {
+        return with(entity, [](const CheckOut& held) { return held.clear(); });
+    }
+    Result<void> set(const std::string& entity, const std::string& service,
+                     const Argument& argument) override {
+        return with(entity, [&](const CheckOut& held) { return held.set(service, argument); });
+    }
+    Result<void> upload(const std::string& entity, const std::string& service, const std::string& resource,
+                        const std::filesystem::path& file,
+                        std::function<void(std::uint64_t, std::uint64_t)> progress) override {
+        return with(entity,
+                    [&](const CheckOut& held) { return held.upload(service, resource, file, progress); });
+    }
+    Result<void> sendText(const std::string& entity, const std::string& text) override {
+        return with(entity, [&](const CheckOut& held) { return held.sendText(text); });
+    }
+    Result<void> sendRaw(const std::string& entity, const std::string& bytes) override {
+        return with(entity, [&](const CheckOut& held) { return held.sendRaw(bytes); });
+    }
+
+    Result<std::string> run(const std::string& entity, const std::string& service,
+                            const std::vector<Argument>& arguments, Seconds not_after,
+                            std::function<void(const TaskReport&)> update) override {
+        const auto held = heldBy(entity);
+        if (!held) return notHolder(entity);
+        const auto task = held->run(service, arguments, not_after);
+        {
+            const std::lock_guard lock(mutex_);
+            tasks_.push_back(task);
+            // The oldest that is over goes; those that are not are as many as the EM lets wait.
+            if (tasks_.size() > kTasksKept) {
+                const auto over = std::find_if(tasks_.begin(), tasks_.end(), [](const Task& one) {
+                    return client::isFinal(one.report().state);
+                });
+                if (over != tasks_.end()) tasks_.erase(over);
+            }
+        }
+        task.onUpdate(std::move(update));
+        return task.id();
+    }
+
+    std::vector<TaskReport> tasks() const override {
+        std::vector<TaskReport> reports;
+        for (const auto& task : copyOfTasks()) reports.push_back(task.report());
+        return reports;
+    }
+
+    Result<void> control(const std::string& id, TaskAction action) override {
+        for (const auto& task : copyOfTasks()) {
+            if (task.id() != id) continue;
+            switch (action) {
+                case TaskAction::Pause:
+                    return task.pause();
+                case TaskAction::Resume:
+                    return task.resume();
+                case TaskAction::Cancel:
+                    return task.cancel();
+            }
+        }
+        return Refusal{RefusalCode::UnknownTask, "no task " + id + " was begun here", {}};
+    }
+
+    Result<std::shared_ptr<void>> watch(const std::string& entity, const std::vector<std::string>& streams,
+                                        std::function<void(const Sample&)> sample) override {
+        return client_->watch(entity, streams, std::move(sample));
+    }
+
+    std::shared_ptr<void> listen(const std::string& entity, Listener listener) override {
+        auto kept = std::make_shared<const Listener>(std::move(listener));
+        const std::lock_guard lock(mutex_);
+        auto& listeners = rooms_[entity].listeners;
+        listeners.erase(
+            std::remove_if(listeners.begin(), listeners.end(), [](const auto& one) { return one.expired(); }),
+            listeners.end());
+        listeners.push_back(kept);
+        return std::const_pointer_cast<Listener>(kept);
+    }
+
+  private:
+    static constexpr std::size_t kTasksKept = 64;
+
+    struct Room {
+        std::optional<Refusal> lost;
+        std::vector<std::weak_ptr<const Listener>> listeners;
+    };
+
+    std::optional<CheckOut> heldBy(const std::string& entity) const {
+        for (auto& check_out : client_->held()) {
+            if (check_out.entity().id == entity) return check_out;
+        }
+        return std::nullopt;
+    }
+
+    static Refusal notHolder(const std::string& entity) {
+        return {RefusalCode::NotHolder, entity + " is not checked out here", {}};
+    }
+
+    template <class Call>
+    Result<void> with(const std::string& entity, Call call) const {
+        const auto held = heldBy(entity);
+        if (!held) return notHolder(entity);
+        return call(*held);
+    }
+
+    template <class Call>
+    void tell(const std::string& entity, Call call) const {
+        std::vector<std::shared_ptr<const Listener>> present;
+        {
+            const std::lock_guard lock(mutex_);
+            const auto found = rooms_.find(entity);
+            if (found == rooms_.end()) return;
+            for (const auto& weak : found->second.listeners) {
+                if (auto listener = weak.lock()) present.push_back(std::move(listener));
+            }
+        }
+        for (const auto& listener : present) call(*listener);
+    }
+
+    std::deque<Task> copyOfTasks() const {
+        const std::lock_guard lock(mutex_);
+        return tasks_;
+    }
+
+    mutable std::mutex mutex_;
+    // guarded by mutex_
+    std::map<std::string, Room> rooms_;  // by entity
+    std::deque<Task> tasks_;
+    const std::unique_ptr<Client> client_;  // last, so that it is destroyed first: its callbacks use the rest
+};
+
+}  // namespace
+
+Result<std::shared_ptr<Station>> connectStation(const Settings& settings) {
+    client::Options options;
+    options.server = settings.server;
+    options.user = settings.user;
+    options.password = settings.password;
+    options.display_name = settings.name;
+    options.timeout = Seconds(settings.timeout_s);
+    auto connected = Client::connect(std::move(options));
+    if (!connected) return connected.refusal();
+    return std::shared_ptr<Station>(std::make_shared<ClientStation>(std::move(connected).value()));
+}
+
+}  // namespace axon::cli

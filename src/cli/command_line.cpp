@@ -1,0 +1,220 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/command_line.hpp"
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <sstream>
+
+#include "messages/text.hpp"
+
+namespace axon::cli {
+namespace {
+
+constexpr const char* kRootFooter =
+    "\nTo begin:\n"
+    "  axon ls                                    what is there?\n"
+    "  axon info PeopleBot                        what can it do?\n"
+    "  axon run PeopleBot Driving Distance=1000   do it\n"
+    "  axon stop PeopleBot                        stop it, at any time, whoever holds it\n"
+    "  axon checkout PeopleBot                    keep it for yourself\n"
+    "axon VERB --help shows more. Exit status: 0 done, 1 refused or failed, 2 usage, 3 no server,\n"
+    "4 not confirmed, 5 stopped or cancelled, 130 interrupted.";
+
+/// "ENTITY", "PARAMETER=VALUE": how help and messages call an operand.
+std::string placeholder(const Operand& operand) {
+    if (operand.takes == Takes::KeyValue) return "PARAMETER=VALUE";
+    std::string text = operand.name;
+    std::transform(text.begin(), text.end(), text.begin(), [](unsigned char c) { return std::toupper(c); });
+    return text;
+}
+
+std::string usageOf(const Verb& verb) {
+    std::string text = std::string("Usage: axon ") + verb.name;
+    for (const auto& operand : verb.operands) {
+        auto word = placeholder(operand);
+        if (operand.repeated) word += "…";
+        text += operand.required ? " " + word : " [" + word + "]";
+    }
+    if (std::string_view(verb.name) == "checkout") text += " [-- COMMAND…]";
+    return text + " [OPTIONS]";
+}
+
+/// CLI11's help with the usage line from the verb's own table.
+class HelpFormatter final : public CLI::Formatter {
+  public:
+    std::string make_usage(const CLI::App* app, std::string name) const override {
+        const auto* verb = findVerb(app->get_name());
+        return verb != nullptr ? usageOf(*verb) + "\n" : CLI::Formatter::make_usage(app, name);
+    }
+};
+
+void declare(CLI::App& app, const Verb& verb, Json& args) {
+    for (const auto& operand : verb.operands) {
+        CLI::Option* declared = nullptr;
+        if (operand.repeated) {
+            declared = app.add_option_function<std::vector<std::string>>(
+                operand.name,
+                [&args, &operand](const std::vector<std::string>& words) { args[operand.name] = words; },
+                operand.help);
+            // Not Vector's own splitting: a value may hold anything.
+            declared->delimiter('\0');
+        } else {
+            declared = app.add_option_function<std::string>(
+                operand.name, [&args, &operand](const std::string& word) { args[operand.name] = word; },
+                operand.help);
+        }
+        if (!operand.choices.empty()) {
+            declared->check(
+                CLI::IsMember(std::vector<std::string>(operand.choices.begin(), operand.choices.end())));
+        }
+        declared->required(operand.required);
+        declared->type_name("");
+    }
+    for (const auto& option : verb.options) {
+        const auto name = std::string("--") + option.name;
+        switch (option.takes) {
+            case Takes::Nothing:
+                app.add_flag_callback(
+                    name, [&args, &option] { args[option.name] = true; }, option.help);
+                break;
+            case Takes::Duration:
+                app.add_option_function<double>(
+                       name, [&args, &option](double seconds) { args[option.name] = seconds; }, option.help)
+                    ->check(CLI::Range(0.0, 1e9).description(""))
+                    ->type_name("SECONDS");
+                break;
+            default:
+                app.add_option_function<std::string>(
+                       name, [&args, &option](const std::string& word) { args[option.name] = word; },
+                       option.help)
+                    ->type_name(option.takes == Takes::File ? "FILE" : "TEXT");
+        }
+    }
+}
+
+bool isVerb(const std::string& word) {
+    return findVerb(word) != nullptr;
+}
+
+/// The command after `--` of `checkout`: CLI11 would take it for more entities.
+std::vector<std::string> takeCommand(std::vector<std::string>& words) {
+    const auto dashes = std::find(words.begin(), words.end(), "--");
+    const auto verb = std::find_if(words.begin(), dashes, isVerb);
+    if (dashes == words.end() || verb == dashes || *verb != "checkout") return {};
+    std::vector<std::string> command(dashes + 1, words.end());
+    words.erase(dashes, words.end());
+    return command;
+}
+
+std::string mistake(const std::vector<std::string>& words, const std::string& what) {
+    const auto first =
+        std::find_if(words.begin(), words.end(), [](const auto& word) { return word.rfind('-', 0) != 0; });
+    if (first == words.end()) return "axon: " + what + "\nmend: axon --help\n";
+    for (const auto& word : words) {
+        if (const auto* verb = findVerb(word)) return "axon: " + what + "\nmend: " + usageOf(*verb) + "\n";
+    }
+    std::vector<std::string_view> names;
+    for (const auto* verb : verbs()) {
+        if (!verb->hidden) names.emplace_back(verb->name);
+    }
+    const auto near = nearNames(*first, names);
+    return "axon: there is no verb " + inQuotes(*first) + "\nmend: " +
+           (near.empty() ? "axon --help shows the verbs" : "did you mean " + alternatives(near) + "?") + "\n";
+}
+
+}  // namespace
+
+Parsed parseCommandLine(std::vector<std::string> words,
+                        const std::function<const char*(const char*)>& environment) {
+    Parsed parsed;
+    CommandLine line;
+    const auto from = [&](const char* name, std::string& setting) {
+        const char* value = environment(name);
+        if (value != nullptr && *value != '\0') setting = value;
+    };
+    from("AXON_SERVER", line.settings.server);
+    from("AXON_USER", line.settings.user);
+    from("AXON_PASSWORD", line.settings.password);
+
+    // The words of somebody else's half-written line: nothing of them is an option of ours.
+    if (!words.empty() && words.front() == "__complete") {
+        line.verb = findVerb("__complete");
+        line.args["words"] = std::vector<std::string>(words.begin() + 1, words.end());
+        for (std::size_t i = 1; i + 1 < words.size(); ++i) {
+            if (words[i] == "--server") line.settings.server = words[i + 1];
+        }
+        parsed.line = std::move(line);
+        return parsed;
+    }
+
+    line.command = takeCommand(words);
+    CLI::App app("Use the robots of an Axon laboratory.", "axon");
+    app.require_subcommand(1, 1);
+    const auto formatter = std::make_shared<HelpFormatter>();
+    formatter->column_width(24);
+    app.formatter(formatter);
+    app.footer(kRootFooter);
+    app.add_option("--server", line.settings.server,
+                   "Where the server is (AXON_SERVER; " + line.settings.server + ")")
+        ->type_name("HOST:PORT");
+    app.add_flag("--json", line.settings.json, "Lines of JSON instead of text");
+    app.add_option("--timeout", line.settings.timeout_s, "How long a request may take (5)")
+        ->check(CLI::Range(0.01, 3600.0).description(""))
+        ->type_name("SECONDS");
+    app.add_option("--user", line.settings.user,
+                   "Who you are to the server (AXON_USER; the password: AXON_PASSWORD)")
+        ->type_name("USER");
+    app.add_option("--name", line.settings.name, "What others see as the holder (user@host)")
+        ->type_name("NAME");
+    app.set_version_flag("--version", std::string("axon ") + AXON_VERSION);
+    // A plain list of verbs, not each one's whole help.
+    for (const auto* verb : verbs()) {
+        auto* sub = app.add_subcommand(verb->name, verb->summary);
+        sub->fallthrough();
+        if (*verb->examples != '\0')
+            sub->footer(std::string("Examples:\n") + verb->examples +
+                        "\nOptions of every verb (--server, --json, …): axon --help");
+        if (verb->hidden) sub->group("");
+        declare(*sub, *verb, line.args);
+    }
+    try {
+        auto reversed = words;
+        std::reverse(reversed.begin(), reversed.end());
+        app.parse(reversed);
+    } catch (const CLI::ParseError& error) {
+        std::ostringstream out;
+        std::ostringstream err;
+        if (error.get_exit_code() == static_cast<int>(CLI::ExitCodes::Success)) {
+            app.exit(error, out, err);
+            parsed.out = out.str();
+            return parsed;
+        }
+        if (words.empty()) {
+            parsed.out = app.help();
+        } else {
+            parsed.err = mistake(words, error.what());
+        }
+        parsed.exit = kUsage;
+        return parsed;
+    }
+    line.verb = findVerb(app.get_subcommands().front()->get_name());
+    const auto colon = line.settings.server.rfind(':');
+    if (colon == std::string::npos || colon == 0 || colon + 1 == line.settings.server.size() ||
+        line.settings.server.find_first_not_of("0123456789", colon + 1) != std::string::npos) {
+        parsed.err = "axon: expected --server HOST:PORT, found " + inQuotes(line.settings.server) +
+                     "\nmend: for example --server 127.0.0.1:10410\n";
+        parsed.exit = kUsage;
+        return parsed;
+    }
+    if (line.verb->prepare != nullptr) {
+        if (const auto wrong = line.verb->prepare(line.args); !wrong.empty()) {
+            parsed.err = "axon: " + wrong + "\nmend: " + usageOf(*line.verb) + "\n";
+            parsed.exit = kUsage;
+            return parsed;
+        }
+    }
+    parsed.line = std::move(line);
+    return parsed;
+}
+
+}  // namespace axon::cli

@@ -1,0 +1,245 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <algorithm>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "cli/session.hpp"
+#include "cli/station.hpp"
+
+namespace axon::cli {
+
+/// A laboratory of two PeopleBots and an arm that does what the test tells it: for tests only.
+class FakeStation : public Station {
+  public:
+    FakeStation() {
+        entities_ = {entity("11111111-0000-4000-8000-000000000001", "PeopleBot"),
+                     entity("22222222-0000-4000-8000-000000000002", "PeopleBot"),
+                     entity("33333333-0000-4000-8000-000000000003", "Cyton")};
+        entities_[2].type = "STATIONARY";
+        Service driving;
+        driving.name = "Driving";
+        driving.global_id = "peoplebot_drive";
+        driving.type = "SMPL";
+        driving.descr = "Drives straight ahead";
+        driving.pausable = true;
+        Parameter distance;
+        distance.name = "Distance";
+        distance.type = "INPUT";
+        distance.data_type = "INT";
+        distance.units = "mm";
+        distance.required = true;
+        distance.minimum = -5000;
+        distance.maximum = 5000;
+        Parameter threshold;
+        threshold.name = "Range Threshold";
+        threshold.type = "CONFIG";
+        threshold.data_type = "DBL";
+        threshold.units = "mm";
+        threshold.values = {Value(500.0)};
+        threshold.savable = true;
+        Parameter colours;
+        colours.name = "Colours";
+        colours.type = "INPUT";
+        colours.data_type = "STR";
+        colours.multiple = true;
+        colours.choices = {Value(std::string("red")), Value(std::string("green"))};
+        driving.parameters = {distance, threshold, colours};
+        client::Resource map;
+        map.name = "Map";
+        map.required = true;
+        driving.resources = {map};
+        driving.missing = {"Distance", "Map"};
+        services_ = {driving};
+    }
+
+    Sender self() const override { return {"me", "ana@lab", Role::Operator}; }
+    std::string server() const override { return "127.0.0.1:10410"; }
+    bool connected() const override { return true; }
+    std::vector<Entity> entities() const override { return entities_; }
+    Result<Entity> find(const std::string& name) const override {
+        std::vector<Entity> found;
+        for (const auto& one : entities_) {
+            if (one.id == name) return one;
+            if (one.name == name) found.push_back(one);
+        }
+        if (found.size() == 1) return found.front();
+        if (found.empty()) return Refusal{RefusalCode::UnknownEntity, "no entity is called \"" + name + "\"", {}};
+        return Refusal{RefusalCode::AmbiguousEntity, "several entities are called \"" + name + "\"", {}};
+    }
+    Result<std::vector<Service>> services(const std::string&) const override { return services_; }
+    Result<std::vector<Receipt>> stop(const std::vector<std::string>& entities, Seconds) override {
+        stopped = entities;
+        std::vector<Receipt> list;
+        for (const auto& one : entities_) {
+            if (!entities.empty() && std::find(entities.begin(), entities.end(), one.id) == entities.end()) continue;
+            Receipt receipt;
+            receipt.entity = one.id;
+            receipt.name = one.name;
+            receipt.state = EntityState::REG;
+            receipt.server = Seconds(0.0004);
+            receipt.manager = Seconds(0.0009);
+            if (stop_is_confirmed) receipt.callback_returned = Seconds(0.0125);
+            list.push_back(receipt);
+        }
+        return list;
+    }
+    Result<void> rearm(const std::string& id) override {
+        rearmed.push_back(id);
+        return {};
+    }
+    std::vector<Entity> held() const override {
+        const std::lock_guard lock(mutex_);
+        std::vector<Entity> list;
+        for (const auto& one : entities_) {
+            if (std::find(held_.begin(), held_.end(), one.id) != held_.end()) list.push_back(one);
+        }
+        return list;
+    }
+    std::optional<Refusal> lost(const std::string& id) const override {
+        return id == lost_id ? std::optional<Refusal>({RefusalCode::RevokedLease, "an admin took it over", "eve@lab"})
+                             : std::nullopt;
+    }
+    Result<void> checkOut(const std::vector<std::string>& ids) override {
+        if (!check_out_refusal.ok()) return check_out_refusal;
+        const std::lock_guard lock(mutex_);
+        held_.insert(held_.end(), ids.begin(), ids.end());
+        journal.push_back("checkOut");
+        return {};
+    }
+    Result<void> release(const std::string& id) override {
+        const std::lock_guard lock(mutex_);
+        held_.erase(std::remove(held_.begin(), held_.end(), id), held_.end());
+        journal.push_back("release");
+        return {};
+    }
+    Result<void> reset(const std::string&) override { return {}; }
+    Result<void> clear(const std::string&) override { return {}; }
+    Result<void> set(const std::string&, const std::string&, const Argument& argument) override {
+        set_arguments.push_back(argument);
+        return {};
+    }
+    Result<void> upload(const std::string&, const std::string&, const std::string&, const std::filesystem::path&,
+                        std::function<void(std::uint64_t, std::uint64_t)> progress) override {
+        progress(500, 1000);
+        progress(1000, 1000);
+        return {};
+    }
+    Result<void> sendText(const std::string&, const std::string& text) override {
+        sent = text;
+        return {};
+    }
+    Result<void> sendRaw(const std::string&, const std::string& bytes) override {
+        sent = bytes;
+        return {};
+    }
+    Result<std::string> run(const std::string& id, const std::string& service, const std::vector<Argument>& arguments,
+                            Seconds, std::function<void(const TaskReport&)> update) override {
+        run_arguments = arguments;
+        TaskReport report;
+        report.id = "abcdef00-0000-4000-8000-00000000000a";
+        report.entity = id;
+        report.service = service;
+        for (const auto& step : script) {
+            report.state = step.state;
+            report.progress = step.progress;
+            report.feedback = step.feedback;
+            report.reason = step.reason;
+            report.results = step.results;
+            update(report);
+        }
+        const std::lock_guard lock(mutex_);
+        last_ = report;
+        update_ = std::move(update);
+        return report.id;
+    }
+    std::vector<TaskReport> tasks() const override {
+        const std::lock_guard lock(mutex_);
+        return last_ ? std::vector{*last_} : std::vector<TaskReport>{};
+    }
+    Result<void> control(const std::string&, TaskAction action) override {
+        std::function<void(const TaskReport&)> update;
+        TaskReport report;
+        {
+            const std::lock_guard lock(mutex_);
+            journal.push_back(action == TaskAction::Cancel ? "cancel" : "pause or resume");
+            if (action != TaskAction::Cancel || !last_ || !cancel_is_heard) return {};
+            last_->state = TaskState::Cancelled;
+            last_->reason = {RefusalCode::Cancelled, "cancelled by ana@lab", {}};
+            report = *last_;
+            update = update_;
+        }
+        update(report);
+        return {};
+    }
+    Result<std::shared_ptr<void>> watch(const std::string& id, const std::vector<std::string>& streams,
+                                        std::function<void(const Sample&)> sample) override {
+        watched = streams;
+        for (const auto& one : samples) sample({id, "pose", one.first, one.second, {}});
+        return std::shared_ptr<void>();
+    }
+    std::shared_ptr<void> listen(const std::string&, Listener listener) override {
+        if (listener.text && !says.empty()) listener.text(says);
+        return std::make_shared<int>(0);
+    }
+
+    static Entity entity(const std::string& id, const std::string& name) {
+        Entity made;
+        made.id = id;
+        made.name = name;
+        made.category = "ROBOT";
+        made.type = "MOBILE";
+        made.state = EntityState::IDLE;
+        return made;
+    }
+    std::vector<std::string> journalNow() const {
+        const std::lock_guard lock(mutex_);
+        return journal;
+    }
+
+    // What the test sets …
+    std::vector<Entity> entities_;
+    std::vector<Service> services_;
+    struct Step {
+        TaskState state = TaskState::Running;
+        double progress = -1;
+        std::string feedback;
+        Refusal reason;
+        std::map<std::string, std::vector<Value>> results;
+    };
+    std::vector<Step> script;
+    std::vector<std::pair<std::uint64_t, std::string>> samples;
+    Refusal check_out_refusal;
+    std::string lost_id, says;
+    bool stop_is_confirmed = true;
+    bool cancel_is_heard = true;
+    // … and looks at.
+    std::vector<std::string> stopped, rearmed, watched, journal;
+    std::vector<Argument> run_arguments, set_arguments;
+    std::string sent;
+
+  private:
+    mutable std::mutex mutex_;
+    // guarded by mutex_, and journal too
+    std::vector<std::string> held_;
+    std::optional<TaskReport> last_;
+    std::function<void(const TaskReport&)> update_;
+};
+
+/// Keeps what a verb emitted.
+class Recorded final : public Events {
+  public:
+    void emit(const Json& event) override { events.push_back(event); }
+    const Json* last(const std::string& kind) const {
+        for (auto at = events.rbegin(); at != events.rend(); ++at) {
+            if (at->value("event", "") == kind) return &*at;
+        }
+        return nullptr;
+    }
+    std::vector<Json> events;
+};
+
+}  // namespace axon::cli

@@ -1,0 +1,453 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/invoker.hpp"
+
+#include <fcntl.h>
+#include <poll.h>
+#include <spawn.h>
+#include <sys/file.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <csignal>
+#include <cstdio>
+#include <cstring>
+#include <ctime>
+#include <thread>
+
+#include "cli/agent.hpp"
+#include "cli/agent_link.hpp"
+#include "cli/words.hpp"
+
+extern char** environ;
+
+namespace axon::cli {
+namespace {
+
+using std::chrono::milliseconds;
+
+constexpr milliseconds kLinger{30'000};
+/// An agent takes a request within microseconds; one that does not is stopped or stuck.
+constexpr milliseconds kAccept{2000};
+/// A stop does not wait for an agent: a connection of its own costs less than this.
+constexpr milliseconds kAcceptStop{200};
+
+bool holds(const Station& station, const std::string& id) {
+    const auto held = station.held();
+    return std::any_of(held.begin(), held.end(), [&](const Entity& entity) { return entity.id == id; });
+}
+
+/// The agent that this command may join: the one named by AXON_AGENT (inside `axon checkout X -- command`),
+/// or the one of the server's address.
+std::optional<AgentLink> openAgent(const Settings& settings) {
+    if (const char* named = std::getenv("AXON_AGENT"); named != nullptr && *named != '\0')
+        return AgentLink::open(named);
+    const auto place = agentPlace(settings.server);
+    return place ? AgentLink::open(place->socket) : std::nullopt;
+}
+
+/// The agent's log, and what its users should know of a lease that is gone.
+class AgentLog final : public Events {
+  public:
+    void emit(const Json& event) override { write(line(event)); }
+    static void write(const std::string& text) {
+        const auto now = std::time(nullptr);
+        std::tm parts{};
+        ::localtime_r(&now, &parts);
+        char stamp[32];
+        std::strftime(stamp, sizeof stamp, "%F %T", &parts);
+        std::fprintf(stderr, "%s %s\n", stamp, text.c_str());
+    }
+};
+
+/// Runs the verbs that others ask for on the one kept station.
+std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<Station>& station,
+                               const Settings& settings, const std::function<void()>& end) {
+    const auto* verb = findVerb(work.verb);
+    if (verb == nullptr || verb->runs == Runs::Local) {
+        work.events.emit(usageEvent("the agent knows no verb " + work.verb));
+        return kUsage;
+    }
+    if (verb->runs == Runs::Holder) {
+        const auto name = work.args.at("entity").get<std::string>();
+        const auto found = station->find(name);
+        if (!found) {
+            work.events.emit(errorEvent(found.refusal(), name));
+            return exitOf(found.refusal());
+        }
+        if (!holds(*station, found->id)) {
+            if (const auto lost = station->lost(found->id)) {
+                work.events.emit({{"event", "lost"},
+                                  {"entity", found->name},
+                                  {"code", refusalName(lost->code)},
+                                  {"message", lost->message},
+                                  {"holder", lost->holder}});
+            }
+            return std::nullopt;
+        }
+    }
+    Session session{work.args, work.events, work.mailbox, station, settings, true};
+    session.end_agent = end;
+    return verb->perform(session);
+}
+
+/// Waits for the child and for what the agent's thread serves meanwhile.
+int statusOf(int wait_status) {
+    if (WIFEXITED(wait_status)) return WEXITSTATUS(wait_status);
+    if (WIFSIGNALED(wait_status)) return 128 + WTERMSIG(wait_status);
+    return kRefused;
+}
+
+/// A child with the signals as a fresh program expects them: ours are blocked and taken by a thread.
+class SpawnAttributes {
+  public:
+    explicit SpawnAttributes(short extra_flags) {
+        ::posix_spawnattr_init(&attributes_);
+        sigset_t none;
+        sigset_t all;
+        ::sigemptyset(&none);
+        ::sigemptyset(&all);
+        for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGQUIT}) ::sigaddset(&all, signal);
+        ::posix_spawnattr_setsigmask(&attributes_, &none);
+        ::posix_spawnattr_setsigdefault(&attributes_, &all);
+        ::posix_spawnattr_setflags(
+            &attributes_, static_cast<short>(POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF | extra_flags));
+    }
+    ~SpawnAttributes() { ::posix_spawnattr_destroy(&attributes_); }
+    SpawnAttributes(const SpawnAttributes&) = delete;
+    SpawnAttributes& operator=(const SpawnAttributes&) = delete;
+    const posix_spawnattr_t* get() const { return &attributes_; }
+
+  private:
+    posix_spawnattr_t attributes_{};
+};
+
+std::vector<char*> pointersTo(std::vector<std::string>& words) {
+    std::vector<char*> pointers;
+    for (auto& word : words) pointers.push_back(word.data());
+    pointers.push_back(nullptr);
+    return pointers;
+}
+
+/// Starts the agent and waits until it says that it serves; its refusal to a person otherwise.
+std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place) {
+    int ends[2];
+    if (::pipe2(ends, O_CLOEXEC) != 0) return usageEvent(std::string("no pipe: ") + std::strerror(errno));
+    Descriptor reading(ends[0]);
+    Descriptor writing(ends[1]);
+    std::vector<std::string> words{
+        "axon", "agent", "run", "--server", settings.server, "--timeout", std::to_string(settings.timeout_s)};
+    if (!settings.user.empty()) words.insert(words.end(), {"--user", settings.user});
+    if (!settings.name.empty()) words.insert(words.end(), {"--name", settings.name});
+    auto pointers = pointersTo(words);
+    posix_spawn_file_actions_t actions;
+    ::posix_spawn_file_actions_init(&actions);
+    ::posix_spawn_file_actions_addopen(&actions, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
+    // The descriptor for the ready line is the agent's standard output.
+    ::posix_spawn_file_actions_adddup2(&actions, writing.get(), STDOUT_FILENO);
+    ::posix_spawn_file_actions_addopen(&actions, STDERR_FILENO, place.log.c_str(),
+                                       O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW, 0600);
+    const SpawnAttributes attributes(POSIX_SPAWN_SETSID);
+    pid_t child = 0;
+    const int failed =
+        ::posix_spawn(&child, "/proc/self/exe", &actions, attributes.get(), pointers.data(), environ);
+    ::posix_spawn_file_actions_destroy(&actions);
+    if (failed != 0) return usageEvent(std::string("cannot start the agent: ") + std::strerror(failed));
+    writing = Descriptor();
+    std::string said;
+    char bytes[4096];
+    const auto patience = static_cast<int>(settings.timeout_s * 1000) + 5000;
+    pollfd watched{reading.get(), POLLIN, 0};
+    while (said.find('\n') == std::string::npos && ::poll(&watched, 1, patience) > 0) {
+        const auto count = ::read(reading.get(), bytes, sizeof bytes);
+        if (count <= 0) break;
+        said.append(bytes, static_cast<std::size_t>(count));
+    }
+    const auto answer = Json::parse(said, nullptr, false);
+    if (answer.is_object() && answer.value("ready", false)) return std::nullopt;
+    if (answer.is_object() && answer.contains("event")) return answer;
+    return usageEvent("the agent did not start; its log: " + place.log.string());
+}
+
+}  // namespace
+
+Invoker::Invoker(Settings settings, Connect connect)
+    : settings_(std::move(settings)), connect_(std::move(connect)) {}
+
+void Invoker::onInterrupt(std::function<void(int)> what) {
+    const std::lock_guard lock(mutex_);
+    on_interrupt_ = std::move(what);
+    if (on_interrupt_ && pending_ > 0) {
+        pending_ = 0;
+        on_interrupt_(SIGINT);
+    }
+}
+
+bool Invoker::interrupt(int signal) {
+    const std::lock_guard lock(mutex_);
+    if (on_interrupt_) {
+        on_interrupt_(signal);
+    } else {
+        ++pending_;
+    }
+    return !holding_;
+}
+
+int Invoker::perform(const Verb& verb, Json args, Events& events) {
+    if (verb.runs == Runs::Local) {
+        const auto mailbox = std::make_shared<Mailbox>();
+        Session session{std::move(args), events, mailbox, nullptr, settings_};
+        session.connect = connect_;
+        session.perform = [this](const std::string& name, const Json& other_args, Events& sink) {
+            return perform(*findVerb(name), other_args, sink);
+        };
+        onInterrupt([mailbox](int) { mailbox->interrupt(); });
+        const int exit = verb.perform(session);
+        onInterrupt({});
+        return exit;
+    }
+    const bool stopping = std::string_view(verb.name) == "stop";
+    if (auto link = openAgent(settings_)) {
+        onInterrupt([&link](int) { link->interrupt(); });
+        const auto outcome = link->request(verb.name, args, events, stopping ? kAcceptStop : kAccept);
+        onInterrupt({});
+        using Ending = AgentLink::Ending;
+        if (outcome.ending == Ending::Done) return outcome.exit;
+        if (outcome.ending == Ending::Broken || (outcome.ending == Ending::NoAnswer && !stopping)) {
+            // A stop goes on by itself below; anything else might be done twice.
+            if (!stopping) {
+                events.emit(
+                    {{"event", "error"},
+                     {"code", refusalName(RefusalCode::NotConnected)},
+                     {"message", outcome.ending == Ending::Broken
+                                     ? "the agent that keeps your check-outs went away; the robot is stopped"
+                                     : "the agent that keeps your check-outs does not answer"},
+                     {"mend", "axon agent stop, then axon checkout again"}});
+                return kNoServer;
+            }
+        }
+    }
+    switch (verb.runs) {
+        case Runs::Keeper:
+            return start(verb, args, events);
+        case Runs::Kept: {
+            const auto names = args.find("entity");
+            if (names == args.end() || names->empty()) {
+                // Nothing is held, so nothing is left to release and there are no tasks.
+                if (std::string_view(verb.name) == "agent") {
+                    events.emit({{"event", "agent"}, {"running", false}});
+                } else {
+                    events.emit({{"event", "notice"}, {"message", "nothing is checked out here"}});
+                }
+                return kDone;
+            }
+            const auto name =
+                names->is_array() ? names->front().get<std::string>() : names->get<std::string>();
+            const Refusal refusal{RefusalCode::NotHolder, name + " is not checked out here", {}};
+            events.emit(errorEvent(refusal, name));
+            return exitOf(refusal);
+        }
+        default:
+            return direct(verb, std::move(args), events);
+    }
+}
+
+int Invoker::direct(const Verb& verb, Json args, Events& events) {
+    auto station = connect_(settings_);
+    if (!station) {
+        events.emit(noServerEvent(station.refusal(), settings_.server));
+        return station.refusal().code == RefusalCode::PermissionDenied ? kRefused : kNoServer;
+    }
+    const auto mailbox = std::make_shared<Mailbox>();
+    Session session{std::move(args), events, mailbox, station.value(), settings_};
+    onInterrupt([mailbox](int) { mailbox->interrupt(); });
+    const int exit = verb.perform(session);
+    onInterrupt({});
+    return exit;
+}
+
+int Invoker::start(const Verb& verb, const Json& args, Events& events) {
+    if (const char* named = std::getenv("AXON_AGENT"); named != nullptr && *named != '\0') {
+        events.emit(
+            usageEvent(std::string("the agent named by AXON_AGENT is gone: ") + named, "unset AXON_AGENT"));
+        return kUsage;
+    }
+    const auto place = agentPlace(settings_.server);
+    if (!place) {
+        events.emit(errorEvent(place.refusal()));
+        return kUsage;
+    }
+    if (const auto refused = spawnAgent(settings_, place.value())) {
+        events.emit(*refused);
+        if (refused->value("code", "") == "USAGE") return kUsage;
+        return refused->value("code", "") == "PERMISSION_DENIED" ? kRefused : kNoServer;
+    }
+    auto link = AgentLink::open(place->socket);
+    if (!link) {
+        events.emit(usageEvent("the agent has gone again; its log: " + place->log.string()));
+        return kUsage;
+    }
+    onInterrupt([&link](int) { link->interrupt(); });
+    const auto outcome = link->request(verb.name, args, events, kAccept);
+    onInterrupt({});
+    return outcome.ending == AgentLink::Ending::Done ? outcome.exit : static_cast<int>(kNotConfirmed);
+}
+
+int Invoker::serveAgent(int ready_fd) {
+    const auto say = [ready_fd](const Json& json) {
+        const auto text = line(json) + "\n";
+        static_cast<void>(::write(ready_fd, text.data(), text.size()) > 0);
+    };
+    const auto place = agentPlace(settings_.server);
+    if (!place) {
+        say(errorEvent(place.refusal()));
+        return kUsage;
+    }
+    const Descriptor lock(::open(place->lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
+    if (!lock || ::flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
+        // Another one was faster: two `axon checkout` at once. It may still be on its way to listening.
+        for (int i = 0; i < 50; ++i) {
+            if (AgentLink::open(place->socket)) {
+                say({{"ready", true}});
+                return kDone;
+            }
+            std::this_thread::sleep_for(milliseconds(100));
+        }
+        say(usageEvent("another agent has " + place->lock.string() + " and does not listen"));
+        return kUsage;
+    }
+    auto station = connect_(settings_);
+    if (!station) {
+        say(noServerEvent(station.refusal(), settings_.server));
+        return kNoServer;
+    }
+    auto listening = listenAt(place->socket);
+    if (!listening) {
+        say(errorEvent(listening.refusal()));
+        return kUsage;
+    }
+    const auto kept = station.value();
+    std::unique_ptr<Agent> agent;
+    agent = std::make_unique<Agent>(
+        std::move(listening).value(),
+        [&](const Agent::Work& work) {
+            AgentLog::write(work.verb + " " + line(work.args));
+            const auto exit = performKept(work, kept, settings_, [&agent] { agent->stop(); });
+            AgentLog::write(work.verb + (exit ? ": exit " + std::to_string(*exit) : ": is not for here"));
+            return exit;
+        },
+        [kept] { return !kept->held().empty(); }, kLinger);
+    onInterrupt([&](int) { agent->stop(); });
+    AgentLog::write("serving " + kept->server() + " as " + kept->self().name);
+    say({{"ready", true}});
+    ::close(ready_fd);
+    agent->serve();
+    onInterrupt({});
+    ::unlink(place->socket.c_str());
+    for (const auto& entity : kept->held()) static_cast<void>(kept->release(entity.id).ok());
+    AgentLog::write("ended");
+    return kDone;
+}
+
+int Invoker::holdWhile(const Json& entities, const std::vector<std::string>& command, Events& events) {
+    const auto place = agentPlace(settings_.server);
+    if (!place) {
+        events.emit(errorEvent(place.refusal()));
+        return kUsage;
+    }
+    auto connected = connect_(settings_);
+    if (!connected) {
+        events.emit(noServerEvent(connected.refusal(), settings_.server));
+        return connected.refusal().code == RefusalCode::PermissionDenied ? kRefused : kNoServer;
+    }
+    const auto station = connected.value();
+    std::vector<std::string> ids;
+    auto names = Json::array();
+    for (const auto& word : entities) {
+        const auto name = word.get<std::string>();
+        const auto found = station->find(name);
+        if (!found) {
+            events.emit(errorEvent(found.refusal(), name));
+            return exitOf(found.refusal());
+        }
+        ids.push_back(found->id);
+        names.push_back({{"id", found->id}, {"name", found->name}});
+    }
+    if (const auto granted = station->checkOut(ids); !granted) {
+        events.emit(
+            errorEvent(granted.refusal(), names.size() == 1 ? names[0]["name"].get<std::string>() : ""));
+        return exitOf(granted.refusal());
+    }
+    events.emit({{"event", "checked_out"}, {"entities", names}, {"kept", false}, {"for", "command"}});
+
+    std::vector<std::shared_ptr<void>> listening;
+    std::mutex telling;
+    for (std::size_t i = 0; i < ids.size(); ++i) {
+        Listener listener;
+        listener.lost = [&events, &telling, name = names[i]["name"]](const Refusal& refusal) {
+            const std::lock_guard lock(telling);
+            events.emit({{"event", "lost"},
+                         {"entity", name},
+                         {"code", refusalName(refusal.code)},
+                         {"message", refusal.message},
+                         {"holder", refusal.holder}});
+        };
+        listening.push_back(station->listen(ids[i], std::move(listener)));
+    }
+
+    const auto socket = place->directory / ("run-" + std::to_string(::getpid()) + ".sock");
+    auto listened = listenAt(socket);
+    if (!listened) {
+        events.emit(errorEvent(listened.refusal()));
+        return kUsage;
+    }
+    // Ends with the command, not by itself.
+    std::unique_ptr<Agent> agent;
+    agent = std::make_unique<Agent>(
+        std::move(listened).value(),
+        [&](const Agent::Work& work) { return performKept(work, station, settings_, [] {}); },
+        [] { return true; }, kLinger);
+    std::thread serving([&agent] { agent->serve(); });
+
+    ::setenv("AXON_AGENT", socket.c_str(), 1);
+    ::setenv("AXON_SERVER", settings_.server.c_str(), 1);
+    auto words = command;
+    auto pointers = pointersTo(words);
+    const SpawnAttributes attributes(0);
+    pid_t child = 0;
+    int exit = kDone;
+    if (const int failed = ::posix_spawnp(&child, words.front().c_str(), nullptr, attributes.get(),
+                                          pointers.data(), environ);
+        failed != 0) {
+        events.emit(usageEvent("cannot run " + words.front() + ": " + std::strerror(failed)));
+        exit = failed == ENOENT ? 127 : 126;
+    } else {
+        // Ctrl-C reaches the command by itself, which shares our terminal; other requests to end are passed
+        // on.
+        {
+            const std::lock_guard lock(mutex_);
+            holding_ = true;
+        }
+        onInterrupt([child](int signal) {
+            if (signal != SIGINT) ::kill(child, signal);
+        });
+        int status = 0;
+        while (::waitpid(child, &status, 0) < 0 && errno == EINTR) {
+        }
+        onInterrupt({});
+        exit = statusOf(status);
+    }
+    agent->stop();
+    serving.join();
+    ::unlink(socket.c_str());
+    listening.clear();
+    for (const auto& id : ids) {
+        // Refused when it was lost, which has been said.
+        static_cast<void>(station->release(id).ok());
+    }
+    return exit;
+}
+
+}  // namespace axon::cli

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "client/axon/client.hpp"
+
+namespace axon::cli {
+
+using client::Argument;
+using client::Entity;
+using client::Parameter;
+using client::Receipt;
+using client::Sample;
+using client::Seconds;
+using client::Service;
+using client::TaskReport;
+using client::TaskState;
+using client::Value;
+
+/// What an entity that is held may say of its own accord. Empty functions are not called.
+struct Listener {
+    std::function<void(const std::string&)> text;
+    std::function<void(const std::string&)> raw;
+    std::function<void(const Refusal&)> lost;
+};
+
+enum class TaskAction { Pause, Resume, Cancel };
+
+/// What a verb needs of a connection to Axon: the client library with its check-outs and tasks found by name,
+/// so that a verb that comes later (`axon pause`) reaches what an earlier one began (`axon run --detach`).
+///
+/// Where in the flow: verb → Station → client library. ClientStation is the one that works; tests have their
+/// own. Threads: any. Callbacks come on a thread of the library and must not wait. Entities and tasks are
+/// named by their UUID here, except where `name` says that it is what the user wrote. Failure: refusals.
+class Station {
+  public:
+    virtual ~Station() = default;
+
+    virtual Sender self() const = 0;
+    virtual std::string server() const = 0;
+    virtual bool connected() const = 0;
+
+    virtual std::vector<Entity> entities() const = 0;
+    virtual Result<Entity> find(const std::string& name) const = 0;
+    virtual Result<std::vector<Service>> services(const std::string& entity) const = 0;
+
+    virtual Result<std::vector<Receipt>> stop(const std::vector<std::string>& entities, Seconds deadline) = 0;
+    virtual Result<void> rearm(const std::string& entity) = 0;
+
+    virtual std::vector<Entity> held() const = 0;
+    /// Why an entity that was held here is not any more, until it is checked out again.
+    virtual std::optional<Refusal> lost(const std::string& entity) const = 0;
+    virtual Result<void> checkOut(const std::vector<std::string>& entities) = 0;
+    virtual Result<void> release(const std::string& entity) = 0;
+
+    // Of a held entity; NOT_HOLDER otherwise.
+    virtual Result<void> reset(const std::string& entity) = 0;
+    virtual Result<void> clear(const std::string& entity) = 0;
+    virtual Result<void> set(const std::string& entity, const std::string& service,
+                             const Argument& argument) = 0;
+    virtual Result<void> upload(const std::string& entity, const std::string& service,
+                                const std::string& resource, const std::filesystem::path& file,
+                                std::function<void(std::uint64_t, std::uint64_t)> progress) = 0;
+    virtual Result<void> sendText(const std::string& entity, const std::string& text) = 0;
+    virtual Result<void> sendRaw(const std::string& entity, const std::string& bytes) = 0;
+    /// The task's id. `update` is called with each change, the final one included.
+    virtual Result<std::string> run(const std::string& entity, const std::string& service,
+                                    const std::vector<Argument>& arguments, Seconds not_after,
+                                    std::function<void(const TaskReport&)> update) = 0;
+    /// The tasks that were asked for here, oldest first: all that are not final, and the last ones that are.
+    virtual std::vector<TaskReport> tasks() const = 0;
+    virtual Result<void> control(const std::string& task, TaskAction action) = 0;
+
+    /// The handle ends the watch, or the listening, when it is dropped.
+    virtual Result<std::shared_ptr<void>> watch(const std::string& entity,
+                                                const std::vector<std::string>& streams,
+                                                std::function<void(const Sample&)> sample) = 0;
+    virtual std::shared_ptr<void> listen(const std::string& entity, Listener listener) = 0;
+};
+
+}  // namespace axon::cli

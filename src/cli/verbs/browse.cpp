@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <algorithm>
+#include <tuple>
+
+#include "cli/arguments.hpp"
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+
+// axon ls, axon info
+namespace axon::cli {
+namespace {
+
+bool isHeld(const std::vector<Entity>& held, const Entity& entity) {
+    return std::any_of(held.begin(), held.end(), [&](const Entity& other) { return other.id == entity.id; });
+}
+
+int ls(Session& session) {
+    auto all = session.station->entities();
+    const auto held = session.station->held();
+    std::sort(all.begin(), all.end(), [](const Entity& a, const Entity& b) {
+        return std::tie(a.name, a.id) < std::tie(b.name, b.id);
+    });
+    auto list = Json::array();
+    for (const auto& entity : all) {
+        auto json = toJson(entity, isHeld(held, entity));
+        json["call"] = callName(entity, all);
+        list.push_back(std::move(json));
+    }
+    session.events.emit({{"event", "entities"},
+                         {"server", session.station->server()},
+                         {"self", session.station->self().name},
+                         {"uuid", session.args.value("uuid", false)},
+                         {"entities", std::move(list)}});
+    return kDone;
+}
+
+int info(Session& session) {
+    const auto name = session.args.at("entity").get<std::string>();
+    const auto entity = session.station->find(name);
+    if (!entity) return refuse(session, entity.refusal(), name);
+    Json json{{"event", "entity"},
+              {"entity", toJson(entity.value(), isHeld(session.station->held(), entity.value()))}};
+    json["entity"]["call"] = callName(entity.value(), session.station->entities());
+    const auto services = session.station->services(entity->id);
+    auto list = Json::array();
+    if (services) {
+        if (const auto wanted = session.args.value("service", ""); !wanted.empty()) {
+            const auto one = findService(services.value(), wanted);
+            if (!one) return refuse(session, one.refusal(), name);
+            list.push_back(toJson(*one.value()));
+        } else {
+            for (const auto& service : services.value()) list.push_back(toJson(service));
+        }
+    }
+    json["services"] = std::move(list);
+    session.events.emit(json);
+    return services ? static_cast<int>(kDone) : refuse(session, services.refusal(), name);
+}
+
+}  // namespace
+
+extern const Verb kLs{"ls",
+                      "List the entities: state, holder, latch",
+                      "  axon ls\n"
+                      "  axon ls --json | jq -r '.entities[] | select(.holder == null) | .name'\n",
+                      Runs::Anywhere,
+                      {},
+                      {{"uuid", Takes::Nothing, "Show the UUIDs too: they tell entities of one name apart"}},
+                      ls};
+
+extern const Verb kInfo{"info",
+                        "Show an entity, its services and what they take",
+                        "  axon info PeopleBot\n"
+                        "  axon info PeopleBot Driving      one service only\n",
+                        Runs::Anywhere,
+                        {{"entity", Takes::Entity, true, false, "Name, NAME#2, or the beginning of a UUID"},
+                         {"service", Takes::Service, false, false, "Show this service only"}},
+                        {},
+                        info};
+
+}  // namespace axon::cli

@@ -1,0 +1,333 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <condition_variable>
+#include <mutex>
+#include <set>
+#include <thread>
+
+#include "cli/arguments.hpp"
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+
+// axon completion, axon __complete
+namespace axon::cli {
+namespace {
+
+// A shell that waits for a server that is away is worse than one that completes nothing.
+constexpr std::chrono::milliseconds kPatience{300};
+
+// In each script a candidate that ends in '=' goes on, "__files__" asks for file names, and others end the word.
+constexpr const char* kBash = R"sh(# axon completion for bash: source <(axon completion bash)
+_axon() {
+    local word
+    compopt -o nosort 2>/dev/null
+    COMPREPLY=()
+    while IFS= read -r word; do
+        if [[ $word == __files__ ]]; then
+            compopt -o default
+            return
+        fi
+        [[ $word == *= ]] && compopt -o nospace
+        COMPREPLY+=("$(printf '%q' "$word")")
+    done < <(axon __complete "$COMP_CWORD" "${COMP_WORDS[@]}" 2>/dev/null)
+}
+complete -F _axon axon
+)sh";
+
+constexpr const char* kZsh = R"sh(#compdef axon
+# axon completion for zsh: source <(axon completion zsh), or as _axon in a directory of $fpath
+_axon() {
+    local word
+    while IFS= read -r word; do
+        if [[ $word == __files__ ]]; then
+            _files
+        elif [[ $word == *= ]]; then
+            compadd -S '' -- "$word"
+        else
+            compadd -- "$word"
+        fi
+    done < <(axon __complete $((CURRENT - 1)) "${words[@]}" 2>/dev/null)
+}
+compdef _axon axon
+)sh";
+
+constexpr const char* kFish = R"sh(# axon completion for fish: axon completion fish | source
+function __axon_complete
+    set -l words (commandline -opc) (commandline -ct)
+    for word in (axon __complete (math (count $words) - 1) $words 2>/dev/null)
+        if test "$word" = __files__
+            __fish_complete_path (commandline -ct)
+        else
+            echo $word
+        end
+    end
+end
+complete -c axon -f -a '(__axon_complete)'
+)sh";
+
+/// bash takes `Distance=10` apart at '=': together again, and how much of the last word it will keep by itself.
+struct Words {
+    std::vector<std::string> done;
+    std::string current;
+    std::size_t kept_by_shell = 0;
+};
+
+Words joined(const std::vector<std::string>& raw, std::size_t at) {
+    Words words;
+    bool glue = false;
+    std::vector<std::string> all;
+    for (std::size_t i = 1; i <= at; ++i) {
+        const auto word = i < raw.size() ? raw[i] : std::string();
+        if (word == "=" && !all.empty()) {
+            all.back() += "=";
+            glue = true;
+            words.kept_by_shell = all.back().size();
+        } else if (glue) {
+            all.back() += word;
+            glue = false;
+        } else {
+            all.push_back(word);
+            words.kept_by_shell = 0;
+        }
+    }
+    if (all.empty()) all.emplace_back();
+    words.current = all.back();
+    all.pop_back();
+    words.done = std::move(all);
+    return words;
+}
+
+class Collected final : public Events {
+  public:
+    void emit(const Json& event) override { events.push_back(event); }
+    const Json* first(const std::string& kind) const {
+        for (const auto& event : events) {
+            if (event.value("event", "") == kind) return &event;
+        }
+        return nullptr;
+    }
+    std::vector<Json> events;
+};
+
+/// The candidates for one place of a command line.
+class Completer {
+  public:
+    explicit Completer(Session& session) : session_(session) {}
+
+    std::vector<std::string> complete(const Words& words) {
+        std::vector<std::string> given;
+        const Verb* verb = nullptr;
+        std::string option;  // that still wants its value
+        for (const auto& word : words.done) {
+            if (!option.empty()) {
+                option.clear();
+            } else if (word.rfind("--", 0) == 0) {
+                if (word.find('=') == std::string::npos && wantsValue(verb, word)) option = word;
+            } else if (verb == nullptr) {
+                verb = findVerb(word);
+                if (verb == nullptr) return {};
+            } else {
+                given.push_back(word);
+            }
+        }
+        if (!option.empty()) {
+            if (option == "--file") return {"__files__"};
+            return {};
+        }
+        if (words.current.rfind('-', 0) == 0) return options(verb);
+        if (verb == nullptr) {
+            std::vector<std::string> names;
+            for (const auto* one : verbs()) {
+                if (!one->hidden) names.emplace_back(one->name);
+            }
+            return names;
+        }
+        if (verb->operands.empty()) return {};
+        const auto place = std::min(given.size(), verb->operands.size() - 1);
+        const auto& operand = verb->operands[place];
+        if (given.size() >= verb->operands.size() && !operand.repeated) return {};
+        return operands(operand, given, words.current);
+    }
+
+  private:
+    static bool wantsValue(const Verb* verb, const std::string& word) {
+        for (const auto* common : {"--server", "--timeout", "--user", "--name"}) {
+            if (word == common) return true;
+        }
+        if (verb == nullptr) return false;
+        return std::any_of(verb->options.begin(), verb->options.end(), [&](const Option& option) {
+            return word == std::string("--") + option.name && option.takes != Takes::Nothing;
+        });
+    }
+
+    static std::vector<std::string> options(const Verb* verb) {
+        std::vector<std::string> names{"--help", "--json", "--name", "--server", "--timeout", "--user"};
+        if (verb != nullptr) {
+            for (const auto& option : verb->options) names.insert(names.begin(), std::string("--") + option.name);
+        }
+        return names;
+    }
+
+    std::vector<std::string> operands(const Operand& operand, const std::vector<std::string>& given,
+                                      const std::string& current) {
+        switch (operand.takes) {
+            case Takes::Entity:
+                return entities();
+            case Takes::File:
+                return {"__files__"};
+            case Takes::Choice: {
+                std::vector<std::string> choices(operand.choices.begin(), operand.choices.end());
+                choices.erase(std::remove(choices.begin(), choices.end(), "run"), choices.end());
+                return choices;
+            }
+            case Takes::Service: {
+                std::vector<std::string> names;
+                for (const auto& service : services(given)) names.push_back(service.at("name"));
+                return names;
+            }
+            case Takes::Resource: {
+                std::vector<std::string> names;
+                if (const auto service = chosen(given); service.is_object()) {
+                    for (const auto& resource : service.at("resources")) names.push_back(resource.at("name"));
+                }
+                return names;
+            }
+            case Takes::KeyValue:
+                return parameters(given, current);
+            default:
+                return {};
+        }
+    }
+
+    std::vector<std::string> entities() {
+        Collected seen;
+        session_.perform("ls", Json::object(), seen);
+        std::vector<std::string> names;
+        if (const auto* list = seen.first("entities")) {
+            for (const auto& entity : list->at("entities")) names.push_back(entity.at("call"));
+        }
+        return names;
+    }
+
+    Json services(const std::vector<std::string>& given) {
+        if (given.empty()) return Json::array();
+        Collected seen;
+        session_.perform("info", {{"entity", given[0]}}, seen);
+        const auto* entity = seen.first("entity");
+        return entity == nullptr ? Json::array() : entity->at("services");
+    }
+
+    Json chosen(const std::vector<std::string>& given) {
+        if (given.size() < 2) return nullptr;
+        for (const auto& service : services(given)) {
+            if (sameToAPerson(service.at("name").get<std::string>(), given[1]) || service.at("global_id") == given[1]) {
+                return service;
+            }
+        }
+        return nullptr;
+    }
+
+    /// `distance=`, and after the '=' the values that there are.
+    std::vector<std::string> parameters(const std::vector<std::string>& given, const std::string& current) {
+        const auto service = chosen(given);
+        if (!service.is_object()) return {};
+        const auto equals = current.find('=');
+        std::vector<std::string> words;
+        for (const auto& parameter : service.at("parameters")) {
+            const auto type = parameter.at("type").get<std::string>();
+            if (type == "OUTPUT" || type == "FEEDBACK") continue;
+            auto key = parameter.at("name").get<std::string>();
+            if (equals == std::string::npos) {
+                // Nobody wants to type quotes: readArguments takes '_' for ' '.
+                std::replace(key.begin(), key.end(), ' ', '_');
+                const bool repeated = parameter.at("multiple");
+                const bool used = std::any_of(given.begin(), given.end(), [&](const std::string& word) {
+                    return sameToAPerson(word.substr(0, word.find('=')), key);
+                });
+                if (!used || repeated) words.push_back(key + "=");
+                continue;
+            }
+            if (!sameToAPerson(key, current.substr(0, equals))) continue;
+            auto values = parameter.value("choices", Json::array());
+            if (values.empty() && parameter.at("data_type") == "BOOL") values = {true, false};
+            if (values.empty()) values = parameter.at("values");
+            for (const auto& value : values) {
+                words.push_back(current.substr(0, equals + 1) +
+                                (value.is_string() ? value.get<std::string>() : line(value)));
+            }
+        }
+        return words;
+    }
+
+    Session& session_;
+};
+
+/// Ends the process when the completion takes too long; nothing has been printed then.
+class Impatience {
+  public:
+    Impatience() {
+        std::thread([] {
+            std::this_thread::sleep_for(kPatience);
+            ::_exit(kNotConfirmed);
+        }).detach();
+    }
+};
+
+int complete(Session& session) {
+    const auto words = session.args.at("words").get<std::vector<std::string>>();
+    if (words.empty()) return kUsage;
+    std::size_t at = 0;
+    for (const char c : words[0]) {
+        if (c < '0' || c > '9' || at > 10'000) return misused(session, "expected the number of the word to complete");
+        at = at * 10 + static_cast<std::size_t>(c - '0');
+    }
+    const Impatience impatience;
+    const auto line_words = joined({words.begin() + 1, words.end()}, at);
+    std::string text;
+    for (const auto& candidate : Completer(session).complete(line_words)) {
+        const bool files = candidate == "__files__";
+        if (!files && candidate.compare(0, line_words.current.size(), line_words.current) != 0) continue;
+        if (candidate.find('\n') != std::string::npos) continue;
+        text += (text.empty() ? "" : "\n") + (files ? candidate : candidate.substr(line_words.kept_by_shell));
+    }
+    if (!text.empty()) session.events.emit({{"event", "line"}, {"text", text}});
+    return kDone;
+}
+
+int completion(Session& session) {
+    const std::string shell = session.args.at("shell");
+    std::string script = shell == "bash" ? kBash : shell == "zsh" ? kZsh : kFish;
+    script.pop_back();
+    session.events.emit({{"event", "line"}, {"text", script}});
+    return kDone;
+}
+
+}  // namespace
+
+extern const Verb kCompletion{
+    "completion",
+    "Print the completion script of a shell",
+    "  source <(axon completion bash)                                    now\n"
+    "  axon completion bash > ~/.local/share/bash-completion/completions/axon   always\n"
+    "  axon completion zsh > ~/.zfunc/_axon\n"
+    "  axon completion fish > ~/.config/fish/completions/axon.fish\n"
+    "Completes verbs, options, entities, their services, parameters and values.\n",
+    Runs::Local,
+    {{"shell", Takes::Choice, true, false, "bash, zsh or fish", {"bash", "zsh", "fish"}}},
+    {},
+    completion};
+
+extern const Verb kComplete{"__complete",
+                            "What may come at a place of a command line",
+                            "",
+                            Runs::Local,
+                            {{"words", Takes::Text, true, true, "Number of the word, and the words"}},
+                            {},
+                            complete,
+                            nullptr,
+                            true};
+
+}  // namespace axon::cli

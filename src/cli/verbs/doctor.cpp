@@ -1,0 +1,205 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <arpa/inet.h>
+#include <fmt/format.h>
+#include <netinet/in.h>
+#include <pthread.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <thread>
+
+#include "cli/agent_link.hpp"
+#include "cli/verbs/holding.hpp"
+#include "cli/view.hpp"
+#include "cli/words.hpp"
+
+// axon doctor
+namespace axon::cli {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+// The seed's range for the link between a robot application and its Entity Manager (thesis B.3.1).
+constexpr int kFirstPort = 5500;
+constexpr int kLastPort = 8000;
+
+/// Collects findings and remembers whether one of them is bad.
+class Report {
+  public:
+    explicit Report(Events& events) : events_(events) {}
+    void ok(const std::string& name, const std::string& message) { say("ok", name, message, {}); }
+    void warn(const std::string& name, const std::string& message, const std::string& mend) {
+        say("warn", name, message, mend);
+    }
+    void bad(const std::string& name, const std::string& message, const std::string& mend) {
+        say("bad", name, message, mend);
+        any_bad_ = true;
+    }
+    bool anyBad() const { return any_bad_; }
+
+  private:
+    void say(const char* level, const std::string& name, const std::string& message, const std::string& mend) {
+        Json check{{"event", "finding"}, {"level", level}, {"name", name}, {"message", message}};
+        if (!mend.empty()) check["mend"] = mend;
+        events_.emit(check);
+    }
+    Events& events_;
+    bool any_bad_ = false;
+};
+
+double secondsSince(Clock::time_point start) {
+    return Seconds(Clock::now() - start).count();
+}
+
+void checkEntities(Report& report, Station& station) {
+    const auto all = station.entities();
+    if (all.empty()) {
+        report.warn("entities", "none are there",
+                    "start a robot's application and its axon-entity-manager; its log says why it does not register");
+    }
+    for (const auto& entity : all) {
+        const auto name = callName(entity, all);
+        const auto state = std::string(axon::toString(entity.state));
+        const auto because = entity.reason.empty() ? std::string() : ": " + entity.reason;
+        switch (entity.state) {
+            case EntityState::UNAV:
+                report.bad(name, state + because,
+                           "its Entity Manager runs and the robot's application does not: start that");
+                continue;
+            case EntityState::ERR:
+                report.bad(name, state + because, "mend the profiles (axon profile check FILE); they are read again by themselves");
+                continue;
+            case EntityState::INIT:
+            case EntityState::ENVCONN:
+                report.warn(name, state + because, "it is starting: look again in a second");
+                continue;
+            default:
+                break;
+        }
+        const auto start = Clock::now();
+        const auto services = station.services(entity.id);
+        const auto round_trip = secondsSince(start);
+        if (!services) {
+            report.bad(name, state + ", and does not tell its services: " + services.refusal().message,
+                       "see the log of its axon-entity-manager");
+            continue;
+        }
+        auto message = fmt::format("{}, tells its {} service{} in {}", state, services->size(),
+                                   services->size() == 1 ? "" : "s", duration(round_trip));
+        if (entity.latched) {
+            report.warn(name, message + "; stopped", "axon rearm " + shellWord(name) + ", when it is safe to move again");
+        } else if (round_trip > 0.1) {
+            report.warn(name, message + ": slow", "see what loads the machine or the network");
+        } else {
+            report.ok(name, message);
+        }
+    }
+}
+
+void checkServer(Report& report, Session& session) {
+    const auto start = Clock::now();
+    const auto station = session.connect(session.settings);
+    if (!station) {
+        const auto event = noServerEvent(station.refusal(), session.settings.server);
+        report.bad("server", event.value("message", ""), event.value("mend", ""));
+        return;
+    }
+    report.ok("server", "session at " + station.value()->server() + " as " + station.value()->self().name + " in " +
+                            duration(secondsSince(start)));
+    checkEntities(report, *station.value());
+}
+
+void checkAgent(Report& report, const Settings& settings) {
+    const auto directory = runtimeDirectory();
+    bool exists = false;
+    const auto refusal = checkRuntimeDirectory(directory, exists);
+    if (!refusal.ok()) {
+        report.bad("agent", refusal.message, {});
+        return;
+    }
+    const auto place = agentPlace(settings.server);
+    if (!place) {
+        report.bad("agent", place.refusal().message, {});
+        return;
+    }
+    struct stat found {};
+    if (::lstat(place->socket.c_str(), &found) != 0) {
+        report.ok("agent", "none is running (axon checkout starts one); " + directory.string() + " is private");
+    } else if ((found.st_mode & 0777U) != 0600U || found.st_uid != ::getuid()) {
+        report.bad("agent", "others may use " + place->socket.string(), "axon agent stop, and see who changed its mode");
+    } else if (!AgentLink::open(place->socket)) {
+        report.ok("agent", "none is running; " + place->socket.string() + " is left over and does no harm");
+    } else {
+        report.ok("agent", "running at " + place->socket.string());
+    }
+}
+
+void checkRealTime(Report& report) {
+    int refused = 0;
+    std::thread([&refused] {
+        sched_param param{};
+        param.sched_priority = 1;
+        refused = ::pthread_setschedparam(::pthread_self(), SCHED_RR, &param);
+    }).join();
+    if (refused == 0) {
+        report.ok("real time", "the signal lane may have a real-time priority");
+        return;
+    }
+    report.warn("real time", "not permitted (ulimit -r is 0): stops share the processor with everything else",
+                "put '@axon - rtprio 20' into /etc/security/limits.d/axon.conf, join the group axon, log in again");
+}
+
+void checkPorts(Report& report) {
+    int taken = 0;
+    int first_free = 0;
+    for (int port = kFirstPort; port <= kLastPort; ++port) {
+        const Descriptor fd(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+        if (!fd) break;
+        sockaddr_in address{};
+        address.sin_family = AF_INET;
+        address.sin_port = htons(static_cast<std::uint16_t>(port));
+        address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+        if (::bind(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0) {
+            ++taken;
+        } else if (first_free == 0) {
+            first_free = port;
+        }
+    }
+    const int all = kLastPort - kFirstPort + 1;
+    if (first_free == 0) {
+        report.bad("ports", fmt::format("none of {} to {} is free for robot applications", kFirstPort, kLastPort),
+                   "ss -ltn shows who has them; give another range in ports.cfg");
+    } else {
+        report.ok("ports", fmt::format("{} of {} ports for robot applications are free, the first is {}", all - taken, all,
+                                       first_free));
+    }
+}
+
+int doctor(Session& session) {
+    Report report(session.events);
+    report.ok("axon", std::string("version ") + AXON_VERSION);
+    checkServer(report, session);
+    checkAgent(report, session.settings);
+    checkRealTime(report);
+    checkPorts(report);
+    return report.anyBad() ? kRefused : kDone;
+}
+
+}  // namespace
+
+extern const Verb kDoctor{
+    "doctor",
+    "Find out what is wrong with the set-up",
+    "  axon doctor\n"
+    "  axon doctor --server lab.example.org:10410\n"
+    "Each line is fine (✓), worth a look (!) or wrong (✗); exit status 1 when one is wrong.\n",
+    Runs::Local,
+    {},
+    {},
+    doctor};
+
+}  // namespace axon::cli

@@ -1,0 +1,227 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <fstream>
+#include <iostream>
+#include <iterator>
+#include <thread>
+
+#include "cli/arguments.hpp"
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+#include "messages/text.hpp"
+
+// axon set, axon upload, axon send
+namespace axon::cli {
+namespace {
+
+/// What one message may carry; more is for `axon upload`. Twice as many hexadecimal digits fit the agent's
+/// line.
+constexpr std::size_t kLargestMessage = std::size_t{256} * 1024;
+
+int set(Session& session) {
+    const auto name = session.args.at("entity").get<std::string>();
+    const auto found = session.station->find(name);
+    if (!found) return refuse(session, found.refusal(), name);
+    const auto services = session.station->services(found->id);
+    if (!services) return refuse(session, services.refusal(), name);
+    const auto service = findService(services.value(), session.args.at("service").get<std::string>());
+    if (!service) return refuse(session, service.refusal(), name);
+    const auto arguments =
+        readArguments(*service.value(), session.args.at("parameters").get<std::vector<std::string>>());
+    if (!arguments) {
+        if (arguments.refusal().code == RefusalCode::Malformed)
+            return misused(session, arguments.refusal().message);
+        return refuse(session, arguments.refusal(), name);
+    }
+    const auto holding = Holding::of(session, name, "command");
+    if (!holding) return refuse(session, holding.refusal(), name);
+    for (const auto& argument : arguments.value()) {
+        const auto done = session.station->set(found->id, service.value()->name, argument);
+        if (!done) return refuse(session, done.refusal(), name);
+        auto values = Json::array();
+        for (const auto& value : argument.values) values.push_back(toJson(value));
+        session.events.emit({{"event", "set"},
+                             {"entity", found->name},
+                             {"service", service.value()->name},
+                             {"parameter", argument.name},
+                             {"values", values},
+                             {"units", argument.units}});
+    }
+    return kDone;
+}
+
+std::string prepareUpload(Json& args) {
+    std::error_code error;
+    const std::filesystem::path file = args.at("file").get<std::string>();
+    if (!std::filesystem::is_regular_file(file, error)) {
+        return "expected a file to upload, found none at " + inQuotes(file.string(), 200);
+    }
+    args["file"] = std::filesystem::absolute(file, error).string();
+    return {};
+}
+
+int upload(Session& session) {
+    const auto name = session.args.at("entity").get<std::string>();
+    const auto found = session.station->find(name);
+    if (!found) return refuse(session, found.refusal(), name);
+    const auto services = session.station->services(found->id);
+    if (!services) return refuse(session, services.refusal(), name);
+    const auto service = findService(services.value(), session.args.at("service").get<std::string>());
+    if (!service) return refuse(session, service.refusal(), name);
+    const auto resource = findResource(*service.value(), session.args.at("resource").get<std::string>());
+    if (!resource) return refuse(session, resource.refusal(), name);
+    const auto holding = Holding::of(session, name, "upload");
+    if (!holding) return refuse(session, holding.refusal(), name);
+
+    const std::string file = session.args.at("file");
+    const Json about{{"event", "upload"},
+                     {"entity", found->name},
+                     {"service", service.value()->name},
+                     {"resource", resource.value()->name},
+                     {"file", file}};
+    // The library's call waits for the whole transfer: on a thread, so that progress is shown and Ctrl-C
+    // heard. What the thread needs it owns, because an interrupted verb leaves it behind.
+    auto work = [mailbox = session.mailbox, station = session.station, about, file, entity = found->id,
+                 service_name = service.value()->name, resource_name = resource.value()->name] {
+        const auto done = station->upload(entity, service_name, resource_name, file,
+                                          [&](std::uint64_t sent, std::uint64_t total) {
+                                              auto event = about;
+                                              event["sent"] = sent;
+                                              event["total"] = total;
+                                              mailbox->post(std::move(event), true);
+                                          });
+        Json end{{"event", "end"}};
+        if (!done) {
+            end["error"] = errorEvent(done.refusal());
+            end["exit"] = exitOf(done.refusal());
+        }
+        mailbox->post(std::move(end));
+    };
+    std::thread(std::move(work)).detach();
+    while (true) {
+        const auto event = session.mailbox->wait();
+        if (!event) {
+            session.mailbox->takeInterrupt();
+            session.events.emit(
+                {{"event", "notice"},
+                 {"message", "interrupted; the same axon upload goes on where this one ended"}});
+            return kInterrupted;
+        }
+        if (event->at("event") != "end") {
+            session.events.emit(*event);
+            continue;
+        }
+        if (event->contains("error")) {
+            session.events.emit(event->at("error"));
+            return event->at("exit");
+        }
+        auto uploaded = about;
+        uploaded["event"] = "uploaded";
+        session.events.emit(uploaded);
+        return kDone;
+    }
+}
+
+/// Reads what is to be sent here: the agent has another standard input and another working directory.
+std::string prepareSend(Json& args) {
+    const bool file = args.contains("file");
+    if (file == args.contains("text")) return "expected a TEXT or --file FILE, and not both";
+    std::string content;
+    if (!file) {
+        content = args.at("text").get<std::string>();
+    } else {
+        const auto path = args.at("file").get<std::string>();
+        std::ifstream opened;
+        if (path != "-") opened.open(path, std::ios::binary);
+        std::istream& in = path == "-" ? std::cin : opened;
+        if (!in) return "cannot read " + inQuotes(path, 200);
+        content.resize(kLargestMessage + 1);
+        in.read(content.data(), static_cast<std::streamsize>(content.size()));
+        content.resize(static_cast<std::size_t>(in.gcount()));
+    }
+    if (content.size() > kLargestMessage) {
+        return "a message carries at most 256 KiB: send files with axon upload";
+    }
+    args.erase("file");
+    if (args.value("raw", false)) {
+        args.erase("text");
+        args["hex"] = toHex(content);
+    } else {
+        if (!isUtf8(content)) return "the text is not UTF-8: send bytes with --raw";
+        args["text"] = content;
+    }
+    return {};
+}
+
+int send(Session& session) {
+    const auto name = session.args.at("entity").get<std::string>();
+    const auto holding = Holding::of(session, name, "message");
+    if (!holding) return refuse(session, holding.refusal(), name);
+    const auto& entity = holding->entity();
+    const auto listening = session.args.contains("for") ? listenTo(session, entity) : nullptr;
+    std::size_t size = 0;
+    Result<void> sent;
+    if (session.args.contains("hex")) {
+        const auto bytes = fromHex(session.args.at("hex").get<std::string>());
+        if (!bytes) return misused(session, "expected hexadecimal digits");
+        size = bytes->size();
+        sent = session.station->sendRaw(entity.id, *bytes);
+    } else {
+        const auto text = session.args.at("text").get<std::string>();
+        size = text.size();
+        sent = session.station->sendText(entity.id, text);
+    }
+    if (!sent) return refuse(session, sent.refusal(), name);
+    session.events.emit(
+        {{"event", "sent"}, {"entity", entity.name}, {"size", size}, {"raw", session.args.contains("hex")}});
+    if (!listening) return kDone;
+    const auto end =
+        std::chrono::steady_clock::now() + std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+                                               Seconds(session.args.at("for").get<double>()));
+    while (const auto event = session.mailbox->wait(end)) session.events.emit(*event);
+    return session.mailbox->takeInterrupt() ? kInterrupted : kDone;
+}
+
+}  // namespace
+
+extern const Verb kSet{
+    "set",
+    "Set parameters of a service, before running it",
+    "  axon set PeopleBot Driving 'Range Threshold=500'\n"
+    "  axon set PeopleBot Driving range_threshold=500mm\n"
+    "The robot grants or denies each. Values that are not savable are cleared after each task.\n",
+    Runs::Holder,
+    {{"entity", Takes::Entity, true, false, "Which entity"},
+     {"service", Takes::Service, true, false, "Name or global id of the service"},
+     {"parameters", Takes::KeyValue, true, true, "PARAMETER=VALUE"}},
+    {},
+    set};
+
+extern const Verb kUpload{"upload",
+                          "Upload a file as a resource of a service",
+                          "  axon upload PeopleBot Navigation Map lab.map\n"
+                          "An upload that was broken off goes on where it ended.\n",
+                          Runs::Holder,
+                          {{"entity", Takes::Entity, true, false, "Which entity"},
+                           {"service", Takes::Service, true, false, "Name or global id of the service"},
+                           {"resource", Takes::Resource, true, false, "Name of the resource"},
+                           {"file", Takes::File, true, false, "The file"}},
+                          {},
+                          upload,
+                          prepareUpload};
+
+extern const Verb kSend{
+    "send",
+    "Send a text or bytes to the robot's application",
+    "  axon send PeopleBot 'hello there'\n"
+    "  axon send PeopleBot --raw --file frame.bin\n"
+    "  date | axon send PeopleBot --file - --for 2     and show what comes back within 2 s\n",
+    Runs::Holder,
+    {{"entity", Takes::Entity, true, false, "Which entity"},
+     {"text", Takes::Text, false, false, "What to send"}},
+    {{"file", Takes::File, "Send what is in the file; - is the standard input"},
+     {"raw", Takes::Nothing, "As raw data instead of text"},
+     {"for", Takes::Duration, "Then show what the robot says for so many seconds"}},
+    send,
+    prepareSend};
+
+}  // namespace axon::cli

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <string>
+
+#include "cli/session.hpp"
+
+namespace axon::cli {
+
+/// Emits the error, and gives the exit status that goes with it.
+int refuse(Session& session, const Refusal& refusal, const std::string& entity = {});
+int misused(Session& session, const std::string& message, const std::string& mend = {});
+
+/// An entity that is held for as long as this lives: the check-out that is kept anyway, or one of its own,
+/// which is released at the end. Says so with a "checked_out" event ("PeopleBot is checked out for this
+/// run").
+class Holding {
+  public:
+    /// `what` completes the sentence: "run", "upload".
+    static Result<Holding> of(Session& session, const std::string& name, const std::string& what);
+    Holding(Holding&& other) noexcept;
+    Holding& operator=(Holding&&) = delete;
+    ~Holding();
+
+    const Entity& entity() const { return entity_; }
+
+  private:
+    Holding(Session& session, Entity entity, bool own)
+        : station_(session.station), entity_(std::move(entity)), own_(own) {}
+    std::shared_ptr<Station> station_;
+    Entity entity_;
+    bool own_;
+};
+
+/// The entity by the name, only when it is held here: NOT_HOLDER otherwise, with why it is not any more.
+Result<Entity> findHeld(Session& session, const std::string& name);
+
+/// Posts what the entity says to the mailbox: "text", "raw" and "lost" events.
+std::shared_ptr<void> listenTo(Session& session, const Entity& entity);
+
+/// Lower-case hexadecimal digits, as "raw" events carry bytes; and back (nothing where they are none).
+std::string toHex(const std::string& bytes);
+std::optional<std::string> fromHex(const std::string& hex);
+
+}  // namespace axon::cli

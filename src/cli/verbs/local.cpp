@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <unistd.h>
+
+#include <iostream>
+
+#include "cli/agent_link.hpp"
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+#include "messages/profile_command.hpp"
+
+// axon profile, axon agent, axon version
+namespace axon::cli {
+namespace {
+
+int profile(Session& session) {
+    return checkProfiles(session.args.at("files").get<std::vector<std::string>>(), session.settings.json,
+                         std::cout);
+}
+
+int agent(Session& session) {
+    const auto place = agentPlace(session.settings.server);
+    auto held = Json::array();
+    auto lost = Json::array();
+    for (const auto& entity : session.station->held()) held.push_back(toJson(entity, true));
+    for (const auto& entity : session.station->entities()) {
+        if (const auto why = session.station->lost(entity.id)) {
+            lost.push_back({{"id", entity.id},
+                            {"name", entity.name},
+                            {"code", refusalName(why->code)},
+                            {"message", why->message}});
+        }
+    }
+    if (session.args.at("action") == "stop") {
+        for (const auto& entity : session.station->held()) {
+            if (const auto done = session.station->release(entity.id); !done) {
+                session.events.emit(errorEvent(done.refusal(), entity.name));
+            } else {
+                session.events.emit({{"event", "released"}, {"id", entity.id}, {"entity", entity.name}});
+            }
+        }
+        session.events.emit({{"event", "notice"}, {"message", "the agent has ended"}});
+        if (session.end_agent) session.end_agent();
+        return kDone;
+    }
+    session.events.emit({{"event", "agent"},
+                         {"running", true},
+                         {"pid", ::getpid()},
+                         {"server", session.station->server()},
+                         {"self", session.station->self().name},
+                         {"connected", session.station->connected()},
+                         {"held", held},
+                         {"lost", lost},
+                         {"log", place ? place->log.string() : ""}});
+    return kDone;
+}
+
+int version(Session& session) {
+    session.events.emit({{"event", "version"}, {"version", AXON_VERSION}});
+    return kDone;
+}
+
+}  // namespace
+
+extern const Verb kProfile{
+    "profile",
+    "Check profiles (XML) before a robot uses them",
+    "  axon profile check basic.xml services.xml\n"
+    "Each finding says file:line, what was expected and how to mend it. Warnings leave the exit status 0.\n",
+    Runs::Local,
+    {{"action", Takes::Choice, true, false, "check", {"check"}},
+     {"files", Takes::File, true, true, "Profiles"}},
+    {},
+    profile};
+
+extern const Verb kAgent{"agent",
+                         "Show or end the agent that keeps check-outs between commands",
+                         "  axon agent status\n"
+                         "  axon agent stop      releases what it holds\n",
+                         Runs::Kept,
+                         {{"action",
+                           Takes::Choice,
+                           true,
+                           false,
+                           "status or stop (run is what axon checkout uses)",
+                           {"status", "stop", "run"}}},
+                         {},
+                         agent};
+
+extern const Verb kVersion{"version", "Show the version", "  axon version --json\n", Runs::Local, {}, {},
+                           version};
+
+}  // namespace axon::cli

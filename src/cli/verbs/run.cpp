@@ -1,0 +1,170 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/arguments.hpp"
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+
+// axon run
+namespace axon::cli {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using Deadline = std::optional<Clock::time_point>;
+
+/// How long a cancelled task may take to say that it has ended.
+constexpr std::chrono::seconds kCancelGrace{2};
+
+Json unitsOf(const Service& service) {
+    auto units = Json::object();
+    for (const auto& parameter : service.parameters) {
+        if (!parameter.units.empty()) units[parameter.name] = parameter.units;
+    }
+    return units;
+}
+
+/// Follows one task to its end: shows each change, cancels when the user has had enough or the time is up.
+class Follower {
+  public:
+    Follower(Session& session, std::string task, std::string entity, Json units, Clock::time_point started)
+        : session_(session),
+          task_(std::move(task)),
+          entity_(std::move(entity)),
+          units_(std::move(units)),
+          started_(started) {}
+
+    int follow(Deadline wait_until) {
+        Deadline deadline = wait_until;
+        int ended_by = kDone;
+        while (true) {
+            if (const auto event = session_.mailbox->wait(deadline)) {
+                const bool report = show(*event);
+                if (!report || !event->value("final", false)) continue;
+                const auto exit = event->at("exit").get<int>();
+                return ended_by != kDone && exit != kDone ? ended_by : exit;
+            }
+            const bool interrupted = session_.mailbox->takeInterrupt();
+            if (ended_by != kDone) {
+                // Cancelled before, and not over in time; or a second Ctrl-C.
+                session_.events.emit(errorEvent({RefusalCode::OutcomeUnknown,
+                                                 "the task was cancelled and has not said that it ended",
+                                                 {}},
+                                                entity_));
+                return ended_by;
+            }
+            ended_by = interrupted ? kInterrupted : kNotConfirmed;
+            if (!interrupted) {
+                session_.events.emit(
+                    {{"event", "notice"}, {"message", "the time is up: cancelling the task"}});
+            }
+            if (const auto done = session_.station->control(task_, TaskAction::Cancel); !done) {
+                session_.events.emit(errorEvent(done.refusal(), entity_));
+            }
+            deadline = Clock::now() + kCancelGrace;
+        }
+    }
+
+    /// Until it is accepted (or refused).
+    int detach(Deadline deadline) {
+        while (const auto event = session_.mailbox->wait(deadline)) {
+            if (!show(*event)) continue;
+            if (event->value("final", false)) return event->at("exit").get<int>();
+            session_.events.emit({{"event", "notice"},
+                                  {"message", "the task goes on: axon tasks shows it, axon cancel " +
+                                                  shellWord(entity_) + " ends it"}});
+            return kDone;
+        }
+        return refuse(session_, {RefusalCode::TimedOut, "nothing was heard of the task", {}}, entity_);
+    }
+
+  private:
+    /// Whether it was a report of the task.
+    bool show(Json event) {
+        if (event.at("event") != "task") {
+            session_.events.emit(event);
+            return false;
+        }
+        event.erase("exit");
+        event["elapsed_s"] = Seconds(Clock::now() - started_).count();
+        event["units"] = units_;
+        session_.events.emit(event);
+        return true;
+    }
+
+    Session& session_;
+    const std::string task_, entity_;
+    const Json units_;
+    const Clock::time_point started_;
+};
+
+int run(Session& session) {
+    const auto name = session.args.at("entity").get<std::string>();
+    const bool detached = session.args.value("detach", false);
+    if (detached && !session.kept) {
+        return misused(session, "--detach needs a check-out that outlives this command",
+                       "axon checkout " + shellWord(name));
+    }
+    const auto found = session.station->find(name);
+    if (!found) return refuse(session, found.refusal(), name);
+    const auto services = session.station->services(found->id);
+    if (!services) return refuse(session, services.refusal(), name);
+    const auto service = findService(services.value(), session.args.at("service").get<std::string>());
+    if (!service) return refuse(session, service.refusal(), name);
+    const auto arguments =
+        readArguments(*service.value(), session.args.value("parameters", std::vector<std::string>{}));
+    if (!arguments) {
+        if (arguments.refusal().code == RefusalCode::Malformed)
+            return misused(session, arguments.refusal().message);
+        return refuse(session, arguments.refusal(), name);
+    }
+
+    const auto holding = Holding::of(session, name, "run");
+    if (!holding) return refuse(session, holding.refusal(), name);
+    const auto& entity = holding->entity();
+    const auto listening = detached ? nullptr : listenTo(session, entity);
+    const auto started = Clock::now();
+    const auto mailbox = session.mailbox;
+    const auto task = session.station->run(
+        entity.id, service.value()->name, arguments.value(), Seconds(session.args.value("not-after", 0.0)),
+        [mailbox, entity_name = entity.name](const TaskReport& report) {
+            auto event = toJson(report);
+            event["entity_id"] = report.entity;
+            event["entity"] = entity_name;
+            event["exit"] = exitOf(report.state, report.reason);
+            if (!report.reason.ok()) {
+                const auto error = errorEvent(report.reason, entity_name);
+                if (error.contains("mend")) event["mend"] = error["mend"];
+            }
+            mailbox->post(std::move(event), !client::isFinal(report.state));
+        });
+    if (!task) return refuse(session, task.refusal(), name);
+
+    Follower follower(session, task.value(), name, unitsOf(*service.value()), started);
+    if (detached) return follower.detach(Clock::now() + std::chrono::seconds(5));
+    Deadline deadline;
+    if (session.args.contains("wait")) {
+        deadline = started +
+                   std::chrono::duration_cast<Clock::duration>(Seconds(session.args["wait"].get<double>()));
+    }
+    return follower.follow(deadline);
+}
+
+}  // namespace
+
+extern const Verb kRun{
+    "run",
+    "Run a service as a task and follow it to its end",
+    "  axon run PeopleBot Driving Distance=1000\n"
+    "  axon run PeopleBot Driving Distance=1000mm 'Range Threshold=500'\n"
+    "  axon run PeopleBot Driving distance=1000 range_threshold=500   the same\n"
+    "  axon run PeopleBot Driving Distance=1000 --json | tail -1      the final report\n"
+    "Ctrl-C cancels the task. Without axon checkout the entity is checked out for this run only.\n",
+    Runs::Holder,
+    {{"entity", Takes::Entity, true, false, "Which entity"},
+     {"service", Takes::Service, true, false, "Name or global id of the service"},
+     {"parameters", Takes::KeyValue, false, true,
+      "PARAMETER=VALUE; again for a parameter of several values"}},
+    {{"wait", Takes::Duration, "Cancel the task when it has not ended after so many seconds (exit 4)"},
+     {"not-after", Takes::Duration, "Refuse the task when it could not begin within so many seconds"},
+     {"detach", Takes::Nothing, "Do not follow it; needs axon checkout"}},
+    run};
+
+}  // namespace axon::cli

@@ -1,0 +1,145 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <algorithm>
+
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+#include "messages/text.hpp"
+
+// axon stop, rearm, reset, clear
+namespace axon::cli {
+namespace {
+
+/// The entities that are meant, as broadly as the words allow: a stop that is too wide is mended by a rearm,
+/// one that is too narrow may not be mended at all. So a name that several share stops all of them.
+std::vector<std::string> meant(Session& session, const std::vector<std::string>& names,
+                               std::vector<Json>& errors) {
+    std::vector<std::string> ids;
+    const auto add = [&](const std::string& id) {
+        if (std::find(ids.begin(), ids.end(), id) == ids.end()) ids.push_back(id);
+    };
+    for (const auto& name : names) {
+        const auto found = session.station->find(name);
+        if (found) {
+            add(found->id);
+            continue;
+        }
+        bool any = false;
+        for (const auto& entity : session.station->entities()) {
+            if (!equalIgnoringCase(entity.name, name)) continue;
+            add(entity.id);
+            any = true;
+        }
+        if (!any) errors.push_back(errorEvent(found.refusal(), name));
+    }
+    return ids;
+}
+
+int stop(Session& session) {
+    const auto names = session.args.value("entity", std::vector<std::string>{});
+    std::vector<Json> errors;
+    std::vector<std::string> ids;
+    if (!names.empty() && !session.args.value("all", false)) {
+        ids = meant(session, names, errors);
+        if (ids.empty()) {
+            for (const auto& error : errors) session.events.emit(error);
+            session.events.emit(
+                {{"event", "notice"}, {"message", "nothing was stopped; axon stop --all stops everything"}});
+            return kRefused;
+        }
+    }
+    const auto receipts = session.station->stop(ids, Seconds(session.args.value("deadline", 1.0)));
+    if (!receipts) {
+        for (const auto& error : errors) session.events.emit(error);
+        return refuse(session, receipts.refusal());
+    }
+    const auto all = session.station->entities();
+    auto list = Json::array();
+    bool confirmed = true;
+    for (const auto& receipt : receipts.value()) {
+        auto json = toJson(receipt);
+        const auto entity =
+            std::find_if(all.begin(), all.end(), [&](const Entity& e) { return e.id == receipt.entity; });
+        json["call"] = entity == all.end() ? receipt.name : callName(*entity, all);
+        list.push_back(std::move(json));
+        confirmed = confirmed && receipt.confirmed();
+    }
+    confirmed = confirmed && receipts->size() >= ids.size();
+    session.events.emit({{"event", "receipts"}, {"confirmed", confirmed}, {"receipts", list}});
+    for (const auto& error : errors) session.events.emit(error);
+    if (!confirmed) return kNotConfirmed;
+    return errors.empty() ? kDone : kRefused;
+}
+
+int rearm(Session& session) {
+    int exit = kDone;
+    for (const auto& name : session.args.at("entity").get<std::vector<std::string>>()) {
+        const auto found = session.station->find(name);
+        if (!found) {
+            exit = refuse(session, found.refusal(), name);
+        } else if (const auto done = session.station->rearm(found->id); !done) {
+            exit = refuse(session, done.refusal(), name);
+        } else {
+            session.events.emit({{"event", "done"}, {"verb", "rearm"}, {"entity", found->name}});
+        }
+    }
+    return exit;
+}
+
+int command(Session& session, const char* verb, Result<void> (Station::*give)(const std::string&)) {
+    const auto name = session.args.at("entity").get<std::string>();
+    const auto found = findHeld(session, name);
+    if (!found) return refuse(session, found.refusal(), name);
+    if (const auto done = ((*session.station).*give)(found->id); !done)
+        return refuse(session, done.refusal(), name);
+    session.events.emit({{"event", "done"}, {"verb", verb}, {"entity", found->name}});
+    return kDone;
+}
+
+int reset(Session& session) {
+    return command(session, "reset", &Station::reset);
+}
+int clear(Session& session) {
+    return command(session, "clear", &Station::clear);
+}
+
+}  // namespace
+
+extern const Verb kStop{
+    "stop",
+    "Stop entities at once, whoever holds them; no name = everything",
+    "  axon stop PeopleBot      also when somebody else holds it\n"
+    "  axon stop --all          the whole laboratory (so does axon stop alone)\n"
+    "Prints the receipt: when the server, the manager and the robot's stop callback had it, and when the\n"
+    "application said that it stands still. Exit status 0 only when all of them are confirmed, else 4.\n"
+    "A stopped entity refuses tasks until axon rearm. This is a control-system stop, not an emergency "
+    "stop.\n",
+    Runs::Anywhere,
+    {{"entity", Takes::Entity, false, true, "What to stop; a name that several share stops all of them"}},
+    {{"all", Takes::Nothing, "Everything there is"},
+     {"deadline", Takes::Duration, "How long to wait for the receipts (1)"}},
+    stop};
+
+extern const Verb kRearm{
+    "rearm",        "Let a stopped entity take tasks again; starts nothing",  "  axon rearm PeopleBot\n",
+    Runs::Anywhere, {{"entity", Takes::Entity, true, true, "What to rearm"}}, {},
+    rearm};
+
+extern const Verb kReset{"reset",
+                         "End the running task and go on with the next one waiting",
+                         "  axon reset PeopleBot\n"
+                         "Unlike axon stop, the entity is not latched.\n",
+                         Runs::Kept,
+                         {{"entity", Takes::Entity, true, false, "Which entity"}},
+                         {},
+                         reset};
+
+extern const Verb kClear{"clear",
+                         "End the running task and forget the ones waiting",
+                         "  axon clear PeopleBot\n"
+                         "Unlike axon stop, the entity is not latched.\n",
+                         Runs::Kept,
+                         {{"entity", Takes::Entity, true, false, "Which entity"}},
+                         {},
+                         clear};
+
+}  // namespace axon::cli

@@ -1,0 +1,261 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <gmock/gmock.h>
+
+#include <thread>
+
+#include "cli/fake_station.hpp"
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+
+using namespace axon;
+using namespace axon::cli;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+namespace {
+
+struct Verbs : testing::Test {
+    std::shared_ptr<FakeStation> station = std::make_shared<FakeStation>();
+    std::shared_ptr<Mailbox> mailbox = std::make_shared<Mailbox>();
+    Recorded seen;
+    Settings settings;
+    bool kept = false;
+
+    int perform(const std::string& verb, Json args) {
+        Session session{std::move(args), seen, mailbox, station, settings, kept};
+        return findVerb(verb)->perform(session);
+    }
+    Json runCyton() { return {{"entity", "Cyton"}, {"service", "driving"}, {"parameters", {"distance=1000mm"}}}; }
+    std::string cyton() { return station->entities_[2].id; }
+};
+
+}  // namespace
+
+TEST_F(Verbs, RunChecksOutForItselfAndReleases) {
+    station->script = {{TaskState::Running, 0.5, "half way", {}, {}}, {TaskState::Succeeded, 1, "", {}, {{"Distance", {std::int64_t{998}}}}}};
+    EXPECT_EQ(perform("run", runCyton()), kDone);
+    EXPECT_THAT(station->journalNow(), ElementsAre("checkOut", "release"));
+    EXPECT_EQ(seen.events.front()["event"], "checked_out");
+    EXPECT_EQ(seen.events.front()["for"], "run");
+    const auto& last = seen.events.back();
+    EXPECT_EQ(last["event"], "task");
+    EXPECT_EQ(last["state"], "SUCCEEDED");
+    EXPECT_EQ(last["results"]["Distance"][0], 998);
+    EXPECT_EQ(last["units"]["Distance"], "mm");
+    EXPECT_EQ(station->run_arguments.at(0).units, "mm");
+}
+
+TEST_F(Verbs, RunKeepsACheckOutThatIsKept) {
+    kept = true;
+    ASSERT_TRUE(station->checkOut({cyton()}));
+    station->script = {{TaskState::Succeeded, 1, "", {}, {}}};
+    EXPECT_EQ(perform("run", runCyton()), kDone);
+    EXPECT_EQ(station->held().size(), 1U);
+    EXPECT_EQ(seen.last("checked_out"), nullptr);
+}
+
+TEST_F(Verbs, RunExitsByWhatBecameOfTheTask) {
+    for (const auto& [state, exit] : std::vector<std::pair<TaskState, int>>{{TaskState::Failed, kRefused},
+                                                                           {TaskState::Refused, kRefused},
+                                                                           {TaskState::Stopped, kStopped},
+                                                                           {TaskState::Cancelled, kStopped},
+                                                                           {TaskState::Unknown, kNotConfirmed}}) {
+        station->script = {{state, -1, "", {RefusalCode::Failed, "because", {}}, {}}};
+        EXPECT_EQ(perform("run", runCyton()), exit) << client::toString(state);
+    }
+    station->script = {{TaskState::Refused, -1, "", {RefusalCode::TimedOut, "late", {}}, {}}};
+    EXPECT_EQ(perform("run", runCyton()), kNotConfirmed);
+}
+
+TEST_F(Verbs, AnInterruptCancelsTheTaskAndReleases) {
+    station->script = {{TaskState::Running, 0.1, "", {}, {}}};
+    mailbox->interrupt();
+    EXPECT_EQ(perform("run", runCyton()), kInterrupted);
+    EXPECT_THAT(station->journalNow(), ElementsAre("checkOut", "cancel", "release"));
+    EXPECT_EQ(seen.events.back()["state"], "CANCELLED");
+}
+
+TEST_F(Verbs, ASecondInterruptDoesNotWaitForTheTask) {
+    station->script = {{TaskState::Running, 0.1, "", {}, {}}};
+    station->cancel_is_heard = false;
+    mailbox->interrupt();
+    // The second one comes as the first is handled: the fake never answers, and only this ends the wait at once.
+    std::thread second([this] {
+        while (station->journalNow().size() < 2) std::this_thread::yield();
+        mailbox->interrupt();
+    });
+    EXPECT_EQ(perform("run", runCyton()), kInterrupted);
+    second.join();
+    EXPECT_EQ(seen.last("error")->at("code"), "OUTCOME_UNKNOWN");
+}
+
+TEST_F(Verbs, RunCancelsWhenTheTimeIsUp) {
+    station->script = {{TaskState::Running, 0.1, "", {}, {}}};
+    auto args = runCyton();
+    args["wait"] = 0.0;
+    EXPECT_EQ(perform("run", args), kNotConfirmed);
+    EXPECT_EQ(seen.events.back()["state"], "CANCELLED");
+}
+
+TEST_F(Verbs, DetachNeedsACheckOutThatOutlivesIt) {
+    auto args = runCyton();
+    args["detach"] = true;
+    EXPECT_EQ(perform("run", args), kUsage);
+    EXPECT_THAT(station->journalNow(), ElementsAre());
+}
+
+TEST_F(Verbs, ARefusedCheckOutNamesTheHolderAndRunsNothing) {
+    station->check_out_refusal = {RefusalCode::AlreadyHeld, "Cyton is held by eve@lab", "eve@lab"};
+    EXPECT_EQ(perform("run", runCyton()), kRefused);
+    EXPECT_EQ(seen.events.back()["holder"], "eve@lab");
+    EXPECT_TRUE(station->run_arguments.empty());
+}
+
+TEST_F(Verbs, WrongParametersAreRefusedBeforeTheCheckOut) {
+    auto args = runCyton();
+    args["parameters"] = {"speed=3"};
+    EXPECT_EQ(perform("run", args), kRefused);
+    args["parameters"] = {"1000"};
+    EXPECT_EQ(perform("run", args), kUsage);
+    EXPECT_THAT(station->journalNow(), ElementsAre());
+}
+
+TEST_F(Verbs, StopOfASharedNameStopsAllOfThem) {
+    EXPECT_EQ(perform("stop", {{"entity", {"PeopleBot"}}}), kDone);
+    EXPECT_EQ(station->stopped.size(), 2U);
+    EXPECT_EQ(seen.last("receipts")->at("receipts").at(1).at("call"), "PeopleBot#2");
+}
+
+TEST_F(Verbs, StopWithoutANameStopsEverything) {
+    EXPECT_EQ(perform("stop", Json::object()), kDone);
+    EXPECT_TRUE(station->stopped.empty());
+    EXPECT_EQ(seen.last("receipts")->at("receipts").size(), 3U);
+}
+
+TEST_F(Verbs, StopSucceedsOnlyWhenConfirmed) {
+    station->stop_is_confirmed = false;
+    EXPECT_EQ(perform("stop", {{"entity", {"Cyton"}}}), kNotConfirmed);
+    EXPECT_FALSE(seen.last("receipts")->at("confirmed"));
+}
+
+TEST_F(Verbs, StopDoesWhatItCanWhenANameIsWrong) {
+    EXPECT_EQ(perform("stop", {{"entity", {"Cyton", "Citon"}}}), kRefused);
+    EXPECT_THAT(station->stopped, ElementsAre(cyton()));
+    EXPECT_EQ(seen.last("error")->at("code"), "UNKNOWN_ENTITY");
+    station->stopped = {"untouched"};
+    EXPECT_EQ(perform("stop", {{"entity", {"Citon"}}}), kRefused);
+    EXPECT_THAT(station->stopped, ElementsAre("untouched"));
+}
+
+TEST_F(Verbs, CheckOutTakesAllAndSaysWhatIsHeldAlready) {
+    kept = true;
+    ASSERT_TRUE(station->checkOut({cyton()}));
+    EXPECT_EQ(perform("checkout", {{"entity", {"Cyton", station->entities_[0].id, station->entities_[0].id}}}), kDone);
+    EXPECT_EQ(station->held().size(), 2U);
+    EXPECT_EQ(seen.last("checked_out")->at("already").at(0).at("name"), "Cyton");
+    EXPECT_EQ(seen.last("checked_out")->at("entities").size(), 1U);
+}
+
+TEST_F(Verbs, ReleaseWithoutANameReleasesEverything) {
+    ASSERT_TRUE(station->checkOut({cyton(), station->entities_[0].id}));
+    EXPECT_EQ(perform("release", Json::object()), kDone);
+    EXPECT_TRUE(station->held().empty());
+    EXPECT_EQ(perform("release", {{"entity", {"Cyton"}}}), kRefused);
+    EXPECT_EQ(seen.last("error")->at("code"), "NOT_HOLDER");
+}
+
+TEST_F(Verbs, ALostCheckOutIsNamedAsTheReason) {
+    station->lost_id = cyton();
+    EXPECT_EQ(perform("cancel", {{"entity", "Cyton"}}), kRefused);
+    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("was lost: an admin took it over"));
+    EXPECT_EQ(seen.last("error")->at("holder"), "eve@lab");
+}
+
+TEST_F(Verbs, CancelFindsTheOnlyTask) {
+    kept = true;
+    ASSERT_TRUE(station->checkOut({cyton()}));
+    station->script = {{TaskState::Running, 0.1, "", {}, {}}};
+    auto args = runCyton();
+    args["detach"] = true;
+    EXPECT_EQ(perform("run", args), kDone);
+    EXPECT_EQ(perform("cancel", {{"entity", "Cyton"}, {"task", "0000"}}), kRefused);
+    EXPECT_EQ(perform("pause", {{"entity", "Cyton"}, {"task", "abcd"}}), kDone);
+    EXPECT_EQ(perform("cancel", {{"entity", "Cyton"}}), kDone);
+    EXPECT_EQ(perform("tasks", Json::object()), kDone);
+    EXPECT_EQ(seen.last("tasks")->at("tasks").at(0).at("state"), "CANCELLED");
+    EXPECT_EQ(perform("cancel", {{"entity", "Cyton"}}), kRefused);
+}
+
+TEST_F(Verbs, SetSendsEachParameterAndUploadShowsProgress) {
+    EXPECT_EQ(perform("set", {{"entity", "Cyton"}, {"service", "Driving"}, {"parameters", {"range_threshold=700"}}}), kDone);
+    EXPECT_EQ(station->set_arguments.at(0).name, "Range Threshold");
+    EXPECT_EQ(perform("upload", {{"entity", "Cyton"}, {"service", "Driving"}, {"resource", "map"}, {"file", "/lab.map"}}), kDone);
+    EXPECT_EQ(seen.last("upload")->at("sent"), 1000);
+    EXPECT_EQ(seen.events.back()["event"], "uploaded");
+    EXPECT_EQ(perform("upload", {{"entity", "Cyton"}, {"service", "Driving"}, {"resource", "mop"}, {"file", "/lab.map"}}), kRefused);
+}
+
+TEST_F(Verbs, SendCarriesBytesUnharmed) {
+    const std::string bytes("\x00\xff\n", 3);
+    EXPECT_EQ(perform("send", {{"entity", "Cyton"}, {"hex", toHex(bytes)}}), kDone);
+    EXPECT_EQ(station->sent, bytes);
+    EXPECT_EQ(perform("send", {{"entity", "Cyton"}, {"hex", "0g"}}), kUsage);
+}
+
+TEST_F(Verbs, WatchShowsSamplesAndTextsUntilItsTimeIsUp) {
+    station->samples = {{1, R"({"x":1.5})"}, {3, "no json"}};
+    station->says = "hello";
+    EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"streams", {"pose"}}, {"for", 0.05}}), kDone);
+    EXPECT_THAT(station->watched, ElementsAre("pose"));
+    EXPECT_EQ(seen.last("text")->at("text"), "hello");
+    EXPECT_EQ(seen.last("sample")->at("sample"), "no json");
+    EXPECT_EQ(seen.last("sample")->at("sequence"), 3);
+    mailbox->interrupt();
+    EXPECT_EQ(perform("watch", {{"entity", "Cyton"}}), kInterrupted);
+}
+
+TEST_F(Verbs, LsNumbersSharedNames) {
+    EXPECT_EQ(perform("ls", Json::object()), kDone);
+    const auto& list = seen.last("entities")->at("entities");
+    EXPECT_EQ(list.at(0).at("call"), "Cyton");
+    EXPECT_EQ(list.at(1).at("call"), "PeopleBot#1");
+    EXPECT_EQ(perform("info", {{"entity", "PeopleBot"}}), kRefused);
+    EXPECT_EQ(seen.last("error")->at("code"), "AMBIGUOUS_ENTITY");
+    EXPECT_EQ(perform("info", {{"entity", "Cyton"}, {"service", "Driving"}}), kDone);
+    EXPECT_EQ(seen.last("entity")->at("services").size(), 1U);
+}
+
+TEST(MailboxTest, DropsTheOldestThatMayBeDroppedAndCounts) {
+    Mailbox mailbox;
+    mailbox.post({{"n", -1}}, false);
+    for (std::size_t i = 0; i < Mailbox::kLimit + 4; ++i) mailbox.post({{"n", i}}, true);
+    EXPECT_EQ(mailbox.takeDropped(), 5U);
+    EXPECT_EQ(mailbox.wait()->at("n"), -1);
+    EXPECT_EQ(mailbox.wait()->at("n"), 5);
+}
+
+TEST(Completion, OffersWhatFitsTheWord) {
+    const auto station = std::make_shared<FakeStation>();
+    const Settings settings;
+    const auto offered = [&](std::vector<std::string> words) {
+        Recorded seen;
+        words.insert(words.begin(), std::to_string(words.size() - 1));
+        Session session{{{"words", words}}, seen, std::make_shared<Mailbox>(), nullptr, settings};
+        session.perform = [&](const std::string& verb, const Json& args, Events& sink) {
+            Session inner{args, sink, std::make_shared<Mailbox>(), station, settings};
+            return findVerb(verb)->perform(inner);
+        };
+        EXPECT_EQ(findVerb("__complete")->perform(session), kDone);
+        return seen.events.empty() ? std::string() : seen.events.back()["text"].get<std::string>();
+    };
+    EXPECT_EQ(offered({"axon", "re"}), "rearm\nrelease\nresume\nreset");
+    EXPECT_EQ(offered({"axon", "run", "Peo"}), "PeopleBot#1\nPeopleBot#2");
+    EXPECT_EQ(offered({"axon", "run", "Cyton", ""}), "Driving");
+    EXPECT_EQ(offered({"axon", "run", "--wait", "3", "Cyton", "Driving", "Distance=1", ""}), "Range_Threshold=\nColours=");
+    EXPECT_EQ(offered({"axon", "run", "Cyton", "Driving", "Colours", "=", "r"}), "red");
+    EXPECT_EQ(offered({"axon", "upload", "Cyton", "Driving", ""}), "Map");
+    EXPECT_EQ(offered({"axon", "upload", "Cyton", "Driving", "Map", "x"}), "__files__");
+    EXPECT_EQ(offered({"axon", "stop", "Cyton", "--d"}), "--deadline");
+    EXPECT_EQ(offered({"axon", "agent", "s"}), "status\nstop");
+    EXPECT_EQ(offered({"axon", "nonsense", ""}), "");
+}

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+
+// axon watch
+namespace axon::cli {
+namespace {
+
+int watch(Session& session) {
+    const auto name = session.args.at("entity").get<std::string>();
+    const auto found = session.station->find(name);
+    if (!found) return refuse(session, found.refusal(), name);
+    const auto listening = listenTo(session, found.value());
+    const auto mailbox = session.mailbox;
+    const auto watching =
+        session.station->watch(found->id, session.args.value("streams", std::vector<std::string>{}),
+                               [mailbox, entity = found->name](const Sample& sample) {
+                                   auto content = Json::parse(sample.json, nullptr, false);
+                                   if (content.is_discarded()) content = sample.json;
+                                   mailbox->post({{"event", "sample"},
+                                                  {"entity", entity},
+                                                  {"stream", sample.stream},
+                                                  {"sequence", sample.sequence},
+                                                  {"sample", std::move(content)}},
+                                                 true);
+                               });
+    if (!watching) return refuse(session, watching.refusal(), name);
+    session.events.emit({{"event", "watching"}, {"entity", found->name}});
+
+    std::optional<std::chrono::steady_clock::time_point> end;
+    if (session.args.contains("for")) {
+        end = std::chrono::steady_clock::now() +
+              std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+                  Seconds(session.args.at("for").get<double>()));
+    }
+    while (const auto event = session.mailbox->wait(end)) {
+        session.events.emit(*event);
+        if (const auto dropped = session.mailbox->takeDropped(); dropped > 0) {
+            session.events.emit({{"event", "dropped"}, {"count", dropped}});
+        }
+        // A clock that is looked at only when nothing comes would never end a busy watch.
+        if (end && std::chrono::steady_clock::now() >= *end) break;
+    }
+    return session.mailbox->takeInterrupt() ? kInterrupted : kDone;
+}
+
+}  // namespace
+
+extern const Verb kWatch{
+    "watch",
+    "Show an entity's streams, and what it says to its holder",
+    "  axon watch PeopleBot                  all streams until Ctrl-C\n"
+    "  axon watch PeopleBot pose --for 10\n"
+    "  axon watch PeopleBot pose --json | jq -c .sample\n"
+    "Texts and raw data go to the holder only: they are shown when axon checkout holds it.\n",
+    Runs::Anywhere,
+    {{"entity", Takes::Entity, true, false, "Which entity"},
+     {"streams", Takes::Stream, false, true, "Names of streams; none = all"}},
+    {{"for", Takes::Duration, "End after so many seconds"}},
+    watch};
+
+}  // namespace axon::cli

@@ -1,0 +1,514 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/view.hpp"
+
+#include <fmt/format.h>
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <ostream>
+
+#include "cli/words.hpp"
+
+namespace axon::cli {
+namespace {
+
+/// A member of an event as harmless text; empty where there is none.
+std::string textOf(const Json& json, const char* member, bool lines = false) {
+    const auto found = json.find(member);
+    if (found == json.end() || found->is_null()) return {};
+    return printable(found->is_string() ? found->get<std::string>() : line(*found), lines);
+}
+
+std::string valueText(const Json& value) {
+    if (value.is_string()) return printable(value.get<std::string>());
+    if (value.is_number_float()) return fmt::format("{:.6g}", value.get<double>());
+    return printable(line(value));
+}
+
+std::string valuesText(const Json& values) {
+    std::string text;
+    for (const auto& value : values) text += (text.empty() ? "" : ", ") + valueText(value);
+    return text;
+}
+
+Tint stateTint(const std::string& state) {
+    if (state == "ERR" || state == "UNAV") return Tint::Red;
+    if (state == "BUSY" || state == "COLLAB" || state == "SLAVE") return Tint::Cyan;
+    if (state == "IDLE") return Tint::Green;
+    return Tint::None;
+}
+
+std::string holderText(const Json& entity) {
+    if (entity.value("yours", false)) return "you";
+    const auto& holder = entity.at("holder");
+    return holder.is_null() ? "" : textOf(holder, "name");
+}
+
+/// "INT mm", and what its values may be.
+std::string typeText(const Json& parameter) {
+    auto text = textOf(parameter, "data_type");
+    if (const auto units = textOf(parameter, "units"); !units.empty()) text += " " + units;
+    return text;
+}
+
+std::string allowedText(const Json& parameter) {
+    if (parameter.contains("choices")) return valuesText(parameter["choices"]);
+    const bool low = parameter.contains("minimum");
+    const bool high = parameter.contains("maximum");
+    if (low && high) return valueText(parameter["minimum"]) + " to " + valueText(parameter["maximum"]);
+    if (low) return "from " + valueText(parameter["minimum"]);
+    if (high) return "up to " + valueText(parameter["maximum"]);
+    return {};
+}
+
+std::string lowerCase(std::string text) {
+    std::transform(text.begin(), text.end(), text.begin(),
+                   [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
+    return text;
+}
+
+std::string stageText(const Json& milliseconds) {
+    return milliseconds.is_number() ? duration(milliseconds.get<double>() / 1000) : "-";
+}
+
+}  // namespace
+
+Terminal Terminal::ofStandardOutput() {
+    Terminal terminal;
+    const char* kind = std::getenv("TERM");
+    const char* no_colour = std::getenv("NO_COLOR");
+    terminal.live = ::isatty(STDOUT_FILENO) == 1 && (kind == nullptr || std::string_view(kind) != "dumb");
+    terminal.colour = terminal.live && (no_colour == nullptr || *no_colour == '\0');
+    winsize size{};
+    if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col >= 20) terminal.width = size.ws_col;
+    return terminal;
+}
+
+std::string progressBar(double part, std::size_t width) {
+    const auto inner = width - 2;
+    const auto full = static_cast<std::size_t>(std::clamp(part, 0.0, 1.0) * static_cast<double>(inner) + 0.5);
+    return "[" + std::string(full, '#') + std::string(inner - full, '-') + "]";
+}
+
+std::string duration(double seconds) {
+    if (seconds < 0.01) return fmt::format("{:.1f} ms", seconds * 1000);
+    if (seconds < 1) return fmt::format("{:.0f} ms", seconds * 1000);
+    if (seconds < 60) return fmt::format("{:.1f} s", seconds);
+    const auto whole = static_cast<long long>(seconds + 0.5);
+    return fmt::format("{} min {:02} s", whole / 60, whole % 60);
+}
+
+std::string byteCount(double bytes) {
+    if (bytes < 1000) return fmt::format("{:.0f} B", bytes);
+    if (bytes < 1e6) return fmt::format("{:.1f} KB", bytes / 1e3);
+    if (bytes < 1e9) return fmt::format("{:.1f} MB", bytes / 1e6);
+    return fmt::format("{:.1f} GB", bytes / 1e9);
+}
+
+PersonView::PersonView(std::ostream& out, std::ostream& err, Terminal terminal, const Clock& clock)
+    : out_(out), err_(err), terminal_(terminal), clock_(clock) {}
+
+PersonView::~PersonView() {
+    wipe();
+    out_.flush();
+}
+
+std::string PersonView::paint(std::string_view text, Tint tint) const {
+    return tinted(text, tint, terminal_.colour);
+}
+
+void PersonView::wipe() {
+    if (!progress_shown_) return;
+    out_ << "\r\x1b[K";
+    progress_shown_ = false;
+}
+
+void PersonView::say(const std::string& text) {
+    wipe();
+    out_ << text << '\n' << std::flush;
+}
+
+void PersonView::progress(const std::string& text, double part) {
+    const auto now = clock_.now();
+    if (terminal_.live) {
+        // Twenty times a second is as fast as a person reads; the last one of a burst is drawn by what
+        // follows it.
+        if (progress_shown_ && last_progress_at_ && now - *last_progress_at_ < std::chrono::milliseconds(50))
+            return;
+        out_ << "\r\x1b[K" << shortened(text, terminal_.width - 1) << std::flush;
+        progress_shown_ = true;
+    } else {
+        const bool due = !last_progress_at_ || now - *last_progress_at_ >= std::chrono::seconds(5) ||
+                         (part >= 0 && part - last_part_ >= 0.1);
+        if (!due || text == last_progress_) return;
+        out_ << text << '\n' << std::flush;
+    }
+    last_progress_ = text;
+    last_part_ = part;
+    last_progress_at_ = now;
+}
+
+void PersonView::emit(const Json& event) {
+    const auto kind = event.value("event", "");
+    if (kind == "entities") return showEntities(event);
+    if (kind == "entity") return showEntity(event);
+    if (kind == "task") return showTask(event);
+    if (kind == "tasks") return showTasks(event);
+    if (kind == "upload") return showUpload(event);
+    if (kind == "receipts") return showReceipts(event);
+    if (kind == "checked_out") return showCheckedOut(event);
+    if (kind == "sample") return showSample(event);
+    if (kind == "finding") return showFinding(event);
+    if (kind == "agent") return showAgent(event);
+    if (kind == "error") return showError(event);
+    if (kind == "uploaded") {
+        return say(paint("✓", Tint::Green) + " " + textOf(event, "entity") + " has " +
+                   textOf(event, "resource") + " of " + textOf(event, "service"));
+    }
+    if (kind == "set") {
+        const auto units = textOf(event, "units");
+        return say(textOf(event, "entity") + " " + textOf(event, "service") + ": " +
+                   textOf(event, "parameter") + " = " + valuesText(event.at("values")) +
+                   (units.empty() ? "" : " " + units));
+    }
+    if (kind == "released") return say(textOf(event, "entity") + " is released");
+    if (kind == "lost") {
+        wipe();
+        const auto holder = textOf(event, "holder");
+        err_ << paint("axon: the check-out of " + textOf(event, "entity") + " is LOST: " +
+                          textOf(event, "message") + (holder.empty() ? "" : "; held by " + holder),
+                      Tint::Red)
+             << " (" << textOf(event, "code") << ")\n"
+             << std::flush;
+        return;
+    }
+    if (kind == "text") return say(textOf(event, "entity") + ": " + textOf(event, "text"));
+    if (kind == "raw") {
+        auto hex = textOf(event, "hex");
+        if (hex.size() > 64) hex = hex.substr(0, 64) + "…";
+        return say(fmt::format("{}: {} raw bytes  {}", textOf(event, "entity"), event.value("size", 0), hex));
+    }
+    if (kind == "dropped") {
+        return say(paint(fmt::format("({} samples were dropped: they came faster than they could be shown)",
+                                     event.value("count", 0)),
+                         Tint::Yellow));
+    }
+    if (kind == "watching") {
+        if (terminal_.live) say(paint("watching " + textOf(event, "entity") + ", Ctrl-C ends it", Tint::Dim));
+        return;
+    }
+    if (kind == "sent") {
+        return say(fmt::format("sent {} {} to {}", byteCount(event.value("size", 0.0)),
+                               event.value("raw", false) ? "of raw data" : "of text",
+                               textOf(event, "entity")));
+    }
+    if (kind == "done") {
+        static const std::pair<const char*, const char*> kSaid[] = {
+            {"rearm", "is rearmed and takes tasks again"},
+            {"reset", "ends its task and goes on with the next"},
+            {"clear", "ends its task and forgets the ones waiting"},
+            {"pause", "is to pause"},
+            {"resume", "is to go on"},
+            {"cancel", "is to end"}};
+        auto what = textOf(event, "entity");
+        if (const auto service = textOf(event, "service"); !service.empty()) what += " " + service;
+        for (const auto& [verb, said] : kSaid) {
+            if (event.value("verb", "") == verb) return say(what + " " + said);
+        }
+        return say(what);
+    }
+    if (kind == "version") return say("axon " + textOf(event, "version"));
+    if (kind == "notice") return say(paint(textOf(event, "message"), Tint::Dim));
+    if (kind == "line") return say(textOf(event, "text", true));
+}
+
+void PersonView::showEntities(const Json& event) {
+    const auto& list = event.at("entities");
+    if (list.empty()) {
+        return say("no entities at " + textOf(event, "server") +
+                   " yet: start a robot's application and its "
+                   "axon-entity-manager");
+    }
+    std::vector<std::string> head{"NAME", "CATEGORY", "TYPE", "STATE", "HOLDER", "LATCH", "REASON"};
+    const bool uuid = event.value("uuid", false);
+    if (uuid) head.emplace_back("UUID");
+    Table table(head);
+    for (const auto& entity : list) {
+        const auto state = textOf(entity, "state");
+        const auto holder = holderText(entity);
+        std::vector<Cell> row{{textOf(entity, "call"), Tint::Bold},
+                              {textOf(entity, "category")},
+                              {textOf(entity, "type")},
+                              {state, stateTint(state)},
+                              {holder.empty() ? "-" : holder, holder == "you" ? Tint::Green : Tint::None},
+                              {entity.value("latched", false) ? "stopped" : "", Tint::Yellow},
+                              {textOf(entity, "reason"), Tint::Dim}};
+        if (uuid) row.push_back({textOf(entity, "id")});
+        table.add(std::move(row));
+    }
+    wipe();
+    out_ << table.text(terminal_.colour) << std::flush;
+}
+
+void PersonView::showEntity(const Json& event) {
+    const auto& entity = event.at("entity");
+    const auto call = textOf(entity, "call");
+    const auto state = textOf(entity, "state");
+    const auto holder = holderText(entity);
+    wipe();
+    out_ << paint(call, Tint::Bold) << "  " << textOf(entity, "category") << ' ' << textOf(entity, "type")
+         << "  " << paint(state, stateTint(state)) << "  " << (holder.empty() ? "free" : "held by " + holder)
+         << '\n';
+    if (entity.value("latched", false)) {
+        out_ << "  " << paint("stopped: refuses tasks until axon rearm " + shellWord(call), Tint::Yellow)
+             << '\n';
+    }
+    if (const auto reason = textOf(entity, "reason"); !reason.empty())
+        out_ << "  " << paint(reason, Tint::Red) << '\n';
+    if (const auto descr = textOf(entity, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
+    out_ << fmt::format("  at {:.0f}, {:.0f}, {:.0f} mm  {}\n", entity.value("x_mm", 0.0),
+                        entity.value("y_mm", 0.0), entity.value("z_mm", 0.0),
+                        paint(textOf(entity, "id"), Tint::Dim));
+    for (const auto& service : event.at("services")) {
+        out_ << '\n' << paint(textOf(service, "name"), Tint::Bold);
+        if (const auto id = textOf(service, "global_id"); !id.empty()) out_ << " (" << id << ")";
+        out_ << "  ";
+        const auto& missing = service.at("missing");
+        if (!service.value("active", true)) {
+            out_ << paint("not active now", Tint::Red);
+        } else if (service.value("executing", false)) {
+            out_ << paint("running", Tint::Cyan);
+        } else if (!missing.empty()) {
+            out_ << paint("needs " + valuesText(missing), Tint::Yellow);
+        } else {
+            out_ << paint("ready", Tint::Green);
+        }
+        if (textOf(service, "type") == "CMPLX") out_ << "; composite";
+        if (!service.value("blocking", true)) out_ << "; runs beside others";
+        if (service.value("pausable", false)) out_ << "; pausable";
+        out_ << '\n';
+        if (const auto descr = textOf(service, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
+        if (const auto notes = textOf(service, "notes"); !notes.empty())
+            out_ << "  " << paint(notes, Tint::Dim) << '\n';
+        const auto isMissing = [&](const std::string& name) {
+            return std::any_of(missing.begin(), missing.end(), [&](const Json& one) { return one == name; });
+        };
+        if (const auto& parameters = service.at("parameters"); !parameters.empty()) {
+            Table table({"PARAMETER", "KIND", "TYPE", "VALUE", "ALLOWED", "", "DESCRIPTION"}, 2);
+            for (const auto& parameter : parameters) {
+                std::string marks;
+                if (parameter.value("required", false)) marks = "required";
+                if (parameter.value("multiple", false)) marks += marks.empty() ? "several" : ", several";
+                if (parameter.value("savable", false)) marks += marks.empty() ? "kept" : ", kept";
+                const bool lacking = isMissing(parameter.value("name", ""));
+                table.add({{textOf(parameter, "name")},
+                           {lowerCase(textOf(parameter, "type"))},
+                           {typeText(parameter)},
+                           {lacking ? "missing" : valuesText(parameter.at("values")),
+                            lacking ? Tint::Yellow : Tint::None},
+                           {allowedText(parameter)},
+                           {marks},
+                           {textOf(parameter, "descr"), Tint::Dim}});
+            }
+            out_ << table.text(terminal_.colour);
+        }
+        if (const auto& resources = service.at("resources"); !resources.empty()) {
+            Table table({"RESOURCE", "SIZE", "", "DESCRIPTION"}, 2);
+            for (const auto& resource : resources) {
+                const bool there = resource.value("ready", false);
+                table.add({{textOf(resource, "name")},
+                           {there ? byteCount(resource.value("size", 0.0)) : "missing",
+                            there ? Tint::None : Tint::Yellow},
+                           {resource.value("required", false) ? "required" : ""},
+                           {textOf(resource, "descr"), Tint::Dim}});
+            }
+            out_ << table.text(terminal_.colour);
+        }
+    }
+    out_ << std::flush;
+}
+
+void PersonView::showTask(const Json& event) {
+    const auto state = textOf(event, "state");
+    const auto who = textOf(event, "entity") + " " + textOf(event, "service");
+    const auto feedback = textOf(event, "feedback");
+    const auto elapsed = event.value("elapsed_s", 0.0);
+    const double part = event.at("progress").is_number() ? event["progress"].get<double>() : -1;
+    if (event.value("final", false)) {
+        const bool good = state == "SUCCEEDED";
+        const auto mark = good ? paint("✓", Tint::Green) : paint("✗", Tint::Red);
+        say(mark + " " + who + " " + lowerCase(state) + " after " + duration(elapsed));
+        const auto& results = event.at("results");
+        const auto units = event.value("units", Json::object());
+        for (const auto& [name, values] : results.items()) {
+            const auto unit = units.value(name, "");
+            out_ << "  " << printable(name) << " = " << valuesText(values)
+                 << (unit.empty() ? "" : " " + printable(unit)) << '\n';
+        }
+        if (const auto& reason = event.at("reason"); !good && reason.is_object()) {
+            Refusal refusal{RefusalCode::Ok, reason.value("message", ""), reason.value("holder", "")};
+            Json error{{"event", "error"}, {"code", reason.value("code", "")}, {"message", refusal.message}};
+            if (event.contains("mend")) error["mend"] = event["mend"];
+            showError(error);
+        } else if (!good && !feedback.empty()) {
+            out_ << "  " << feedback << '\n';
+        }
+        out_ << std::flush;
+        return;
+    }
+    if (terminal_.live && !feedback.empty() && feedback != last_feedback_)
+        say("  " + paint(feedback, Tint::Dim));
+    std::string text = who + "  ";
+    if (part >= 0) {
+        text += progressBar(part, 30) + fmt::format(" {:3.0f} %", part * 100);
+    } else {
+        text += lowerCase(state);
+    }
+    if (part >= 0 && state != "RUNNING") text += "  " + lowerCase(state);
+    text += "  " + duration(elapsed);
+    if (!terminal_.live) {
+        // What is new is worth a line whatever the clock says.
+        if (!feedback.empty()) text += "  " + feedback;
+        if (feedback != last_feedback_ || state != last_state_) last_progress_at_.reset();
+    }
+    last_feedback_ = feedback;
+    last_state_ = state;
+    progress(text, part);
+}
+
+void PersonView::showTasks(const Json& event) {
+    const auto& list = event.at("tasks");
+    if (list.empty()) return say("no tasks were begun here");
+    Table table({"ID", "ENTITY", "SERVICE", "STATE", "PROGRESS", "REASON"});
+    for (const auto& task : list) {
+        const auto state = textOf(task, "state");
+        table.add(
+            {{textOf(task, "id").substr(0, 8)},
+             {textOf(task, "entity")},
+             {textOf(task, "service")},
+             {lowerCase(state), state == "SUCCEEDED"         ? Tint::Green
+                                : task.value("final", false) ? Tint::Red
+                                                             : Tint::Cyan},
+             {task["progress"].is_number() ? fmt::format("{:.0f} %", task["progress"].get<double>() * 100)
+                                           : ""},
+             {task["reason"].is_object() ? textOf(task["reason"], "message") : textOf(task, "feedback"),
+              Tint::Dim}});
+    }
+    wipe();
+    out_ << table.text(terminal_.colour) << std::flush;
+}
+
+void PersonView::showUpload(const Json& event) {
+    const auto total = event.value("total", 0.0);
+    const auto part = total > 0 ? event.value("sent", 0.0) / total : 1.0;
+    progress(fmt::format("{}  {} {:3.0f} %  {} of {}", textOf(event, "resource"), progressBar(part, 30),
+                         part * 100, byteCount(event.value("sent", 0.0)), byteCount(total)),
+             part);
+}
+
+void PersonView::showReceipts(const Json& event) {
+    const auto& list = event.at("receipts");
+    if (list.empty()) return say("there is nothing to stop");
+    Table table({"STOPPED", "SERVER", "MANAGER", "CALLBACK", "STANDSTILL", "STATE", "RECEIPT"});
+    for (const auto& receipt : list) {
+        const bool confirmed = receipt.value("confirmed", false);
+        const bool no_application = receipt.value("no_application", false);
+        const auto state = textOf(receipt, "state");
+        std::string verdict = confirmed ? "✓ confirmed" : "✗ NOT CONFIRMED";
+        if (confirmed && no_application) verdict = "✓ no application, nothing to stop";
+        table.add({{textOf(receipt, "call"), Tint::Bold},
+                   {stageText(receipt.at("server_ms"))},
+                   {stageText(receipt.at("manager_ms"))},
+                   {stageText(receipt.at("callback_returned_ms"))},
+                   {stageText(receipt.at("standstill_ms"))},
+                   {state, stateTint(state)},
+                   {verdict, confirmed ? Tint::Green : Tint::Red}});
+    }
+    wipe();
+    out_ << table.text(terminal_.colour) << std::flush;
+    if (!event.value("confirmed", false)) {
+        err_ << paint("axon: not every stop is confirmed: go and look, use the emergency stop of the robot",
+                      Tint::Red)
+             << '\n'
+             << std::flush;
+    }
+}
+
+void PersonView::showCheckedOut(const Json& event) {
+    const auto names = [](const Json& entities) {
+        std::string text;
+        for (std::size_t i = 0; i < entities.size(); ++i) {
+            if (i > 0) text += i + 1 == entities.size() ? " and " : ", ";
+            text += textOf(entities[i], "name");
+        }
+        return text;
+    };
+    const auto& entities = event.at("entities");
+    const auto already = event.value("already", Json::array());
+    if (!already.empty())
+        say(names(already) + (already.size() == 1 ? " is yours already" : " are yours already"));
+    if (entities.empty()) return;
+    const std::string are = entities.size() == 1 ? " is" : " are";
+    if (event.contains("for")) {
+        say(paint(names(entities) + are + " checked out for this " + textOf(event, "for"), Tint::Dim));
+    } else {
+        say(names(entities) + are + " checked out" +
+            (event.value("kept", false) ? ", until axon release" : ""));
+    }
+}
+
+void PersonView::showSample(const Json& event) {
+    const auto& sample = event.at("sample");
+    auto text = sample.is_string() ? printable(sample.get<std::string>()) : printable(line(sample));
+    auto start = fmt::format("{} {} #{}  ", textOf(event, "entity"), textOf(event, "stream"),
+                             event.value("sequence", 0ULL));
+    if (terminal_.live && columns(start) + 10 < terminal_.width)
+        text = shortened(text, terminal_.width - columns(start));
+    say(paint(start, Tint::Dim) + text);
+}
+
+void PersonView::showFinding(const Json& event) {
+    const auto level = event.value("level", "bad");
+    const auto mark = level == "ok"     ? paint("✓", Tint::Green)
+                      : level == "warn" ? paint("!", Tint::Yellow)
+                                        : paint("✗", Tint::Red);
+    say(mark + " " + textOf(event, "name") + ": " + textOf(event, "message"));
+    if (const auto mend = textOf(event, "mend"); !mend.empty()) say("    mend: " + mend);
+}
+
+void PersonView::showAgent(const Json& event) {
+    if (!event.value("running", false)) return say("nothing is kept here: no agent is running");
+    say(fmt::format("agent {} of {} keeps the session {}", event.value("pid", 0), textOf(event, "server"),
+                    textOf(event, "self")) +
+        (event.value("connected", false) ? "" : paint(", which is NOT CONNECTED", Tint::Red)));
+    for (const auto& entity : event.at("held"))
+        say("  holds " + textOf(entity, "name") + "  " +
+            paint(textOf(entity, "state"), stateTint(textOf(entity, "state"))));
+    for (const auto& entity : event.at("lost"))
+        say(paint("  LOST " + textOf(entity, "name") + ": " + textOf(entity, "message"), Tint::Red));
+    say(paint("  log: " + textOf(event, "log"), Tint::Dim));
+}
+
+void PersonView::showError(const Json& event) {
+    wipe();
+    out_ << std::flush;
+    err_ << paint("axon:", Tint::Red) << ' ' << textOf(event, "message", true);
+    if (const auto code = textOf(event, "code"); !code.empty() && code != "USAGE")
+        err_ << " (" << code << ")";
+    err_ << '\n';
+    const auto message = textOf(event, "message");
+    if (const auto holder = textOf(event, "holder");
+        !holder.empty() && message.find(holder) == std::string::npos) {
+        err_ << "held by: " << holder << '\n';
+    }
+    if (const auto mend = textOf(event, "mend"); !mend.empty()) err_ << "mend: " << mend << '\n';
+    err_ << std::flush;
+}
+
+void JsonView::emit(const Json& event) {
+    out_ << line(event) << '\n' << std::flush;
+}
+
+}  // namespace axon::cli

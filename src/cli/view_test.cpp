@@ -1,0 +1,190 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/view.hpp"
+
+#include <gmock/gmock.h>
+
+#include <sstream>
+
+#include "cli/fake_station.hpp"
+#include "cli/words.hpp"
+
+using namespace axon;
+using namespace axon::cli;
+using testing::HasSubstr;
+
+namespace {
+
+struct View : testing::Test {
+    std::ostringstream out, err;
+    ManualClock clock;
+    std::string shown(const std::vector<Json>& events, Terminal terminal = {}) {
+        {
+            PersonView view(out, err, terminal, clock);
+            for (const auto& event : events) {
+                view.emit(event);
+                clock.advance(std::chrono::milliseconds(100));
+            }
+        }
+        return out.str();
+    }
+};
+
+Json taskEvent(TaskState state, double progress, const std::string& feedback, double elapsed) {
+    TaskReport report;
+    report.id = "t";
+    report.entity = "PeopleBot";
+    report.service = "Driving";
+    report.state = state;
+    report.progress = progress;
+    report.feedback = feedback;
+    auto json = toJson(report);
+    json["elapsed_s"] = elapsed;
+    json["units"] = {{"Distance", "mm"}};
+    return json;
+}
+
+}  // namespace
+
+TEST(Table, AlignsColumnsAndLeavesEmptyOnesOut) {
+    Table table({"NAME", "NOTHING", "STATE"});
+    table.add({{"Ünïcödé"}, {""}, {"IDLE", Tint::Green}});
+    table.add({{"a"}, {""}, {""}});
+    EXPECT_EQ(table.text(false), "NAME     STATE\nÜnïcödé  IDLE\na\n");
+    EXPECT_EQ(table.text(true), "\x1b[2mNAME\x1b[0m     \x1b[2mSTATE\x1b[0m\nÜnïcödé  \x1b[32mIDLE\x1b[0m\na\n");
+}
+
+TEST(Printable, LetsNoRobotSteerTheTerminal) {
+    EXPECT_EQ(printable("\x1b]0;owned\x07 \xc2\x9b" "2J ok\xff\r\n"), "?]0;owned? ?2J ok?? ");
+    EXPECT_EQ(printable("grün 你好"), "grün 你好");
+    EXPECT_EQ(printable("a\nb", true), "a\nb");
+}
+
+TEST(Columns, CountsWhatATerminalShows) {
+    EXPECT_EQ(columns("grün"), 4U);
+    EXPECT_EQ(columns("你好"), 4U);
+    EXPECT_EQ(shortened("Driving to the door", 10), "Driving t…");
+    EXPECT_EQ(shortened("你好你好", 6), "你好…");
+    EXPECT_EQ(shortened("ok", 2), "ok");
+}
+
+TEST(Durations, ReadNaturally) {
+    EXPECT_EQ(duration(0.00042), "0.4 ms");
+    EXPECT_EQ(duration(0.212), "212 ms");
+    EXPECT_EQ(duration(12.34), "12.3 s");
+    EXPECT_EQ(duration(125), "2 min 05 s");
+    EXPECT_EQ(progressBar(0.5, 12), "[#####-----]");
+    EXPECT_EQ(progressBar(7, 4), "[##]");
+    EXPECT_EQ(byteCount(1500), "1.5 KB");
+}
+
+TEST_F(View, ListsEntitiesWithHolderAndLatch) {
+    FakeStation station;
+    auto& all = station.entities_;
+    all[0].state = EntityState::BUSY;
+    all[1].state = EntityState::REG;
+    all[1].latched = true;
+    all[1].holder = {"x", "eve@lab", Role::Operator};
+    auto list = Json::array();
+    for (const auto& entity : all) {
+        list.push_back(toJson(entity, &entity == &all[0]));
+        list.back()["call"] = callName(entity, all);
+    }
+    EXPECT_EQ(shown({{{"event", "entities"}, {"server", "s"}, {"entities", list}}}),
+              "NAME         CATEGORY  TYPE        STATE  HOLDER   LATCH\n"
+              "PeopleBot#1  ROBOT     MOBILE      BUSY   you\n"
+              "PeopleBot#2  ROBOT     MOBILE      REG    eve@lab  stopped\n"
+              "Cyton        ROBOT     STATIONARY  IDLE   -\n");
+}
+
+TEST_F(View, ShowsWhatAServiceTakesAndWhatIsMissing) {
+    const FakeStation station;
+    auto entity = toJson(station.entities_[2], false);
+    entity["call"] = "Cyton";
+    shown({{{"event", "entity"}, {"entity", entity}, {"services", {toJson(station.services_[0])}}}});
+    EXPECT_EQ(out.str(),
+              "Cyton  ROBOT STATIONARY  IDLE  free\n"
+              "  at 0, 0, 0 mm  33333333-0000-4000-8000-000000000003\n"
+              "\n"
+              "Driving (peoplebot_drive)  needs Distance, Map; pausable\n"
+              "  Drives straight ahead\n"
+              "  PARAMETER        KIND    TYPE    VALUE    ALLOWED\n"
+              "  Distance         input   INT mm  missing  -5000 to 5000  required\n"
+              "  Range Threshold  config  DBL mm  500                     kept\n"
+              "  Colours          input   STR              red, green     several\n"
+              "  RESOURCE  SIZE\n"
+              "  Map       missing  required\n");
+}
+
+TEST_F(View, PrintsProgressNowAndThenWhereLinesCannotBeRedrawn) {
+    auto done = taskEvent(TaskState::Succeeded, 1, "", 4.2);
+    done["results"] = {{"Distance", {998}}};
+    EXPECT_EQ(shown({taskEvent(TaskState::Queued, -1, "", 0), taskEvent(TaskState::Running, 0, "", 0.1),
+                     taskEvent(TaskState::Running, 0.01, "", 0.2), taskEvent(TaskState::Running, 0.02, "", 0.3),
+                     taskEvent(TaskState::Running, 0.5, "", 2), taskEvent(TaskState::Running, 0.51, "turning", 2.1), done}),
+              "PeopleBot Driving  queued  0.0 ms\n"
+              "PeopleBot Driving  [----------------------------]   0 %  100 ms\n"
+              "PeopleBot Driving  [##############--------------]  50 %  2.0 s\n"
+              "PeopleBot Driving  [##############--------------]  51 %  2.1 s  turning\n"
+              "✓ PeopleBot Driving succeeded after 4.2 s\n"
+              "  Distance = 998 mm\n");
+}
+
+TEST_F(View, RedrawsProgressOnATerminalAndTakesItAway) {
+    Terminal terminal;
+    terminal.live = true;
+    terminal.width = 40;
+    EXPECT_EQ(shown({taskEvent(TaskState::Running, 0.5, "near the door", 2), taskEvent(TaskState::Stopped, 0.5, "", 3)}, terminal),
+              "  near the door\n"
+              "\r\x1b[KPeopleBot Driving  [##############----…"
+              "\r\x1b[K✗ PeopleBot Driving stopped after 3.0 s\n");
+}
+
+TEST_F(View, TellsWhyATaskFailedAndHowToMendIt) {
+    auto refused = taskEvent(TaskState::Refused, -1, "", 0.1);
+    refused["reason"] = {{"code", "LATCHED"}, {"message", "PeopleBot was stopped"}};
+    refused["mend"] = "axon rearm PeopleBot";
+    EXPECT_EQ(shown({refused}), "✗ PeopleBot Driving refused after 100 ms\n");
+    EXPECT_EQ(err.str(), "axon: PeopleBot was stopped (LATCHED)\nmend: axon rearm PeopleBot\n");
+}
+
+TEST_F(View, ShowsTheReceiptOfAStopStageByStage) {
+    Receipt good;
+    good.name = "PeopleBot";
+    good.state = EntityState::REG;
+    good.server = Seconds(0.0004);
+    good.manager = Seconds(0.0009);
+    good.callback_returned = Seconds(0.0012);
+    good.standstill = Seconds(0.21);
+    Receipt bad = good;
+    bad.name = "Cyton";
+    bad.callback_returned.reset();
+    bad.standstill.reset();
+    auto list = Json::array({toJson(good), toJson(bad)});
+    for (auto& one : list) one["call"] = one["name"];
+    EXPECT_EQ(shown({{{"event", "receipts"}, {"confirmed", false}, {"receipts", list}}}),
+              "STOPPED    SERVER  MANAGER  CALLBACK  STANDSTILL  STATE  RECEIPT\n"
+              "PeopleBot  0.4 ms  0.9 ms   1.2 ms    210 ms      REG    ✓ confirmed\n"
+              "Cyton      0.4 ms  0.9 ms   -         -           REG    ✗ NOT CONFIRMED\n");
+    EXPECT_THAT(err.str(), HasSubstr("not every stop is confirmed"));
+}
+
+TEST_F(View, ShowsErrorsWithCodeHolderAndMend) {
+    shown({errorEvent({RefusalCode::AlreadyHeld, "PeopleBot is not free", "eve@lab"}, "PeopleBot")});
+    EXPECT_EQ(out.str(), "");
+    EXPECT_EQ(err.str(),
+              "axon: PeopleBot is not free (ALREADY_HELD)\n"
+              "held by: eve@lab\n"
+              "mend: ask eve@lab to release it, or try again when it is free\n");
+}
+
+TEST_F(View, TellsALostCheckOutLoudly) {
+    shown({{{"event", "lost"}, {"entity", "PeopleBot"}, {"code", "REVOKED_LEASE"}, {"message", "taken over"}, {"holder", "eve@lab"}}});
+    EXPECT_EQ(err.str(), "axon: the check-out of PeopleBot is LOST: taken over; held by eve@lab (REVOKED_LEASE)\n");
+}
+
+TEST(JsonLines, AreOneObjectEach) {
+    std::ostringstream out;
+    JsonView view(out);
+    view.emit({{"event", "text"}, {"text", "two\nlines"}});
+    EXPECT_EQ(out.str(), "{\"event\":\"text\",\"text\":\"two\\nlines\"}\n");
+}

@@ -1,0 +1,251 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/words.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <utility>
+
+namespace axon::cli {
+namespace {
+
+Json toJson(const std::vector<Value>& values) {
+    auto list = Json::array();
+    for (const auto& value : values) list.push_back(cli::toJson(value));
+    return list;
+}
+
+Json toJson(const Parameter& parameter) {
+    Json json{{"name", parameter.name},           {"type", parameter.type},
+              {"data_type", parameter.data_type}, {"units", parameter.units},
+              {"descr", parameter.descr},         {"ready", parameter.ready},
+              {"required", parameter.required},   {"savable", parameter.savable},
+              {"multiple", parameter.multiple},   {"values", toJson(parameter.values)}};
+    if (!parameter.choices.empty()) json["choices"] = toJson(parameter.choices);
+    if (parameter.minimum) json["minimum"] = *parameter.minimum;
+    if (parameter.maximum) json["maximum"] = *parameter.maximum;
+    return json;
+}
+
+Json milliseconds(const std::optional<Seconds>& time) {
+    return time ? Json(time->count() * 1000) : Json(nullptr);
+}
+
+std::string mendFor(const Refusal& refusal, const std::string& entity) {
+    const auto x = entity.empty() ? std::string("ENTITY") : shellWord(entity);
+    switch (refusal.code) {
+        case RefusalCode::AlreadyHeld:
+        case RefusalCode::Reserved:
+            return refusal.holder.empty()
+                       ? "axon ls shows who holds it; try again when it is free"
+                       : "ask " + refusal.holder + " to release it, or try again when it is free";
+        case RefusalCode::Latched:
+            return "axon rearm " + x + ", when it is safe to move again";
+        case RefusalCode::NotHolder:
+            return "axon checkout " + x;
+        case RefusalCode::OlderLease:
+        case RefusalCode::RevokedLease:
+        case RefusalCode::WrongEpoch:
+            return "the check-out was lost: axon checkout " + x + " again";
+        case RefusalCode::UnknownEntity:
+            return "axon ls shows what there is";
+        case RefusalCode::AmbiguousEntity:
+            return "write NAME#1, NAME#2 or the beginning of the UUID that axon ls --uuid shows";
+        case RefusalCode::UnknownService:
+        case RefusalCode::UnknownParameter:
+        case RefusalCode::UnknownResource:
+        case RefusalCode::WrongType:
+        case RefusalCode::WrongUnits:
+        case RefusalCode::OutOfRange:
+        case RefusalCode::InactiveService:
+            return "axon info " + x + " shows the services and what they take";
+        case RefusalCode::MissingDependency:
+            return "give the parameters to axon run, or once with axon set; files with axon upload";
+        case RefusalCode::UnknownTask:
+            return "axon tasks shows the tasks that are known here";
+        case RefusalCode::Blocked:
+        case RefusalCode::QueueFull:
+            return "axon tasks shows what is running; axon cancel " + x + " ends it";
+        case RefusalCode::NotConnected:
+            return "axon doctor shows what is wrong";
+        case RefusalCode::Unavailable:
+        case RefusalCode::RobotLost:
+            return "start the robot's application, or see why it is away: axon doctor";
+        default:
+            return {};
+    }
+}
+
+}  // namespace
+
+Json toJson(const Value& value) {
+    return std::visit([](const auto& held) { return Json(held); }, value);
+}
+
+Json toJson(const Entity& entity, bool yours) {
+    Json json{{"id", entity.id},
+              {"name", entity.name},
+              {"category", entity.category},
+              {"type", entity.type},
+              {"descr", entity.descr},
+              {"x_mm", entity.x_mm},
+              {"y_mm", entity.y_mm},
+              {"z_mm", entity.z_mm},
+              {"state", axon::toString(entity.state)},
+              {"latched", entity.latched},
+              {"stop_generation", entity.stop_generation},
+              {"holder", nullptr},
+              {"yours", yours},
+              {"reason", entity.reason}};
+    if (!entity.holder.id.empty()) json["holder"] = {{"id", entity.holder.id}, {"name", entity.holder.name}};
+    return json;
+}
+
+Json toJson(const Service& service) {
+    auto parameters = Json::array();
+    for (const auto& parameter : service.parameters) parameters.push_back(toJson(parameter));
+    auto resources = Json::array();
+    for (const auto& resource : service.resources) {
+        resources.push_back({{"name", resource.name},
+                             {"descr", resource.descr},
+                             {"ready", resource.ready},
+                             {"required", resource.required},
+                             {"savable", resource.savable},
+                             {"size", resource.size}});
+    }
+    return {{"name", service.name},
+            {"global_id", service.global_id},
+            {"type", service.type},
+            {"descr", service.descr},
+            {"notes", service.notes},
+            {"active", service.active},
+            {"executing", service.executing},
+            {"blocking", service.blocking},
+            {"pausable", service.pausable},
+            {"parameters", std::move(parameters)},
+            {"resources", std::move(resources)},
+            {"missing", service.missing}};
+}
+
+Json toJson(const TaskReport& report) {
+    auto results = Json::object();
+    for (const auto& [name, values] : report.results) results[name] = toJson(values);
+    Json json{{"event", "task"},
+              {"id", report.id},
+              {"entity", report.entity},
+              {"service", report.service},
+              {"state", client::toString(report.state)},
+              {"final", client::isFinal(report.state)},
+              {"progress", report.progress < 0 ? Json(nullptr) : Json(report.progress)},
+              {"feedback", report.feedback},
+              {"results", std::move(results)},
+              {"reason", nullptr}};
+    if (!report.reason.ok()) {
+        json["reason"] = {{"code", refusalName(report.reason.code)}, {"message", report.reason.message}};
+        if (!report.reason.holder.empty()) json["reason"]["holder"] = report.reason.holder;
+    }
+    return json;
+}
+
+Json toJson(const Receipt& receipt) {
+    return {{"entity", receipt.entity},
+            {"name", receipt.name},
+            {"confirmed", receipt.confirmed()},
+            {"stop_generation", receipt.stop_generation},
+            {"state", axon::toString(receipt.state)},
+            {"server_ms", milliseconds(receipt.server)},
+            {"manager_ms", milliseconds(receipt.manager)},
+            {"callback_returned_ms", milliseconds(receipt.callback_returned)},
+            {"standstill_ms", milliseconds(receipt.standstill)},
+            {"no_application", receipt.no_application}};
+}
+
+Json errorEvent(const Refusal& refusal, const std::string& entity) {
+    Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
+    if (!refusal.holder.empty()) json["holder"] = refusal.holder;
+    if (const auto mend = mendFor(refusal, entity); !mend.empty()) json["mend"] = mend;
+    return json;
+}
+
+Json usageEvent(const std::string& message, const std::string& mend) {
+    Json json{{"event", "error"}, {"code", "USAGE"}, {"message", message}};
+    if (!mend.empty()) json["mend"] = mend;
+    return json;
+}
+
+Json noServerEvent(const Refusal& refusal, const std::string& server) {
+    Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
+    if (json["message"].get_ref<const std::string&>().empty()) json["message"] = "no server at " + server;
+    if (refusal.code != RefusalCode::PermissionDenied) {
+        json["mend"] =
+            "start one with: axon-server, or name another with --server HOST:PORT (or AXON_SERVER)";
+    }
+    return json;
+}
+
+int exitOf(const Refusal& refusal) {
+    switch (refusal.code) {
+        case RefusalCode::Ok:
+            return kDone;
+        case RefusalCode::NotConnected:
+            return kNoServer;
+        case RefusalCode::TimedOut:
+        case RefusalCode::OutcomeUnknown:
+            return kNotConfirmed;
+        case RefusalCode::Stopped:
+        case RefusalCode::Cancelled:
+        case RefusalCode::ClientLost:
+            return kStopped;
+        default:
+            return kRefused;
+    }
+}
+
+int exitOf(TaskState state, const Refusal& reason) {
+    switch (state) {
+        case TaskState::Succeeded:
+            return kDone;
+        case TaskState::Stopped:
+        case TaskState::Cancelled:
+            return kStopped;
+        case TaskState::Refused:
+            return reason.ok() ? static_cast<int>(kRefused) : exitOf(reason);
+        case TaskState::Failed:
+            return kRefused;
+        default:
+            return kNotConfirmed;
+    }
+}
+
+std::string callName(const Entity& entity, const std::vector<Entity>& all) {
+    std::vector<std::string> same;
+    for (const auto& other : all) {
+        if (other.name == entity.name) same.push_back(other.id);
+    }
+    if (same.size() < 2) return entity.name;
+    std::sort(same.begin(), same.end());
+    const auto place = std::find(same.begin(), same.end(), entity.id) - same.begin();
+    return entity.name + "#" + std::to_string(place + 1);
+}
+
+std::string shellWord(const std::string& word) {
+    const auto plain = [](char c) {
+        return std::isalnum(static_cast<unsigned char>(c)) != 0 ||
+               std::string_view("_-./:=,#@%+").find(c) != std::string_view::npos;
+    };
+    if (!word.empty() && word.front() != '#' && std::all_of(word.begin(), word.end(), plain)) return word;
+    std::string quoted = "'";
+    for (const char c : word) {
+        if (c == '\'') {
+            quoted += "'\\''";
+        } else {
+            quoted += c;
+        }
+    }
+    return quoted + "'";
+}
+
+std::string line(const Json& json) {
+    return json.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+}  // namespace axon::cli

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <optional>
+#include <string>
+
+#include "cli/session.hpp"
+
+// The fields of the command's JSON (docs/reference/command.md), and what refusals mean for a person.
+namespace axon::cli {
+
+Json toJson(const Value& value);
+/// `yours`: whether this connection holds it.
+Json toJson(const Entity& entity, bool yours);
+Json toJson(const Service& service);
+Json toJson(const TaskReport& report);
+Json toJson(const Receipt& receipt);
+
+/// {"event": "error", "code", "message", "holder"?, "mend"?}. `entity` is how the user would name it again.
+Json errorEvent(const Refusal& refusal, const std::string& entity = {});
+/// A command line that makes no sense; exits with kUsage.
+Json usageEvent(const std::string& message, const std::string& mend = {});
+/// For refusals of connecting itself.
+Json noServerEvent(const Refusal& refusal, const std::string& server);
+
+/// The exit status that a refusal leads to.
+int exitOf(const Refusal& refusal);
+int exitOf(TaskState state, const Refusal& reason);
+
+/// The shortest name that means only this entity: its name, or "Name#2" where several have it.
+std::string callName(const Entity& entity, const std::vector<Entity>& all);
+
+/// As a shell needs it: PeopleBot, 'Cyton Arm'.
+std::string shellWord(const std::string& word);
+
+/// JSON on one line; bytes that are no UTF-8 become U+FFFD instead of an exception.
+std::string line(const Json& json);
+
+}  // namespace axon::cli
