@@ -43,8 +43,11 @@ class EntityServer::Rim {
         signal_subscriber = subscriber(*signal_topic);
         data_topic->activate();
         signal_topic->activate();
-        timer = std::make_unique<transport::TimerThread>("axon-ent-timer", clock, [this] {
-            return std::min({core.onTimer(), data_lane.sessions.expire(), signal_lane.sessions.expire()});
+        timer = std::make_unique<transport::TimerThread>("axon-ent-timer", clock, [this, &clock] {
+            const auto due =
+                std::min({core.onTimer(), data_lane.sessions.expire(), signal_lane.sessions.expire()});
+            // Thousands of idle entities are served in batches, not with a wake-up for each.
+            return std::max<TimePoint>(due, clock.now() + std::chrono::milliseconds{5});
         });
         timer_ready = timer.get();
     }
