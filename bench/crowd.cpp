@@ -23,19 +23,18 @@ namespace {
 using namespace axon::entity_manager;
 
 /// An Entity Interfacer without a socket: grants everything, notes arrivals.
-class MemoryLink final : public BackEndLink {
+class MemoryLink final : public BackEndPort {
   public:
-    MemoryLink(const EntityManager::Strand& strand, BackEndSink& sink, std::string name, Slot& slot)
+    MemoryLink(const EntityManager::Strand& strand, BackEndEvents& sink, std::string name, Slot& slot)
         : strand_(strand), sink_(sink), name_(std::move(name)), slot_(slot) {}
 
-    void start() override {
+    void start() {
         asio::post(strand_, [this] {
             sink_.onLinkUp();
             upload(false, "<BasicProfile name=\"" + name_ + "\" category=\"MACHINE\" type=\"STATIONARY\" xpos=\"0\" ypos=\"0\" zpos=\"0\"/>");
             upload(true, "<ServiceProfile count=\"1\"><Service name=\"Nothing\" type=\"SMPL\" global_id=\"nothing\"/></ServiceProfile>");
         });
     }
-    void close() override {}
 
     void stop(std::uint32_t generation, StopCause) override {
         slot_.stop_at = nowNs();
@@ -68,7 +67,7 @@ class MemoryLink final : public BackEndLink {
     }
 
     const EntityManager::Strand strand_;
-    BackEndSink& sink_;
+    BackEndEvents& sink_;
     const std::string name_;
     Slot& slot_;
 };
@@ -119,8 +118,10 @@ int runCrowd(const std::string& board_file, std::size_t entities, const std::str
         settings.application = "bench-" + std::to_string(i);
         member->manager = EntityManager::create(
             executor.get_executor(), ice, settings, server,
-            [&](const EntityManager::Strand& strand, BackEndSink& sink) {
-                return std::make_unique<MemoryLink>(strand, sink, settings.application, board[i]);
+            [&](const EntityManager::Strand& strand, const StopGate&, BackEndEvents& events) {
+                auto link = std::make_unique<MemoryLink>(strand, events, settings.application, board[i]);
+                auto* const at = link.get();
+                return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};
             },
             clock, member->random, member->storage, member->storage);
         member->manager->start();
