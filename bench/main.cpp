@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <signal.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -36,9 +37,11 @@ volatile sig_atomic_t interrupted = 0;
 class Child {
   public:
     Child(const std::vector<std::string>& words, const fs::path& log) {
+        std::fflush(nullptr);  // or the child would print our buffers again
         pid_ = ::fork();
         if (pid_ == 0) {
             ::setpgid(0, 0);  // Ctrl-C is for the benchmark, which then ends its children itself
+            ::prctl(PR_SET_PDEATHSIG, SIGKILL);
             std::freopen(log.c_str(), "w", stdout);
             std::freopen(log.c_str(), "a", stderr);
             std::vector<char*> arguments;
@@ -243,7 +246,7 @@ int run(const fs::path& programs, const std::vector<std::size_t>& sizes, int rou
         fs::create_directories(folder);
         AxonSubject axon(programs, folder, n);
         MosquittoSubject mosquitto(programs, folder, n, static_cast<std::uint16_t>(20000 + ::getpid() % 20000));
-        for (const bool stop : {true, false}) {
+        for (const bool stop : {false, true}) {  // data first: a stopped entity refuses it
             const auto& bytes = stop ? stop_bytes : data;
             Series ours, theirs;
             for (int round = -3; round < rounds && !interrupted; ++round) {  // three to warm up

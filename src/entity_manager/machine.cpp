@@ -274,6 +274,11 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
 
 /// After each event: what follows from the state as a whole.
 void EntityManagerCore::Machine::settle() {
+    if (early_done_ && early_done_->stop_generation() <= generation_) {
+        const auto done = *early_done_;
+        early_done_.reset();
+        stopDone(done);
+    }
     const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_;
     if (occupied != busy_told_) {
         busy_told_ = occupied;
@@ -616,6 +621,11 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
         ++counters_.unexpected;
         return;
     }
+    if (done.stop_generation() > generation_) {
+        // The signal thread wrote the stop before it told this strand, and the answer was faster than the news.
+        early_done_ = done;
+        return;
+    }
     proto::ToClient message;
     const auto now = toMicroseconds(clock_.now());
     for (auto& open : open_stops_) {
@@ -634,7 +644,7 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
 }
 
 void EntityManagerCore::Machine::confirmStop(std::uint32_t generation) {
-    if (generation <= confirmed_ || generation > stop_gate_.generation()) return;
+    if (generation <= confirmed_ || generation > generation_) return;
     confirmed_ = generation;
     if (!standing()) return;
     if (waiting_grant_) {

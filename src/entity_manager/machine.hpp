@@ -213,6 +213,7 @@ class EntityManagerCore::Machine {
     std::uint32_t required_;    ///< a command must have seen at least this one
     std::vector<std::uint32_t>
         early_;  ///< own stops above generation_, while one of the signal thread is under way
+    std::optional<proto::StopDone> early_done_;  ///< the answer to a stop above generation_
     std::uint32_t commanded_ = 0;  ///< newest stop that the robot application must have been told
     std::uint32_t confirmed_ = 0;  ///< newest stop whose callback has returned
     std::deque<OpenStop> open_stops_;
