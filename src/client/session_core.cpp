@@ -1015,13 +1015,14 @@ void SessionCore::onTaskEvent(const std::string& entity, const proto::TaskEvent&
         for (const auto& value : param.values()) values.push_back(fromProto(value));
     }
     report.reason = toRefusal(event.reason());
-    settleControls(*id, report);
     if (isFinal(report.state)) {
         noteFinal(*id);
     } else if (lease(record.held) == nullptr) {
         awaitTask(*id, record);
     }
-    observer_.onTask(found->second.report);
+    // The report first: whoever waited for the pause finds the task paused.
+    observer_.onTask(report);
+    settleControls(*id, report);
     if (*state == TaskState::Refused)
         noteRefusal(entity, found->second.held.lease, toRefusal(event.reason()));
     pace();
@@ -1042,9 +1043,9 @@ void SessionCore::finishTask(const Id128& id, TaskState state, const Refusal& wh
     auto& report = found->second.report;
     report.state = state;
     report.reason = why;
-    settleControls(id, report);
     noteFinal(id);
     observer_.onTask(report);
+    settleControls(id, report);
     pace();
 }
 

@@ -470,6 +470,17 @@ TEST_F(SessionCoreTest, ControlsAreDoneWhenTheTaskSaysSo) {
     EXPECT_EQ(late.refusal.code, RefusalCode::WrongState);
 }
 
+TEST_F(SessionCoreTest, TheReportIsToldBeforeTheControlIsDone) {
+    const auto held = take("Cyton");
+    const auto task = core.run(held, "Driving", {}, {});
+    taskEvent(3, task, proto::TASK_RUNNING);
+    std::size_t told = 0;
+    core.control(task, proto::PAUSE, [&](const Result<void>&) { told = observer.tasks.size(); });
+    taskEvent(3, task, proto::TASK_PAUSED);
+    EXPECT_EQ(told, 2U);
+    EXPECT_EQ(observer.tasks.back().state, TaskState::Paused);
+}
+
 TEST_F(SessionCoreTest, ARefusedPauseLeavesTheTaskRunning) {
     const auto held = take("Cyton");
     const auto task = core.run(held, "Driving", {}, {});

@@ -1,0 +1,627 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The client library against the real servers, with the real core of the Entity Manager behind them and a
+// robot application that lives in this file.
+#include <axon/entitycomm.h>
+#include <axon/link.pb.h>
+#include <axon/messages.pb.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <axon/client.hpp>
+
+#include <deque>
+#include <fstream>
+#include <future>
+#include <thread>
+
+#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/file_storage.hpp"
+#include "server/server.hpp"
+#include "support/loopback.hpp"
+#include "transport/communicator.hpp"
+#include "transport/convert.hpp"
+#include "transport/timer_thread.hpp"
+
+namespace axon::client::test {
+namespace {
+
+using namespace std::chrono_literals;
+using axon::test::loopbackAddress;
+using axon::test::waitUntil;
+using ::testing::HasSubstr;
+using ::testing::SizeIs;
+using transport::ByteRange;
+using transport::toRange;
+namespace slice = ::Axon::EntityComm;
+
+constexpr const char* kServices = R"(<?xml version="1.0"?>
+<ServiceProfile count="1">
+  <Service name="Drive" global_id="drive" type="SMPL" pausable="true">
+    <Parameters>
+      <Param name="Distance" type="INPUT" data_type="INT" units="mm" required="true" minimum="-5000" maximum="5000"/>
+      <Param name="Speed" type="CONFIG" data_type="DBL" units="mm/s" value="200" ready="true" savable="true"/>
+    </Parameters>
+    <Resources>
+      <Resource name="Map" url="lab.map" savable="true"/>
+    </Resources>
+  </Service>
+</ServiceProfile>)";
+
+/// A robot with its Entity Manager. The application grants everything but a Speed above 700, and runs a task
+/// until it is told to end it.
+class TestRobot final : public entity_manager::BackEndPort, public entity_manager::ServerPort {
+  public:
+    TestRobot(const std::string& server, const std::string& name)
+        : folder_(std::filesystem::path(testing::TempDir()) /
+                  ("axon-client-" + Id128::uuid(random_).toString())),
+          storage_(folder_),
+          resources_(folder_),
+          core_({name}, clock_, random_, *this, *this, storage_, resources_, gate_),
+          data_(transport::makeCommunicator({"robot-data", Lane::Data, 1, 1, {}})),
+          signal_(transport::makeCommunicator({"robot-signal", Lane::Signal, 1, 1, {}})) {
+        const auto callback = openLane(data_, transport::tcpEndpoint(server), data_session_);
+        const auto facts = data_session_->setCallback(callback);
+        const auto signal_callback = openLane(signal_, facts.signalEndpoint, signal_session_);
+        signal_session_->attachSignalLane(facts.token, signal_callback);
+        onStrand([&] { core_.onLinkUp(); });
+        profile(false,
+                "<BasicProfile name=\"" + name + "\" category=\"ROBOT\" type=\"MOBILE\" descr=\"a robot\"/>");
+        profile(true, kServices);
+        EXPECT_TRUE(wanted_);
+        onStrand([&] { core_.onServerUp(); });
+        beat_ = std::make_unique<transport::TimerThread>("robot-beat", clock_, [this] {
+            signal_session_->ice_oneway()->ice_invocationTimeout(-1)->keepAliveAsync(1, nullptr, [](auto) {});
+            return clock_.now() + 20ms;
+        });
+    }
+    ~TestRobot() override { leave(); }
+    void leave() {
+        beat_.reset();
+        data_.communicator()->destroy();
+        signal_.communicator()->destroy();
+        std::filesystem::remove_all(folder_);
+    }
+
+    void endTask(proto::TaskState state) {
+        proto::EiToEm message;
+        auto& event = *message.mutable_task()->mutable_event();
+        event.set_task_id(lastTask());
+        event.set_state(state);
+        event.set_progress(1);
+        fromApplication(std::move(message));
+    }
+    void text(const std::string& text) {
+        proto::EiToEm message;
+        message.mutable_text()->set_text(text);
+        fromApplication(std::move(message));
+    }
+    void sample(const std::string& stream, double value) {
+        proto::EiToEm message;
+        message.mutable_sample()->set_stream(stream);
+        message.mutable_sample()->mutable_scalar()->set_value(value);
+        fromApplication(std::move(message));
+    }
+    std::string lastTask() {
+        const std::lock_guard lock(seen_mutex_);
+        return task_;
+    }
+    std::vector<std::string> texts() {
+        const std::lock_guard lock(seen_mutex_);
+        return texts_;
+    }
+    std::string uuid() {
+        const std::lock_guard lock(strand_);
+        return core_.uuid();
+    }
+    EntityState state() {
+        const std::lock_guard lock(strand_);
+        return core_.state();
+    }
+    std::filesystem::path folder() const { return folder_; }
+    std::atomic<int> stops{0};
+    std::atomic<bool> deaf{false};  ///< the application does not return from its stop callback
+
+  private:
+    class Callback final : public slice::EntityCallback {
+      public:
+        explicit Callback(TestRobot& robot) : robot_(robot) {}
+        void newClientMsg(Axon::CommUtil::Header head, ByteRange message, const Ice::Current&) override {
+            robot_.onStrand([&] {
+                robot_.core_.onClientMsg(transport::fromIce(std::move(head)), transport::toView(message));
+            });
+        }
+        void newClientMsgDataSeq(Axon::CommUtil::Header head, ByteRange message,
+                                 const Ice::Current& current) override {
+            newClientMsg(std::move(head), message, current);
+        }
+        void stopSignal(Axon::CommUtil::Header ice_head, Axon::CommUtil::StopCause cause,
+                        const Ice::Current&) override {
+            const auto head = transport::fromIce(std::move(ice_head));
+            const auto generation = robot_.gate_.raise(head.sender.id, head.sequence);
+            if (!generation) return;
+            robot_.stop(*generation, transport::fromIce(cause));
+            robot_.onStrand([&] { robot_.core_.onStopSignal(head, transport::fromIce(cause), *generation); });
+        }
+        void resetSignal(Axon::CommUtil::Header head, const Ice::Current&) override {
+            robot_.onStrand([&] { robot_.core_.onResetSignal(transport::fromIce(std::move(head))); });
+        }
+        void clearSignal(Axon::CommUtil::Header head, const Ice::Current&) override {
+            robot_.onStrand([&] { robot_.core_.onClearSignal(transport::fromIce(std::move(head))); });
+        }
+        void newClientUpdate(Axon::CommUtil::Header head, Axon::CommUtil::ClientChange change,
+                             const Ice::Current&) override {
+            robot_.onStrand([&] {
+                robot_.core_.onClientUpdate(transport::fromIce(std::move(head)), transport::fromIce(change));
+            });
+        }
+        void newRefusalMsg(Axon::CommUtil::Header, int, std::string, const Ice::Current&) override {}
+        void newHeartbeat(double, const Ice::Current&) override {}
+
+      private:
+        TestRobot& robot_;
+    };
+
+    std::shared_ptr<slice::EntityCallbackPrx> openLane(const Ice::CommunicatorHolder& home,
+                                                       const std::string& endpoint,
+                                                       std::shared_ptr<slice::EntitySessionPrx>& session) {
+        const auto gate = Ice::uncheckedCast<slice::EntityGatePrx>(
+            home.communicator()->stringToProxy("EntityGate:" + endpoint));
+        const auto opened = gate->open("", "");
+        const auto connection = gate->ice_getCachedConnection();
+        const auto adapter = home.communicator()->createObjectAdapter("");
+        auto callback = Ice::uncheckedCast<slice::EntityCallbackPrx>(
+            adapter->addWithUUID(std::make_shared<Callback>(*this)));
+        adapter->activate();
+        connection->setAdapter(adapter);
+        session =
+            Ice::uncheckedCast<slice::EntitySessionPrx>(connection->createProxy(opened->ice_getIdentity()));
+        return callback;
+    }
+
+    /// One event at a time; what the application answers to it comes after it.
+    template <class Event>
+    void onStrand(Event event) {
+        const std::lock_guard lock(strand_);
+        event();
+        while (true) {
+            proto::EiToEm next;
+            {
+                const std::lock_guard answers(answers_mutex_);
+                if (answers_.empty()) return;
+                next = std::move(answers_.front());
+                answers_.pop_front();
+            }
+            core_.onLinkMessage(std::move(next));
+        }
+    }
+    void fromApplication(proto::EiToEm message) {
+        onStrand([&] { core_.onLinkMessage(std::move(message)); });
+    }
+    void profile(bool services, const std::string& xml) {
+        proto::EiToEm message;
+        message.mutable_profile()->set_services(services);
+        message.mutable_profile()->set_file_name("profile.xml");
+        message.mutable_profile()->set_xml(xml);
+        fromApplication(std::move(message));
+    }
+    void answer(proto::EiToEm message) {
+        const std::lock_guard lock(answers_mutex_);
+        answers_.push_back(std::move(message));
+    }
+
+    // BackEndPort: the application.
+    void send(const proto::EmToEi& message) override {
+        proto::EiToEm out;
+        if (message.has_param()) {
+            out.mutable_answer()->set_request(message.param().request());
+            if (message.param().param().values(0).dbl() > 700) {
+                out.mutable_answer()->mutable_refusal()->set_code(proto::DENIED);
+                out.mutable_answer()->mutable_refusal()->set_message("too fast");
+            }
+            answer(out);
+        } else if (message.has_resource()) {
+            out.mutable_answer()->set_request(message.resource().request());
+            answer(out);
+        } else if (message.has_task()) {
+            {
+                const std::lock_guard lock(seen_mutex_);
+                task_ = message.task().task_id();
+            }
+            out.mutable_task_answer()->set_task_id(message.task().task_id());
+            answer(out);
+        } else if (message.has_pause() || message.has_cancel()) {
+            auto& event = *out.mutable_task()->mutable_event();
+            event.set_progress(-1);
+            event.set_task_id(message.has_pause() ? message.pause().task_id() : message.cancel().task_id());
+            event.set_state(message.has_cancel()       ? proto::TASK_CANCELLED
+                            : message.pause().resume() ? proto::TASK_RUNNING
+                                                       : proto::TASK_PAUSED);
+            answer(out);
+        } else if (message.has_text()) {
+            const std::lock_guard lock(seen_mutex_);
+            texts_.push_back(message.text().text());
+        }
+    }
+    void stop(std::uint32_t generation, StopCause) override {
+        ++stops;
+        if (deaf) return;
+        proto::EiToEm done;
+        done.mutable_stop_done()->set_stop_generation(generation);
+        done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+        answer(done);
+        const auto task = lastTask();
+        if (task.empty()) return;
+        proto::EiToEm ended;
+        ended.mutable_task()->mutable_event()->set_task_id(task);
+        ended.mutable_task()->mutable_event()->set_state(proto::TASK_STOPPED);
+        ended.mutable_task()->mutable_event()->set_progress(-1);
+        answer(ended);
+    }
+    void setBusy(bool) override {}
+
+    // ServerPort.
+    void wantConnection(bool wanted) override { wanted_ = wanted; }
+    void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) override {
+        const auto bytes = profile.SerializeAsString();
+        data_session_->sendBasicPrfl(transport::toIce(registration), toRange(bytes));
+    }
+    void sendStatus(const EntityStatus& status) override {
+        data_session_->ice_oneway()->sendStatusAsync(transport::toIce(status), nullptr, [](auto) {});
+    }
+    void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) override {
+        const auto bytes = message.SerializeAsString();
+        const auto& session = lane == Lane::Signal ? signal_session_ : data_session_;
+        session->ice_oneway()->sendToClientAsync(transport::toIce(head), toRange(bytes), nullptr,
+                                                 [](auto) {});
+    }
+    void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override {
+        const auto bytes = message.SerializeAsString();
+        data_session_->ice_oneway()->sendToClientDataSeqAsync(transport::toIce(head), toRange(bytes), nullptr,
+                                                              [](auto) {});
+    }
+
+    SteadyClock clock_;
+    SystemRandom random_;
+    std::filesystem::path folder_;
+    entity_manager::FileStorage storage_;
+    entity_manager::FileResourceStore resources_;
+    entity_manager::StopGate gate_;
+    std::mutex answers_mutex_;
+    std::deque<proto::EiToEm> answers_;  // guarded by answers_mutex_
+    std::mutex strand_;
+    entity_manager::EntityManagerCore core_;  // guarded by strand_
+    bool wanted_ = false;
+    std::mutex seen_mutex_;
+    std::string task_;                // guarded by seen_mutex_
+    std::vector<std::string> texts_;  // guarded by seen_mutex_
+    Ice::CommunicatorHolder data_, signal_;
+    std::shared_ptr<slice::EntitySessionPrx> data_session_, signal_session_;
+    std::unique_ptr<transport::TimerThread> beat_;
+};
+
+server::ServerSettings onLoopback() {
+    const auto any_port = loopbackAddress() + ":0";
+    server::ServerSettings settings;
+    settings.client_endpoint = settings.client_signal_endpoint = any_port;
+    settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
+    return settings;
+}
+
+class ClientTest : public ::testing::Test {
+  protected:
+    Options options() const {
+        Options options;
+        options.server = server->clientAddress(Lane::Data);
+        options.display_name = "ada@lab";
+        return options;
+    }
+    std::unique_ptr<Client> client(const Options& with) const {
+        auto connected = Client::connect(with);
+        EXPECT_TRUE(connected.ok()) << connected.refusal().message;
+        return std::move(connected).value();
+    }
+    std::unique_ptr<Client> client() const { return client(options()); }
+    std::unique_ptr<TestRobot> robot(const std::string& name = "PeopleBot") const {
+        return std::make_unique<TestRobot>(server->entityAddress(Lane::Data), name);
+    }
+    static CheckOut take(Client& from, const std::string& name = "PeopleBot") {
+        EXPECT_TRUE(from.waitFor(name, 5s).ok());
+        auto taken = from.checkOut(name);
+        EXPECT_TRUE(taken.ok()) << taken.refusal().message;
+        return std::move(taken).value();
+    }
+    /// A task that runs.
+    static Task drive(const CheckOut& held, TestRobot& robot) {
+        auto task = held.run("Drive", {{"Distance", {std::string("1000mm")}, "", true}});
+        EXPECT_TRUE(waitUntil([&] { return task.report().state == TaskState::Running; }))
+            << toString(task.report().state) << " " << task.report().reason.message;
+        EXPECT_FALSE(robot.lastTask().empty());
+        return task;
+    }
+
+    std::unique_ptr<server::Server> server = std::make_unique<server::Server>(onLoopback());
+};
+
+TEST_F(ClientTest, NobodyThereIsAnAnswerWithTheMend) {
+    auto nowhere = options();
+    nowhere.server = loopbackAddress() + ":1";
+    const auto refused = Client::connect(nowhere);
+    ASSERT_FALSE(refused.ok());
+    EXPECT_EQ(refused.refusal().code, RefusalCode::Unavailable);
+    EXPECT_THAT(refused.refusal().message, HasSubstr("axon-server"));
+    nowhere.server = "not an address";
+    EXPECT_EQ(Client::connect(nowhere).refusal().code, RefusalCode::Malformed);
+}
+
+TEST_F(ClientTest, KnowsWhoIsThereAsSoonAsItIsConnected) {
+    const auto first = robot();
+    const auto second = robot();
+    const auto early = client();
+    ASSERT_TRUE(waitUntil([&] { return early->entities().size() == 2; }));
+    const auto late = client();
+    EXPECT_THAT(late->entities(), SizeIs(2));
+    EXPECT_EQ(late->find("PeopleBot").refusal().code, RefusalCode::AmbiguousEntity);
+    EXPECT_EQ(late->find(first->uuid())->name, "PeopleBot");
+    EXPECT_TRUE(late->find("PeopleBot#2").ok());
+    EXPECT_EQ(late->self().name, "ada@lab");
+}
+
+TEST_F(ClientTest, RunsATaskFromCheckOutToRelease) {
+    const auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    EXPECT_EQ(held.services().at(0).name, "Drive");
+    auto task = drive(held, *robots);
+    std::promise<TaskReport> told;
+    task.onUpdate([&, once = false](const TaskReport& report) mutable {
+        if (isFinal(report.state) && !once) told.set_value(report);
+        once = once || isFinal(report.state);
+    });
+    robots->endTask(proto::TASK_SUCCEEDED);
+    EXPECT_EQ(task.wait(5s).state, TaskState::Succeeded);
+    EXPECT_EQ(told.get_future().get().state, TaskState::Succeeded);
+    EXPECT_TRUE(held.release().ok());
+    EXPECT_EQ(held.sendText("too late").refusal().code, RefusalCode::NotHolder);
+    EXPECT_EQ(robots->state(), EntityState::IDLE);
+}
+
+TEST_F(ClientTest, TheApplicationsReasonReachesTheClient) {
+    const auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    EXPECT_TRUE(held.set("Drive", {"Speed", {250.0}}).ok());
+    const auto refused = held.set("Drive", {"Speed", {std::int64_t{900}}});
+    EXPECT_EQ(refused.refusal().code, RefusalCode::Denied);
+    EXPECT_THAT(refused.refusal().message, HasSubstr("too fast"));
+}
+
+TEST_F(ClientTest, AHeldEntityIsRefusedWithItsHoldersNameAndSeveralAllOrNone) {
+    const auto first = robot("First");
+    const auto second = robot("Second");
+    const auto ada = client();
+    auto other = options();
+    other.display_name = "bob@lab";
+    const auto bob = client(other);
+    const auto held = take(*ada, "Second");
+    ASSERT_TRUE(bob->waitFor("First", 5s).ok());
+    const auto refused = bob->checkOut(std::vector<std::string>{"First", "Second"});
+    ASSERT_FALSE(refused.ok());
+    EXPECT_EQ(refused.refusal().code, RefusalCode::AlreadyHeld);
+    EXPECT_EQ(refused.refusal().holder, "ada@lab");
+    EXPECT_TRUE(bob->held().empty());
+    ASSERT_TRUE(held.release().ok());
+    ASSERT_TRUE(waitUntil([&] { return first->state() == EntityState::IDLE; }))
+        << "the reservation was given back";
+    const auto both = bob->checkOut(std::vector<std::string>{"First", "Second"});
+    ASSERT_TRUE(both.ok()) << both.refusal().message;
+    EXPECT_THAT(bob->held(), SizeIs(2));
+}
+
+TEST_F(ClientTest, AStopIsConfirmedLatchesAndIsRearmed) {
+    const auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    const auto task = drive(held, *robots);
+    const auto receipts = me->stop({"PeopleBot"});
+    ASSERT_TRUE(receipts.ok());
+    ASSERT_THAT(receipts.value(), SizeIs(1));
+    EXPECT_TRUE(receipts->front().confirmed());
+    EXPECT_TRUE(receipts->front().server);
+    EXPECT_EQ(task.wait(5s).state, TaskState::Stopped);
+    auto refused = held.run("Drive", {{"Distance", {std::int64_t{1}}}});
+    EXPECT_EQ(refused.wait(5s).reason.code, RefusalCode::Latched);
+    ASSERT_TRUE(me->rearm("PeopleBot").ok());
+    drive(held, *robots);
+}
+
+TEST_F(ClientTest, AnybodyStopsEverythingAndALateStageIsShownAsMissing) {
+    const auto first = robot("First");
+    const auto second = robot("Second");
+    second->deaf = true;
+    const auto me = client();
+    ASSERT_TRUE(me->waitFor("First", 5s).ok() && me->waitFor("Second", 5s).ok());
+    const auto receipts = me->stop({}, 400ms);
+    ASSERT_TRUE(receipts.ok());
+    ASSERT_THAT(receipts.value(), SizeIs(2));
+    for (const auto& receipt : receipts.value()) EXPECT_EQ(receipt.confirmed(), receipt.name == "First");
+    EXPECT_EQ(first->stops, 1) << "sent again on both lanes, and taken for the same stop";
+}
+
+TEST_F(ClientTest, PausesResumesAndCancels) {
+    const auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    const auto task = drive(held, *robots);
+    EXPECT_TRUE(task.pause().ok());
+    EXPECT_EQ(task.report().state, TaskState::Paused);
+    EXPECT_TRUE(task.resume().ok());
+    EXPECT_TRUE(task.cancel().ok());
+    EXPECT_EQ(task.wait(5s).state, TaskState::Cancelled);
+    EXPECT_EQ(task.pause().refusal().code, RefusalCode::WrongState);
+}
+
+TEST_F(ClientTest, UploadsAFileInItsWindow) {
+    const auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    const auto path = robots->folder() / "lab.map";
+    constexpr std::size_t kSize = 1'500'000;
+    std::ofstream(path) << std::string(kSize, 'm');
+    std::uint64_t last = 0;
+    const auto uploaded = held.upload("Drive", "Map", path, [&](std::uint64_t sent, std::uint64_t total) {
+        EXPECT_EQ(total, kSize);
+        EXPECT_GE(sent, last);
+        last = sent;
+    });
+    EXPECT_TRUE(uploaded.ok()) << uploaded.refusal().message;
+    EXPECT_EQ(last, kSize);
+    EXPECT_EQ(held.upload("Drive", "Mapp", path).refusal().code, RefusalCode::UnknownResource);
+    EXPECT_EQ(held.upload("Drive", "Map", robots->folder() / "none").refusal().code,
+              RefusalCode::UnknownResource);
+}
+
+TEST_F(ClientTest, TextsAndStreamsArriveInOrder) {
+    const auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    ASSERT_TRUE(held.sendText("hello").ok());
+    EXPECT_TRUE(waitUntil([&] { return robots->texts() == std::vector<std::string>{"hello"}; }));
+    std::mutex mutex;
+    std::vector<std::string> texts, samples;
+    held.onText([&](const std::string& text) {
+        const std::lock_guard lock(mutex);
+        texts.push_back(text);
+    });
+    auto watching = me->watch("PeopleBot", {"battery"}, [&](const Sample& sample) {
+        const std::lock_guard lock(mutex);
+        samples.push_back(sample.json);
+    });
+    ASSERT_TRUE(watching.ok());
+    ASSERT_TRUE(waitUntil([&] {
+        robots->sample("battery", 12.5);
+        const std::lock_guard lock(mutex);
+        return !samples.empty();
+    }));
+    for (int i = 0; i < 50; ++i) robots->text(std::to_string(i));
+    ASSERT_TRUE(waitUntil([&] {
+        const std::lock_guard lock(mutex);
+        return texts.size() == 50;
+    }));
+    const std::lock_guard lock(mutex);
+    for (int i = 0; i < 50; ++i) EXPECT_EQ(texts[static_cast<std::size_t>(i)], std::to_string(i));
+    EXPECT_THAT(samples.front(), HasSubstr("12.5"));
+}
+
+TEST_F(ClientTest, ADestroyedClientLeavesAStoppedAndFreeRobot) {
+    const auto robots = robot();
+    Task task = [&] {
+        const auto me = client();
+        return drive(take(*me), *robots);
+    }();
+    EXPECT_TRUE(isFinal(task.report().state));
+    EXPECT_GE(robots->stops, 1);
+    EXPECT_TRUE(waitUntil([&] { return robots->state() == EntityState::IDLE; }));
+    EXPECT_FALSE(task.pause().ok());
+}
+
+TEST_F(ClientTest, AnEntityThatLeavesIsLostWithAReason) {
+    auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    const auto task = drive(held, *robots);
+    std::promise<Refusal> lost;
+    held.onLost([&](const Refusal& why) { lost.set_value(why); });
+    robots->leave();
+    auto why = lost.get_future();
+    ASSERT_EQ(why.wait_for(5s), std::future_status::ready);
+    EXPECT_FALSE(why.get().message.empty());
+    EXPECT_EQ(task.wait(5s).state, TaskState::Unknown);
+}
+
+TEST_F(ClientTest, ALostServerIsToldAndTheClientComesBack) {
+    const auto settings = [&] {
+        auto same = onLoopback();
+        same.client_endpoint = server->clientAddress(Lane::Data);
+        same.entity_endpoint = server->entityAddress(Lane::Data);
+        return same;
+    }();
+    auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    const auto task = drive(held, *robots);
+    std::atomic<int> up{0}, down{0};
+    me->onConnection([&](bool connected, const std::string&) { ++(connected ? up : down); });
+    server.reset();
+    ASSERT_TRUE(waitUntil([&] { return down == 1; }));
+    EXPECT_FALSE(me->connected());
+    EXPECT_EQ(task.wait(5s).reason.code, RefusalCode::OutcomeUnknown);
+    EXPECT_EQ(me->stop({}).refusal().code, RefusalCode::NotConnected);
+    robots->leave();
+
+    server = std::make_unique<server::Server>(settings);
+    const auto again = robot();
+    ASSERT_TRUE(waitUntil([&] { return up == 1; }));
+    drive(take(*me), *again);
+}
+
+TEST_F(ClientTest, AnOperatorWhoIsNotThereStopsTheRobot) {
+    const auto robots = robot();
+    auto with = options();
+    std::atomic<bool> there{true};
+    with.keep_running = [&] { return there.load(); };
+    with.reconnect = false;
+    const auto me = client(with);
+    const auto held = take(*me);
+    drive(held, *robots);
+    EXPECT_EQ(robots->stops, 0);
+    there = false;
+    EXPECT_TRUE(waitUntil([&] { return robots->stops >= 1; }));
+}
+
+TEST_F(ClientTest, WaitingInACallbackIsAMisuseThatIsNamed) {
+    const auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    std::promise<bool> threw;
+    const auto task = drive(held, *robots);
+    task.onUpdate([&, told = false](const TaskReport&) mutable {
+        if (std::exchange(told, true)) return;
+        try {
+            (void)held.set("Drive", {"Speed", {250.0}});
+            threw.set_value(false);
+        } catch (const std::logic_error&) {
+            threw.set_value(true);
+        }
+    });
+    EXPECT_TRUE(threw.get_future().get());
+}
+
+TEST_F(ClientTest, ManyThreadsMayUseOneClient) {
+    const auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    std::vector<std::thread> threads;
+    for (int t = 0; t < 4; ++t) {
+        threads.emplace_back([&, t] {
+            for (int i = 0; i < 50; ++i) {
+                switch (t) {
+                    case 0:
+                        EXPECT_TRUE(held.set("Drive", {"Speed", {100.0 + i}}).ok());
+                        break;
+                    case 1:
+                        EXPECT_TRUE(me->services("PeopleBot").ok());
+                        break;
+                    case 2:
+                        EXPECT_TRUE(held.sendText("x").ok());
+                        break;
+                    default:
+                        EXPECT_TRUE(me->find("PeopleBot").ok());
+                }
+            }
+        });
+    }
+    for (auto& thread : threads) thread.join();
+    EXPECT_TRUE(waitUntil([&] { return robots->texts().size() == 50; }));
+}
+
+}  // namespace
+}  // namespace axon::client::test
