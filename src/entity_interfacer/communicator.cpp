@@ -28,6 +28,7 @@ using namespace std::chrono_literals;
 constexpr std::uint32_t kProtocol = 1;
 constexpr std::size_t kPendingMax = 32;
 constexpr auto kHelloTime = 1s;
+constexpr auto kLastWords = 300ms;
 constexpr auto kSlack = 50ms;  // for a sign of life that has arrived and has not been read yet
 constexpr int kStopPriority = 30;
 constexpr int kWatchPriority = 29;
@@ -216,21 +217,22 @@ void Communicator::shutdown() {
     stop_wake_.wake();
     stop_thread_.join();
 
-    // Handlers that end at once may still say how; the link does not wait for the others.
-    const auto finished = [this] {
-        const std::lock_guard tasks(tasks_mutex_);
-        return std::all_of(tasks_.begin(), tasks_.end(), [](const TaskThread& t) { return t.done->load(); });
+    const auto wait_for_handlers = [this](Duration time) {
+        std::unique_lock tasks(tasks_mutex_);
+        return task_ended_.wait_for(tasks, time, [this] {
+            return std::all_of(tasks_.begin(), tasks_.end(),
+                               [](const TaskThread& t) { return t.done->load(); });
+        });
     };
-    for (int i = 0; i < 30 && !finished(); ++i) std::this_thread::sleep_for(10ms);
+    // Handlers that end at once may still say how; the link does not wait for the others.
+    wait_for_handlers(kLastWords);
     end_watch_thread_ = true;
     watch_wake_.wake();
     watch_thread_.join();
     end_data_thread_ = true;
     data_wake_.wake();
     data_thread_.join();
-    for (auto since = now(); !finished(); std::this_thread::sleep_for(10ms)) {
-        if (now() - since < 1s) continue;
-        since = now();
+    while (!wait_for_handlers(1s)) {
         const std::lock_guard tasks(tasks_mutex_);
         for (const auto& running : tasks_)
             if (!running.done->load())

@@ -203,6 +203,7 @@ class Communicator {
     std::map<std::string, std::shared_ptr<Stream::Channel>, std::less<>> channels_;
 
     std::mutex tasks_mutex_;
+    std::condition_variable task_ended_;
     std::vector<TaskThread> tasks_;  // guarded by tasks_mutex_
 
     std::thread stop_thread_, watch_thread_, data_thread_;

@@ -342,8 +342,12 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
     try {
         entry.thread = std::thread([this, task, handler, done = entry.done] {
             runTask(task, *handler);
-            done->store(true);
-            if (!ending_) data_wake_.wake();
+            {
+                const std::lock_guard ended(tasks_mutex_);
+                done->store(true);
+            }
+            task_ended_.notify_all();
+            data_wake_.wake();
         });
     } catch (const std::system_error&) {
         return refuse(RefusalCode::Overloaded, "no thread for the task: the machine is out of resources");

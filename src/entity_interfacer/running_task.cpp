@@ -358,8 +358,10 @@ bool Task::paused() const {
 bool Task::waitWhilePaused() const {
     return running_->waitWhilePaused();
 }
-bool Task::waitFor(std::chrono::nanoseconds time) const {
-    return running_->waitFor(time);
+bool Task::waitFor(std::chrono::duration<double> time) const {
+    constexpr std::chrono::duration<double> kYear{3e7};  // longer than any task, short enough for nanoseconds
+    if (!(time < kYear)) time = kYear;
+    return running_->waitFor(std::chrono::duration_cast<std::chrono::nanoseconds>(time));
 }
 void Task::succeed() {
     running_->end(true, {});

@@ -236,8 +236,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                            [&](const auto& h) { return h->port == port; });
     }
 
-    /// False when nobody listens there: on loopback the kernel says so within the call, which keeps the whole
-    /// range cheap.
+    /// False when nobody listens there.
     template <class Done>
     bool shake(std::uint16_t port, proto::LinkLane lane, const std::string& nonce, Done done) {
         const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
@@ -246,7 +245,13 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         to.sin_family = AF_INET;
         to.sin_port = htons(port);
         ::inet_pton(AF_INET, settings_.where.address.c_str(), &to.sin_addr);
-        if (::connect(fd, reinterpret_cast<const sockaddr*>(&to), sizeof to) != 0 && errno != EINPROGRESS) {
+        int failure = ::connect(fd, reinterpret_cast<const sockaddr*>(&to), sizeof to) == 0 ? 0 : errno;
+        if (failure == EINPROGRESS) {
+            // On loopback a refusal has arrived by now, which keeps a look at the whole range cheap.
+            socklen_t size = sizeof failure;
+            ::getsockopt(fd, SOL_SOCKET, SO_ERROR, &failure, &size);
+        }
+        if (failure != 0) {
             ::close(fd);
             return false;
         }
@@ -279,6 +284,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 if (error) return self->answered(handshake, nullptr);
                 asio::async_write(handshake->socket, asio::buffer(handshake->hello),
                                   [self, handshake](const asio::error_code& failed, std::size_t) {
+                                      if (failed) handshake->closed = true;
                                       if (failed) return self->answered(handshake, nullptr);
                                       self->readWelcome(handshake);
                                   });

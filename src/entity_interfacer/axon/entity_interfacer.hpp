@@ -165,7 +165,7 @@ class AXON_EI_API Task {
     /// Waits while the client has paused the task. False when a stop is requested.
     bool waitWhilePaused() const;
     /// Instead of sleeping: true when the time is up, false at once when a stop is requested.
-    bool waitFor(std::chrono::nanoseconds time) const;
+    bool waitFor(std::chrono::duration<double> time) const;
 
     // The verdict; the first one counts. A handler that returns without one has succeeded, unless a stop was
     // requested: then the task was stopped (or cancelled).
@@ -204,8 +204,8 @@ enum class LogLevel { Info, Warning, Error };
 class AXON_EI_API EntityInterfacer {
   public:
     struct Options {
-        std::string application;  ///< the name the Entity Manager is configured with; required
-        std::string instance;     ///< tells equal applications on one host apart; empty = none
+        std::string application{};  ///< the name the Entity Manager is configured with; required
+        std::string instance{};     ///< tells equal applications on one host apart; empty = none
         std::filesystem::path
             ports_file;  ///< a ports.cfg; when given, it replaces first_port, last_port, address
         std::uint16_t first_port = 5500;  ///< the range is within 5500 to 8000, both included
@@ -213,7 +213,7 @@ class AXON_EI_API EntityInterfacer {
         std::string address = "127.0.0.1";  ///< IPv4 address to listen on
         bool beyond_loopback = false;       ///< the link has no authentication: only for networks you trust
         bool watch_profiles = true;         ///< upload the profiles again when their files change
-        std::function<void(LogLevel, const std::string&)> logger;  ///< any thread; none = standard error
+        std::function<void(LogLevel, const std::string&)> logger{};  ///< any thread; none = standard error
     };
     using TaskHandler = std::function<void(Task&)>;
 

@@ -1,0 +1,923 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The EM-EI link: the real Entity Interfacer (shared library) and the real BackEndInterface over loopback
+// TCP.
+#include <arpa/inet.h>
+#include <axon/link.pb.h>
+#include <gtest/gtest.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <asio/executor_work_guard.hpp>
+#include <asio/io_context.hpp>
+#include <asio/post.hpp>
+#include <asio/strand.hpp>
+#include <atomic>
+#include <axon/entity_interfacer.hpp>
+#include <condition_variable>
+#include <filesystem>
+#include <fstream>
+#include <future>
+#include <mutex>
+#include <thread>
+
+#include "common/ids.hpp"
+#include "entity_interfacer/frame.hpp"
+#include "entity_manager/back_end_interface.hpp"
+#include "support/loopback.hpp"
+
+namespace axon {
+namespace {
+
+using namespace std::chrono_literals;
+using entity_manager::BackEndEvents;
+using entity_manager::BackEndInterface;
+using entity_manager::BackEndSettings;
+using entity_manager::StopGate;
+using test::waitUntil;
+using Clock = std::chrono::steady_clock;
+using Cause = StopSignal::Cause;
+
+// Sanitizers slow everything; bounds that a person reads as a promise stay those of the plain build.
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+constexpr int kSlow = 5;
+#else
+constexpr int kSlow = 1;
+#endif
+
+/// The Entity Manager's side, with a thread for its strand.
+class Manager : public BackEndEvents {
+  public:
+    explicit Manager(const std::string& application, PortRange ports = {5500, 5600},
+                     const std::string& instance = {}, std::chrono::milliseconds busy = 100ms,
+                     std::chrono::milliseconds idle = 500ms)
+        : work_(context_.get_executor()), strand_(asio::make_strand(context_)) {
+        BackEndSettings settings;
+        settings.application = application;
+        settings.instance = instance;
+        settings.where = {ports, test::loopbackAddress()};
+        settings.manager = "test " + application;
+        settings.watchdog_busy = busy * kSlow;
+        settings.watchdog_idle = idle * kSlow;
+        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate, random_, *this);
+        thread_ = std::thread([this] { context_.run(); });
+        started_at = Clock::now();
+        post([this] { link_->start(); });
+    }
+    ~Manager() override {
+        if (thread_.joinable()) die();
+    }
+    /// As a process that ends: its sockets close.
+    void die() {
+        post([this] { link_->close(); });
+        work_.reset();
+        thread_.join();
+    }
+    template <class Call>
+    void post(Call call) {
+        asio::post(strand_, std::move(call));
+    }
+    void send(const proto::EmToEi& message) {
+        post([this, message] { link_->send(message); });
+    }
+    void setBusy(bool busy) {
+        post([this, busy] { link_->setBusy(busy); });
+    }
+    std::uint32_t stop(StopCause cause = StopCause::Requested) {
+        const auto generation = gate.raise();
+        link_->stop(generation, cause);
+        return generation;
+    }
+    void rawStop(std::uint32_t generation, StopCause cause) { link_->stop(generation, cause); }
+    /// The strand is stuck, as in a frozen Entity Manager whose sockets stay open.
+    void freeze(std::shared_future<void> until) {
+        post([until] { until.wait(); });
+    }
+    std::string dispatch(const std::string& service, std::uint32_t generation,
+                         const std::vector<proto::Param>& params = {}) {
+        const auto id = Id128::random(random_).bytes();
+        proto::EmToEi message;
+        auto& task = *message.mutable_task();
+        task.set_task_id(id);
+        task.set_service(service);
+        task.set_stop_generation(generation);
+        for (const auto& param : params) *task.add_params() = param;
+        send(message);
+        return id;
+    }
+
+    void onLinkUp() override {
+        up_at = Clock::now();
+        ups++;
+    }
+    void onLinkDown(const std::string& reason) override {
+        const std::lock_guard lock(mutex_);
+        down_reason_ = reason;
+        downs++;
+    }
+    void onLinkMessage(const proto::EiToEm& message) override {
+        const std::lock_guard lock(mutex_);
+        messages_.push_back(message);
+    }
+    void onLinkRefused(const Refusal& refusal) override {
+        const std::lock_guard lock(mutex_);
+        refusal_ = refusal;
+    }
+    std::vector<proto::EiToEm> messages() {
+        const std::lock_guard lock(mutex_);
+        return messages_;
+    }
+    Refusal refusal() {
+        const std::lock_guard lock(mutex_);
+        return refusal_;
+    }
+    std::string downReason() {
+        const std::lock_guard lock(mutex_);
+        return down_reason_;
+    }
+    bool linked() const { return ups > downs; }
+    std::optional<proto::TaskEvent> finalOf(const std::string& id) {
+        for (const auto& message : messages())
+            if (message.has_task() && message.task().event().task_id() == id &&
+                message.task().event().state() >= proto::TASK_SUCCEEDED)
+                return message.task().event();
+        return std::nullopt;
+    }
+    std::optional<proto::RefusalCode> answerOf(const std::string& id) {
+        for (const auto& message : messages())
+            if (message.has_task_answer() && message.task_answer().task_id() == id)
+                return message.task_answer().refusal().code();
+        return std::nullopt;
+    }
+    std::optional<proto::Refusal> answerTo(std::uint64_t request) {
+        for (const auto& message : messages())
+            if (message.has_answer() && message.answer().request() == request)
+                return message.answer().refusal();
+        return std::nullopt;
+    }
+    bool acknowledged(std::uint32_t generation,
+                      proto::StopReceipt::Stage stage = proto::StopReceipt::CALLBACK_RETURNED) {
+        for (const auto& message : messages())
+            if (message.has_stop_done() && message.stop_done().stop_generation() == generation &&
+                message.stop_done().stage() == stage)
+                return true;
+        return false;
+    }
+
+    StopGate gate;
+    std::atomic<int> ups{0}, downs{0};
+    Clock::time_point started_at;
+    std::atomic<Clock::time_point> up_at{};
+
+  private:
+    asio::io_context context_;
+    asio::executor_work_guard<asio::io_context::executor_type> work_;
+    asio::strand<asio::io_context::executor_type> strand_;
+    SystemRandom random_;
+    std::unique_ptr<BackEndInterface> link_;
+    std::mutex mutex_;
+    std::vector<proto::EiToEm> messages_;
+    std::string down_reason_;
+    Refusal refusal_;
+    std::thread thread_;
+};
+
+/// What onStop saw.
+class Stops {
+  public:
+    void attach(EntityInterfacer& interfacer) {
+        interfacer.onStop([this](const StopSignal& stop) {
+            const std::lock_guard lock(mutex_);
+            seen_.push_back(stop);
+            last_at_ = Clock::now();
+        });
+    }
+    std::vector<StopSignal> seen() const {
+        const std::lock_guard lock(mutex_);
+        return seen_;
+    }
+    std::size_t count(Cause cause) const {
+        const auto all = seen();
+        return static_cast<std::size_t>(
+            std::count_if(all.begin(), all.end(), [&](const auto& s) { return s.cause == cause; }));
+    }
+    Clock::time_point lastAt() const {
+        const std::lock_guard lock(mutex_);
+        return last_at_;
+    }
+
+  private:
+    mutable std::mutex mutex_;
+    std::vector<StopSignal> seen_;
+    Clock::time_point last_at_;
+};
+
+/// A plain TCP client or server of a test that misbehaves.
+class RawSocket {
+  public:
+    explicit RawSocket(int fd = ::socket(AF_INET, SOCK_STREAM, 0)) : fd_(fd) {
+        timeval time{5, 0};
+        ::setsockopt(fd_, SOL_SOCKET, SO_RCVTIMEO, &time, sizeof time);
+    }
+    RawSocket(RawSocket&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+    ~RawSocket() {
+        if (fd_ >= 0) ::close(fd_);
+    }
+    static sockaddr_in address(std::uint16_t port) {
+        sockaddr_in a{};
+        a.sin_family = AF_INET;
+        a.sin_port = htons(port);
+        ::inet_pton(AF_INET, test::loopbackAddress().c_str(), &a.sin_addr);
+        return a;
+    }
+    bool connect(std::uint16_t port) {
+        const auto a = address(port);
+        return ::connect(fd_, reinterpret_cast<const sockaddr*>(&a), sizeof a) == 0;
+    }
+    bool listen(std::uint16_t port) {
+        const auto a = address(port);
+        const int on = 1;
+        ::setsockopt(fd_, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+        return ::bind(fd_, reinterpret_cast<const sockaddr*>(&a), sizeof a) == 0 && ::listen(fd_, 16) == 0;
+    }
+    void write(const std::string& bytes) { (void)::send(fd_, bytes.data(), bytes.size(), MSG_NOSIGNAL); }
+    void write(const proto::EmToEi& message) {
+        std::string frame;
+        appendFrame(frame, message.SerializeAsString());
+        write(frame);
+    }
+    /// Nothing when the peer closes, or is silent for five seconds.
+    std::optional<proto::EiToEm> read() {
+        std::string payload;
+        while (!reader_.next(payload)) {
+            char bytes[4096];
+            const auto got = ::recv(fd_, bytes, sizeof bytes, 0);
+            if (got <= 0) return std::nullopt;
+            reader_.feed({bytes, static_cast<std::size_t>(got)});
+        }
+        proto::EiToEm message;
+        if (!message.ParseFromString(payload)) return std::nullopt;
+        return message;
+    }
+    bool closedByPeer() {
+        char byte = 0;
+        while (true) {
+            const auto got = ::recv(fd_, &byte, 1, 0);
+            if (got > 0) continue;
+            return got == 0 || errno == ECONNRESET;
+        }
+    }
+
+  private:
+    int fd_;
+    FrameReader reader_;
+};
+
+proto::EmToEi helloOf(const std::string& application, proto::LinkLane lane, const std::string& nonce) {
+    proto::EmToEi message;
+    auto& hello = *message.mutable_hello();
+    hello.set_protocol(1);
+    hello.set_application(application);
+    hello.set_lane(lane);
+    hello.set_nonce(nonce);
+    hello.set_manager("raw");
+    return message;
+}
+
+EntityInterfacer::Options options(const std::string& application, std::uint16_t first = 5500,
+                                  std::uint16_t last = 5600) {
+    EntityInterfacer::Options o;
+    o.application = application;
+    o.address = test::loopbackAddress();
+    o.first_port = first;
+    o.last_port = last;
+    o.logger = [](LogLevel level, const std::string& text) {
+        if (std::getenv("AXON_TEST_LOG") != nullptr)
+            std::fprintf(stderr, "[%d] %s\n", static_cast<int>(level), text.c_str());
+    };
+    return o;
+}
+
+proto::Param param(const std::string& name, double value) {
+    proto::Param p;
+    p.set_name(name);
+    p.add_values()->set_dbl(value);
+    return p;
+}
+
+/// A file that goes with the test.
+class ScratchFile {
+  public:
+    explicit ScratchFile(const std::string& name, const std::string& text)
+        : path_(std::filesystem::temp_directory_path() /
+                ("axon-link-" + std::to_string(::getpid()) + "-" + name)) {
+        rewrite(text);
+    }
+    ~ScratchFile() { std::filesystem::remove(path_); }
+    void rewrite(const std::string& text) const {
+        std::ofstream(path_, std::ios::binary | std::ios::trunc) << text;
+    }
+    const std::filesystem::path& path() const { return path_; }
+
+  private:
+    std::filesystem::path path_;
+};
+
+TEST(Link, ComesUpWithin200MillisecondsOfTheApplicationsStart) {
+    Manager manager("Hello", {5500, 8000});
+    EXPECT_FALSE(
+        waitUntil([&] { return manager.linked(); }, 1200ms));  // it has been looking, and is backing off
+    auto o = options("Hello", 5500, 8000);
+    EntityInterfacer interfacer(o);
+    const auto started = Clock::now();
+    interfacer.start();
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    EXPECT_LT(manager.up_at.load() - started, 200ms * kSlow);
+}
+
+TEST(Link, AFarPortOfTheWholeRangeIsFound) {
+    Manager manager("Far", {5500, 8000});
+    EntityInterfacer interfacer(options("Far", 7990, 8000));
+    interfacer.start();
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }, 4s));
+}
+
+TEST(Link, ProfilesAndStatementsArriveOnLinkUp) {
+    const ScratchFile basic("basic.xml", "<BasicProfile/>");
+    const ScratchFile services("services.xml", "<ServiceProfile/>");
+    EntityInterfacer interfacer(options("P"));
+    interfacer.uploadBasicProfile(basic.path());
+    interfacer.uploadServiceProfile(services.path());
+    interfacer.setPosition(1, 2, 3);
+    interfacer.setServiceActive("S", false, "no battery");
+    interfacer.start();
+    Manager manager("P");
+    ASSERT_TRUE(waitUntil([&] { return manager.messages().size() >= 4; }));
+    const auto messages = manager.messages();
+    EXPECT_EQ(messages[0].profile().xml(), "<BasicProfile/>");
+    EXPECT_FALSE(messages[0].profile().services());
+    EXPECT_EQ(messages[0].profile().file_name(), basic.path().string());
+    EXPECT_EQ(messages[1].profile().xml(), "<ServiceProfile/>");
+    EXPECT_TRUE(messages[1].profile().services());
+    EXPECT_EQ(messages[2].position().zpos(), 3);
+    EXPECT_EQ(messages[3].active().reason(), "no battery");
+}
+
+TEST(Link, AChangedProfileIsUploadedAgain) {
+    const ScratchFile basic("changing.xml", "<BasicProfile/>");
+    EntityInterfacer interfacer(options("Change"));
+    interfacer.uploadBasicProfile(basic.path());
+    interfacer.start();
+    Manager manager("Change");
+    ASSERT_TRUE(waitUntil([&] { return manager.messages().size() == 1; }));
+    basic.rewrite("<BasicProfile name=\"new\"/>");
+    ASSERT_TRUE(waitUntil([&] { return manager.messages().size() == 2; }));
+    EXPECT_EQ(manager.messages()[1].profile().xml(), "<BasicProfile name=\"new\"/>");
+}
+
+TEST(Link, ParametersAndResourcesAreGrantedOrDeniedWithTheReason) {
+    EntityInterfacer interfacer(options("Grant"));
+    interfacer.onParameter([](const std::string& service, const Parameter& p) {
+        if (service == "Drive" && p.number() <= 100) return Decision::grant();
+        return Decision::deny("faster than this floor allows");
+    });
+    interfacer.onResource([](const std::string&, const std::string& name, const std::filesystem::path& path) {
+        return name == "map" && path == "/tmp/map" ? Decision::grant() : Decision::deny("no such map");
+    });
+    interfacer.start();
+    Manager manager("Grant");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    for (std::uint64_t i = 1; i <= 2; ++i) {
+        proto::EmToEi message;
+        message.mutable_param()->set_request(i);
+        message.mutable_param()->set_service("Drive");
+        *message.mutable_param()->mutable_param() = param("Speed", i == 1 ? 50 : 500);
+        manager.send(message);
+        proto::EmToEi resource;
+        resource.mutable_resource()->set_request(10 + i);
+        resource.mutable_resource()->set_resource("map");
+        resource.mutable_resource()->set_path(i == 1 ? "/tmp/map" : "/tmp/other");
+        manager.send(resource);
+    }
+    ASSERT_TRUE(waitUntil([&] { return manager.answerTo(12).has_value(); }));
+    EXPECT_EQ(manager.answerTo(1)->code(), proto::OK);
+    EXPECT_EQ(manager.answerTo(2)->code(), proto::DENIED);
+    EXPECT_EQ(manager.answerTo(2)->message(), "faster than this floor allows");
+    EXPECT_EQ(manager.answerTo(11)->code(), proto::OK);
+    EXPECT_EQ(manager.answerTo(12)->message(), "no such map");
+}
+
+TEST(Link, ATaskRunsWithProgressFeedbackAndResults) {
+    EntityInterfacer interfacer(options("Task"));
+    interfacer.onTask("Drive", [](Task& task) {
+        task.progress(0.5);
+        task.feedback("half way");
+        task.result("Travelled", task.number("Distance"), "mm");
+    });
+    interfacer.onTask("Fail", [](Task& task) { task.fail("no wheels"); });
+    interfacer.start();
+    Manager manager("Task");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    const auto drive = manager.dispatch("Drive", 0, {param("Distance", 250)});
+    const auto fail = manager.dispatch("Fail", 0);
+    const auto unknown = manager.dispatch("Fly", 0);
+    ASSERT_TRUE(waitUntil(
+        [&] { return manager.finalOf(drive) && manager.finalOf(fail) && manager.answerOf(unknown); }));
+    EXPECT_EQ(manager.answerOf(drive), proto::OK);
+    EXPECT_EQ(manager.finalOf(drive)->state(), proto::TASK_SUCCEEDED);
+    EXPECT_EQ(manager.finalOf(drive)->feedback(), "half way");
+    EXPECT_EQ(manager.finalOf(drive)->results(0).values(0).dbl(), 250);
+    EXPECT_EQ(manager.finalOf(drive)->results(0).units(), "mm");
+    EXPECT_EQ(manager.finalOf(fail)->state(), proto::TASK_FAILED);
+    EXPECT_EQ(manager.finalOf(fail)->reason().message(), "no wheels");
+    EXPECT_EQ(manager.answerOf(unknown), proto::UNKNOWN_SERVICE);
+}
+
+TEST(Link, ATaskRequestCanBeVetoedAndAnIdRunsOnce) {
+    std::atomic<int> runs{0};
+    EntityInterfacer interfacer(options("Veto"));
+    interfacer.onTaskRequest([](const Task& task) {
+        return task.has("Distance") ? Decision::grant() : Decision::deny("how far?");
+    });
+    interfacer.onAnyTask([&](Task&) { runs++; });
+    interfacer.start();
+    Manager manager("Veto");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    const auto denied = manager.dispatch("Drive", 0);
+    const auto granted = manager.dispatch("Drive", 0, {param("Distance", 1)});
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(granted) && manager.answerOf(denied); }));
+    EXPECT_EQ(manager.answerOf(denied), proto::DENIED);
+    proto::EmToEi again;
+    again.mutable_task()->set_task_id(granted);
+    again.mutable_task()->set_service("Drive");
+    *again.mutable_task()->add_params() = param("Distance", 1);
+    const auto before = manager.messages().size();
+    manager.send(again);
+    ASSERT_TRUE(waitUntil([&] { return manager.messages().size() > before; }));
+    EXPECT_EQ(manager.messages().back().task_answer().refusal().code(), proto::DUPLICATE);
+    EXPECT_EQ(runs, 1);
+}
+
+TEST(Link, StopReachesTheCallbackWhileEveryHandlerIsBlocked) {
+    std::promise<void> release;
+    const auto released = release.get_future().share();
+    Stops stops;
+    EntityInterfacer interfacer(options("Blocked"));
+    stops.attach(interfacer);
+    interfacer.onTask("Stubborn", [released](Task&) { released.wait(); });
+    interfacer.onText([released](const std::string&, const std::string&) { released.wait(); });
+    interfacer.start();
+    Manager manager("Blocked");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    const auto id = manager.dispatch("Stubborn", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(id).has_value(); }));
+    proto::EmToEi text;
+    text.mutable_text()->set_text("blocks the data thread");
+    manager.send(text);
+    const auto at = Clock::now();
+    const auto generation = manager.stop();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation); }, 2s));
+    EXPECT_LT(stops.lastAt() - at, 50ms * kSlow);
+    EXPECT_EQ(stops.seen().size(), 1U);
+    EXPECT_EQ(stops.seen()[0].generation, generation);
+    EXPECT_EQ(stops.seen()[0].cause, Cause::Requested);
+    release.set_value();
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(id).has_value(); }));
+    EXPECT_EQ(manager.finalOf(id)->state(), proto::TASK_STOPPED);
+}
+
+TEST(Link, StopIsWrittenWhileTheStrandIsStuck) {
+    Stops stops;
+    std::promise<void> go;
+    EntityInterfacer interfacer(options("Stuck"));
+    stops.attach(interfacer);
+    interfacer.start();
+    Manager manager("Stuck", {5500, 5600}, {}, 1000ms, 5000ms);
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    manager.freeze(go.get_future().share());
+    manager.stop();
+    EXPECT_TRUE(waitUntil([&] { return stops.count(Cause::Requested) == 1; }, 900ms));
+    go.set_value();
+}
+
+TEST(Link, StopIsIdempotentByGenerationAndOlderTasksAreRefused) {
+    Stops stops;
+    EntityInterfacer interfacer(options("Level"));
+    stops.attach(interfacer);
+    interfacer.onAnyTask([](Task& task) { task.waitFor(30s); });
+    interfacer.start();
+    Manager manager("Level");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    const auto running = manager.dispatch("Wait", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(running).has_value(); }));
+    const auto generation = manager.stop();
+    manager.rawStop(generation, StopCause::Requested);
+    manager.rawStop(generation, StopCause::ClientLost);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(running).has_value(); }));
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation); }));
+    const auto older = manager.dispatch("Wait", generation - 1);
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(older).has_value(); }));
+    EXPECT_EQ(manager.answerOf(older), proto::OLD_GENERATION);
+    const auto newer = manager.dispatch("Wait", generation);
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(newer).has_value(); }));
+    EXPECT_EQ(manager.answerOf(newer), proto::OK);
+    EXPECT_EQ(stops.seen().size(), 1U);
+    EXPECT_EQ(stops.seen()[0].cause, Cause::Requested);
+}
+
+TEST(Link, ATaskWaitsForTheStopCallbackBeforeIt) {
+    std::promise<void> release;
+    const auto released = release.get_future().share();
+    std::atomic<bool> in_stop{false}, overlapped{false};
+    EntityInterfacer interfacer(options("Order"));
+    interfacer.onStop([&, released](const StopSignal& stop) {
+        if (stop.cause != Cause::Reset) return;
+        in_stop = true;
+        released.wait_for(200ms);
+        in_stop = false;
+    });
+    interfacer.onAnyTask([&](Task&) { overlapped = in_stop.load(); });
+    interfacer.start();
+    Manager manager("Order");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    const auto generation = manager.stop(StopCause::Reset);
+    const auto next = manager.dispatch("Next", generation);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(next).has_value(); }));
+    EXPECT_FALSE(overlapped);
+    release.set_value();
+}
+
+TEST(Link, AGenerationRaisedWithoutAStopIsHealedByTheBeats) {
+    Stops stops;
+    EntityInterfacer interfacer(options("Heal"));
+    stops.attach(interfacer);
+    interfacer.start();
+    Manager manager("Heal");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    const auto generation = manager.gate.raise();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation); }));
+    EXPECT_EQ(stops.seen().size(), 1U);
+}
+
+TEST(Link, ALinkBeginsAtItsManagersGenerationWithoutAStop) {
+    Stops stops;
+    EntityInterfacer interfacer(options("Base"));
+    stops.attach(interfacer);
+    interfacer.onAnyTask([](Task&) {});
+    Manager manager("Base");
+    for (int i = 0; i < 7; ++i) manager.gate.raise();
+    interfacer.start();
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    const auto id = manager.dispatch("Any", 7);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(id).has_value(); }));
+    EXPECT_TRUE(stops.seen().empty());
+}
+
+TEST(Link, ADrillIsAcknowledgedWithoutCallingTheApplication) {
+    Stops stops;
+    EntityInterfacer interfacer(options("Drill"));
+    stops.attach(interfacer);
+    interfacer.start();
+    Manager manager("Drill");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    manager.rawStop(0, StopCause::Drill);
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(0); }));
+    EXPECT_TRUE(stops.seen().empty());
+}
+
+TEST(Link, StandstillIsTheLastStageOfTheReceipt) {
+    EntityInterfacer interfacer(options("Still"));
+    interfacer.onStop([&](const StopSignal&) { interfacer.standstill(); });
+    interfacer.start();
+    Manager manager("Still");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    const auto generation = manager.stop();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation, proto::StopReceipt::STANDSTILL); }));
+}
+
+TEST(Link, ADeadManagerStopsTheRobot) {
+    Stops stops;
+    std::atomic<Cause> seen_by_task{Cause::Unspecified};
+    std::atomic<bool> running{false};
+    std::atomic<int> downs{0};
+    EntityInterfacer interfacer(options("Dead"));
+    stops.attach(interfacer);
+    interfacer.onAnyTask([&](Task& task) {
+        running = true;
+        task.waitFor(30s);
+        seen_by_task = task.stopCause();
+        running = false;
+    });
+    interfacer.onLinkDown([&](const std::string&) { downs++; });
+    interfacer.start();
+    auto manager = std::make_unique<Manager>("Dead");
+    ASSERT_TRUE(waitUntil([&] { return manager->linked(); }));
+    manager->dispatch("Any", 0);
+    ASSERT_TRUE(waitUntil([&] { return running.load(); }));
+    const auto at = Clock::now();
+    manager->die();
+    ASSERT_TRUE(waitUntil([&] { return stops.count(Cause::LinkLost) == 1; }));
+    EXPECT_LT(stops.lastAt() - at, 20ms * kSlow);
+    EXPECT_TRUE(waitUntil([&] { return !running && downs == 1; }));
+    EXPECT_EQ(seen_by_task, Cause::LinkLost);
+    manager = std::make_unique<Manager>("Dead");  // and everything works again
+    ASSERT_TRUE(waitUntil([&] { return manager->linked() && interfacer.linked(); }));
+    EXPECT_EQ(stops.seen().size(), 1U);
+}
+
+TEST(Link, ASilentManagerStopsTheRobotWithinTheWatchdog) {
+    Stops stops;
+    std::promise<void> go;
+    EntityInterfacer interfacer(options("Silent"));
+    stops.attach(interfacer);
+    interfacer.start();
+    Manager manager("Silent");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    proto::EmToEi text;
+    manager.setBusy(true);
+    manager.freeze(go.get_future().share());
+    const auto at = Clock::now();
+    ASSERT_TRUE(waitUntil([&] { return stops.count(Cause::LinkLost) == 1; }, 5s));
+    EXPECT_LT(stops.lastAt() - at, 100ms * kSlow + 100ms);
+    go.set_value();
+    ASSERT_TRUE(waitUntil([&] { return manager.downs >= 1; }));
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+}
+
+TEST(Link, ASlowStopCallbackIsNoSilenceOfTheManager) {
+    std::atomic<int> lost{0};
+    std::promise<void> never;
+    const auto future = never.get_future().share();
+    EntityInterfacer interfacer(options("SlowStop"));
+    interfacer.onStop([&, future](const StopSignal& stop) {
+        if (stop.cause == Cause::Requested) future.wait_for(400ms * kSlow);
+        if (stop.cause == Cause::LinkLost) lost++;
+    });
+    interfacer.start();
+    Manager manager("SlowStop");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    manager.setBusy(true);
+    const auto generation = manager.stop();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation); }));
+    EXPECT_EQ(lost, 0);
+    EXPECT_TRUE(manager.linked());
+}
+
+TEST(Link, AnExceptionInAHandlerFailsTheTaskAndStops) {
+    Stops stops;
+    EntityInterfacer interfacer(options("Throw"));
+    stops.attach(interfacer);
+    interfacer.onTask("Bad", [](Task& task) { task.number("Missing"); });
+    interfacer.onText([](const std::string&, const std::string&) { throw 7; });
+    interfacer.onTask("Good", [](Task&) {});
+    interfacer.start();
+    Manager manager("Throw");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    const auto bad = manager.dispatch("Bad", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(bad) && stops.count(Cause::Fault) == 1; }));
+    EXPECT_EQ(manager.finalOf(bad)->state(), proto::TASK_FAILED);
+    EXPECT_NE(manager.finalOf(bad)->reason().message().find("Missing"), std::string::npos);
+    proto::EmToEi text;
+    text.mutable_text()->set_text("x");
+    manager.send(text);
+    ASSERT_TRUE(waitUntil([&] { return stops.count(Cause::Fault) == 2; }));
+    const auto good = manager.dispatch("Good", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(good).has_value(); }));
+    EXPECT_EQ(manager.finalOf(good)->state(), proto::TASK_SUCCEEDED);
+}
+
+TEST(Link, DestructionStopsAndTheManagerIsTold) {
+    Stops stops;
+    Manager manager("End");
+    std::string id;
+    {
+        EntityInterfacer interfacer(options("End"));
+        stops.attach(interfacer);
+        interfacer.onAnyTask([](Task& task) { task.waitFor(30s); });
+        interfacer.start();
+        ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+        id = manager.dispatch("Any", 0);
+        ASSERT_TRUE(waitUntil([&] { return manager.answerOf(id).has_value(); }));
+    }
+    EXPECT_EQ(stops.count(Cause::Shutdown), 1U);
+    ASSERT_TRUE(waitUntil([&] { return manager.downs == 1; }));
+    ASSERT_TRUE(manager.finalOf(id));
+    EXPECT_EQ(manager.finalOf(id)->state(), proto::TASK_STOPPED);
+}
+
+TEST(Link, CancelAndPauseReachTheOneTask) {
+    std::atomic<bool> paused{false};
+    std::atomic<int> finished{0}, pauses{0};
+    EntityInterfacer interfacer(options("Cancel"));
+    interfacer.onPause([&](const Task&) { pauses++; });
+    interfacer.onResume([&](const Task&) { pauses++; });
+    interfacer.onTask("A", [&](Task& task) {
+        waitUntil([&] { return task.paused(); });
+        paused = true;
+        if (!task.waitWhilePaused()) return;
+        paused = false;
+        task.waitFor(30s);
+    });
+    interfacer.onTask("B", [&](Task& task) {
+        task.waitFor(30s);
+        finished++;
+    });
+    interfacer.start();
+    Manager manager("Cancel");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    const auto a = manager.dispatch("A", 0);
+    manager.dispatch("B", 0);
+    proto::EmToEi pause;
+    pause.mutable_pause()->set_task_id(a);
+    manager.send(pause);
+    ASSERT_TRUE(waitUntil([&] { return paused.load(); }));
+    pause.mutable_pause()->set_resume(true);
+    manager.send(pause);
+    ASSERT_TRUE(waitUntil([&] { return !paused; }));
+    proto::EmToEi cancel;
+    cancel.mutable_cancel()->set_task_id(a);
+    manager.send(cancel);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(a).has_value(); }));
+    EXPECT_EQ(manager.finalOf(a)->state(), proto::TASK_CANCELLED);
+    EXPECT_EQ(finished, 0);
+    EXPECT_EQ(pauses, 2);
+}
+
+TEST(Link, TextRawAndStreamsTravelBothWays) {
+    std::promise<std::string> text;
+    std::promise<std::vector<std::string>> raw;
+    EntityInterfacer interfacer(options("Talk"));
+    interfacer.onText([&](const std::string& t, const std::string& from) { text.set_value(from + ":" + t); });
+    interfacer.onRaw(
+        [&](const std::vector<std::string>& blocks, const std::string&) { raw.set_value(blocks); });
+    interfacer.start();
+    auto stream = interfacer.stream("pose");
+    stream.send(Pose{});  // nobody is linked: counted, and dropped
+    Manager manager("Talk");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    proto::EmToEi message;
+    message.mutable_text()->set_text("hi");
+    message.mutable_text()->set_from("me");
+    manager.send(message);
+    message.mutable_raw()->add_data("ab");
+    message.mutable_raw()->add_data("");
+    manager.send(message);
+    EXPECT_EQ(text.get_future().get(), "me:hi");
+    EXPECT_EQ(raw.get_future().get(), (std::vector<std::string>{"ab", ""}));
+    stream.send(Pose{1, 2, 3, 0, 0, 0.5, "map"});
+    interfacer.sendInfoMsg("ready");
+    interfacer.sendRaw("bytes");
+    interfacer.setStatus(true, "working");
+    ASSERT_TRUE(waitUntil([&] { return manager.messages().size() == 4; }));
+    const auto got = manager.messages();
+    EXPECT_EQ(got[0].sample().sequence(), 2U);
+    EXPECT_EQ(got[0].sample().pose().frame(), "map");
+    EXPECT_EQ(got[1].text().text(), "ready");
+    EXPECT_EQ(got[2].raw().data(0), "bytes");
+    EXPECT_TRUE(got[3].status().busy());
+    proto::EmToEi off;
+    off.mutable_stream()->set_stream("pose");
+    manager.send(off);
+    EXPECT_TRUE(waitUntil([&] { return !stream.wanted(); }));
+}
+
+TEST(Link, ASecondManagerIsRefusedWithATypedErrorAndTakesOverLater) {
+    EntityInterfacer interfacer(options("Only"));
+    interfacer.start();
+    auto first = std::make_unique<Manager>("Only");
+    ASSERT_TRUE(waitUntil([&] { return first->linked(); }));
+    Manager second("Only");
+    ASSERT_TRUE(waitUntil([&] { return !second.refusal().ok(); }));
+    EXPECT_EQ(second.refusal().code, RefusalCode::AlreadyHeld);
+    EXPECT_NE(second.refusal().message.find("test Only"), std::string::npos);
+    EXPECT_FALSE(second.linked());
+    EXPECT_TRUE(first->linked());
+    EXPECT_EQ(first->downs, 0);
+    first.reset();
+    EXPECT_TRUE(waitUntil([&] { return second.linked(); }));
+}
+
+TEST(Link, ForeignAndSilentListenersInTheRangeArePassedOver) {
+    RawSocket silent, garbage;
+    ASSERT_TRUE(silent.listen(5500));
+    ASSERT_TRUE(garbage.listen(5501));
+    EntityInterfacer interfacer(options("Third"));
+    interfacer.start();
+    EXPECT_EQ(interfacer.port(), 5502);
+    Manager manager("Third");
+    EXPECT_TRUE(waitUntil([&] { return manager.linked(); }, 2s * kSlow));
+}
+
+TEST(Link, TwoPairsInOneRangeFindTheirOwn) {
+    EntityInterfacer one(options("Robot"));
+    auto with_instance = options("Arm");
+    with_instance.instance = "left";
+    EntityInterfacer left(with_instance);
+    with_instance.instance = "right";
+    EntityInterfacer right(with_instance);
+    for (auto* interfacer : {&one, &left, &right}) interfacer->start();
+    Manager arm_right("Arm", {5500, 5600}, "right");
+    Manager robot("Robot");
+    Manager arm_left("Arm", {5500, 5600}, "left");
+    ASSERT_TRUE(waitUntil([&] { return arm_right.linked() && robot.linked() && arm_left.linked(); }));
+    right.sendInfoMsg("I am right");
+    ASSERT_TRUE(waitUntil([&] { return right.linked() && left.linked() && one.linked(); }));
+    right.sendInfoMsg("I am right");
+    ASSERT_TRUE(waitUntil([&] { return !arm_right.messages().empty(); }));
+    EXPECT_EQ(arm_right.messages()[0].text().text(), "I am right");
+    EXPECT_TRUE(arm_left.messages().empty());
+}
+
+TEST(Link, BadFirstFramesAreRefusedAndDropped) {
+    EntityInterfacer interfacer(options("Strict"));
+    interfacer.start();
+    const auto refusalOf = [&](const proto::EmToEi& message) {
+        RawSocket peer;
+        EXPECT_TRUE(peer.connect(interfacer.port()));
+        peer.write(message);
+        const auto answer = peer.read();
+        EXPECT_TRUE(answer && answer->has_welcome());
+        EXPECT_TRUE(peer.closedByPeer());
+        return answer ? answer->welcome().refusal().code() : proto::OK;
+    };
+    auto hello = helloOf("Strict", proto::LANE_SIGNAL, "12345678");
+    hello.mutable_hello()->set_protocol(2);
+    EXPECT_EQ(refusalOf(hello), proto::NOT_SUPPORTED);
+    EXPECT_EQ(refusalOf(helloOf("Other", proto::LANE_SIGNAL, "12345678")), proto::UNKNOWN_ENTITY);
+    EXPECT_EQ(refusalOf(helloOf("Strict", proto::LANE_SIGNAL, "1")), proto::MALFORMED);
+    EXPECT_EQ(refusalOf(helloOf("Strict", proto::LANE_UNSPECIFIED, "12345678")), proto::MALFORMED);
+    EXPECT_EQ(refusalOf(helloOf("Strict", proto::LANE_DATA, "12345678")), proto::WRONG_STATE);
+    proto::EmToEi beat;
+    beat.mutable_beat()->set_sequence(1);
+    EXPECT_EQ(refusalOf(beat), proto::MALFORMED);
+    for (const auto& bytes :
+         {std::string("\xFF\xFF\xFF\xFF", 4), std::string("GET / HTTP/1.0\r\n\r\n"), std::string(4, '\0')}) {
+        RawSocket peer;
+        ASSERT_TRUE(peer.connect(interfacer.port()));
+        peer.write(bytes);
+        EXPECT_TRUE(peer.closedByPeer());
+    }
+    Manager manager("Strict");
+    EXPECT_TRUE(waitUntil([&] { return manager.linked(); }));
+}
+
+TEST(Link, SilentPeersAndAFloodOfHalfOpenOnesAreDropped) {
+    EntityInterfacer interfacer(options("Flood"));
+    interfacer.start();
+    RawSocket silent;
+    ASSERT_TRUE(silent.connect(interfacer.port()));
+    const auto at = Clock::now();
+    EXPECT_TRUE(silent.closedByPeer());
+    EXPECT_LT(Clock::now() - at, 1200ms * kSlow);
+    std::vector<RawSocket> flood(300);
+    for (auto& peer : flood) ASSERT_TRUE(peer.connect(interfacer.port()));
+    Manager manager("Flood");
+    EXPECT_TRUE(waitUntil([&] { return manager.linked(); }, 3s * kSlow));
+}
+
+TEST(Link, MalformedFramesAfterTheLinkIsUpStopTheRobot) {
+    for (const bool on_signal_lane : {true, false}) {
+        EntityInterfacer interfacer(options("Garbage"));
+        Stops stops;
+        stops.attach(interfacer);
+        interfacer.start();
+        RawSocket signal, data;
+        ASSERT_TRUE(signal.connect(interfacer.port()) && data.connect(interfacer.port()));
+        signal.write(helloOf("Garbage", proto::LANE_SIGNAL, "abcdefgh"));
+        ASSERT_TRUE(signal.read().has_value());
+        data.write(helloOf("Garbage", proto::LANE_DATA, "abcdefgh"));
+        ASSERT_TRUE(data.read().has_value());
+        (on_signal_lane ? signal : data).write(std::string("\0\0\0\5\xFF\xFF\xFF\xFF\xFF", 9));
+        EXPECT_TRUE(waitUntil([&] { return stops.count(Cause::LinkLost) == 1; }, 400ms * kSlow));
+        EXPECT_TRUE((on_signal_lane ? data : signal).closedByPeer());
+    }
+}
+
+TEST(Link, MisconfigurationNamesTheMend) {
+    const auto messageOf = [](const EntityInterfacer::Options& o) -> std::string {
+        try {
+            EntityInterfacer interfacer(o);
+            interfacer.start();
+        } catch (const Misconfiguration& error) {
+            return error.what();
+        }
+        return {};
+    };
+    EXPECT_NE(messageOf(options("")).find("expected"), std::string::npos);
+    EXPECT_NE(messageOf(options("A", 5499, 6000)).find("5500 to 8000"), std::string::npos);
+    auto beyond = options("A");
+    beyond.address = "0.0.0.0";
+    EXPECT_NE(messageOf(beyond).find("loopback"), std::string::npos);
+    const ScratchFile ports("ports.cfg", "# range\nAxon.Ports = 80\n");
+    auto from_file = options("A");
+    from_file.ports_file = ports.path();
+    EXPECT_NE(messageOf(from_file).find("ports.cfg:2"), std::string::npos);
+    RawSocket other;
+    ASSERT_TRUE(other.listen(5700));
+    EXPECT_NE(messageOf(options("A", 5700, 5700)).find("in use"), std::string::npos);
+    EntityInterfacer interfacer(options("A"));
+    EXPECT_THROW(interfacer.uploadBasicProfile("/nonexistent.xml"), Misconfiguration);
+}
+
+}  // namespace
+}  // namespace axon
