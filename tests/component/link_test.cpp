@@ -877,8 +877,8 @@ TEST(Link, SilentPeersAndAFloodOfHalfOpenOnesAreDropped) {
 
 TEST(Link, MalformedFramesAfterTheLinkIsUpStopTheRobot) {
     for (const bool on_signal_lane : {true, false}) {
-        EntityInterfacer interfacer(options("Garbage"));
         Stops stops;
+        EntityInterfacer interfacer(options("Garbage"));
         stops.attach(interfacer);
         interfacer.start();
         RawSocket signal, data;
