@@ -48,12 +48,14 @@ class LabServerTest : public ::testing::Test {
         return test::loopbackAddress() + ":" + std::to_string(server_->ports().at(robot));
     }
     std::unique_ptr<ArcosClient> connect(std::size_t robot = 0) {
-        return std::make_unique<ArcosClient>(
+        auto client = std::make_unique<ArcosClient>(
             arcos::tcpStreams(address(robot)),
             ArcosClient::Callbacks{.on_lost = [this](const std::string& reason) {
                 const std::lock_guard lock(mutex_);
                 lost_.push_back(reason);
             }});
+        client->start();
+        return client;
     }
     std::size_t losses() {
         const std::lock_guard lock(mutex_);

@@ -43,17 +43,18 @@ class EventDescriptor {
 class ArcosClient::Worker final : public ClientSession::Port {
   public:
     Worker(StreamOpener open, Callbacks callbacks)
-        : open_(std::move(open)),
-          callbacks_(std::move(callbacks)),
-          session_(*this),
-          thread_([this] { run(); }) {}
+        : open_(std::move(open)), callbacks_(std::move(callbacks)), session_(*this) {}
 
     ~Worker() override {
         command(encodeCommand(Command::EStop));
         command(encodeCommand(Command::Close));
         quit_ = true;
         wake_.raise();
-        thread_.join();
+        if (thread_.joinable()) thread_.join();
+    }
+
+    void start() {
+        thread_ = std::thread([this] { run(); });
     }
 
     RobotState state() const {
@@ -170,12 +171,15 @@ class ArcosClient::Worker final : public ClientSession::Port {
     std::unique_ptr<ByteStream> link_;  // replaced under link_mutex_, by the worker's thread only
     bool online_ = false;               // guarded by link_mutex_
 
-    std::thread thread_;  // last: it uses all of the above
+    std::thread thread_;
 };
 
 ArcosClient::ArcosClient(StreamOpener open, Callbacks callbacks)
     : worker_(std::make_unique<Worker>(std::move(open), std::move(callbacks))) {}
 ArcosClient::~ArcosClient() = default;
+void ArcosClient::start() {
+    worker_->start();
+}
 
 RobotState ArcosClient::state() const {
     return worker_->state();

@@ -32,6 +32,9 @@ class ArcosClient {
     ArcosClient(const ArcosClient&) = delete;
     ArcosClient& operator=(const ArcosClient&) = delete;
 
+    /// Begins to connect; once. Callbacks come from now on.
+    void start();
+
     RobotState state() const;
 
     bool command(Command command);

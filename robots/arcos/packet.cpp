@@ -26,8 +26,13 @@ std::uint16_t checksum(std::span<const std::uint8_t> id_and_data) {
 
 Bytes encode(const Packet& packet) {
     assert(packet.data.size() <= kMaximumData);
-    Bytes wire{kFirstSync, kSecondSync, static_cast<std::uint8_t>(packet.data.size() + 3), packet.id};
-    wire.insert(wire.end(), packet.data.begin(), packet.data.end());
+    Bytes wire;
+    wire.reserve(packet.data.size() + 6);
+    wire.push_back(kFirstSync);
+    wire.push_back(kSecondSync);
+    wire.push_back(static_cast<std::uint8_t>(packet.data.size() + 3));
+    wire.push_back(packet.id);
+    for (const auto byte : packet.data) wire.push_back(byte);
     const auto sum = checksum(std::span(wire).subspan(3));
     wire.push_back(static_cast<std::uint8_t>(sum >> 8U));
     wire.push_back(static_cast<std::uint8_t>(sum & 0xFFU));
@@ -47,9 +52,10 @@ Bytes encodeCommand(Command command, int argument) {
 
 Bytes encodeCommand(Command command, std::string_view argument) {
     argument = argument.substr(0, kMaximumData - 2);
-    Bytes data{kText, static_cast<std::uint8_t>(argument.size())};
-    data.insert(data.end(), argument.begin(), argument.end());
-    return encode({static_cast<std::uint8_t>(command), std::move(data)});
+    FieldWriter fields;
+    fields.u8(kText).u8(static_cast<unsigned>(argument.size()));
+    for (const char c : argument) fields.u8(static_cast<std::uint8_t>(c));
+    return encode({static_cast<std::uint8_t>(command), fields.take()});
 }
 
 Argument parseArgument(const Packet& command) {
