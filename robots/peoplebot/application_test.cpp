@@ -1,0 +1,343 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The whole application between its two neighbours, over real sockets: the Entity Manager's end of the link
+// on one side, the virtual laboratory on the other.
+#include "robots/peoplebot/application.hpp"
+
+#include <axon/link.pb.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <asio/executor_work_guard.hpp>
+#include <asio/io_context.hpp>
+#include <asio/post.hpp>
+#include <asio/strand.hpp>
+#include <fstream>
+#include <functional>
+#include <thread>
+
+#include "common/ids.hpp"
+#include "entity_manager/back_end_interface.hpp"
+#include "lab/lab_server.hpp"
+#include "tests/support/loopback.hpp"
+
+namespace axon::peoplebot {
+namespace {
+
+using entity_manager::BackEndInterface;
+using std::chrono::milliseconds;
+using test::waitUntil;
+using ::testing::HasSubstr;
+
+/// The Entity Manager's side of the link: notes what the application says.
+class Manager : public entity_manager::BackEndEvents {
+  public:
+    explicit Manager(const std::string& application) : strand_(asio::make_strand(context_)) {
+        entity_manager::BackEndSettings settings;
+        settings.application = application;
+        settings.where.address = test::loopbackAddress();
+        settings.manager = "test";
+        // Not what is tested here; sanitizers are slow.
+        settings.watchdog_busy = settings.watchdog_idle = milliseconds{2000};
+        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate_, random_, *this);
+        thread_ = std::thread([this] { context_.run(); });
+        asio::post(strand_, [this] { link_->start(); });
+    }
+    ~Manager() override { die(); }
+    void die() {
+        if (!thread_.joinable()) return;
+        asio::post(strand_, [this] { link_->close(); });
+        work_.reset();
+        thread_.join();
+    }
+
+    std::uint32_t stop() {
+        const auto generation = gate_.raise();
+        link_->stop(generation, StopCause::Requested);
+        return generation;
+    }
+    std::string dispatch(const std::string& service,
+                         const std::vector<std::pair<std::string, double>>& params) {
+        proto::EmToEi message;
+        auto& task = *message.mutable_task();
+        task.set_task_id(Id128::random(random_).bytes());
+        task.set_service(service);
+        task.set_stop_generation(gate_.generation());
+        for (const auto& [name, value] : params) {
+            auto& param = *task.add_params();
+            param.set_name(name);
+            param.add_values()->set_dbl(value);
+        }
+        return send(message, task.task_id());
+    }
+    void pause(const std::string& id, bool resume) {
+        proto::EmToEi message;
+        message.mutable_pause()->set_task_id(id);
+        message.mutable_pause()->set_resume(resume);
+        send(message, id);
+    }
+    void cancel(const std::string& id) {
+        proto::EmToEi message;
+        message.mutable_cancel()->set_task_id(id);
+        send(message, id);
+    }
+
+    void onLinkUp() override {}
+    void onLinkDown(const std::string& /*reason*/) override {}
+    void onLinkMessage(const proto::EiToEm& message) override {
+        const std::lock_guard lock(mutex_);
+        if (message.has_task()) events_.push_back(message.task().event());
+        if (message.has_task_answer()) answers_.push_back(message.task_answer());
+        if (message.has_active()) active_[message.active().service()] = message.active();
+        if (message.has_stop_done()) stops_.push_back(message.stop_done());
+        if (message.has_sample()) ++samples_[message.sample().stream()];
+    }
+
+    std::optional<proto::TaskEvent> end(const std::string& id) {
+        const std::lock_guard lock(mutex_);
+        const auto found = std::find_if(events_.begin(), events_.end(), [&](const auto& event) {
+            return event.task_id() == id && event.state() >= proto::TASK_SUCCEEDED;
+        });
+        return found == events_.end() ? std::nullopt : std::optional(*found);
+    }
+    double progress(const std::string& id) {
+        const std::lock_guard lock(mutex_);
+        double progress = 0;
+        for (const auto& event : events_)
+            progress = event.task_id() == id ? std::max(progress, event.progress()) : progress;
+        return progress;
+    }
+    /// The refusal of a task request, once it was answered.
+    std::optional<proto::Refusal> answer(const std::string& id) {
+        const std::lock_guard lock(mutex_);
+        for (const auto& answer : answers_) {
+            if (answer.task_id() == id) return answer.refusal();
+        }
+        return std::nullopt;
+    }
+    bool active(const std::string& service) {
+        const std::lock_guard lock(mutex_);
+        return active_[service].active();
+    }
+    std::string inactiveReason(const std::string& service) {
+        const std::lock_guard lock(mutex_);
+        return active_[service].reason();
+    }
+    bool reached(std::uint32_t generation, proto::StopReceipt::Stage stage) {
+        const std::lock_guard lock(mutex_);
+        return std::any_of(stops_.begin(), stops_.end(), [&](const auto& done) {
+            return done.stop_generation() == generation && done.stage() == stage;
+        });
+    }
+    int samples(const std::string& stream) {
+        const std::lock_guard lock(mutex_);
+        return samples_[stream];
+    }
+    void watch(const std::string& stream) {
+        proto::EmToEi message;
+        message.mutable_stream()->set_stream(stream);
+        message.mutable_stream()->set_on(true);
+        send(message, "");
+    }
+
+  private:
+    std::string send(const proto::EmToEi& message, const std::string& id) {
+        asio::post(strand_, [this, message] { link_->send(message); });
+        return id;
+    }
+
+    entity_manager::StopGate gate_;
+    SystemRandom random_;
+    asio::io_context context_;
+    asio::executor_work_guard<asio::io_context::executor_type> work_{context_.get_executor()};
+    asio::strand<asio::io_context::executor_type> strand_;
+    std::unique_ptr<BackEndInterface> link_;
+    std::mutex mutex_;
+    std::vector<proto::TaskEvent> events_;
+    std::vector<proto::TaskAnswer> answers_;
+    std::vector<proto::StopDone> stops_;
+    std::map<std::string, proto::ServiceActive> active_;
+    std::map<std::string, int> samples_;
+    std::thread thread_;
+};
+
+class ApplicationTest : public ::testing::Test {
+  protected:
+    void SetUp() override {
+        serve(0);
+        Settings settings;
+        settings.robot = test::loopbackAddress() + ":" + std::to_string(port_);
+        settings.application = "peoplebot-test-" + std::to_string(::getpid());
+        settings.ports = ports_.path();
+        settings.profiles = "robots/peoplebot";
+        settings.at = {1500, 3000, 0};
+        application_ = std::make_unique<Application>(settings);
+        application_->start();
+        manager_ = std::make_unique<Manager>(settings.application);
+        ASSERT_TRUE(waitUntil([&] { return manager_->active("Driving") && manager_->active("Turning"); }));
+    }
+    void TearDown() override {
+        application_.reset();
+        manager_.reset();
+        unserve();
+        std::filesystem::remove(truth_path_);
+    }
+    void serve(int port) {
+        lab::WorldDescription world;
+        world.robots = {lab::parseRobot("", 0)};
+        lab::LabServer::Options options{.listen = test::loopbackAddress(), .first_port = port, .speed = 2};
+        options.truth_path = truth_path_;
+        lab_ = std::make_unique<lab::LabServer>(world, options);
+        port_ = lab_->ports().at(0);
+        lab_thread_ = std::thread([this] { lab_->run(); });
+    }
+    void unserve() {
+        if (!lab_) return;
+        lab_->stop();
+        lab_thread_.join();
+        lab_.reset();
+    }
+    std::string drive(double distance_mm, double velocity_mm_s = 300) {
+        return manager_->dispatch("Driving", {{"Distance", distance_mm}, {"Velocity", velocity_mm_s}});
+    }
+    /// From the laboratory's truth.
+    double lastTrue(const std::string& field) const {
+        std::ifstream file(truth_path_);
+        std::string line;
+        std::string last;
+        while (std::getline(file, line)) last = line;
+        const auto at = last.find("\"" + field + "\":");
+        return at == std::string::npos ? 0 : std::stod(last.substr(at + field.size() + 3));
+    }
+    bool stands() const { return std::abs(lastTrue("speed_m_s")) < 0.005; }
+    bool moves() const { return lastTrue("speed_m_s") > 0.1; }
+
+    const std::string truth_path_ =
+        (std::filesystem::temp_directory_path() / ("axon-peoplebot-truth-" + std::to_string(::getpid())))
+            .string();
+    const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
+    int port_ = 0;
+    std::unique_ptr<lab::LabServer> lab_;
+    std::thread lab_thread_;
+    std::unique_ptr<Manager> manager_;
+    std::unique_ptr<Application> application_;
+};
+
+TEST_F(ApplicationTest, DrivingMovesTheRobotAndTellsTheWay) {
+    const auto task = drive(500);
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }));
+    const auto end = *manager_->end(task);
+    EXPECT_EQ(end.state(), proto::TASK_SUCCEEDED) << end.reason().message();
+    double travelled = 0;
+    for (const auto& result : end.results()) {
+        if (result.name() == "Travelled") travelled = result.values(0).dbl();
+    }
+    EXPECT_NEAR(travelled, 500, 15);
+    ASSERT_TRUE(waitUntil([&] { return stands(); }));
+    EXPECT_NEAR(lastTrue("x_m"), 2.0, 0.04);
+}
+
+TEST_F(ApplicationTest, TurningTurns) {
+    const auto task = manager_->dispatch("Turning", {{"Angle", 90}, {"Velocity", 60}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }));
+    EXPECT_EQ(manager_->end(task)->state(), proto::TASK_SUCCEEDED) << manager_->end(task)->reason().message();
+    EXPECT_NEAR(lastTrue("theta_deg"), 90, 10);
+}
+
+TEST_F(ApplicationTest, AStopInMidDriveHaltsTheRobotAndIsAcknowledgedTwice) {
+    const auto task = drive(5000);
+    ASSERT_TRUE(waitUntil([&] { return moves(); }));
+    const auto generation = manager_->stop();
+    EXPECT_TRUE(
+        waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::CALLBACK_RETURNED); }));
+    EXPECT_TRUE(waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::STANDSTILL); }));
+    EXPECT_TRUE(waitUntil([&] { return stands(); }));
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }));
+    EXPECT_EQ(manager_->end(task)->state(), proto::TASK_STOPPED);
+    // What was stopped does not keep the next task from driving.
+    const auto next = drive(300);
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(next).has_value(); }));
+    EXPECT_EQ(manager_->end(next)->state(), proto::TASK_SUCCEEDED);
+}
+
+TEST_F(ApplicationTest, ACancelHaltsTheRobotToo) {
+    const auto task = drive(5000);
+    ASSERT_TRUE(waitUntil([&] { return moves(); }));
+    manager_->cancel(task);
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }));
+    EXPECT_EQ(manager_->end(task)->state(), proto::TASK_CANCELLED);
+    EXPECT_TRUE(waitUntil([&] { return stands(); }));
+}
+
+TEST_F(ApplicationTest, APauseHoldsTheRobotAndResumeFinishesTheWay) {
+    const auto task = drive(800);
+    ASSERT_TRUE(waitUntil([&] { return moves(); }));
+    manager_->pause(task, false);
+    ASSERT_TRUE(waitUntil([&] { return stands(); }));
+    EXPECT_FALSE(manager_->end(task));
+    manager_->pause(task, true);
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }));
+    EXPECT_EQ(manager_->end(task)->state(), proto::TASK_SUCCEEDED) << manager_->end(task)->reason().message();
+}
+
+TEST_F(ApplicationTest, LosingTheEntityManagerStopsTheRobot) {
+    drive(5000);
+    ASSERT_TRUE(waitUntil([&] { return moves(); }));
+    manager_->die();
+    EXPECT_TRUE(waitUntil([&] { return stands(); }));
+}
+
+TEST_F(ApplicationTest, EndingTheApplicationStopsTheRobot) {
+    drive(5000);
+    ASSERT_TRUE(waitUntil([&] { return moves(); }));
+    application_.reset();
+    EXPECT_TRUE(waitUntil([&] { return stands(); }));
+}
+
+TEST_F(ApplicationTest, LosingTheRobotFailsTheTaskAndItsReturnMendsEverything) {
+    const auto task = drive(5000);
+    ASSERT_TRUE(waitUntil([&] { return moves(); }));
+    unserve();
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }));
+    EXPECT_EQ(manager_->end(task)->state(), proto::TASK_FAILED);
+    EXPECT_THAT(manager_->end(task)->reason().message(), HasSubstr("ROBOT_LOST"));
+    ASSERT_TRUE(waitUntil([&] { return !manager_->active("Driving") && !manager_->active("Turning"); }));
+    EXPECT_THAT(manager_->inactiveReason("Driving"), HasSubstr("ROBOT_LOST"));
+    const auto refused = drive(100);
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(refused).has_value(); }));
+    EXPECT_THAT(manager_->answer(refused)->message(), HasSubstr("ROBOT_LOST"));
+
+    serve(port_);
+    ASSERT_TRUE(waitUntil([&] { return manager_->active("Driving"); }));
+    const auto next = drive(300);
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(next).has_value(); }));
+    EXPECT_EQ(manager_->end(next)->state(), proto::TASK_SUCCEEDED) << manager_->end(next)->reason().message();
+}
+
+TEST_F(ApplicationTest, WhatCannotBeDrivenIsDeniedWithTheMend) {
+    const auto slow = drive(1000, 5);
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(slow).has_value(); }));
+    EXPECT_THAT(manager_->answer(slow)->message(), HasSubstr("give 20 to 800 mm/s"));
+    const auto nowhere = manager_->dispatch("Driving", {});
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(nowhere).has_value(); }));
+    EXPECT_NE(manager_->answer(nowhere)->code(), proto::OK);
+    EXPECT_TRUE(stands());
+}
+
+TEST_F(ApplicationTest, AWallEndsTheDriveWithTheSonarThatSawIt) {
+    const auto task =
+        manager_->dispatch("Driving", {{"Distance", 9000}, {"Velocity", 600}, {"Range Threshold", 3000}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{30}));
+    EXPECT_EQ(manager_->end(task)->state(), proto::TASK_FAILED);
+    EXPECT_THAT(manager_->end(task)->reason().message(), HasSubstr("nearer than the threshold 3000 mm"));
+}
+
+TEST_F(ApplicationTest, StreamsCarryPoseSonarAndBattery) {
+    for (const char* stream : {"pose", "sonar", "battery"}) manager_->watch(stream);
+    for (const char* stream : {"pose", "sonar", "battery"}) {
+        EXPECT_TRUE(waitUntil([&] { return manager_->samples(stream) > 0; })) << stream;
+    }
+}
+
+}  // namespace
+}  // namespace axon::peoplebot

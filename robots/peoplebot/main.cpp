@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+
+#include "robots/peoplebot/application.hpp"
+
+namespace {
+
+constexpr auto kFooter = R"(
+With the virtual laboratory, each line in a terminal of its own:
+  axon-lab
+  axon-peoplebot --at 1500,3000,0
+An Entity Manager that is configured with the same --application links to it. The robot may come and go: its services are
+inactive while it cannot be reached. Ends on Ctrl-C, after stopping the robot.
+Exit status: 0 ended when told to, 2 something is wrong with the options or the profiles.)";
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    using namespace axon::peoplebot;
+    CLI::App app{"A PeopleBot as an entity of Axon: drives the robot over ARCOS, offers Driving and Turning.",
+                 "axon-peoplebot"};
+    app.footer(kFooter);
+    Settings settings;
+    std::string at;
+    app.add_option("--robot", settings.robot, "The robot, host:port")->capture_default_str();
+    app.add_option("--application", settings.application, "Name that the Entity Manager is configured with")
+        ->capture_default_str();
+    app.add_option("--instance", settings.instance, "Tells equal applications on one host apart");
+    app.add_option("--name", settings.name, "Name of the entity, instead of the basic profile's");
+    app.add_option("--ports", settings.ports, "A ports.cfg, or the range to listen in, such as 5500-5600");
+    app.add_option("--at", at, "Where the robot stands: X,Y,HEADING in mm, mm, degrees");
+    app.add_option("--profiles", settings.profiles, "Folder with basic_profile.xml and services_profile.xml");
+    try {
+        app.parse(argc, argv);
+    } catch (const CLI::ParseError& error) {
+        return app.exit(error) == 0 ? 0 : 2;
+    }
+    try {
+        if (!at.empty()) settings.at = parsePose(at);
+        Application(settings).run();
+    } catch (const std::exception& error) {
+        fmt::print(stderr, "axon-peoplebot: {}\n", error.what());
+        return 2;
+    }
+    return 0;
+}
