@@ -106,6 +106,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) {
         if (!up_) return;
+        busy_period_ = std::chrono::milliseconds(registration.heartbeat_busy_ms);
+        idle_period_ = std::chrono::milliseconds(registration.heartbeat_idle_ms);
         const auto bytes = profile.SerializeAsString();
         const auto attempt = attempt_;
         guarded([&] {
@@ -294,7 +296,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     void keepAlive() {
         if (!up_) return;
         guarded([&] { signal_oneway_->keepAliveAsync(static_cast<double>(++beats_), [] {}, {}, {}); });
-        beat_.expires_after(busy_ ? 50ms : 2000ms);
+        beat_.expires_after(busy_ ? busy_period_ : idle_period_);
         beat_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
             if (cancelled) return;
             if (const auto self = weak.lock()) self->keepAlive();
@@ -364,6 +366,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     std::chrono::milliseconds backoff_ = kFirstBackoff;
     std::uint64_t attempt_ = 0;
     std::uint64_t beats_ = 0;
+    std::chrono::milliseconds busy_period_{50};  // of the registration: what the server expects
+    std::chrono::milliseconds idle_period_{2000};
     bool wanted_ = false;
     bool up_ = false;
     bool busy_ = false;
