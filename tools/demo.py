@@ -70,6 +70,7 @@ class Story:
         lab.start_manager()
         self.say("   axon-peoplebot        the robot application, with its axon-entity-manager beside it")
         lab.wait_for_entity()
+        lab.wait_until_able()
         self.say(f"   PeopleBot is in the environment {time.monotonic() - begin:.1f} s after the first of them started")
 
     # -- the story ----------------------------------------------------------------------------------------------

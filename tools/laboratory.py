@@ -139,6 +139,14 @@ class Laboratory:
             return found if len(found) >= count else None
         return wait_until(there, f"{count} × {name} in {state}", seconds)
 
+    def wait_until_able(self, name="PeopleBot"):
+        """All services of the entity are active: its application has reached the robot."""
+        def able():
+            _, lines, _ = self.axon("info", name)
+            services = [service for line in lines for service in line.get("services", [])]
+            return services and all(service["active"] for service in services)
+        return wait_until(able, f"the services of {name} are active")
+
     @staticmethod
     def truth(robot):
         """The newest ground truth of a virtual robot: {"x_m":…, "y_m":…, "theta_deg":…, "speed_m_s":…}."""

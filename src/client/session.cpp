@@ -2,7 +2,9 @@
 #include "client/session.hpp"
 
 #include <axon/messages.pb.h>
+#include <pwd.h>
 #include <spdlog/spdlog.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <stdexcept>
@@ -33,6 +35,14 @@ CoreSettings settingsOf(const Options& options) {
     CoreSettings settings;
     settings.timeout = std::max<Duration>(toDuration(options.timeout), 1ms);
     return settings;
+}
+
+/// What others see as the holder when the program does not say: user@host.
+std::string userAtHost() {
+    const passwd* user = ::getpwuid(::geteuid());
+    char host[256] = "";
+    ::gethostname(host, sizeof host - 1);
+    return std::string(user != nullptr ? user->pw_name : std::to_string(::geteuid())) + '@' + host;
 }
 
 }  // namespace
@@ -264,7 +274,7 @@ Result<void> Client::Session::establish() {
     login.endpoint = transport::tcpEndpoint(options_.server);
     login.user = options_.user;
     login.password = options_.password;
-    login.display_name = options_.display_name;
+    login.display_name = options_.display_name.empty() ? userAtHost() : options_.display_name;
     login.timeout = settingsOf(options_).timeout;
     {
         const std::lock_guard lock(core_mutex_);

@@ -37,9 +37,10 @@ class ChainTest(unittest.TestCase):
 
     def tidy(self):
         self.lab.end()
-        failed = any(error for _, error in getattr(self._outcome, "errors", []) if error) if hasattr(
-            self._outcome, "errors") else False
-        if not failed:
+        result = self._outcome.result
+        if any(test is self for test, _ in result.failures + result.errors):
+            print(f"logs of {self.id()}: {self.lab.folder}", file=sys.stderr)
+        else:
             shutil.rmtree(self.lab.folder, ignore_errors=True)
 
     def start_all(self):
@@ -48,6 +49,7 @@ class ChainTest(unittest.TestCase):
         self.app = self.lab.start_application(self.robot.address)
         self.manager = self.lab.start_manager()
         self.lab.wait_for_entity()
+        self.lab.wait_until_able()
 
     def start_driving(self):
         """A client process that drives the robot for many seconds, and the robot is moving."""
@@ -57,6 +59,7 @@ class ChainTest(unittest.TestCase):
 
     def assert_works(self):
         """A short task runs from check-out to release."""
+        self.lab.wait_until_able()
         status, lines, errors = self.lab.axon("rearm", "PeopleBot")
         self.assertEqual(status, 0, errors)
         status, lines, errors = self.lab.axon("run", "PeopleBot", "Turning", "Angle=20")
@@ -71,7 +74,7 @@ class ChainTest(unittest.TestCase):
         status, lines, errors = self.lab.axon("run", "PeopleBot", "Driving", "Distance=500", "Velocity=300")
         self.assertEqual(status, 0, errors)
         self.assertEqual(final(lines)["state"], "SUCCEEDED")
-        progress = [line["progress"] for line in lines if line.get("progress", -1) >= 0]
+        progress = [line["progress"] for line in lines if line.get("progress") is not None]
         self.assertGreater(len(progress), 3, "progress is live")
         self.assertEqual(progress, sorted(progress))
         self.lab.wait_until_standing(self.robot)
@@ -109,6 +112,8 @@ class ChainTest(unittest.TestCase):
             self.lab.start_application(robot.address, suffix)
             self.lab.start_manager(suffix)
         both = self.lab.wait_for_entity(count=2)
+        for name in ("PeopleBot#1", "PeopleBot#2"):
+            self.lab.wait_until_able(name)
 
         status, lines, errors = self.lab.axon("run", "PeopleBot", "Turning", "Angle=10")
         self.assertEqual(status, 1)
@@ -126,7 +131,7 @@ class ChainTest(unittest.TestCase):
         self.assertEqual(status, 1)
         self.assertIn("ALREADY_HELD", str(lines) + errors)
         held = next(e for e in self.lab.entities() if e["state"] == "BUSY")
-        self.assertIn(held["holder"], str(lines) + errors, "the refusal names the holder")
+        self.assertIn(held["holder"]["name"], str(lines) + errors, "the refusal names the holder")
         status, lines, errors = self.lab.axon("run", "PeopleBot#2", "Turning", "Angle=20")
         self.assertEqual(status, 0, f"the second robot is free: {lines[-1:]} {errors}")
         self.assertGreater(abs(self.lab.truth(moving[0])["speed_m_s"]), 0.1, "the first still drives")
@@ -194,12 +199,7 @@ class ChainTest(unittest.TestCase):
         self.assertEqual(status, 1)
         self.assertIn("INACTIVE_SERVICE", str(lines) + errors)
         self.robot = self.lab.start_robot(int(port), name="lab-again")
-
-        def active():
-            _, lines, _ = self.lab.axon("info", "PeopleBot")
-            services = [s for line in lines for s in line.get("services", [])]
-            return services and all(s["active"] for s in services)
-        wait_until(active, "the services are active again")
+        self.lab.wait_until_able()
         status, lines, errors = self.lab.axon("run", "PeopleBot", "Turning", "Angle=20")
         self.assertEqual(status, 0, f"{lines[-1:]} {errors}")
         self.lab.axon("release", "PeopleBot")
@@ -240,7 +240,7 @@ class ChainTest(unittest.TestCase):
                     connection, _ = listener.accept()
                 except OSError:
                     return
-                listeners.append(connection)  # says nothing, for ever
+                listeners.append(connection)  # says nothing, for ever; closed with the listeners
         low = 5600 + os.getpid() % 2000
         self.lab.ports = f"{low}-{low + 9}"
         for port in (low, low + 1):
@@ -259,7 +259,7 @@ class ChainTest(unittest.TestCase):
                 ("axon-entity-manager", ["--application", "x", "--ports", "80-90"], "5500"),
                 ("axon-entity-manager", ["--application", "x", "--server", "nonsense"], "host:port"),
                 ("axon-server", ["--client-endpoint", "127.0.0.1:99999"], "65535"),
-                ("axon-server", ["--listen", "0.0.0.0"], "loopback")):
+                ("axon-server", ["--listen", "0.0.0.0"], "127.0.0.1")):
             process = self.lab.start(f"wrong-{len(self.lab.processes)}", program, *options)
             process.child.wait(10)
             self.assertEqual(process.child.returncode, 2, f"{program} {options}: {process.text()}")
