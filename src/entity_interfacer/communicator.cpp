@@ -333,9 +333,12 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
     if (message.has_stop()) {
         const auto& stop = message.stop();
         heard_ns_ = nanoseconds(now());
-        if (stop.cause() == proto::STOP_DRILL) return acknowledge(link, stop.stop_generation());
-        if (baseline_known_ && stop.stop_generation() <= level_.generation())
-            return acknowledge(link, level_.generation());
+        if (stop.cause() == proto::STOP_DRILL) {
+            level_.announce(stop.stop_generation());
+            return acknowledge(link, stop.stop_generation());
+        }
+        if (baseline_known_ && stop.stop_generation() <= level_.stopped())
+            return acknowledge(link, level_.stopped());
         baseline_known_ = true;
         level_.raise(stop.stop_generation(), stop.cause());
         const bool returned =
@@ -351,7 +354,7 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
     if (!baseline_known_) {
         baseline_known_ = true;
         level_.adopt(beat.stop_generation());
-    } else if (beat.stop_generation() > level_.generation()) {
+    } else if (beat.stop_generation() > level_.announced()) {
         // The level says that a stop was given which has not arrived as such.
         level_.raise(beat.stop_generation(), proto::STOP_REQUESTED);
         if (callStop({StopSignal::Cause::Requested, beat.stop_generation()}))
@@ -361,7 +364,7 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
 
 void Communicator::dispatchStop(StopSignal::Cause cause) {
     level_.raiseEpoch(static_cast<int>(cause));
-    callStop({cause, level_.generation()});
+    callStop({cause, level_.stopped()});
 }
 
 bool Communicator::callStop(const StopSignal& signal) {
@@ -399,7 +402,7 @@ void Communicator::standstill() {
     const auto link = currentLink();
     if (!link) return;
     proto::EiToEm message;
-    message.mutable_stop_done()->set_stop_generation(level_.generation());
+    message.mutable_stop_done()->set_stop_generation(level_.announced());
     message.mutable_stop_done()->set_stage(proto::StopReceipt::STANDSTILL);
     link->sendSignal(message);
 }
@@ -591,7 +594,7 @@ void Communicator::beat() {
     auto& beat = *message.mutable_beat();
     beat.set_sequence(++beat_sequence_);
     beat.set_busy(busy);
-    beat.set_stop_generation(level_.generation());
+    beat.set_stop_generation(level_.announced());
     beat.set_stopped(level_.settled());
     watched_->sendSignal(message);
 }

@@ -318,7 +318,7 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
     if (task->id.empty()) return refuse(RefusalCode::Malformed, "task id: expected 16 bytes");
     if (std::find(recent_tasks_.begin(), recent_tasks_.end(), task->id) != recent_tasks_.end())
         return refuse(RefusalCode::Duplicate, "a task of this id has been dispatched before");
-    if (level_.generation() > task->generation)
+    if (level_.stopped() > task->generation)
         return refuse(RefusalCode::OldGeneration,
                       "a stop has come since this task was requested: request it again");
     const auto own = callbacks_.tasks.find(task->service);

@@ -121,12 +121,12 @@ const Parameter* Task::Running::find(std::string_view name) const {
 }
 
 bool Task::Running::stopRequested() const {
-    return link_->lost() || level_.generation() > generation || level_.epoch() > epoch ||
+    return link_->lost() || level_.stopped() > generation || level_.epoch() > epoch ||
            cancelled_.load(std::memory_order_acquire);
 }
 
 StopSignal::Cause Task::Running::stopCause() const {
-    if (level_.generation() > generation || level_.epoch() > epoch)
+    if (level_.stopped() > generation || level_.epoch() > epoch)
         return static_cast<StopSignal::Cause>(level_.cause());
     if (link_->lost()) return StopSignal::Cause::LinkLost;
     return cancelled_ ? StopSignal::Cause::Cancel : StopSignal::Cause::Unspecified;
@@ -158,9 +158,9 @@ bool Task::Running::waitFor(std::chrono::nanoseconds time) {
 
 std::optional<Refusal> Task::Running::waitForStart() {
     level_.waitUntil(std::chrono::steady_clock::now() + kSettleTime, [this] {
-        return stopRequested() || (level_.settled() && level_.generation() >= generation);
+        return stopRequested() || (level_.settled() && level_.announced() >= generation);
     });
-    if (level_.generation() > generation)
+    if (level_.stopped() > generation)
         return Refusal{RefusalCode::OldGeneration,
                        "a stop has come since this task was requested: request it again",
                        {}};
@@ -170,7 +170,7 @@ std::optional<Refusal> Task::Running::waitForStart() {
         return Refusal{RefusalCode::TimedOut,
                        "the robot application's stop callback has not returned: make it return at once",
                        {}};
-    if (level_.generation() < generation)
+    if (level_.announced() < generation)
         return Refusal{
             RefusalCode::WrongState, "the signal lane has not announced this task's stop generation", {}};
     return std::nullopt;

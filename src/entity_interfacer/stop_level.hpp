@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
 #pragma once
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
@@ -10,29 +11,43 @@ namespace axon {
 
 /// The level that a stop raises, seen by every running task.
 ///
-/// A stop that comes through the Entity Manager raises the *generation*; one that this library dispatches
-/// itself (fault, shutdown) raises the *epoch*. A task remembers both from its dispatch and is stopped once
-/// either is higher. `settled` is false from the moment a level rises until the application's stop callback
-/// has returned: no task starts in between.
+/// Two counters of the Entity Manager's stops: `announced`, the newest generation heard of, and `stopped`,
+/// the newest whose stop was meant for the application; a drill raises only the first. Stops that this
+/// library dispatches itself (fault, shutdown) raise the *epoch*. A task remembers generation and epoch of
+/// its dispatch and is stopped once `stopped` or the epoch is higher. `settled` is false from the moment a
+/// level rises until the application's stop callback has returned: no task starts in between.
 ///
 /// Threads: the stop thread writes; any thread reads. The mutex is held for the change of a few words and
 /// while a waiting task checks its condition, never during I/O or in user code.
 class StopLevel {
   public:
-    std::uint32_t generation() const { return generation_.load(std::memory_order_acquire); }
+    std::uint32_t announced() const { return announced_.load(std::memory_order_acquire); }
+    std::uint32_t stopped() const { return stopped_.load(std::memory_order_acquire); }
     std::uint64_t epoch() const { return epoch_.load(std::memory_order_acquire); }
     int cause() const { return cause_.load(std::memory_order_acquire); }
     bool settled() const { return settled_.load(std::memory_order_acquire); }
 
     /// A new link begins at its Entity Manager's generation, whatever the former one's was.
     void adopt(std::uint32_t generation) {
-        change([&] { generation_ = generation; });
+        change([&] { announced_ = stopped_ = generation; });
+    }
+    void announce(std::uint32_t generation) {
+        change([&] { announced_ = std::max(announced_.load(), generation); });
     }
     void raise(std::uint32_t generation, int cause) {
-        change([&] { cause_ = cause, settled_ = false, generation_ = generation; });
+        change([&] {
+            cause_ = cause;
+            settled_ = false;
+            stopped_ = generation;
+            announced_ = std::max(announced_.load(), generation);
+        });
     }
     void raiseEpoch(int cause) {
-        change([&] { cause_ = cause, settled_ = false, epoch_ = epoch_ + 1; });
+        change([&] {
+            cause_ = cause;
+            settled_ = false;
+            epoch_ = epoch_ + 1;
+        });
     }
     void settle() {
         change([&] { settled_ = true; });
@@ -66,7 +81,8 @@ class StopLevel {
 
     std::mutex mutex_;
     std::condition_variable changed_;
-    std::atomic<std::uint32_t> generation_{0};
+    std::atomic<std::uint32_t> announced_{0};
+    std::atomic<std::uint32_t> stopped_{0};
     std::atomic<std::uint64_t> epoch_{0};
     std::atomic<int> cause_{0};
     std::atomic<bool> settled_{true};

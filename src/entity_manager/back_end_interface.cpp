@@ -136,13 +136,13 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
     void stop(std::uint32_t generation, StopCause cause) {
-        announce(generation);
-        const auto signal = signal_.load();
-        if (!signal) return;
-        proto::EmToEi message;
-        message.mutable_stop()->set_stop_generation(generation);
-        message.mutable_stop()->set_cause(static_cast<proto::StopCause>(cause));
-        signal->write(message);
+        if (const auto signal = signal_.load()) {
+            proto::EmToEi message;
+            message.mutable_stop()->set_stop_generation(generation);
+            message.mutable_stop()->set_cause(static_cast<proto::StopCause>(cause));
+            signal->write(message);
+        }
+        announce(generation);  // after it, lest a beat arrives first and hides the cause
     }
 
     void setBusy(bool busy) {

@@ -5,6 +5,7 @@
 #include <axon/link.pb.h>
 #include <gtest/gtest.h>
 #include <sys/socket.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -15,6 +16,7 @@
 #include <atomic>
 #include <axon/entity_interfacer.hpp>
 #include <condition_variable>
+#include <csignal>
 #include <filesystem>
 #include <fstream>
 #include <future>
@@ -573,16 +575,28 @@ TEST(Link, ALinkBeginsAtItsManagersGenerationWithoutAStop) {
     EXPECT_TRUE(stops.seen().empty());
 }
 
-TEST(Link, ADrillIsAcknowledgedWithoutCallingTheApplication) {
+TEST(Link, ADrillIsAcknowledgedWithoutCallingTheApplicationOrEndingATask) {
     Stops stops;
     EntityInterfacer interfacer(options("Drill"));
     stops.attach(interfacer);
+    interfacer.onAnyTask([](Task& task) { task.waitFor(30s); });
     interfacer.start();
     Manager manager("Drill");
     ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
-    manager.rawStop(0, StopCause::Drill);
-    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(0); }));
+    const auto running = manager.dispatch("Wait", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(running).has_value(); }));
+    const auto real = manager.gate.raise();
+    const auto drill = manager.stop(StopCause::Drill);
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(drill); }));
+    const auto next = manager.dispatch("Wait", drill);  // has waited for the beats to announce the drill
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(next).has_value(); }));
+    EXPECT_EQ(manager.answerOf(next), proto::OK);
     EXPECT_TRUE(stops.seen().empty());
+    EXPECT_FALSE(manager.finalOf(running));
+    manager.rawStop(real, StopCause::Requested);  // raised before the drill, and overtaken by it
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(running).has_value(); }));
+    EXPECT_EQ(stops.count(Cause::Requested), 1U);
+    EXPECT_FALSE(manager.finalOf(next));
 }
 
 TEST(Link, StandstillIsTheLastStageOfTheReceipt) {
@@ -892,6 +906,44 @@ TEST(Link, MalformedFramesAfterTheLinkIsUpStopTheRobot) {
         EXPECT_TRUE((on_signal_lane ? data : signal).closedByPeer());
     }
 }
+
+#ifdef HELLO_ENTITY
+TEST(HelloEntity, GreetsWithProgressWaitsAndEndsOnSigterm) {
+    const ScratchFile ports("hello-ports.cfg",
+                            "Axon.Ports = 5600-5620\nAxon.Address = " + test::loopbackAddress() + "\n");
+    const auto child = ::fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+        ::execl(HELLO_ENTITY, "hello-entity", "examples/01_hello_entity", ports.path().c_str(), nullptr);
+        ::_exit(127);
+    }
+    Manager manager("Greeter", {5600, 5620});
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && manager.messages().size() >= 2; }));
+    EXPECT_NE(manager.messages()[1].profile().xml().find("\"Greet\""), std::string::npos);
+    proto::Param name;
+    name.set_name("Name");
+    name.add_values()->set_str("Ada");
+    const auto greet = manager.dispatch("Greet", 0, {name});
+    const auto wait = manager.dispatch("Wait", 0, {param("Seconds", 0.01)});
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(greet) && manager.finalOf(wait); }));
+    EXPECT_EQ(manager.finalOf(greet)->state(), proto::TASK_SUCCEEDED);
+    EXPECT_EQ(manager.finalOf(greet)->feedback(), "Hello, Ada!");
+    const auto messages = manager.messages();
+    EXPECT_GE(std::count_if(messages.begin(), messages.end(),
+                            [](const auto& m) { return m.has_task() && m.task().event().progress() > 0; }),
+              3);
+    const auto long_wait = manager.dispatch("Wait", 0, {param("Seconds", 600)});
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(long_wait).has_value(); }));
+    const auto generation = manager.stop();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation) && manager.finalOf(long_wait); }));
+    EXPECT_EQ(manager.finalOf(long_wait)->state(), proto::TASK_STOPPED);
+    ::kill(child, SIGTERM);
+    int status = -1;
+    EXPECT_EQ(::waitpid(child, &status, 0), child);
+    EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+    EXPECT_TRUE(waitUntil([&] { return manager.downs == 1; }));
+}
+#endif
 
 TEST(Link, MisconfigurationNamesTheMend) {
     const auto messageOf = [](const EntityInterfacer::Options& o) -> std::string {
