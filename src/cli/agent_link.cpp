@@ -146,6 +146,12 @@ AgentLink::Outcome AgentLink::request(const std::string& verb, const Json& args,
     }
 }
 
+int AgentLink::process() const {
+    ucred peer{};
+    socklen_t size = sizeof peer;
+    return ::getsockopt(fd_.get(), SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0 ? peer.pid : 0;
+}
+
 void AgentLink::interrupt() const {
     sendLine(fd_.get(), {{"interrupt", true}});
 }

@@ -74,6 +74,8 @@ class AgentLink {
     };
     Outcome request(const std::string& verb, const Json& args, Events& events,
                     std::chrono::milliseconds accepted_within);
+    /// The agent's process; 0 when the kernel does not say.
+    int process() const;
     /// Any thread: what Ctrl-C is to a verb in this process.
     void interrupt() const;
 

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "cli/agent.hpp"
 
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <csignal>
 #include <filesystem>
 
 #include "cli/fake_station.hpp"
@@ -84,7 +86,8 @@ TEST_F(Served, GivesEventsAndTheExitStatusBack) {
 TEST_F(Served, SaysWhenAVerbIsNotForIt) {
     serve(milliseconds(60'000));
     Recorded seen;
-    EXPECT_EQ(link->request("elsewhere", Json::object(), seen, milliseconds(10'000)).ending, AgentLink::Ending::Elsewhere);
+    EXPECT_EQ(link->request("elsewhere", Json::object(), seen, milliseconds(10'000)).ending,
+              AgentLink::Ending::Elsewhere);
 }
 
 TEST_F(Served, AnInterruptCancelsTheTaskAndShowsItsEnd) {
@@ -112,7 +115,8 @@ TEST_F(Served, ABrokenConnectionCancelsTheTaskThatItFollowed) {
     ASSERT_TRUE(sendLine(raw.get(), {{"verb", "run"}, {"args", kRunCyton}}));
     ASSERT_TRUE(axon::test::waitUntil([&] { return !station->tasks().empty(); }));
     raw = Descriptor();
-    EXPECT_TRUE(axon::test::waitUntil([&] { return station->tasks().front().state == TaskState::Cancelled; }));
+    EXPECT_TRUE(
+        axon::test::waitUntil([&] { return station->tasks().front().state == TaskState::Cancelled; }));
     EXPECT_EQ(station->held().size(), 1U);
 }
 
@@ -169,7 +173,8 @@ TEST(AgentLinkTest, DoesNotWaitForAnAgentThatDoesNotAnswer) {
     const Descriptor silent(ends[1]);
     AgentLink link{Descriptor(ends[0])};
     Recorded seen;
-    EXPECT_EQ(link.request("stop", Json::object(), seen, milliseconds(20)).ending, AgentLink::Ending::NoAnswer);
+    EXPECT_EQ(link.request("stop", Json::object(), seen, milliseconds(20)).ending,
+              AgentLink::Ending::NoAnswer);
 }
 
 TEST(AgentLinkTest, TellsThatTheAgentWentAwayInTheMiddle) {
@@ -181,7 +186,8 @@ TEST(AgentLinkTest, TellsThatTheAgentWentAwayInTheMiddle) {
         sendLine(other.get(), {{"accepted", true}});
         ::shutdown(other.get(), SHUT_WR);
         Recorded seen;
-        EXPECT_EQ(link.request("run", Json::object(), seen, milliseconds(10'000)).ending, AgentLink::Ending::Broken);
+        EXPECT_EQ(link.request("run", Json::object(), seen, milliseconds(10'000)).ending,
+                  AgentLink::Ending::Broken);
     }
 }
 
@@ -252,7 +258,8 @@ TEST_F(Invoked, VerbsAboutWhatIsKeptSayThatNothingIs) {
 
 TEST_F(Invoked, NoServerHasAnExitStatusAndAMendOfItsOwn) {
     Invoker away(settings, [](const Settings&) {
-        return Result<std::shared_ptr<Station>>(Refusal{RefusalCode::Unavailable, "nobody listens there", {}});
+        return Result<std::shared_ptr<Station>>(
+            Refusal{RefusalCode::Unavailable, "nobody listens there", {}});
     });
     EXPECT_EQ(away.perform(*findVerb("ls"), Json::object(), seen), kNoServer);
     EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(), HasSubstr("axon-server"));
@@ -269,6 +276,40 @@ TEST_F(Invoked, ACommandHoldsWhileItRunsAndGivesItsExitStatus) {
     ::unsetenv("AXON_AGENT");
     EXPECT_TRUE(station->held().empty());
     EXPECT_TRUE(std::filesystem::is_empty(base / "axon"));
+}
+
+TEST_F(Invoked, AnAgentServesAtItsPlaceAndReleasesWhenItEnds) {
+    ASSERT_TRUE(station->checkOut({station->entities_[2].id}));
+    int ends[2];
+    ASSERT_EQ(::pipe2(ends, O_CLOEXEC), 0);
+    const Descriptor ready(ends[0]);
+    std::thread serving([&] { EXPECT_EQ(invoker.serveAgent(ends[1]), kDone); });
+    char said[64] = "";
+    ASSERT_GT(::read(ready.get(), said, sizeof said - 1), 0);
+    EXPECT_STREQ(said, "{\"ready\":true}\n");
+
+    Invoker other(settings, [](const Settings&) {
+        return Result<std::shared_ptr<Station>>(
+            Refusal{RefusalCode::Unavailable, "nobody listens there", {}});
+    });
+    EXPECT_EQ(other.perform(*findVerb("ls"), Json::object(), seen), kDone);
+    EXPECT_EQ(other.perform(*findVerb("agent"), {{"action", "status"}}, seen), kDone);
+    EXPECT_EQ(seen.last("agent")->at("held").at(0).at("call"), "Cyton");
+    // What it does not hold is not its business, and neither is a second one.
+    EXPECT_EQ(
+        other.perform(*findVerb("set"),
+                      {{"entity", "PeopleBot"}, {"service", "Driving"}, {"parameters", Json::array()}}, seen),
+        kRefused);
+    EXPECT_EQ(seen.last("error")->at("code"), "AMBIGUOUS_ENTITY");
+    // Without its server it does not keep a stop from finding another way.
+    station->is_connected = false;
+    EXPECT_EQ(other.perform(*findVerb("stop"), Json::object(), seen), kNoServer);
+    EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(), HasSubstr("NOTHING WAS STOPPED"));
+
+    invoker.interrupt(SIGTERM);
+    serving.join();
+    EXPECT_TRUE(station->held().empty());
+    EXPECT_FALSE(std::filesystem::exists(agentPlace(settings.server)->socket));
 }
 
 TEST_F(Invoked, ARefusedCheckOutRunsNoCommand) {

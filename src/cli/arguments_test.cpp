@@ -29,7 +29,8 @@ Parsed parse(std::vector<std::string> words) {
 }  // namespace
 
 TEST(ReadArguments, ResolvesNamesAsPeopleTypeThem) {
-    for (const auto* word : {"Range Threshold=500", "range_threshold=500", "RANGE-THRESHOLD=500", " range threshold =500"}) {
+    for (const auto* word :
+         {"Range Threshold=500", "range_threshold=500", "RANGE-THRESHOLD=500", " range threshold =500"}) {
         const auto arguments = readArguments(driving(), {word});
         ASSERT_TRUE(arguments) << word;
         EXPECT_EQ(arguments->at(0).name, "Range Threshold");
@@ -39,7 +40,8 @@ TEST(ReadArguments, ResolvesNamesAsPeopleTypeThem) {
 }
 
 TEST(ReadArguments, TakesUnitsOffNumbersOnly) {
-    const auto arguments = readArguments(driving(), {"Distance=1500 mm", "Range Threshold=1e3", "Colours=5mm"});
+    const auto arguments =
+        readArguments(driving(), {"Distance=1500 mm", "Range Threshold=1e3", "Colours=5mm"});
     ASSERT_TRUE(arguments);
     EXPECT_EQ(textAt(arguments->at(0), 0), "1500");
     EXPECT_EQ(arguments->at(0).units, "mm");
@@ -121,8 +123,8 @@ TEST(SplitMeasure, TellsNumbersFromMeasures) {
 }
 
 TEST(CommandLine, ReadsAVerbWithGlobalOptionsAfterIt) {
-    const auto parsed = parse({"run", "PeopleBot", "Driving", "Distance=-1000", "Range Threshold=[1,2]", "--json",
-                               "--server", "lab:4000", "--wait", "2.5"});
+    const auto parsed = parse({"run", "PeopleBot", "Driving", "Distance=-1000", "Range Threshold=[1,2]",
+                               "--json", "--server", "lab:4000", "--wait", "2.5"});
     ASSERT_TRUE(parsed.line) << parsed.err;
     EXPECT_STREQ(parsed.line->verb->name, "run");
     EXPECT_EQ(parsed.line->args["parameters"], Json({"Distance=-1000", "Range Threshold=[1,2]"}));
@@ -140,7 +142,8 @@ TEST(CommandLine, TakesAnOperandThatIsCalledLikeAVerb) {
 }
 
 TEST(CommandLine, LeavesTheCommandUnderCheckoutAlone) {
-    const auto parsed = parse({"--timeout", "3", "checkout", "A", "B", "--json", "--", "ls", "--help", "--", "-x"});
+    const auto parsed =
+        parse({"--timeout", "3", "checkout", "A", "B", "--json", "--", "ls", "--help", "--", "-x"});
     ASSERT_TRUE(parsed.line) << parsed.err;
     EXPECT_EQ(parsed.line->args["entity"], Json({"A", "B"}));
     EXPECT_EQ(parsed.line->command, (std::vector<std::string>{"ls", "--help", "--", "-x"}));
@@ -194,7 +197,9 @@ TEST(CommandLine, HelpTeachesByExamples) {
 }
 
 TEST(CommandLine, TakesTheServerFromTheEnvironmentUnlessTold) {
-    const auto environment = [](const char* name) { return std::string_view(name) == "AXON_SERVER" ? "lab:1" : nullptr; };
+    const auto environment = [](const char* name) {
+        return std::string_view(name) == "AXON_SERVER" ? "lab:1" : nullptr;
+    };
     EXPECT_EQ(parseCommandLine({"ls"}, environment).line->settings.server, "lab:1");
     EXPECT_EQ(parseCommandLine({"ls", "--server", "lab:2"}, environment).line->settings.server, "lab:2");
 }

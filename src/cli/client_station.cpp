@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "cli/client_station.hpp"
 
+#include <pwd.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <deque>
 #include <map>
@@ -37,19 +40,24 @@ class ClientStation final : public Station {
         return entities;
     }
 
-    std::optional<Refusal> lost(const std::string& entity) const override {
+    std::vector<Lost> lost() const override {
         const std::lock_guard lock(mutex_);
-        const auto found = rooms_.find(entity);
-        return found == rooms_.end() ? std::nullopt : found->second.lost;
+        std::vector<Lost> list;
+        for (const auto& [id, room] : rooms_) {
+            if (room.lost) list.push_back({room.entity, *room.lost});
+        }
+        return list;
     }
 
     Result<void> checkOut(const std::vector<std::string>& entities) override {
         auto granted = client_->checkOut(entities);
         if (!granted) return granted.refusal();
         for (const auto& check_out : granted.value()) {
-            const auto id = check_out.entity().id;
+            const auto entity = check_out.entity();
+            const auto& id = entity.id;
             {
                 const std::lock_guard lock(mutex_);
+                rooms_[id].entity = entity;
                 rooms_[id].lost.reset();
             }
             check_out.onText([this, id](const std::string& text) {
@@ -163,6 +171,7 @@ class ClientStation final : public Station {
     static constexpr std::size_t kTasksKept = 64;
 
     struct Room {
+        Entity entity;
         std::optional<Refusal> lost;
         std::vector<std::weak_ptr<const Listener>> listeners;
     };
@@ -211,6 +220,13 @@ class ClientStation final : public Station {
     const std::unique_ptr<Client> client_;  // last, so that it is destroyed first: its callbacks use the rest
 };
 
+std::string userAtHost() {
+    char host[256] = "";
+    if (::gethostname(host, sizeof host - 1) != 0) host[0] = '\0';
+    const auto* user = ::getpwuid(::getuid());
+    return (user != nullptr ? std::string(user->pw_name) : std::to_string(::getuid())) + "@" + host;
+}
+
 }  // namespace
 
 Result<std::shared_ptr<Station>> connectStation(const Settings& settings) {
@@ -218,7 +234,7 @@ Result<std::shared_ptr<Station>> connectStation(const Settings& settings) {
     options.server = settings.server;
     options.user = settings.user;
     options.password = settings.password;
-    options.display_name = settings.name;
+    options.display_name = settings.name.empty() ? userAtHost() : settings.name;
     options.timeout = Seconds(settings.timeout_s);
     auto connected = Client::connect(std::move(options));
     if (!connected) return connected.refusal();

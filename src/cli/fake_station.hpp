@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <algorithm>
+#include <atomic>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -58,7 +59,7 @@ class FakeStation : public Station {
 
     Sender self() const override { return {"me", "ana@lab", Role::Operator}; }
     std::string server() const override { return "127.0.0.1:10410"; }
-    bool connected() const override { return true; }
+    bool connected() const override { return is_connected; }
     std::vector<Entity> entities() const override { return entities_; }
     Result<Entity> find(const std::string& name) const override {
         std::vector<Entity> found;
@@ -67,7 +68,8 @@ class FakeStation : public Station {
             if (one.name == name) found.push_back(one);
         }
         if (found.size() == 1) return found.front();
-        if (found.empty()) return Refusal{RefusalCode::UnknownEntity, "no entity is called \"" + name + "\"", {}};
+        if (found.empty())
+            return Refusal{RefusalCode::UnknownEntity, "no entity is called \"" + name + "\"", {}};
         return Refusal{RefusalCode::AmbiguousEntity, "several entities are called \"" + name + "\"", {}};
     }
     Result<std::vector<Service>> services(const std::string&) const override { return services_; }
@@ -75,7 +77,8 @@ class FakeStation : public Station {
         stopped = entities;
         std::vector<Receipt> list;
         for (const auto& one : entities_) {
-            if (!entities.empty() && std::find(entities.begin(), entities.end(), one.id) == entities.end()) continue;
+            if (!entities.empty() && std::find(entities.begin(), entities.end(), one.id) == entities.end())
+                continue;
             Receipt receipt;
             receipt.entity = one.id;
             receipt.name = one.name;
@@ -99,9 +102,14 @@ class FakeStation : public Station {
         }
         return list;
     }
-    std::optional<Refusal> lost(const std::string& id) const override {
-        return id == lost_id ? std::optional<Refusal>({RefusalCode::RevokedLease, "an admin took it over", "eve@lab"})
-                             : std::nullopt;
+    std::vector<Lost> lost() const override {
+        std::vector<Lost> list;
+        for (const auto& one : entities_) {
+            if (one.id == lost_id) {
+                list.push_back({one, {RefusalCode::RevokedLease, "an admin took it over", "eve@lab"}});
+            }
+        }
+        return list;
     }
     Result<void> checkOut(const std::vector<std::string>& ids) override {
         if (!check_out_refusal.ok()) return check_out_refusal;
@@ -122,7 +130,8 @@ class FakeStation : public Station {
         set_arguments.push_back(argument);
         return {};
     }
-    Result<void> upload(const std::string&, const std::string&, const std::string&, const std::filesystem::path&,
+    Result<void> upload(const std::string&, const std::string&, const std::string&,
+                        const std::filesystem::path&,
                         std::function<void(std::uint64_t, std::uint64_t)> progress) override {
         progress(500, 1000);
         progress(1000, 1000);
@@ -136,8 +145,9 @@ class FakeStation : public Station {
         sent = bytes;
         return {};
     }
-    Result<std::string> run(const std::string& id, const std::string& service, const std::vector<Argument>& arguments,
-                            Seconds, std::function<void(const TaskReport&)> update) override {
+    Result<std::string> run(const std::string& id, const std::string& service,
+                            const std::vector<Argument>& arguments, Seconds,
+                            std::function<void(const TaskReport&)> update) override {
         run_arguments = arguments;
         TaskReport report;
         report.id = "abcdef00-0000-4000-8000-00000000000a";
@@ -214,6 +224,7 @@ class FakeStation : public Station {
     std::vector<std::pair<std::uint64_t, std::string>> samples;
     Refusal check_out_refusal;
     std::string lost_id, says;
+    std::atomic<bool> is_connected{true};
     bool stop_is_confirmed = true;
     bool cancel_is_heard = true;
     // … and looks at.

@@ -19,6 +19,7 @@
 
 #include "cli/agent.hpp"
 #include "cli/agent_link.hpp"
+#include "cli/verbs/holding.hpp"
 #include "cli/words.hpp"
 
 extern char** environ;
@@ -70,6 +71,8 @@ std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<St
         work.events.emit(usageEvent("the agent knows no verb " + work.verb));
         return kUsage;
     }
+    // An agent that waits for the server to come back knows nothing new, and a stop must not wait with it.
+    if (verb->runs == Runs::Anywhere && !station->connected()) return std::nullopt;
     if (verb->runs == Runs::Holder) {
         const auto name = work.args.at("entity").get<std::string>();
         const auto found = station->find(name);
@@ -78,9 +81,9 @@ std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<St
             return exitOf(found.refusal());
         }
         if (!holds(*station, found->id)) {
-            if (const auto lost = station->lost(found->id)) {
+            if (const auto lost = whyLost(*station, found->id)) {
                 work.events.emit({{"event", "lost"},
-                                  {"entity", found->name},
+                                  {"entity", callName(found.value(), station->entities())},
                                   {"code", refusalName(lost->code)},
                                   {"message", lost->message},
                                   {"holder", lost->holder}});
@@ -218,13 +221,16 @@ int Invoker::perform(const Verb& verb, Json args, Events& events) {
         if (outcome.ending == Ending::Broken || (outcome.ending == Ending::NoAnswer && !stopping)) {
             // A stop goes on by itself below; anything else might be done twice.
             if (!stopping) {
+                const bool gone = outcome.ending == Ending::Broken;
                 events.emit(
                     {{"event", "error"},
                      {"code", refusalName(RefusalCode::NotConnected)},
-                     {"message", outcome.ending == Ending::Broken
-                                     ? "the agent that keeps your check-outs went away; the robot is stopped"
-                                     : "the agent that keeps your check-outs does not answer"},
-                     {"mend", "axon agent stop, then axon checkout again"}});
+                     {"message",
+                      gone ? "the agent that keeps your check-outs went away; the server stops what "
+                             "it held"
+                           : "the agent that keeps your check-outs does not answer"},
+                     {"mend", gone ? "axon ls shows how things are; axon rearm and axon checkout begin anew"
+                                   : "end the process that axon doctor names, then axon checkout again"}});
                 return kNoServer;
             }
         }
@@ -257,7 +263,11 @@ int Invoker::perform(const Verb& verb, Json args, Events& events) {
 int Invoker::direct(const Verb& verb, Json args, Events& events) {
     auto station = connect_(settings_);
     if (!station) {
-        events.emit(noServerEvent(station.refusal(), settings_.server));
+        auto event = noServerEvent(station.refusal(), settings_.server);
+        if (std::string_view(verb.name) == "stop") {
+            event["mend"] = "NOTHING WAS STOPPED: use the robot's own stop now";
+        }
+        events.emit(event);
         return station.refusal().code == RefusalCode::PermissionDenied ? kRefused : kNoServer;
     }
     const auto mailbox = std::make_shared<Mailbox>();
@@ -373,11 +383,13 @@ int Invoker::holdWhile(const Json& entities, const std::vector<std::string>& com
             return exitOf(found.refusal());
         }
         ids.push_back(found->id);
-        names.push_back({{"id", found->id}, {"name", found->name}});
+        names.push_back({{"id", found->id},
+                         {"name", found->name},
+                         {"call", callName(found.value(), station->entities())}});
     }
     if (const auto granted = station->checkOut(ids); !granted) {
         events.emit(
-            errorEvent(granted.refusal(), names.size() == 1 ? names[0]["name"].get<std::string>() : ""));
+            errorEvent(granted.refusal(), names.size() == 1 ? names[0]["call"].get<std::string>() : ""));
         return exitOf(granted.refusal());
     }
     events.emit({{"event", "checked_out"}, {"entities", names}, {"kept", false}, {"for", "command"}});
@@ -386,7 +398,7 @@ int Invoker::holdWhile(const Json& entities, const std::vector<std::string>& com
     std::mutex telling;
     for (std::size_t i = 0; i < ids.size(); ++i) {
         Listener listener;
-        listener.lost = [&events, &telling, name = names[i]["name"]](const Refusal& refusal) {
+        listener.lost = [&events, &telling, name = names[i]["call"]](const Refusal& refusal) {
             const std::lock_guard lock(telling);
             events.emit({{"event", "lost"},
                          {"entity", name},
@@ -407,7 +419,7 @@ int Invoker::holdWhile(const Json& entities, const std::vector<std::string>& com
     std::unique_ptr<Agent> agent;
     agent = std::make_unique<Agent>(
         std::move(listened).value(),
-        [&](const Agent::Work& work) { return performKept(work, station, settings_, [] {}); },
+        [&](const Agent::Work& work) { return performKept(work, station, settings_, {}); },
         [] { return true; }, kLinger);
     std::thread serving([&agent] { agent->serve(); });
 

@@ -93,7 +93,7 @@ struct Session {
     /// Runs::Local only: another verb, on the agent when there is one.
     std::function<int(const std::string& verb, const Json& args, Events&)> perform = {};
     Connect connect = {};
-    /// In an agent only: ends it when this verb is done.
+    /// In an agent only, and not under `checkout -- command`: ends it when this verb is done.
     std::function<void()> end_agent = {};
 };
 

@@ -29,6 +29,11 @@ struct Listener {
     std::function<void(const Refusal&)> lost;
 };
 
+struct Lost {
+    Entity entity;
+    Refusal why;
+};
+
 enum class TaskAction { Pause, Resume, Cancel };
 
 /// What a verb needs of a connection to Axon: the client library with its check-outs and tasks found by name,
@@ -53,8 +58,8 @@ class Station {
     virtual Result<void> rearm(const std::string& entity) = 0;
 
     virtual std::vector<Entity> held() const = 0;
-    /// Why an entity that was held here is not any more, until it is checked out again.
-    virtual std::optional<Refusal> lost(const std::string& entity) const = 0;
+    /// What was held here and is not any more, and was not released; until it is checked out again.
+    virtual std::vector<Lost> lost() const = 0;
     virtual Result<void> checkOut(const std::vector<std::string>& entities) = 0;
     virtual Result<void> release(const std::string& entity) = 0;
 

@@ -42,8 +42,7 @@ Tint stateTint(const std::string& state) {
 
 std::string holderText(const Json& entity) {
     if (entity.value("yours", false)) return "you";
-    const auto& holder = entity.at("holder");
-    return holder.is_null() ? "" : textOf(holder, "name");
+    return textOf(entity, "holder");
 }
 
 /// "INT mm", and what its values may be.
@@ -71,6 +70,25 @@ std::string lowerCase(std::string text) {
 
 std::string stageText(const Json& milliseconds) {
     return milliseconds.is_number() ? duration(milliseconds.get<double>() / 1000) : "-";
+}
+
+/// "x=1.5 y=2" for {"pose": {"x": 1.5, "y": 2, "frame": ""}}; the beginning of long lists.
+std::string sampleText(const Json& sample) {
+    if (!sample.is_structured()) return valueText(sample);
+    if (sample.is_array()) {
+        constexpr std::size_t kShown = 12;
+        std::string text = "[";
+        for (std::size_t i = 0; i < sample.size() && i < kShown; ++i)
+            text += (i > 0 ? " " : "") + sampleText(sample[i]);
+        return text + (sample.size() > kShown ? fmt::format(" …] {} values", sample.size()) : "]");
+    }
+    if (sample.size() == 1 && sample.begin()->is_structured()) return sampleText(*sample.begin());
+    std::string text;
+    for (const auto& [name, value] : sample.items()) {
+        if (value == "") continue;
+        text += (text.empty() ? "" : " ") + printable(name) + "=" + sampleText(value);
+    }
+    return text;
 }
 
 }  // namespace
@@ -335,7 +353,7 @@ void PersonView::showTask(const Json& event) {
     const auto who = textOf(event, "entity") + " " + textOf(event, "service");
     const auto feedback = textOf(event, "feedback");
     const auto elapsed = event.value("elapsed_s", 0.0);
-    const double part = event.at("progress").is_number() ? event["progress"].get<double>() : -1;
+    const double part = event.value("progress", -1.0);
     if (event.value("final", false)) {
         const bool good = state == "SUCCEEDED";
         const auto mark = good ? paint("✓", Tint::Green) : paint("✗", Tint::Red);
@@ -360,6 +378,8 @@ void PersonView::showTask(const Json& event) {
     }
     if (terminal_.live && !feedback.empty() && feedback != last_feedback_)
         say("  " + paint(feedback, Tint::Dim));
+    // Between "queued" and "running" there is nothing to know for who reads lines.
+    if (!terminal_.live && state == "DISPATCHED") return;
     std::string text = who + "  ";
     if (part >= 0) {
         text += progressBar(part, 30) + fmt::format(" {:3.0f} %", part * 100);
@@ -384,17 +404,17 @@ void PersonView::showTasks(const Json& event) {
     Table table({"ID", "ENTITY", "SERVICE", "STATE", "PROGRESS", "REASON"});
     for (const auto& task : list) {
         const auto state = textOf(task, "state");
-        table.add(
-            {{textOf(task, "id").substr(0, 8)},
-             {textOf(task, "entity")},
-             {textOf(task, "service")},
-             {lowerCase(state), state == "SUCCEEDED"         ? Tint::Green
-                                : task.value("final", false) ? Tint::Red
-                                                             : Tint::Cyan},
-             {task["progress"].is_number() ? fmt::format("{:.0f} %", task["progress"].get<double>() * 100)
-                                           : ""},
-             {task["reason"].is_object() ? textOf(task["reason"], "message") : textOf(task, "feedback"),
-              Tint::Dim}});
+        table.add({{textOf(task, "id").substr(0, 8)},
+                   {textOf(task, "entity")},
+                   {textOf(task, "service")},
+                   {lowerCase(state), state == "SUCCEEDED"         ? Tint::Green
+                                      : task.value("final", false) ? Tint::Red
+                                                                   : Tint::Cyan},
+                   {task.value("progress", -1.0) < 0
+                        ? ""
+                        : fmt::format("{:.0f} %", task["progress"].get<double>() * 100)},
+                   {task["reason"].is_object() ? textOf(task["reason"], "message") : textOf(task, "feedback"),
+                    Tint::Dim}});
     }
     wipe();
     out_ << table.text(terminal_.colour) << std::flush;
@@ -441,7 +461,7 @@ void PersonView::showCheckedOut(const Json& event) {
         std::string text;
         for (std::size_t i = 0; i < entities.size(); ++i) {
             if (i > 0) text += i + 1 == entities.size() ? " and " : ", ";
-            text += textOf(entities[i], "name");
+            text += textOf(entities[i], entities[i].contains("call") ? "call" : "name");
         }
         return text;
     };
@@ -460,12 +480,12 @@ void PersonView::showCheckedOut(const Json& event) {
 }
 
 void PersonView::showSample(const Json& event) {
-    const auto& sample = event.at("sample");
-    auto text = sample.is_string() ? printable(sample.get<std::string>()) : printable(line(sample));
-    auto start = fmt::format("{} {} #{}  ", textOf(event, "entity"), textOf(event, "stream"),
-                             event.value("sequence", 0ULL));
-    if (terminal_.live && columns(start) + 10 < terminal_.width)
+    auto text = sampleText(event.at("sample"));
+    const auto start = fmt::format("{} {} #{}  ", textOf(event, "entity"), textOf(event, "stream"),
+                                   event.value("sequence", 0ULL));
+    if (terminal_.live && columns(start) + 10 < terminal_.width) {
         text = shortened(text, terminal_.width - columns(start));
+    }
     say(paint(start, Tint::Dim) + text);
 }
 
@@ -484,11 +504,11 @@ void PersonView::showAgent(const Json& event) {
                     textOf(event, "self")) +
         (event.value("connected", false) ? "" : paint(", which is NOT CONNECTED", Tint::Red)));
     for (const auto& entity : event.at("held"))
-        say("  holds " + textOf(entity, "name") + "  " +
+        say("  holds " + textOf(entity, "call") + "  " +
             paint(textOf(entity, "state"), stateTint(textOf(entity, "state"))));
     for (const auto& entity : event.at("lost"))
         say(paint("  LOST " + textOf(entity, "name") + ": " + textOf(entity, "message"), Tint::Red));
-    say(paint("  log: " + textOf(event, "log"), Tint::Dim));
+    if (const auto log = textOf(event, "log"); !log.empty()) say(paint("  log: " + log, Tint::Dim));
 }
 
 void PersonView::showError(const Json& event) {

@@ -50,11 +50,14 @@ TEST(Table, AlignsColumnsAndLeavesEmptyOnesOut) {
     table.add({{"Ünïcödé"}, {""}, {"IDLE", Tint::Green}});
     table.add({{"a"}, {""}, {""}});
     EXPECT_EQ(table.text(false), "NAME     STATE\nÜnïcödé  IDLE\na\n");
-    EXPECT_EQ(table.text(true), "\x1b[2mNAME\x1b[0m     \x1b[2mSTATE\x1b[0m\nÜnïcödé  \x1b[32mIDLE\x1b[0m\na\n");
+    EXPECT_EQ(table.text(true),
+              "\x1b[2mNAME\x1b[0m     \x1b[2mSTATE\x1b[0m\nÜnïcödé  \x1b[32mIDLE\x1b[0m\na\n");
 }
 
 TEST(Printable, LetsNoRobotSteerTheTerminal) {
-    EXPECT_EQ(printable("\x1b]0;owned\x07 \xc2\x9b" "2J ok\xff\r\n"), "?]0;owned? ?2J ok?? ");
+    EXPECT_EQ(printable("\x1b]0;owned\x07 \xc2\x9b"
+                        "2J ok\xff\r\n"),
+              "?]0;owned? ?2J ok?? ");
     EXPECT_EQ(printable("grün 你好"), "grün 你好");
     EXPECT_EQ(printable("a\nb", true), "a\nb");
 }
@@ -119,8 +122,9 @@ TEST_F(View, PrintsProgressNowAndThenWhereLinesCannotBeRedrawn) {
     auto done = taskEvent(TaskState::Succeeded, 1, "", 4.2);
     done["results"] = {{"Distance", {998}}};
     EXPECT_EQ(shown({taskEvent(TaskState::Queued, -1, "", 0), taskEvent(TaskState::Running, 0, "", 0.1),
-                     taskEvent(TaskState::Running, 0.01, "", 0.2), taskEvent(TaskState::Running, 0.02, "", 0.3),
-                     taskEvent(TaskState::Running, 0.5, "", 2), taskEvent(TaskState::Running, 0.51, "turning", 2.1), done}),
+                     taskEvent(TaskState::Running, 0.01, "", 0.2),
+                     taskEvent(TaskState::Running, 0.02, "", 0.3), taskEvent(TaskState::Running, 0.5, "", 2),
+                     taskEvent(TaskState::Running, 0.51, "turning", 2.1), done}),
               "PeopleBot Driving  queued  0.0 ms\n"
               "PeopleBot Driving  [----------------------------]   0 %  100 ms\n"
               "PeopleBot Driving  [##############--------------]  50 %  2.0 s\n"
@@ -133,7 +137,9 @@ TEST_F(View, RedrawsProgressOnATerminalAndTakesItAway) {
     Terminal terminal;
     terminal.live = true;
     terminal.width = 40;
-    EXPECT_EQ(shown({taskEvent(TaskState::Running, 0.5, "near the door", 2), taskEvent(TaskState::Stopped, 0.5, "", 3)}, terminal),
+    EXPECT_EQ(shown({taskEvent(TaskState::Running, 0.5, "near the door", 2),
+                     taskEvent(TaskState::Stopped, 0.5, "", 3)},
+                    terminal),
               "  near the door\n"
               "\r\x1b[KPeopleBot Driving  [##############----…"
               "\r\x1b[K✗ PeopleBot Driving stopped after 3.0 s\n");
@@ -177,9 +183,33 @@ TEST_F(View, ShowsErrorsWithCodeHolderAndMend) {
               "mend: ask eve@lab to release it, or try again when it is free\n");
 }
 
+TEST_F(View, ShowsSamplesAsPeopleReadThem) {
+    auto ranges = Json::array();
+    for (int i = 0; i < 20; ++i) ranges.push_back(i * 0.5);
+    const auto sample = [](const char* stream, const Json& content) {
+        return Json{{"event", "sample"},
+                    {"entity", "PeopleBot"},
+                    {"stream", stream},
+                    {"sequence", 7},
+                    {"sample", content}};
+    };
+    EXPECT_EQ(shown({sample("pose", {{"pose", {{"x", 1.5}, {"y", 2}, {"frame", ""}}}}),
+                     sample("battery", {{"scalar", {{"value", 12.1}, {"units", "V"}}}}),
+                     sample("sonar", {{"scan", {{"ranges", ranges}}}}), sample("odd", "no json")}),
+              "PeopleBot pose #7  x=1.5 y=2\n"
+              "PeopleBot battery #7  units=V value=12.1\n"
+              "PeopleBot sonar #7  [0 0.5 1 1.5 2 2.5 3 3.5 4 4.5 5 5.5 …] 20 values\n"
+              "PeopleBot odd #7  no json\n");
+}
+
 TEST_F(View, TellsALostCheckOutLoudly) {
-    shown({{{"event", "lost"}, {"entity", "PeopleBot"}, {"code", "REVOKED_LEASE"}, {"message", "taken over"}, {"holder", "eve@lab"}}});
-    EXPECT_EQ(err.str(), "axon: the check-out of PeopleBot is LOST: taken over; held by eve@lab (REVOKED_LEASE)\n");
+    shown({{{"event", "lost"},
+            {"entity", "PeopleBot"},
+            {"code", "REVOKED_LEASE"},
+            {"message", "taken over"},
+            {"holder", "eve@lab"}}});
+    EXPECT_EQ(err.str(),
+              "axon: the check-out of PeopleBot is LOST: taken over; held by eve@lab (REVOKED_LEASE)\n");
 }
 
 TEST(JsonLines, AreOneObjectEach) {

@@ -48,8 +48,6 @@ std::string mendFor(const Refusal& refusal, const std::string& entity) {
             return "the check-out was lost: axon checkout " + x + " again";
         case RefusalCode::UnknownEntity:
             return "axon ls shows what there is";
-        case RefusalCode::AmbiguousEntity:
-            return "write NAME#1, NAME#2 or the beginning of the UUID that axon ls --uuid shows";
         case RefusalCode::UnknownService:
         case RefusalCode::UnknownParameter:
         case RefusalCode::UnknownResource:
@@ -93,10 +91,10 @@ Json toJson(const Entity& entity, bool yours) {
               {"state", axon::toString(entity.state)},
               {"latched", entity.latched},
               {"stop_generation", entity.stop_generation},
-              {"holder", nullptr},
+              {"holder", entity.holder.name},
+              {"holder_id", entity.holder.id},
               {"yours", yours},
               {"reason", entity.reason}};
-    if (!entity.holder.id.empty()) json["holder"] = {{"id", entity.holder.id}, {"name", entity.holder.name}};
     return json;
 }
 
@@ -135,7 +133,7 @@ Json toJson(const TaskReport& report) {
               {"service", report.service},
               {"state", client::toString(report.state)},
               {"final", client::isFinal(report.state)},
-              {"progress", report.progress < 0 ? Json(nullptr) : Json(report.progress)},
+              {"progress", report.progress < 0 ? -1 : report.progress},
               {"feedback", report.feedback},
               {"results", std::move(results)},
               {"reason", nullptr}};

@@ -62,7 +62,7 @@ int info(Session& session) {
 extern const Verb kLs{"ls",
                       "List the entities: state, holder, latch",
                       "  axon ls\n"
-                      "  axon ls --json | jq -r '.entities[] | select(.holder == null) | .name'\n",
+                      "  axon ls --json | jq -r '.entities[] | select(.holder == \"\") | .name'\n",
                       Runs::Anywhere,
                       {},
                       {{"uuid", Takes::Nothing, "Show the UUIDs too: they tell entities of one name apart"}},

@@ -19,7 +19,8 @@ namespace {
 // A shell that waits for a server that is away is worse than one that completes nothing.
 constexpr std::chrono::milliseconds kPatience{300};
 
-// In each script a candidate that ends in '=' goes on, "__files__" asks for file names, and others end the word.
+// In each script a candidate that ends in '=' goes on, "__files__" asks for file names, and others end the
+// word.
 constexpr const char* kBash = R"sh(# axon completion for bash: source <(axon completion bash)
 _axon() {
     local word
@@ -68,7 +69,8 @@ end
 complete -c axon -f -a '(__axon_complete)'
 )sh";
 
-/// bash takes `Distance=10` apart at '=': together again, and how much of the last word it will keep by itself.
+/// bash takes `Distance=10` apart at '=': together again, and how much of the last word it will keep by
+/// itself.
 struct Words {
     std::vector<std::string> done;
     std::string current;
@@ -166,7 +168,8 @@ class Completer {
     static std::vector<std::string> options(const Verb* verb) {
         std::vector<std::string> names{"--help", "--json", "--name", "--server", "--timeout", "--user"};
         if (verb != nullptr) {
-            for (const auto& option : verb->options) names.insert(names.begin(), std::string("--") + option.name);
+            for (const auto& option : verb->options)
+                names.insert(names.begin(), std::string("--") + option.name);
         }
         return names;
     }
@@ -223,7 +226,8 @@ class Completer {
     Json chosen(const std::vector<std::string>& given) {
         if (given.size() < 2) return nullptr;
         for (const auto& service : services(given)) {
-            if (sameToAPerson(service.at("name").get<std::string>(), given[1]) || service.at("global_id") == given[1]) {
+            if (sameToAPerson(service.at("name").get<std::string>(), given[1]) ||
+                service.at("global_id") == given[1]) {
                 return service;
             }
         }
@@ -281,7 +285,8 @@ int complete(Session& session) {
     if (words.empty()) return kUsage;
     std::size_t at = 0;
     for (const char c : words[0]) {
-        if (c < '0' || c > '9' || at > 10'000) return misused(session, "expected the number of the word to complete");
+        if (c < '0' || c > '9' || at > 10'000)
+            return misused(session, "expected the number of the word to complete");
         at = at * 10 + static_cast<std::size_t>(c - '0');
     }
     const Impatience impatience;
@@ -289,7 +294,8 @@ int complete(Session& session) {
     std::string text;
     for (const auto& candidate : Completer(session).complete(line_words)) {
         const bool files = candidate == "__files__";
-        if (!files && candidate.compare(0, line_words.current.size(), line_words.current) != 0) continue;
+        if (!files && !sameToAPerson(candidate.substr(0, line_words.current.size()), line_words.current))
+            continue;
         if (candidate.find('\n') != std::string::npos) continue;
         text += (text.empty() ? "" : "\n") + (files ? candidate : candidate.substr(line_words.kept_by_shell));
     }

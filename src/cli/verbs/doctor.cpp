@@ -42,7 +42,8 @@ class Report {
     bool anyBad() const { return any_bad_; }
 
   private:
-    void say(const char* level, const std::string& name, const std::string& message, const std::string& mend) {
+    void say(const char* level, const std::string& name, const std::string& message,
+             const std::string& mend) {
         Json check{{"event", "finding"}, {"level", level}, {"name", name}, {"message", message}};
         if (!mend.empty()) check["mend"] = mend;
         events_.emit(check);
@@ -58,8 +59,9 @@ double secondsSince(Clock::time_point start) {
 void checkEntities(Report& report, Station& station) {
     const auto all = station.entities();
     if (all.empty()) {
-        report.warn("entities", "none are there",
-                    "start a robot's application and its axon-entity-manager; its log says why it does not register");
+        report.warn(
+            "entities", "none are there",
+            "start a robot's application and its axon-entity-manager; its log says why it does not register");
     }
     for (const auto& entity : all) {
         const auto name = callName(entity, all);
@@ -71,7 +73,8 @@ void checkEntities(Report& report, Station& station) {
                            "its Entity Manager runs and the robot's application does not: start that");
                 continue;
             case EntityState::ERR:
-                report.bad(name, state + because, "mend the profiles (axon profile check FILE); they are read again by themselves");
+                report.bad(name, state + because,
+                           "mend the profiles (axon profile check FILE); they are read again by themselves");
                 continue;
             case EntityState::INIT:
             case EntityState::ENVCONN:
@@ -91,7 +94,8 @@ void checkEntities(Report& report, Station& station) {
         auto message = fmt::format("{}, tells its {} service{} in {}", state, services->size(),
                                    services->size() == 1 ? "" : "s", duration(round_trip));
         if (entity.latched) {
-            report.warn(name, message + "; stopped", "axon rearm " + shellWord(name) + ", when it is safe to move again");
+            report.warn(name, message + "; stopped",
+                        "axon rearm " + shellWord(name) + ", when it is safe to move again");
         } else if (round_trip > 0.1) {
             report.warn(name, message + ": slow", "see what loads the machine or the network");
         } else {
@@ -108,8 +112,8 @@ void checkServer(Report& report, Session& session) {
         report.bad("server", event.value("message", ""), event.value("mend", ""));
         return;
     }
-    report.ok("server", "session at " + station.value()->server() + " as " + station.value()->self().name + " in " +
-                            duration(secondsSince(start)));
+    report.ok("server", "session at " + station.value()->server() + " as " + station.value()->self().name +
+                            " in " + duration(secondsSince(start)));
     checkEntities(report, *station.value());
 }
 
@@ -128,13 +132,15 @@ void checkAgent(Report& report, const Settings& settings) {
     }
     struct stat found {};
     if (::lstat(place->socket.c_str(), &found) != 0) {
-        report.ok("agent", "none is running (axon checkout starts one); " + directory.string() + " is private");
+        report.ok("agent",
+                  "none is running (axon checkout starts one); " + directory.string() + " is private");
     } else if ((found.st_mode & 0777U) != 0600U || found.st_uid != ::getuid()) {
-        report.bad("agent", "others may use " + place->socket.string(), "axon agent stop, and see who changed its mode");
-    } else if (!AgentLink::open(place->socket)) {
+        report.bad("agent", "others may use " + place->socket.string(),
+                   "axon agent stop, and see who changed its mode");
+    } else if (const auto link = AgentLink::open(place->socket); !link) {
         report.ok("agent", "none is running; " + place->socket.string() + " is left over and does no harm");
     } else {
-        report.ok("agent", "running at " + place->socket.string());
+        report.ok("agent", "process " + std::to_string(link->process()) + " at " + place->socket.string());
     }
 }
 
@@ -149,8 +155,9 @@ void checkRealTime(Report& report) {
         report.ok("real time", "the signal lane may have a real-time priority");
         return;
     }
-    report.warn("real time", "not permitted (ulimit -r is 0): stops share the processor with everything else",
-                "put '@axon - rtprio 20' into /etc/security/limits.d/axon.conf, join the group axon, log in again");
+    report.warn(
+        "real time", "not permitted (ulimit -r is 0): stops share the processor with everything else",
+        "put '@axon - rtprio 20' into /etc/security/limits.d/axon.conf, join the group axon, log in again");
 }
 
 void checkPorts(Report& report) {
@@ -171,11 +178,12 @@ void checkPorts(Report& report) {
     }
     const int all = kLastPort - kFirstPort + 1;
     if (first_free == 0) {
-        report.bad("ports", fmt::format("none of {} to {} is free for robot applications", kFirstPort, kLastPort),
+        report.bad("ports",
+                   fmt::format("none of {} to {} is free for robot applications", kFirstPort, kLastPort),
                    "ss -ltn shows who has them; give another range in ports.cfg");
     } else {
-        report.ok("ports", fmt::format("{} of {} ports for robot applications are free, the first is {}", all - taken, all,
-                                       first_free));
+        report.ok("ports", fmt::format("{} of {} ports for robot applications are free, the first is {}",
+                                       all - taken, all, first_free));
     }
 }
 

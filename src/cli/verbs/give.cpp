@@ -40,7 +40,7 @@ int set(Session& session) {
         auto values = Json::array();
         for (const auto& value : argument.values) values.push_back(toJson(value));
         session.events.emit({{"event", "set"},
-                             {"entity", found->name},
+                             {"entity", holding->call()},
                              {"service", service.value()->name},
                              {"parameter", argument.name},
                              {"values", values},
@@ -74,7 +74,7 @@ int upload(Session& session) {
 
     const std::string file = session.args.at("file");
     const Json about{{"event", "upload"},
-                     {"entity", found->name},
+                     {"entity", holding->call()},
                      {"service", service.value()->name},
                      {"resource", resource.value()->name},
                      {"file", file}};
@@ -171,8 +171,10 @@ int send(Session& session) {
         sent = session.station->sendText(entity.id, text);
     }
     if (!sent) return refuse(session, sent.refusal(), name);
-    session.events.emit(
-        {{"event", "sent"}, {"entity", entity.name}, {"size", size}, {"raw", session.args.contains("hex")}});
+    session.events.emit({{"event", "sent"},
+                         {"entity", holding->call()},
+                         {"size", size},
+                         {"raw", session.args.contains("hex")}});
     if (!listening) return kDone;
     const auto end =
         std::chrono::steady_clock::now() + std::chrono::duration_cast<std::chrono::steady_clock::duration>(

@@ -17,7 +17,7 @@ int checkout(Session& session) {
         const auto name = word.get<std::string>();
         const auto found = session.station->find(name);
         if (!found) return refuse(session, found.refusal(), name);
-        const Json item{{"id", found->id}, {"name", found->name}};
+        const Json item{{"id", found->id}, {"name", found->name}, {"call", callOf(session, found.value())}};
         if (std::any_of(held.begin(), held.end(), [&](const Entity& e) { return e.id == found->id; })) {
             already.push_back(item);
         } else if (std::find(ids.begin(), ids.end(), found->id) == ids.end()) {
@@ -29,7 +29,7 @@ int checkout(Session& session) {
         const auto granted = session.station->checkOut(ids);
         if (!granted) {
             return refuse(session, granted.refusal(),
-                          ids.size() == 1 ? entities[0]["name"].get<std::string>() : "");
+                          ids.size() == 1 ? entities[0]["call"].get<std::string>() : "");
         }
     }
     session.events.emit(
@@ -55,9 +55,10 @@ int release(Session& session) {
     }
     for (const auto& entity : wanted) {
         if (const auto done = session.station->release(entity.id); done) {
-            session.events.emit({{"event", "released"}, {"id", entity.id}, {"entity", entity.name}});
+            session.events.emit(
+                {{"event", "released"}, {"id", entity.id}, {"entity", callOf(session, entity)}});
         } else {
-            exit = refuse(session, done.refusal(), entity.name);
+            exit = refuse(session, done.refusal(), callOf(session, entity));
         }
     }
     if (wanted.empty() && exit == kDone) {

@@ -31,16 +31,21 @@ Result<Holding> Holding::of(Session& session, const std::string& name, const std
     const auto& entity = found.value();
     if (holds(*session.station, entity.id)) return Holding(session, entity, false);
     if (auto granted = session.station->checkOut({entity.id}); !granted) return granted.refusal();
-    session.events.emit({{"event", "checked_out"},
-                         {"entities", {{{"id", entity.id}, {"name", entity.name}}}},
-                         {"kept", false},
-                         {"for", what}});
+    session.events.emit(
+        {{"event", "checked_out"},
+         {"entities", {{{"id", entity.id}, {"name", entity.name}, {"call", callOf(session, entity)}}}},
+         {"kept", false},
+         {"for", what}});
     return Holding(session, entity, true);
 }
+
+Holding::Holding(Session& session, Entity entity, bool own)
+    : station_(session.station), entity_(std::move(entity)), call_(callOf(session, entity_)), own_(own) {}
 
 Holding::Holding(Holding&& other) noexcept
     : station_(std::move(other.station_)),
       entity_(std::move(other.entity_)),
+      call_(std::move(other.call_)),
       own_(std::exchange(other.own_, false)) {}
 
 Holding::~Holding() {
@@ -48,14 +53,26 @@ Holding::~Holding() {
     if (own_) static_cast<void>(station_->release(entity_.id).ok());
 }
 
+std::string callOf(const Session& session, const Entity& entity) {
+    return callName(entity, session.station->entities());
+}
+
+std::optional<Refusal> whyLost(const Station& station, const std::string& id) {
+    for (const auto& lost : station.lost()) {
+        if (lost.entity.id == id) return lost.why;
+    }
+    return std::nullopt;
+}
+
 Result<Entity> findHeld(Session& session, const std::string& name) {
     auto found = session.station->find(name);
     if (!found) return found;
     if (holds(*session.station, found->id)) return found;
-    Refusal refusal{RefusalCode::NotHolder, found->name + " is not checked out here", {}};
-    if (const auto lost = session.station->lost(found->id)) {
+    Refusal refusal{RefusalCode::NotHolder, callOf(session, found.value()) + " is not checked out here", {}};
+    if (const auto lost = whyLost(*session.station, found->id)) {
         refusal = *lost;
-        refusal.message = "the check-out of " + found->name + " was lost: " + lost->message;
+        refusal.message =
+            "the check-out of " + callOf(session, found.value()) + " was lost: " + lost->message;
     }
     return refusal;
 }
@@ -63,7 +80,7 @@ Result<Entity> findHeld(Session& session, const std::string& name) {
 std::shared_ptr<void> listenTo(Session& session, const Entity& entity) {
     Listener listener;
     const auto mailbox = session.mailbox;
-    const auto name = entity.name;
+    const auto name = callOf(session, entity);
     listener.text = [=](const std::string& text) {
         mailbox->post({{"event", "text"}, {"entity", name}, {"text", text}}, true);
     };

@@ -22,14 +22,21 @@ class Holding {
     ~Holding();
 
     const Entity& entity() const { return entity_; }
+    const std::string& call() const { return call_; }
 
   private:
-    Holding(Session& session, Entity entity, bool own)
-        : station_(session.station), entity_(std::move(entity)), own_(own) {}
+    Holding(Session& session, Entity entity, bool own);
     std::shared_ptr<Station> station_;
     Entity entity_;
+    std::string call_;
     bool own_;
 };
+
+/// What to call the entity so that nothing else can be meant; what "entity" is in events.
+std::string callOf(const Session& session, const Entity& entity);
+
+/// Why an entity that was held here is not any more.
+std::optional<Refusal> whyLost(const Station& station, const std::string& id);
 
 /// The entity by the name, only when it is held here: NOT_HOLDER otherwise, with why it is not any more.
 Result<Entity> findHeld(Session& session, const std::string& name);

@@ -21,25 +21,30 @@ int agent(Session& session) {
     const auto place = agentPlace(session.settings.server);
     auto held = Json::array();
     auto lost = Json::array();
-    for (const auto& entity : session.station->held()) held.push_back(toJson(entity, true));
-    for (const auto& entity : session.station->entities()) {
-        if (const auto why = session.station->lost(entity.id)) {
-            lost.push_back({{"id", entity.id},
-                            {"name", entity.name},
-                            {"code", refusalName(why->code)},
-                            {"message", why->message}});
-        }
+    for (const auto& entity : session.station->held()) {
+        held.push_back(toJson(entity, true));
+        held.back()["call"] = callOf(session, entity);
+    }
+    for (const auto& one : session.station->lost()) {
+        lost.push_back({{"id", one.entity.id},
+                        {"name", one.entity.name},
+                        {"code", refusalName(one.why.code)},
+                        {"message", one.why.message},
+                        {"holder", one.why.holder}});
     }
     if (session.args.at("action") == "stop") {
         for (const auto& entity : session.station->held()) {
             if (const auto done = session.station->release(entity.id); !done) {
                 session.events.emit(errorEvent(done.refusal(), entity.name));
             } else {
-                session.events.emit({{"event", "released"}, {"id", entity.id}, {"entity", entity.name}});
+                session.events.emit(
+                    {{"event", "released"}, {"id", entity.id}, {"entity", callOf(session, entity)}});
             }
         }
-        session.events.emit({{"event", "notice"}, {"message", "the agent has ended"}});
-        if (session.end_agent) session.end_agent();
+        if (session.end_agent) {
+            session.events.emit({{"event", "notice"}, {"message", "the agent has ended"}});
+            session.end_agent();
+        }
         return kDone;
     }
     session.events.emit({{"event", "agent"},
@@ -50,7 +55,7 @@ int agent(Session& session) {
                          {"connected", session.station->connected()},
                          {"held", held},
                          {"lost", lost},
-                         {"log", place ? place->log.string() : ""}});
+                         {"log", place && session.end_agent ? place->log.string() : ""}});
     return kDone;
 }
 

@@ -124,7 +124,7 @@ int run(Session& session) {
     const auto mailbox = session.mailbox;
     const auto task = session.station->run(
         entity.id, service.value()->name, arguments.value(), Seconds(session.args.value("not-after", 0.0)),
-        [mailbox, entity_name = entity.name](const TaskReport& report) {
+        [mailbox, entity_name = holding->call()](const TaskReport& report) {
             auto event = toJson(report);
             event["entity_id"] = report.entity;
             event["entity"] = entity_name;
@@ -137,7 +137,7 @@ int run(Session& session) {
         });
     if (!task) return refuse(session, task.refusal(), name);
 
-    Follower follower(session, task.value(), name, unitsOf(*service.value()), started);
+    Follower follower(session, task.value(), holding->call(), unitsOf(*service.value()), started);
     if (detached) return follower.detach(Clock::now() + std::chrono::seconds(5));
     Deadline deadline;
     if (session.args.contains("wait")) {

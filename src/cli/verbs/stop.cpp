@@ -79,7 +79,8 @@ int rearm(Session& session) {
         } else if (const auto done = session.station->rearm(found->id); !done) {
             exit = refuse(session, done.refusal(), name);
         } else {
-            session.events.emit({{"event", "done"}, {"verb", "rearm"}, {"entity", found->name}});
+            session.events.emit(
+                {{"event", "done"}, {"verb", "rearm"}, {"entity", callOf(session, found.value())}});
         }
     }
     return exit;
@@ -91,7 +92,7 @@ int command(Session& session, const char* verb, Result<void> (Station::*give)(co
     if (!found) return refuse(session, found.refusal(), name);
     if (const auto done = ((*session.station).*give)(found->id); !done)
         return refuse(session, done.refusal(), name);
-    session.events.emit({{"event", "done"}, {"verb", verb}, {"entity", found->name}});
+    session.events.emit({{"event", "done"}, {"verb", verb}, {"entity", callOf(session, found.value())}});
     return kDone;
 }
 

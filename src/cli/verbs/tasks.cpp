@@ -20,8 +20,9 @@ Result<TaskReport> findTask(Session& session, const Entity& entity, const std::s
     if (candidates.size() == 1) return candidates.front();
     if (candidates.empty()) {
         return Refusal{RefusalCode::UnknownTask,
-                       id.empty() ? "no task of " + entity.name + " is running or waiting"
-                                  : "no task of " + entity.name + " has an id that begins with " + id,
+                       id.empty()
+                           ? "no task of " + callOf(session, entity) + " is running or waiting"
+                           : "no task of " + callOf(session, entity) + " has an id that begins with " + id,
                        {}};
     }
     // Of several, the running one is what a person means who names none.
@@ -50,7 +51,7 @@ int control(Session& session, TaskAction action, const char* verb) {
         return refuse(session, done.refusal(), name);
     session.events.emit({{"event", "done"},
                          {"verb", verb},
-                         {"entity", entity->name},
+                         {"entity", callOf(session, entity.value())},
                          {"service", task->service},
                          {"task", task->id}});
     return kDone;

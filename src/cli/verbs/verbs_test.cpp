@@ -25,14 +25,17 @@ struct Verbs : testing::Test {
         Session session{std::move(args), seen, mailbox, station, settings, kept};
         return findVerb(verb)->perform(session);
     }
-    Json runCyton() { return {{"entity", "Cyton"}, {"service", "driving"}, {"parameters", {"distance=1000mm"}}}; }
+    Json runCyton() {
+        return {{"entity", "Cyton"}, {"service", "driving"}, {"parameters", {"distance=1000mm"}}};
+    }
     std::string cyton() { return station->entities_[2].id; }
 };
 
 }  // namespace
 
 TEST_F(Verbs, RunChecksOutForItselfAndReleases) {
-    station->script = {{TaskState::Running, 0.5, "half way", {}, {}}, {TaskState::Succeeded, 1, "", {}, {{"Distance", {std::int64_t{998}}}}}};
+    station->script = {{TaskState::Running, 0.5, "half way", {}, {}},
+                       {TaskState::Succeeded, 1, "", {}, {{"Distance", {std::int64_t{998}}}}}};
     EXPECT_EQ(perform("run", runCyton()), kDone);
     EXPECT_THAT(station->journalNow(), ElementsAre("checkOut", "release"));
     EXPECT_EQ(seen.events.front()["event"], "checked_out");
@@ -55,11 +58,12 @@ TEST_F(Verbs, RunKeepsACheckOutThatIsKept) {
 }
 
 TEST_F(Verbs, RunExitsByWhatBecameOfTheTask) {
-    for (const auto& [state, exit] : std::vector<std::pair<TaskState, int>>{{TaskState::Failed, kRefused},
-                                                                           {TaskState::Refused, kRefused},
-                                                                           {TaskState::Stopped, kStopped},
-                                                                           {TaskState::Cancelled, kStopped},
-                                                                           {TaskState::Unknown, kNotConfirmed}}) {
+    for (const auto& [state, exit] :
+         std::vector<std::pair<TaskState, int>>{{TaskState::Failed, kRefused},
+                                                {TaskState::Refused, kRefused},
+                                                {TaskState::Stopped, kStopped},
+                                                {TaskState::Cancelled, kStopped},
+                                                {TaskState::Unknown, kNotConfirmed}}) {
         station->script = {{state, -1, "", {RefusalCode::Failed, "because", {}}, {}}};
         EXPECT_EQ(perform("run", runCyton()), exit) << client::toString(state);
     }
@@ -79,7 +83,8 @@ TEST_F(Verbs, ASecondInterruptDoesNotWaitForTheTask) {
     station->script = {{TaskState::Running, 0.1, "", {}, {}}};
     station->cancel_is_heard = false;
     mailbox->interrupt();
-    // The second one comes as the first is handled: the fake never answers, and only this ends the wait at once.
+    // The second one comes as the first is handled: the fake never answers, and only this ends the wait at
+    // once.
     std::thread second([this] {
         while (station->journalNow().size() < 2) std::this_thread::yield();
         mailbox->interrupt();
@@ -150,7 +155,9 @@ TEST_F(Verbs, StopDoesWhatItCanWhenANameIsWrong) {
 TEST_F(Verbs, CheckOutTakesAllAndSaysWhatIsHeldAlready) {
     kept = true;
     ASSERT_TRUE(station->checkOut({cyton()}));
-    EXPECT_EQ(perform("checkout", {{"entity", {"Cyton", station->entities_[0].id, station->entities_[0].id}}}), kDone);
+    EXPECT_EQ(
+        perform("checkout", {{"entity", {"Cyton", station->entities_[0].id, station->entities_[0].id}}}),
+        kDone);
     EXPECT_EQ(station->held().size(), 2U);
     EXPECT_EQ(seen.last("checked_out")->at("already").at(0).at("name"), "Cyton");
     EXPECT_EQ(seen.last("checked_out")->at("entities").size(), 1U);
@@ -167,7 +174,8 @@ TEST_F(Verbs, ReleaseWithoutANameReleasesEverything) {
 TEST_F(Verbs, ALostCheckOutIsNamedAsTheReason) {
     station->lost_id = cyton();
     EXPECT_EQ(perform("cancel", {{"entity", "Cyton"}}), kRefused);
-    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("was lost: an admin took it over"));
+    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(),
+                HasSubstr("was lost: an admin took it over"));
     EXPECT_EQ(seen.last("error")->at("holder"), "eve@lab");
 }
 
@@ -187,12 +195,20 @@ TEST_F(Verbs, CancelFindsTheOnlyTask) {
 }
 
 TEST_F(Verbs, SetSendsEachParameterAndUploadShowsProgress) {
-    EXPECT_EQ(perform("set", {{"entity", "Cyton"}, {"service", "Driving"}, {"parameters", {"range_threshold=700"}}}), kDone);
+    EXPECT_EQ(perform("set",
+                      {{"entity", "Cyton"}, {"service", "Driving"}, {"parameters", {"range_threshold=700"}}}),
+              kDone);
     EXPECT_EQ(station->set_arguments.at(0).name, "Range Threshold");
-    EXPECT_EQ(perform("upload", {{"entity", "Cyton"}, {"service", "Driving"}, {"resource", "map"}, {"file", "/lab.map"}}), kDone);
+    EXPECT_EQ(
+        perform("upload",
+                {{"entity", "Cyton"}, {"service", "Driving"}, {"resource", "map"}, {"file", "/lab.map"}}),
+        kDone);
     EXPECT_EQ(seen.last("upload")->at("sent"), 1000);
     EXPECT_EQ(seen.events.back()["event"], "uploaded");
-    EXPECT_EQ(perform("upload", {{"entity", "Cyton"}, {"service", "Driving"}, {"resource", "mop"}, {"file", "/lab.map"}}), kRefused);
+    EXPECT_EQ(
+        perform("upload",
+                {{"entity", "Cyton"}, {"service", "Driving"}, {"resource", "mop"}, {"file", "/lab.map"}}),
+        kRefused);
 }
 
 TEST_F(Verbs, SendCarriesBytesUnharmed) {
@@ -203,11 +219,14 @@ TEST_F(Verbs, SendCarriesBytesUnharmed) {
 }
 
 TEST_F(Verbs, WatchShowsSamplesAndTextsUntilItsTimeIsUp) {
-    station->samples = {{1, R"({"x":1.5})"}, {3, "no json"}};
+    station->samples = {{1, R"({"stream":"pose","sequence":"1","taken_at_us":"12345","pose":{"x":1.5}})"},
+                        {3, "no json"}};
     station->says = "hello";
     EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"streams", {"pose"}}, {"for", 0.05}}), kDone);
     EXPECT_THAT(station->watched, ElementsAre("pose"));
     EXPECT_EQ(seen.last("text")->at("text"), "hello");
+    EXPECT_EQ(seen.events.at(2)["sample"], Json({{"pose", {{"x", 1.5}}}}));
+    EXPECT_EQ(seen.events.at(2)["taken_at_us"], 12345);
     EXPECT_EQ(seen.last("sample")->at("sample"), "no json");
     EXPECT_EQ(seen.last("sample")->at("sequence"), 3);
     mailbox->interrupt();
@@ -251,8 +270,10 @@ TEST(Completion, OffersWhatFitsTheWord) {
     EXPECT_EQ(offered({"axon", "re"}), "rearm\nrelease\nresume\nreset");
     EXPECT_EQ(offered({"axon", "run", "Peo"}), "PeopleBot#1\nPeopleBot#2");
     EXPECT_EQ(offered({"axon", "run", "Cyton", ""}), "Driving");
-    EXPECT_EQ(offered({"axon", "run", "--wait", "3", "Cyton", "Driving", "Distance=1", ""}), "Range_Threshold=\nColours=");
+    EXPECT_EQ(offered({"axon", "run", "--wait", "3", "Cyton", "Driving", "Distance=1", ""}),
+              "Range_Threshold=\nColours=");
     EXPECT_EQ(offered({"axon", "run", "Cyton", "Driving", "Colours", "=", "r"}), "red");
+    EXPECT_EQ(offered({"axon", "run", "Cyton", "Driving", "range"}), "Range_Threshold=");
     EXPECT_EQ(offered({"axon", "upload", "Cyton", "Driving", ""}), "Map");
     EXPECT_EQ(offered({"axon", "upload", "Cyton", "Driving", "Map", "x"}), "__files__");
     EXPECT_EQ(offered({"axon", "stop", "Cyton", "--d"}), "--deadline");

@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
+#include <cstdlib>
+
 #include "cli/verbs/holding.hpp"
 #include "cli/words.hpp"
 
@@ -6,26 +8,35 @@
 namespace axon::cli {
 namespace {
 
+/// What was measured, without what the event says itself.
+Json sampleEvent(const std::string& entity, const Sample& sample) {
+    Json event{
+        {"event", "sample"}, {"entity", entity}, {"stream", sample.stream}, {"sequence", sample.sequence}};
+    auto content = Json::parse(sample.json, nullptr, false);
+    if (content.is_discarded()) content = sample.json;
+    if (content.is_object()) {
+        // Protobuf's JSON writes 64-bit integers as texts.
+        if (const auto taken = content.value("taken_at_us", ""); !taken.empty() && taken.size() < 19) {
+            event["taken_at_us"] = std::strtoll(taken.c_str(), nullptr, 10);
+        }
+        for (const auto* known : {"stream", "sequence", "taken_at_us"}) content.erase(known);
+    }
+    event["sample"] = std::move(content);
+    return event;
+}
+
 int watch(Session& session) {
     const auto name = session.args.at("entity").get<std::string>();
     const auto found = session.station->find(name);
     if (!found) return refuse(session, found.refusal(), name);
     const auto listening = listenTo(session, found.value());
     const auto mailbox = session.mailbox;
-    const auto watching =
-        session.station->watch(found->id, session.args.value("streams", std::vector<std::string>{}),
-                               [mailbox, entity = found->name](const Sample& sample) {
-                                   auto content = Json::parse(sample.json, nullptr, false);
-                                   if (content.is_discarded()) content = sample.json;
-                                   mailbox->post({{"event", "sample"},
-                                                  {"entity", entity},
-                                                  {"stream", sample.stream},
-                                                  {"sequence", sample.sequence},
-                                                  {"sample", std::move(content)}},
-                                                 true);
-                               });
+    const auto call = callOf(session, found.value());
+    const auto watching = session.station->watch(
+        found->id, session.args.value("streams", std::vector<std::string>{}),
+        [mailbox, call](const Sample& sample) { mailbox->post(sampleEvent(call, sample), true); });
     if (!watching) return refuse(session, watching.refusal(), name);
-    session.events.emit({{"event", "watching"}, {"entity", found->name}});
+    session.events.emit({{"event", "watching"}, {"entity", call}});
 
     std::optional<std::chrono::steady_clock::time_point> end;
     if (session.args.contains("for")) {
@@ -33,15 +44,19 @@ int watch(Session& session) {
               std::chrono::duration_cast<std::chrono::steady_clock::duration>(
                   Seconds(session.args.at("for").get<double>()));
     }
+    bool any = false;
     while (const auto event = session.mailbox->wait(end)) {
         session.events.emit(*event);
+        any = true;
         if (const auto dropped = session.mailbox->takeDropped(); dropped > 0) {
             session.events.emit({{"event", "dropped"}, {"count", dropped}});
         }
         // A clock that is looked at only when nothing comes would never end a busy watch.
         if (end && std::chrono::steady_clock::now() >= *end) break;
     }
-    return session.mailbox->takeInterrupt() ? kInterrupted : kDone;
+    if (session.mailbox->takeInterrupt()) return kInterrupted;
+    if (!any) session.events.emit({{"event", "notice"}, {"message", "nothing came from " + call}});
+    return kDone;
 }
 
 }  // namespace
