@@ -63,7 +63,7 @@ class ArcosServerTest : public ::testing::Test, public ArcosServer::Port {
     int sips_ = 0;
     BodyReadings body_;
     ArcosServer::WheelSpeeds wheels_;
-    ArcosServer server_{{.name = "Ann"}, *this};
+    ArcosServer server_{{.name = "Left"}, *this};
 };
 
 TEST_F(ArcosServerTest, HandshakeEchoesAndTellsNameClassAndSubclass) {
@@ -73,7 +73,7 @@ TEST_F(ArcosServerTest, HandshakeEchoesAndTellsNameClassAndSubclass) {
     EXPECT_EQ(answers_[0], (arcos::Packet{0, {}}));
     EXPECT_EQ(answers_[1], (arcos::Packet{1, {}}));
     arcos::FieldReader fields(answers_[2].data);
-    EXPECT_EQ(fields.text(), "Ann");
+    EXPECT_EQ(fields.text(), "Left");
     EXPECT_EQ(fields.text(), "Pioneer");
     EXPECT_EQ(fields.text(), "peoplebot-sh");
     EXPECT_TRUE(fields.atEnd());

@@ -19,8 +19,8 @@ std::string complaint(const std::function<void()>& action) {
 }
 
 TEST(WorldDescription, RobotsAreParsedAndWhatIsMissingHasAPlace) {
-    const auto robot = parseRobot("name=Ann,x=2,y=3.5,theta=-90,port=9000", 0);
-    EXPECT_EQ(robot.name, "Ann");
+    const auto robot = parseRobot("name=Left,x=2,y=3.5,theta=-90,port=9000", 0);
+    EXPECT_EQ(robot.name, "Left");
     EXPECT_EQ(robot.x, 2);
     EXPECT_EQ(robot.y, 3.5);
     EXPECT_EQ(robot.theta, -90);
@@ -52,8 +52,8 @@ TEST(WorldDescription, NothingStandsInAnythingElse) {
     EXPECT_THAT(complaint([&] { validate(world); }), HasSubstr("stands in a wall"));
     world.robots = {{.x = 5.2, .y = 1.3}};
     EXPECT_THAT(complaint([&] { validate(world); }), HasSubstr("stands in a box"));
-    world.robots = {{.x = 3, .y = 3}, {.name = "Bob", .x = 3.2, .y = 3}};
-    EXPECT_THAT(complaint([&] { validate(world); }), HasSubstr("robot Bob"));
+    world.robots = {{.x = 3, .y = 3}, {.name = "Right", .x = 3.2, .y = 3}};
+    EXPECT_THAT(complaint([&] { validate(world); }), HasSubstr("robot Right"));
     world.robots = {{.x = 9, .y = 3}};
     EXPECT_THAT(complaint([&] { validate(world); }), HasSubstr("outside of the room"));
 }

@@ -18,7 +18,7 @@ void onSignal(int /*signal*/) {
 constexpr auto kFooter = R"(
 Places are metres and degrees, the room's lower left corner is the origin. What is not given has a default.
   axon-lab                                          one PeopleBot in the default room, on 127.0.0.1:8101
-  axon-lab --robot name=Ann --robot name=Bob        two of them, on ports 8101 and 8102
+  axon-lab --robot name=left --robot name=right       two of them, on ports 8101 and 8102
   axon-lab --robot x=2,y=3,theta=90,port=9000       where it stands, and its port
   axon-lab --empty --box x=4,y=3,dx=0.5,dy=1,height=0.6 --table x=6,y=2
 Each robot speaks ARCOS, the protocol of the real one: any ARCOS client can drive it, one at a time.

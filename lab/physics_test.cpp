@@ -155,7 +155,7 @@ TEST_F(PhysicsTest, ALowBoxIsSeenByTheBaseRingOnly) {
 
 TEST_F(PhysicsTest, AnotherRobotIsSeen) {
     WorldDescription world;
-    world.robots = {{.x = 2, .y = 3}, {.name = "Bob", .x = 4, .y = 3, .theta = 90}};
+    world.robots = {{.x = 2, .y = 3}, {.name = "Right", .x = 4, .y = 3, .theta = 90}};
     start(world);
     EXPECT_LT(robot().sonars[3].range_mm, 1900);
     EXPECT_GT(robot().sonars[3].range_mm, 1500);
