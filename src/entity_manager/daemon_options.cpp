@@ -2,6 +2,7 @@
 #include "entity_manager/daemon_options.hpp"
 
 #include <Ice/Ice.h>
+#include <unistd.h>
 
 #include <CLI/CLI.hpp>
 #include <cstdlib>
@@ -104,6 +105,7 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         throw std::runtime_error("no application named; say --application NAME, the name that the robot application gives its "
                                  "Entity Interfacer, or Axon.Application=NAME in the configuration file");
     options.back_end.application = options.core.application;
+    options.back_end.manager = "axon-entity-manager, process " + std::to_string(::getpid());
     options.back_end.instance = chosen(instance, "Axon.Instance", "");
     if (const auto from = chosen(ports_file, "Axon.PortsFile", ""); !from.empty()) options.back_end.where = accepted(readPorts(from));
     if (const auto range = chosen(ports, "Axon.Ports", ""); !range.empty())
