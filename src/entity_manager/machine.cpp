@@ -120,20 +120,25 @@ void EntityManagerCore::Machine::process(Event event, const Header& head, proto:
         ++counters_.anonymous;  // an answer without a recipient would go to everybody
         return;
     }
-    if (findRow(state_, event) != nullptr) {
-        if (const auto refusal = guard(event, head); !refusal.ok()) {
-            refuse(incident, refusal);
-            return;
-        }
-        if (event == Event::Release || event == Event::Clear)
-            incident.reason = {RefusalCode::Stopped,
-                               named(head.sender) +
-                                   (event == Event::Clear ? " cleared all tasks." : " released the entity."),
-                               {}};
-        if (event == Event::Release) incident.cause = StopCause::Released;
-        if (event == Event::Clear) incident.cause = StopCause::Clear;
-        if (event == Event::Reset) incident.cause = StopCause::Reset;
+    if (findRow(state_, event) == nullptr) {
+        // Free, but the sender may have held it: that is the reason it can act upon.
+        const bool was_held = state_ == EntityState::IDLE && needsOf(event).holder;
+        refuse(incident,
+               was_held ? lease_.check(head.sender, head.held) : refusalFor(state_, event, reason_));
+        return;
     }
+    if (const auto refusal = guard(event, head); !refusal.ok()) {
+        refuse(incident, refusal);
+        return;
+    }
+    if (event == Event::Release || event == Event::Clear)
+        incident.reason = {
+            RefusalCode::Stopped,
+            named(head.sender) + (event == Event::Clear ? " cleared all tasks." : " released the entity."),
+            {}};
+    if (event == Event::Release) incident.cause = StopCause::Released;
+    if (event == Event::Clear) incident.cause = StopCause::Clear;
+    if (event == Event::Reset) incident.cause = StopCause::Reset;
     fire(incident);
 }
 
@@ -274,11 +279,21 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
 
 /// After each event: what follows from the state as a whole.
 void EntityManagerCore::Machine::settle() {
-    if (early_done_ && early_done_->stop_generation() <= generation_) {
-        const auto done = *early_done_;
-        early_done_.reset();
+    for (auto at = early_done_.begin(); at != early_done_.end();) {
+        if (at->stop_generation() > generation_) {
+            ++at;
+            continue;
+        }
+        const auto done = *at;
+        at = early_done_.erase(at);
         stopDone(done);
     }
+    if (waiting_grant_ && standing()) {
+        const auto waiting = std::move(*waiting_grant_);
+        waiting_grant_.reset();
+        grantWhenStanding(waiting.client, waiting.request_id, waiting.phase);
+    }
+    dispatchNext();
     const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_;
     if (occupied != busy_told_) {
         busy_told_ = occupied;
@@ -321,6 +336,7 @@ void EntityManagerCore::Machine::onLinkDown(const std::string& reason) {
         for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
     }
     open_stops_.clear();
+    early_done_.clear();
     fire(incident);
     settle();
 }
@@ -472,7 +488,7 @@ void EntityManagerCore::Machine::applicationStatus(const proto::StatusNote& note
     if (application_busy_)
         fire(Event::ApplicationBusy);
     else
-        fire(state_ == EntityState::BUSY && active_.empty() ? Event::LastTaskEnded : Event::ApplicationReady);
+        fire(state_ == EntityState::BUSY && !anyRuns() ? Event::LastTaskEnded : Event::ApplicationReady);
 }
 
 // -- the server
@@ -480,6 +496,7 @@ void EntityManagerCore::Machine::applicationStatus(const proto::StatusNote& note
 
 void EntityManagerCore::Machine::seekServer() {
     if (!registration_) return;
+    if (std::exchange(server_silent_, false)) server_.wantConnection(false);
     server_.wantConnection(true);
     if (server_up_ && state_ == EntityState::ENVCONN) fire(Event::ServerUp);
 }
@@ -622,8 +639,9 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
         return;
     }
     if (done.stop_generation() > generation_) {
-        // The signal thread wrote the stop before it told this strand, and the answer was faster than the news.
-        early_done_ = done;
+        // The signal thread wrote the stop before it told this strand, and the answer was faster than the
+        // news.
+        if (early_done_.size() < kOpenStops) early_done_.push_back(done);
         return;
     }
     proto::ToClient message;
@@ -644,15 +662,8 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
 }
 
 void EntityManagerCore::Machine::confirmStop(std::uint32_t generation) {
-    if (generation <= confirmed_ || generation > generation_) return;
-    confirmed_ = generation;
-    if (!standing()) return;
-    if (waiting_grant_) {
-        const auto waiting = std::move(*waiting_grant_);
-        waiting_grant_.reset();
-        grantWhenStanding(waiting.client, waiting.request_id, waiting.phase);
-    }
-    dispatchNext();
+    if (generation <= confirmed_ || generation > stop_gate_.generation()) return;
+    confirmed_ = generation;  // what waited for it: settle()
 }
 
 // -- leases
@@ -675,7 +686,13 @@ void EntityManagerCore::Machine::considerCheckOut(const Incident& incident) {
     switch (phase) {
         case proto::TAKE:
         case proto::COMMIT: {
-            if (waits) return;  // asked again: the one answer is still to come
+            if (waits) {
+                if (waiting_grant_->phase == phase) return;  // asked again: the one answer is still to come
+                refuseWith({RefusalCode::WrongState,
+                            "This check-out waits already until the robot stands still.",
+                            {}});
+                return;
+            }
             if (mine) {
                 sendGrant(phase);
                 return;
@@ -889,7 +906,10 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
             event.set_service(incident.body->task().service());
             event.set_state(proto::TASK_REFUSED);
             event.set_progress(-1);
-            *event.mutable_reason() = toProto(refusal);
+            // Of a task that was accepted before, its sender must not think that this is its end.
+            const auto id = Id128::fromBytes(incident.body->task().task_id());
+            const auto again = id ? queue_.mayPush(*id) : Refusal{};
+            *event.mutable_reason() = toProto(again.code == RefusalCode::Duplicate ? again : refusal);
             tell(to, kMsgTask, message);
             return;
         }
@@ -1021,14 +1041,11 @@ void EntityManagerCore::Machine::onTimer() {
     if (quit_) return;
     const auto now = clock_.now();
     if (server_up_ && server_watchdog_.expired(now)) {
-        serverLost(
-            "it has been silent for " +
-            std::to_string(
-                std::chrono::duration_cast<std::chrono::milliseconds>(server_watchdog_.timeout()).count()) +
-            " ms");
-        // A session that is silent but not closed is given up, so that a new one can be made.
-        server_.wantConnection(false);
-        server_.wantConnection(true);
+        server_silent_ =
+            true;  // a session that is silent but not closed is given up, so that a new one can be made
+        const auto silence =
+            std::chrono::duration_cast<std::chrono::milliseconds>(server_watchdog_.timeout());
+        serverLost("it has been silent for " + std::to_string(silence.count()) + " ms");
     }
     if (lease_.expire(now) && waiting_grant_) {
         const auto waiting = std::move(*waiting_grant_);

@@ -123,7 +123,9 @@ class EntityManagerCore::Machine {
     void acknowledge(const Incident& incident);
     void stopDone(const proto::StopDone& done);
     void confirmStop(std::uint32_t generation);
-    bool standing() const { return !link_up_ || confirmed_ >= commanded_; }
+    /// Every stop that has been given is confirmed by the robot application, those on their way here
+    /// included.
+    bool standing() const { return stopsAreHandled() && confirmed_ >= commanded_; }
 
     // Leases.
     void considerCheckOut(const Incident& incident);
@@ -151,6 +153,7 @@ class EntityManagerCore::Machine {
     bool lingeringEnded(const Id128& id);
     void applicationStatus(const proto::StatusNote& note);
     Active* findActive(const Id128& id);
+    bool anyRuns() const;
     void sendTask(const Task& task, proto::TaskState state, const Refusal& reason);
 
     // Parameters and resources (machine_tasks.cpp).
@@ -192,6 +195,7 @@ class EntityManagerCore::Machine {
     bool latched_ = false;
     bool link_up_ = false;
     bool server_up_ = false;
+    bool server_silent_ = false;
     bool application_busy_ = false;  ///< by its own account (setStatus)
     bool busy_told_ = false;
     bool quit_ = false;
@@ -213,9 +217,9 @@ class EntityManagerCore::Machine {
     std::uint32_t required_;    ///< a command must have seen at least this one
     std::vector<std::uint32_t>
         early_;  ///< own stops above generation_, while one of the signal thread is under way
-    std::optional<proto::StopDone> early_done_;  ///< the answer to a stop above generation_
-    std::uint32_t commanded_ = 0;  ///< newest stop that the robot application must have been told
-    std::uint32_t confirmed_ = 0;  ///< newest stop whose callback has returned
+    std::vector<proto::StopDone> early_done_;  ///< answers to stops above generation_
+    std::uint32_t commanded_ = 0;              ///< newest stop that the robot application must have been told
+    std::uint32_t confirmed_ = 0;              ///< newest stop whose callback has returned
     std::deque<OpenStop> open_stops_;
 
     ServiceProfiler profiler_;

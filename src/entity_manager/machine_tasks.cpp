@@ -107,6 +107,12 @@ void EntityManagerCore::Machine::dispatch(Task task) {
     sendTask(active_.back().task, proto::TASK_DISPATCHED, {});
 }
 
+/// Granted ones: what has only been dispatched does not make BUSY.
+bool EntityManagerCore::Machine::anyRuns() const {
+    return std::any_of(active_.begin(), active_.end(),
+                       [](const Active& active) { return active.phase != Active::Phase::Dispatched; });
+}
+
 EntityManagerCore::Machine::Active* EntityManagerCore::Machine::findActive(const Id128& id) {
     for (auto& active : active_)
         if (active.task.id == id) return &active;
@@ -183,6 +189,15 @@ bool EntityManagerCore::Machine::lingeringEnded(const Id128& id) {
 /// The robot application has said how it ended.
 void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskEvent event) {
     const Task task = std::move(active_[at].task);
+    if (!event.has_reason() && event.state() == proto::TASK_STOPPED)
+        *event.mutable_reason() =
+            toProto(Refusal{RefusalCode::Stopped,
+                            active_[at].halted ? "Stopped by a reset." : "Stopped by the robot application itself.",
+                            {}});
+    if (!event.has_reason() && event.state() == proto::TASK_CANCELLED)
+        *event.mutable_reason() = toProto(Refusal{RefusalCode::Cancelled, "Cancelled while it ran.", {}});
+    if (!event.has_reason() && event.state() == proto::TASK_FAILED)
+        *event.mutable_reason() = toProto(Refusal{RefusalCode::Failed, "The robot application gave no reason.", {}});
     active_.erase(active_.begin() + static_cast<std::ptrdiff_t>(at));
     leaveService(task, event.state() != proto::TASK_REFUSED);
     event.set_task_id(task.id.bytes());
@@ -190,7 +205,7 @@ void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskEvent event)
     proto::ToClient message;
     message.mutable_task()->Swap(&event);
     if (holder() != nullptr) tell(*holder(), kMsgTask, message);
-    const bool last = active_.empty() && !application_busy_ && state_ == EntityState::BUSY;
+    const bool last = !anyRuns() && !application_busy_ && state_ == EntityState::BUSY;
     fire(last ? Event::LastTaskEnded : Event::TaskEnded);
 }
 

@@ -188,7 +188,10 @@ void CoreRig::stopDone(std::uint32_t stopped, proto::StopReceipt::Stage stage) {
 }
 
 Header CoreRig::headOf(const std::string& client) {
-    auto& belief = clients[client];
+    // A client that joins is told the present status of every entity.
+    const auto [at, joined] = clients.try_emplace(client);
+    auto& belief = at->second;
+    if (joined && !statuses.empty()) belief.generation = statuses.back().stop_generation;
     Header head;
     head.sender = {client, client + "@lab",
                    client.starts_with("admin")      ? Role::Admin
@@ -466,6 +469,7 @@ std::string shown(const proto::EmToEi& message) {
 void CoreRig::send(const proto::EmToEi& message) {
     note("application: " + shown(message));
     to_application.push_back(message);
+    if (on_application) on_application(message);
 }
 
 void CoreRig::stop(std::uint32_t raised, StopCause cause) {
@@ -504,6 +508,7 @@ void CoreRig::sendStatus(const EntityStatus& status) {
 void CoreRig::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
     note(head.sender.id + (lane == Lane::Signal ? " (signal): " : ": ") + shown(message));
     to_clients.push_back({lane, head, message, false});
+    if (on_client) on_client(to_clients.back());
     auto& belief = clients[head.sender.id];
     belief.generation = std::max(belief.generation, head.stop_generation);
     if (message.has_check_out() && message.check_out().has_lease())

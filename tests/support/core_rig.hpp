@@ -3,6 +3,7 @@
 #include <axon/link.pb.h>
 #include <axon/messages.pb.h>
 
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
@@ -106,6 +107,10 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
         proto::ToClient message;
         bool droppable;
     };
+    /// Called as it happens, with the core in the middle of an event.
+    std::function<void(const proto::EmToEi&)> on_application;
+    std::function<void(const ToClientRecord&)> on_client;
+
     std::vector<proto::EmToEi> to_application;
     std::vector<std::pair<std::uint32_t, StopCause>> stops;
     std::vector<ToClientRecord> to_clients;

@@ -15,7 +15,8 @@ class Words {
     std::string next() {
         std::string word;
         in_ >> std::ws;
-        if (in_.peek() == '"') {
+        quoted_ = in_.peek() == '"';
+        if (quoted_) {
             in_.get();
             std::getline(in_, word, '"');
         } else {
@@ -25,7 +26,7 @@ class Words {
     }
     std::string need(const char* what) {
         auto word = next();
-        if (word.empty()) throw std::runtime_error(std::string("expected ") + what);
+        if (word.empty() && !quoted_) throw std::runtime_error(std::string("expected ") + what);
         return word;
     }
     std::vector<std::string> rest() {
@@ -36,6 +37,7 @@ class Words {
 
   private:
     std::istringstream in_;
+    bool quoted_ = false;
 };
 
 proto::RefusalCode codeOf(const std::string& name) {

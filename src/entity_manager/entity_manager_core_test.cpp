@@ -1,0 +1,240 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/entity_manager_core.hpp"
+
+#include <gtest/gtest.h>
+
+#include <set>
+
+#include "tests/support/core_rig.hpp"
+
+namespace axon::entity_manager {
+namespace {
+
+using test::CoreRig;
+using test::idOf;
+
+/// The final state that was told of the task, and how many times one was.
+std::pair<proto::TaskState, int> endOf(const CoreRig& rig, const std::string& task) {
+    std::pair<proto::TaskState, int> end{proto::TASK_UNSPECIFIED, 0};
+    for (const auto& record : rig.to_clients)
+        if (record.message.has_task() && record.message.task().task_id() == idOf(task) &&
+            record.message.task().state() >= proto::TASK_SUCCEEDED)
+            end = {record.message.task().state(), end.second + 1};
+    return end;
+}
+
+proto::RefusalCode refusalOf(const CoreRig& rig, const std::string& task) {
+    for (const auto& record : rig.to_clients)
+        if (record.message.has_task() && record.message.task().task_id() == idOf(task) &&
+            record.message.task().state() == proto::TASK_REFUSED)
+            return record.message.task().reason().code();
+    return proto::OK;
+}
+
+int dispatches(const CoreRig& rig) {
+    int count = 0;
+    for (const auto& message : rig.to_application) count += message.has_task() ? 1 : 0;
+    return count;
+}
+
+struct Held : testing::Test {
+    Held() {
+        rig.makeIdle();
+        rig.take("alice", "r1");
+    }
+    CoreRig rig;
+};
+
+TEST_F(Held, StopVoidsAFullQueueAndTheQueueTakesNoMoreThanItsBound) {
+    rig.task("alice", "run", "Turning");
+    rig.grant("run");
+    for (int i = 0; i < 64; ++i) rig.task("alice", "w" + std::to_string(i), "Turning");
+    rig.task("alice", "one-more", "Turning");
+    EXPECT_EQ(refusalOf(rig, "one-more"), proto::QUEUE_FULL);
+    rig.stop("bob");
+    for (int i = 0; i < 64; ++i)
+        EXPECT_EQ(endOf(rig, "w" + std::to_string(i)), std::pair(proto::TASK_STOPPED, 1));
+    EXPECT_EQ(endOf(rig, "run"), std::pair(proto::TASK_STOPPED, 1));
+    EXPECT_EQ(dispatches(rig), 1);
+}
+
+TEST_F(Held, NothingIsDispatchedWhileAStopIsOnItsWayToTheStrand) {
+    rig.task("alice", "t1", "Turning");
+    rig.grant("t1");
+    rig.task("alice", "t2", "Turning");
+    // The signal thread has raised the generation and told the robot; the strand does not know yet.
+    auto head = rig.headOf("bob");
+    const auto raised = rig.gate.raise("bob", head.sequence);
+    rig.update("t1", proto::TASK_SUCCEEDED);
+    EXPECT_EQ(dispatches(rig), 1);
+    rig.task("alice", "t3", "Turning");
+    EXPECT_EQ(refusalOf(rig, "t3"), proto::OLD_GENERATION);
+    rig.core().onStopSignal(head, StopCause::Requested, *raised);
+    EXPECT_EQ(endOf(rig, "t2"), std::pair(proto::TASK_STOPPED, 1));
+    EXPECT_TRUE(rig.core().latched());
+}
+
+TEST_F(Held, AResetDoesNotReviveWhatAStopUnderWayVoids) {
+    rig.task("alice", "t1", "Turning");
+    rig.grant("t1");
+    rig.task("alice", "t2", "Turning");
+    auto head = rig.headOf("bob");
+    const auto raised = rig.gate.raise("bob", head.sequence);
+    rig.reset("alice");  // its own stop is newer than the one that is under way
+    rig.update("t1", proto::TASK_STOPPED);
+    rig.stopDone(rig.gate.generation());
+    EXPECT_EQ(dispatches(rig), 1);
+    rig.core().onStopSignal(head, StopCause::Requested, *raised);
+    EXPECT_EQ(endOf(rig, "t2"), std::pair(proto::TASK_STOPPED, 1));
+    EXPECT_EQ(dispatches(rig), 1);
+    EXPECT_EQ(rig.core().status().stop_generation, static_cast<std::int32_t>(rig.gate.generation()));
+}
+
+TEST_F(Held, AnAnswerThatIsFasterThanTheNewsOfItsStopIsToldAfterIt) {
+    auto head = rig.headOf("bob");
+    const auto raised = rig.gate.raise("bob", head.sequence);
+    rig.stopDone(*raised);
+    rig.stopDone(*raised, proto::StopReceipt::STANDSTILL);
+    rig.core().onStopSignal(head, StopCause::Requested, *raised);
+    std::vector<proto::StopReceipt::Stage> stages;
+    for (const auto& record : rig.to_clients)
+        if (record.message.has_receipt() && record.head.sender.id == "bob")
+            stages.push_back(record.message.receipt().stage());
+    EXPECT_EQ(stages, (std::vector{proto::StopReceipt::MANAGER, proto::StopReceipt::CALLBACK_RETURNED,
+                                   proto::StopReceipt::STANDSTILL}));
+}
+
+TEST_F(Held, StopsThatReachTheStrandInAnotherOrderAreAllHandled) {
+    auto first = rig.headOf("bob");
+    auto second = rig.headOf("bob");
+    const auto one = rig.gate.raise("bob", first.sequence);
+    const auto two = rig.gate.raise("bob", second.sequence);
+    rig.core().onStopSignal(second, StopCause::Requested, *two);
+    rig.core().onStopSignal(first, StopCause::Requested, *one);
+    rig.stopDone(*two);
+    rig.generation = static_cast<std::int32_t>(*two);
+    rig.rearm("alice", "r2");
+    EXPECT_FALSE(rig.core().latched());
+    rig.task("alice", "t1", "Turning");
+    EXPECT_EQ(dispatches(rig), 1);
+}
+
+TEST_F(Held, TheShortWatchdogRunsBeforeTheTaskDoes) {
+    rig.takeLines();
+    rig.task("alice", "t1", "Turning");
+    const auto lines = rig.takeLines();
+    ASSERT_GE(lines.size(), 2U);
+    EXPECT_EQ(lines[0], "application: watchdog busy");
+    EXPECT_EQ(lines[1].find("application: TaskDispatch"), 0U);
+}
+
+TEST_F(Held, HeadersNameTheRecipientTheEntityTheLeaseAndTheGeneration) {
+    rig.stop("bob");
+    rig.task("alice", "t1", "Turning");
+    const auto& head = rig.to_clients.back().head;
+    EXPECT_EQ(head.sender.id, "alice");
+    EXPECT_EQ(head.entity, rig.core().uuid());
+    EXPECT_EQ(head.msg_type, kMsgTask);
+    EXPECT_EQ(head.held, (LeaseNumber{1, 1}));
+    EXPECT_EQ(head.stop_generation, 1);
+}
+
+TEST_F(Held, AMessageWithoutASenderIsCountedAndAnsweredToNobody) {
+    const auto before = rig.to_clients.size();
+    Header nobody;
+    rig.core().onClientMsg(nobody, "not a message");
+    proto::ToEntity status;
+    status.mutable_status_request();
+    rig.core().onClientMsg(nobody, status.SerializeAsString());
+    EXPECT_EQ(rig.to_clients.size(), before);
+    EXPECT_EQ(rig.core().counters().anonymous, 1U);
+    EXPECT_EQ(rig.core().counters().malformed, 1U);
+    EXPECT_EQ(rig.core().state(), EntityState::REG);
+}
+
+TEST_F(Held, RawDataIsMovedNotCopied) {
+    proto::ToEntity message;
+    const std::string bulk(60'000, 'x');
+    message.mutable_raw()->add_data(bulk);
+    rig.send("alice", message);
+    ASSERT_TRUE(rig.to_application.back().has_raw());
+    EXPECT_EQ(rig.to_application.back().raw().data(0), bulk);
+    proto::EiToEm back;
+    back.mutable_raw()->add_data(bulk);
+    rig.core().onLinkMessage(std::move(back));
+    EXPECT_EQ(rig.to_clients.back().message.raw().data(0), bulk);
+    EXPECT_TRUE(rig.to_clients.back().droppable);
+}
+
+TEST_F(Held, AnAnswerThatComesAfterTheLeaseSetsNothingForTheNextHolder) {
+    rig.setParam("alice", "r2", "Driving", "Speed=555");
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("alice", release);
+    rig.stopDone(1);
+    rig.take("bob", "r3");
+    proto::EiToEm answer;
+    answer.mutable_answer()->set_request(1);
+    rig.fromApplication(answer);
+    rig.task("bob", "t1", "Driving", {"Distance=1"});
+    ASSERT_TRUE(rig.to_application.back().has_task());
+    for (const auto& param : rig.to_application.back().task().params())
+        EXPECT_EQ(param.values(0).int_(), param.name() == "Speed" ? 200 : 1);
+}
+
+TEST_F(Held, TheUuidSurvivesARestartAndTheEpochGrows) {
+    const auto uuid = rig.core().uuid();
+    rig.restart();
+    EXPECT_EQ(rig.core().uuid(), uuid);
+    rig.makeIdle();
+    rig.take("alice", "r2");
+    EXPECT_EQ(rig.core().status().held, (LeaseNumber{2, 1}));
+}
+
+TEST_F(Held, AnUploadStaysInItsWindowAndIsCreditedAsItIsConsumed) {
+    const std::string content(900'000, 'm');
+    proto::ToEntity offer;
+    offer.mutable_resource_offer()->set_transfer_id(idOf("x"));
+    offer.mutable_resource_offer()->set_service("Delivery");
+    offer.mutable_resource_offer()->set_resource("Map");
+    offer.mutable_resource_offer()->set_file_name("map");
+    offer.mutable_resource_offer()->set_size(content.size());
+    offer.mutable_resource_offer()->set_sha256(test::MemoryResources::fakeHash(content));
+    rig.send("alice", offer);
+    std::uint64_t allowed = 0;
+    std::size_t seen = 0;
+    const auto readCredits = [&] {
+        for (; seen < rig.to_clients.size(); ++seen)
+            if (const auto& message = rig.to_clients[seen].message; message.has_resource_credit())
+                allowed = message.resource_credit().offset() + message.resource_credit().window();
+    };
+    for (std::size_t at = 0; at < content.size();) {
+        readCredits();
+        const auto size = std::min<std::size_t>(50'000, content.size() - at);
+        ASSERT_LE(at + size, allowed);
+        proto::ToEntity chunk;
+        chunk.mutable_resource_chunk()->set_transfer_id(idOf("x"));
+        chunk.mutable_resource_chunk()->set_offset(at);
+        chunk.mutable_resource_chunk()->set_content(content.substr(at, size));
+        rig.send("alice", chunk);
+        at += size;
+    }
+    ASSERT_TRUE(rig.to_application.back().has_resource());
+    EXPECT_EQ(rig.to_application.back().resource().size(), content.size());
+}
+
+TEST(EntityManagerCore, AllClientsThatAskAreToldWhyItIsUnavailable) {
+    CoreRig rig;
+    rig.makeIdle();
+    rig.core().onLinkDown("gone");
+    proto::ToEntity request;
+    request.mutable_status_request()->set_request_id(idOf("q"));
+    rig.send("bob", request);
+    const auto& status = rig.to_clients.back().message.status();
+    EXPECT_EQ(status.request_id(), idOf("q"));
+    EXPECT_EQ(status.state(), proto::UNAV);
+    EXPECT_NE(status.reason().find("gone"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace axon::entity_manager

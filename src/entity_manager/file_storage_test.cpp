@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/file_storage.hpp"
+
+#include <axon/transfer.pb.h>
+#include <gtest/gtest.h>
+#include <stdlib.h>
+
+#include <fstream>
+#include <sstream>
+
+namespace axon::entity_manager {
+namespace {
+
+namespace fs = std::filesystem;
+
+// SHA-256 of "abc" (FIPS 180-2, appendix B.1).
+const std::string kAbc(
+    "\xba\x78\x16\xbf\x8f\x01\xcf\xea\x41\x41\x40\xde\x5d\xae\x22\x23\xb0\x03\x61\xa3\x96\x17\x7a\x9c\xb4\x10"
+    "\xff\x61\xf2"
+    "\x00\x15\xad",
+    32);
+
+struct Folder : testing::Test {
+    Folder() {
+        char name[] = "/tmp/axon-store-XXXXXX";
+        folder = ::mkdtemp(name);
+    }
+    ~Folder() override { fs::remove_all(folder); }
+    static proto::ResourceOffer offer(const std::string& id, std::uint64_t size, const std::string& sha256) {
+        proto::ResourceOffer made;
+        made.set_transfer_id(id);
+        made.set_service("Ser/../vice");
+        made.set_resource("..");
+        made.set_size(size);
+        made.set_sha256(sha256);
+        return made;
+    }
+    static std::string content(const std::string& path) {
+        std::stringstream text;
+        text << std::ifstream(path).rdbuf();
+        return text.str();
+    }
+    fs::path folder;
+};
+
+TEST_F(Folder, AValueSurvivesAndNoKeyLeavesTheFolder) {
+    FileStorage(folder / "s").save("../../etc/uuid", "one");
+    FileStorage storage(folder / "s");
+    EXPECT_EQ(storage.load("../../etc/uuid"), "one");
+    storage.save("../../etc/uuid", std::string("two\0x", 5));
+    EXPECT_EQ(storage.load("../../etc/uuid"), std::string("two\0x", 5));
+    EXPECT_EQ(storage.load("other"), std::nullopt);
+    EXPECT_EQ(std::distance(fs::directory_iterator(folder / "s"), {}), 1);
+    EXPECT_EQ(std::distance(fs::directory_iterator(folder), {}), 1);
+}
+
+TEST_F(Folder, AResourceArrivesInPartsIsCheckedAndFoundAgain) {
+    std::string path;
+    {
+        FileResourceStore store(folder);
+        EXPECT_EQ(store.begin(offer("t1", 3, kAbc)).value(), 0U);
+        ASSERT_TRUE(store.write("t1", 0, "ab").ok());
+        EXPECT_FALSE(store.write("t1", 1, "c").ok()) << "does not continue";
+        EXPECT_FALSE(store.write("t1", 2, "cd").ok()) << "more than offered";
+        store.suspend("t1");
+    }
+    FileResourceStore store(folder);
+    EXPECT_EQ(store.begin(offer("t2", 3, kAbc)).value(), 2U) << "resumes after a restart";
+    ASSERT_TRUE(store.write("t2", 2, "c").ok());
+    const auto placed = store.finish("t2");
+    ASSERT_TRUE(placed.ok()) << placed.refusal().message;
+    EXPECT_EQ(content(placed.value()), "abc");
+    EXPECT_EQ(fs::path(placed.value()).lexically_normal().string().find((folder / "resources").string()), 0U);
+    EXPECT_EQ(store.find("Ser/../vice", ".."), placed.value());
+    store.remove("Ser/../vice", "..");
+    EXPECT_EQ(store.find("Ser/../vice", ".."), std::nullopt);
+    EXPECT_TRUE(fs::exists(folder / "resources"));
+}
+
+TEST_F(Folder, AWrongHashDeletesWhatArrivedAndKeepsTheOldFile) {
+    FileResourceStore store(folder);
+    (void)store.begin(offer("t1", 3, kAbc));
+    ASSERT_TRUE(store.write("t1", 0, "abc").ok());
+    ASSERT_TRUE(store.finish("t1").ok());
+    (void)store.begin(offer("t2", 3, std::string(32, 'h')));
+    ASSERT_TRUE(store.write("t2", 0, "abd").ok());
+    EXPECT_EQ(store.finish("t2").refusal().code, RefusalCode::HashMismatch);
+    EXPECT_EQ(content(*store.find("Ser/../vice", "..")), "abc");
+    EXPECT_EQ(store.begin(offer("t3", 3, std::string(32, 'h'))).value(), 0U) << "nothing of it is left";
+}
+
+TEST_F(Folder, ATransferThatIsNotKnownIsRefused) {
+    FileResourceStore store(folder);
+    EXPECT_EQ(store.write("no", 0, "x").refusal().code, RefusalCode::UnknownResource);
+    EXPECT_EQ(store.finish("no").refusal().code, RefusalCode::UnknownResource);
+    store.suspend("no");
+}
+
+}  // namespace
+}  // namespace axon::entity_manager

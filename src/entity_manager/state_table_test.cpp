@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/state_table.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <fstream>
+#include <set>
+#include <sstream>
+
+namespace axon::entity_manager {
+namespace {
+
+template <class Each>
+void forEveryPair(Each each) {
+    for (std::size_t s = 0; s < kStates; ++s)
+        for (std::size_t e = 0; e < kEvents; ++e) each(static_cast<EntityState>(s), static_cast<Event>(e));
+}
+
+TEST(StateTable, EveryPairIsARowOrATypedRefusal) {
+    int rows = 0;
+    forEveryPair([&](EntityState state, Event event) {
+        if (findRow(state, event) != nullptr) {
+            ++rows;
+            return;
+        }
+        const auto refusal = refusalFor(state, event);
+        EXPECT_NE(refusal.code, RefusalCode::Ok) << axon::toString(state) << ' ' << toString(event);
+        EXPECT_NE(refusal.code, RefusalCode::Internal) << axon::toString(state) << ' ' << toString(event);
+        EXPECT_GT(refusal.message.size(), 20U) << axon::toString(state) << ' ' << toString(event);
+    });
+    EXPECT_EQ(rows, static_cast<int>(stateTable().size())) << "two rows for one pair";
+}
+
+TEST(StateTable, AStopIsARowOfEveryStateAndLatchesAndVoidsAndIsAcknowledged) {
+    for (std::size_t s = 0; s < kStates; ++s) {
+        const auto* row = findRow(static_cast<EntityState>(s), Event::Stop);
+        ASSERT_NE(row, nullptr);
+        for (const auto action : {Action::Latch, Action::Acknowledge, Action::EndTasks, Action::VoidQueue})
+            EXPECT_NE(std::find(row->actions.begin(), row->actions.end(), action), row->actions.end())
+                << axon::toString(row->state) << ' ' << toString(action);
+    }
+    for (const auto state : {EntityState::BUSY, EntityState::COLLAB, EntityState::SLAVE})
+        EXPECT_EQ(findRow(state, Event::Stop)->next, (Next{Next::Kind::To, EntityState::REG}));
+}
+
+TEST(StateTable, WhateverEndsALeaseAtALivingApplicationStopsIt) {
+    for (const auto& row : stateTable()) {
+        const auto has = [&](Action action) {
+            return std::find(row.actions.begin(), row.actions.end(), action) != row.actions.end();
+        };
+        if (row.event != Event::LinkDown && has(Action::EndLease)) {
+            EXPECT_TRUE(has(Action::StopApplication))
+                << axon::toString(row.state) << ' ' << toString(row.event);
+        }
+    }
+}
+
+TEST(StateTable, OnlyStopAndLossOfTheClientLatchAndOnlyRearmUnlatches) {
+    for (const auto& row : stateTable())
+        for (const auto action : row.actions) {
+            if (action == Action::Latch) {
+                EXPECT_TRUE(row.event == Event::Stop || row.event == Event::ClientLost);
+            }
+            if (action == Action::Unlatch) {
+                EXPECT_EQ(row.event, Event::Rearm);
+            }
+        }
+}
+
+TEST(StateTable, TheLossOfTheLinkLeadsFromEveryStateToUnav) {
+    for (std::size_t s = 1; s < kStates; ++s)
+        EXPECT_EQ(findRow(static_cast<EntityState>(s), Event::LinkDown)->next,
+                  (Next{Next::Kind::To, EntityState::UNAV}));
+}
+
+TEST(StateTable, EveryEventAndEveryActionIsUsed) {
+    std::set<Event> events;
+    std::set<Action> actions;
+    for (const auto& row : stateTable()) {
+        events.insert(row.event);
+        actions.insert(row.actions.begin(), row.actions.end());
+    }
+    EXPECT_EQ(events.size(), kEvents);
+    EXPECT_EQ(actions.size(), static_cast<std::size_t>(Action::TellStatus) + 1);
+}
+
+TEST(StateTable, ThePageInTheDocumentationIsFresh) {
+    const char* path = "docs/design/state-machine.md";
+    if (std::getenv("AXON_RERECORD") != nullptr) std::ofstream(path, std::ios::binary) << stateMachinePage();
+    std::stringstream page;
+    page << std::ifstream(path, std::ios::binary).rdbuf();
+    EXPECT_EQ(page.str(), stateMachinePage()) << path << " is stale: run this test with AXON_RERECORD=1";
+}
+
+}  // namespace
+}  // namespace axon::entity_manager

@@ -1,0 +1,506 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// Random clients, a random application, a signal thread that is ahead of the strand, duplicates and replays,
+// against the Entity Manager's core; after each event the rules that may never be broken. A failure names its
+// seed: AXON_SEED=n runs that one alone, AXON_SEEDS=n runs so many.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <deque>
+#include <map>
+#include <set>
+
+#include "tests/support/core_rig.hpp"
+
+namespace axon::test {
+namespace {
+
+constexpr std::size_t kQueueBound = 5;
+
+bool isFinal(proto::TaskState state) {
+    return state >= proto::TASK_SUCCEEDED;
+}
+
+bool blocking(const std::string& service) {
+    return service != "Sonar" && service != "Light";
+}
+
+class World {
+  public:
+    explicit World(std::uint64_t seed)
+        : dice_(seed), rig_(seed, {.application = "rig", .task_queue_bound = kQueueBound}) {
+        rig_.on_application = [this](const proto::EmToEi& message) { toApplication(message); };
+        rig_.on_client = [this](const CoreRig::ToClientRecord& record) { toClient(record); };
+    }
+
+    /// What rule was broken, and how it came to that; or nothing.
+    std::string run(int steps) {
+        linkUp();
+        serverUp();
+        for (int i = 0; i < steps && broken_.empty(); ++i) {
+            before_ = rig_.core().status();
+            stops_before_ = rig_.stops.size();
+            last_ = std::to_string(i) + ' ';
+            step();
+            check();
+            if (rig_.to_clients.size() > 2000) rig_.to_clients.clear();
+            history_.push_back(last_ + effects_);
+            if (history_.size() > 25) history_.pop_front();
+        }
+        if (broken_.empty()) finish();
+        if (broken_.empty()) return {};
+        std::string story = broken_ + "\nlast events:";
+        for (const auto& event : history_) story += "\n" + event;
+        return story;
+    }
+    std::size_t dispatches() const { return dispatched_.size(); }
+
+  private:
+    std::uint64_t roll(std::uint64_t sides) { return dice_.next() % sides; }
+    template <class T>
+    T any(const std::vector<T>& of) {
+        return of[roll(of.size())];
+    }
+    void broken(const std::string& rule) {
+        if (broken_.empty()) broken_ = rule;
+    }
+
+    // What the application sees.
+    void toApplication(const proto::EmToEi& message) {
+        if (message.has_param()) questions_.push_back(message.param().request());
+        if (!message.has_task()) return;
+        const auto id = nameOf(message.task().task_id());
+        const auto& service = message.task().service();
+        if (rig_.core().latched()) broken("dispatched while latched: " + id);
+        if (message.task().stop_generation() != rig_.gate.generation())
+            broken("dispatched under an older stop generation: " + id);
+        if (!dispatched_.insert(id).second) broken("dispatched twice: " + id);
+        noteStops();
+        if (confirmed_ < newest_stop_) broken("dispatched before the last stop was confirmed: " + id);
+        if (const auto at = not_after_.find(id); at != not_after_.end() && rig_.clock.now() >= at->second)
+            broken("dispatched after its not_after: " + id);
+        for (const auto& [other, other_service] : at_work_)
+            if (blocking(service) || blocking(other_service))
+                broken("dispatched beside a blocking task: " + id + ", " + other);
+        at_work_[id] = service;
+    }
+    void noteStops() {
+        if (!link_) return;
+        for (; stops_noted_ < rig_.stops.size(); ++stops_noted_)
+            newest_stop_ = std::max(newest_stop_, rig_.stops[stops_noted_].first);
+    }
+
+    // What clients see.
+    void toClient(const CoreRig::ToClientRecord& record) {
+        const auto& message = record.message;
+        if (record.head.sender.id.empty()) broken("a message to everybody");
+        if (message.has_reply() && !message.reply().request_id().empty())
+            answered("reply " + nameOf(message.reply().request_id()));
+        if (message.has_check_out())
+            answered("check-out " + nameOf(message.check_out().request_id()) + ' ' +
+                     proto::CheckOutPhase_Name(message.check_out().phase()));
+        if (message.has_receipt() && message.receipt().stage() == proto::StopReceipt::MANAGER &&
+            message.receipt().stop_id().starts_with(record.head.sender.id + ':'))
+            answered("signal " + message.receipt().stop_id());
+        if (message.has_status()) {
+            answered("status " + nameOf(message.status().request_id()));
+            std::size_t waiting = 0;
+            for (const auto& task : message.status().tasks())
+                waiting += task.state() == proto::TASK_QUEUED ? 1 : 0;
+            if (waiting > kQueueBound) broken("the queue is beyond its bound");
+        }
+        if (!message.has_task()) return;
+        const auto id = nameOf(message.task().task_id());
+        const auto state = message.task().state();
+        if (isFinal(state)) {
+            // A refusal of a repeated id says nothing of the task itself.
+            if (!(state == proto::TASK_REFUSED && message.task().reason().code() == proto::DUPLICATE) &&
+                record.head.sender.id == rig_.core().status().holder.id)
+                running_.erase(id);
+            answered("task " + id);
+        } else if (state == proto::TASK_RUNNING || state == proto::TASK_PAUSED) {
+            running_.insert(id);
+        }
+    }
+    void asked(const std::string& what) {
+        if (server_) ++open_[what];
+    }
+    void answered(const std::string& what) {
+        // A signal is answered by a receipt or by a reply with the same id.
+        auto at = open_.find(what);
+        if (at == open_.end() && what.starts_with("reply ")) at = open_.find("signal " + what.substr(6));
+        if (at == open_.end()) {
+            // Of what was asked before the server was lost an answer may still come.
+            if (!excused_.contains(what)) broken("an answer that nobody waits for: " + what);
+        } else if (--at->second == 0) {
+            open_.erase(at);
+        }
+    }
+
+    void step() {
+        // Towards where something can happen, or most of a run would be refusals.
+        if (const auto now = rig_.core().status(); roll(3) == 0) {
+            last_ += "onwards: ";
+            if (!link_) return linkUp();
+            if (!server_) return serverUp();
+            if (now.state == EntityState::IDLE) return checkOut(any<std::string>({"alice", "bob"}));
+            if (!now.holder.id.empty() && now.latched && roll(2) == 0) return rearm(now.holder.id);
+            if (!now.holder.id.empty() && !now.latched) return task(now.holder.id);
+        }
+        const auto client =
+            any<std::string>({"alice", "alice", "alice", "bob", "carol", "admin", "observer"});
+        switch (roll(26)) {
+            case 0:
+            case 1:
+                return checkOut(client);
+            case 2:
+            case 3:
+            case 4:
+            case 5:
+            case 6:
+                return task(client);
+            case 7:
+                return setParam(client);
+            case 8:
+                return roll(2) == 0 ? stop(client) : deliverStop();
+            case 9:
+                return deliverStop();
+            case 10:
+                return rearm(client);
+            case 11:
+                return roll(2) == 0 ? signal(client) : confirm();
+            case 12:
+                return control(client);
+            case 13:
+                return roll(6) == 0 ? lose(client) : status(client);
+            case 14:
+                return roll(4) == 0 ? release(client) : replay();
+            case 15:
+                return roll(6) == 0 ? links() : wait();
+            case 16:
+                return answerQuestion();
+            case 17:
+            case 18:
+                return confirm();
+            default:
+                return applicationWorks();
+        }
+    }
+
+    std::string fresh(const char* prefix) { return prefix + std::to_string(++ids_); }
+    void send(const std::string& client, const proto::ToEntity& message, const std::string& ask) {
+        if (roll(12) == 0) rig_.generation = static_cast<std::int32_t>(roll(rig_.gate.generation() + 1));
+        if (roll(12) == 0) rig_.lease = LeaseNumber{1, static_cast<std::int32_t>(roll(6))};
+        sent_.push_back({rig_.headOf(client), message.SerializeAsString(), ask});
+        if (sent_.size() > 30) sent_.pop_front();
+        if (!ask.empty()) asked(ask);
+        const auto now = sent_.back();
+        rig_.core().onClientMsg(now.head, now.bytes);
+    }
+    void replay() {
+        if (sent_.empty()) return;
+        const auto old = sent_[roll(sent_.size())];
+        last_ += "replay: " + old.head.sender.id + ' ' + old.ask;
+        if (!old.ask.empty()) asked(old.ask);
+        rig_.core().onClientMsg(old.head, old.bytes);
+    }
+    void checkOut(const std::string& client) {
+        auto& mine = request_[client];
+        const auto phase = any<proto::CheckOutPhase>(
+            {proto::TAKE, proto::TAKE, proto::RESERVE, proto::COMMIT, proto::ABORT});
+        if (phase == proto::TAKE || phase == proto::RESERVE || mine.empty()) mine = fresh("r");
+        const auto ask = "check-out " + mine + ' ' + proto::CheckOutPhase_Name(phase);
+        last_ += client + ' ' + ask;
+        if (open_.contains(ask)) return;  // its one answer is still to come
+        asked(ask);
+        proto::ToEntity message;
+        message.mutable_check_out()->set_phase(phase);
+        message.mutable_check_out()->set_request_id(idOf(mine));
+        rig_.core().onClientMsg(rig_.headOf(client), message.SerializeAsString());
+    }
+    void task(const std::string& client) {
+        const bool again = roll(15) == 0 && ids_ > 0;
+        const auto id = again ? "t" + std::to_string(1 + roll(ids_)) : fresh("t");
+        proto::ToEntity message;
+        auto& task = *message.mutable_task();
+        task.set_task_id(idOf(id));
+        task.set_service(any<std::string>({"Driving", "Turning", "Sonar", "Light", "Light", "Nonsense"}));
+        if (task.service() == "Driving")
+            *task.add_params() = paramOf("Distance=" + std::to_string(roll(5200)));
+        if (not_after_.contains(id)) return;
+        if (!again && roll(6) == 0) {
+            task.set_not_after_s(0.1);
+            not_after_[id] = rig_.clock.now() + std::chrono::milliseconds{100};
+        }
+        last_ += client + " task " + id + ' ' + task.service();
+        send(client, message, "task " + id);
+        // A replay would carry a new term: such a task is sent once.
+        if (not_after_.contains(id)) sent_.pop_back();
+    }
+    void setParam(const std::string& client) {
+        proto::ToEntity message;
+        const auto id = fresh("p");
+        message.mutable_set_param()->set_request_id(idOf(id));
+        message.mutable_set_param()->set_service("Driving");
+        *message.mutable_set_param()->mutable_param() =
+            paramOf(any<std::string>({"Distance=1", "Speed=2", "Speed=x"}));
+        last_ += client + " sets " + id;
+        send(client, message, "reply " + id);
+    }
+    void rearm(const std::string& client) {
+        proto::ToEntity message;
+        const auto id = fresh("m");
+        message.mutable_rearm()->set_request_id(idOf(id));
+        last_ += client + " rearms " + id;
+        send(client, message, "reply " + id);
+    }
+    void control(const std::string& client) {
+        proto::ToEntity message;
+        const auto id =
+            at_work_.empty() || roll(4) == 0 ? "t" + std::to_string(roll(ids_ + 1)) : at_work_.begin()->first;
+        message.mutable_task_control()->set_task_id(idOf(id));
+        message.mutable_task_control()->set_action(
+            any<proto::TaskAction>({proto::PAUSE, proto::RESUME, proto::CANCEL}));
+        last_ += client + " controls " + id;
+        send(client, message, "reply " + id);
+    }
+    void release(const std::string& client) {
+        proto::ToEntity message;
+        message.mutable_release();
+        last_ += client + " releases";
+        send(client, message, {});
+    }
+    void status(const std::string& client) {
+        proto::ToEntity message;
+        const auto id = fresh("q");
+        message.mutable_status_request()->set_request_id(idOf(id));
+        last_ += client + " asks " + id;
+        send(client, message, "status " + id);
+    }
+    void signal(const std::string& client) {
+        const auto head = rig_.headOf(client);
+        const bool reset = roll(2) == 0;
+        last_ += client + (reset ? " resets" : " clears");
+        const bool was_latched = rig_.core().latched();
+        // The id of the answer is text of any length; the rig shows all of it.
+        asked("signal " + client + ':' + std::to_string(head.sequence));
+        reset ? rig_.core().onResetSignal(head) : rig_.core().onClearSignal(head);
+        if (rig_.core().latched() != was_latched) broken("reset or clear changed the latch");
+    }
+    void stop(const std::string& client) {
+        auto head = rig_.headOf(client);
+        if (roll(8) == 0 && last_stop_.sequence != 0) head = last_stop_;  // again, by another path
+        last_ += head.sender.id + " stops";
+        const auto raised = rig_.gate.raise(head.sender.id, head.sequence);
+        if (!raised) return;
+        last_stop_ = head;
+        rig_.stop(*raised, StopCause::Requested);
+        noteStops();
+        pending_stops_.push_back({head, *raised});
+        if (roll(3) != 0) deliverStop();
+    }
+    void deliverStop() {
+        if (pending_stops_.empty()) return;
+        const auto at = roll(pending_stops_.size());
+        const auto pending = pending_stops_[at];
+        pending_stops_.erase(pending_stops_.begin() + static_cast<std::ptrdiff_t>(at));
+        last_ += " the strand handles stop " + std::to_string(pending.generation);
+        asked("signal " + pending.head.sender.id + ':' + std::to_string(pending.head.sequence));
+        rig_.core().onStopSignal(pending.head, StopCause::Requested, pending.generation);
+        if (!rig_.core().latched()) broken("a stop did not latch");
+        if (!running_.empty()) broken("tasks run on after a stop");
+    }
+    void lose(const std::string& client) {
+        const auto change =
+            any<ClientChange>({ClientChange::Lost, ClientChange::Ended, ClientChange::Resumed});
+        last_ += client + " is lost, ended or resumed: " + std::to_string(static_cast<int>(change));
+        rig_.core().onClientUpdate(rig_.headOf(client), change);
+    }
+    void links() {
+        switch (roll(3)) {
+            case 0:
+                last_ += "link";
+                link_ ? linkDown() : linkUp();
+                return;
+            case 1:
+                last_ += "server";
+                if (!server_) return serverUp();
+                serverDown();
+                rig_.core().onServerDown("cut");
+                return;
+            default:
+                last_ += "silence of the server";
+                const auto was = rig_.statuses.size();
+                rig_.advance(std::chrono::milliseconds{300}, false);
+                // The core has noticed it only where a task ran.
+                if (server_ && was == rig_.statuses.size() && before_.state == EntityState::BUSY &&
+                    rig_.core().state() != EntityState::BUSY)
+                    serverDown();
+                else if (server_ && rig_.core().state() == EntityState::ENVCONN)
+                    serverDown();
+        }
+    }
+    void linkUp() {
+        link_ = true;
+        stops_noted_ = rig_.stops.size();
+        confirmed_ = newest_stop_ = rig_.gate.generation();
+        rig_.linkUp();
+        rig_.uploadProfiles();
+    }
+    void linkDown() {
+        link_ = false;
+        at_work_.clear();
+        questions_.clear();
+        rig_.core().onLinkDown("cut");
+    }
+    void serverUp() {
+        if (!rig_.wanted) return;
+        server_ = true;
+        rig_.core().onServerUp();
+    }
+    void serverDown() {
+        server_ = false;
+        running_.clear();
+        for (const auto& [what, count] : open_) excused_.insert(what);
+        open_.clear();
+    }
+    void wait() {
+        last_ += "wait";
+        rig_.advance(std::chrono::milliseconds{1 + roll(120)}, true);
+    }
+    void confirm() {
+        if (!link_) return;
+        noteStops();
+        confirmed_ = newest_stop_;
+        last_ += "the application confirms stop " + std::to_string(confirmed_);
+        rig_.stopDone(confirmed_);
+    }
+    void answerQuestion() {
+        if (questions_.empty()) return;
+        proto::EiToEm message;
+        message.mutable_answer()->set_request(questions_.front());
+        questions_.pop_front();
+        if (roll(3) == 0) message.mutable_answer()->mutable_refusal()->set_code(proto::DENIED);
+        last_ += "the application answers";
+        rig_.fromApplication(message);
+    }
+    void applicationWorks() {
+        if (!link_ || at_work_.empty()) return;
+        auto at = at_work_.begin();
+        std::advance(at, roll(at_work_.size()));
+        const auto id = at->first;
+        switch (roll(6)) {
+            case 0:
+            case 1:
+                last_ += "the application grants " + id;
+                granted_.insert(id);
+                return rig_.grant(id);
+            case 2:
+                last_ += "the application reports " + id;
+                granted_.insert(id);
+                return rig_.update(id, any<proto::TaskState>({proto::TASK_RUNNING, proto::TASK_PAUSED}), 0.5);
+            case 3:
+                if (granted_.contains(id)) return;
+                last_ += "the application denies " + id;
+                at_work_.erase(at);
+                return rig_.deny(id, "no");
+            default:
+                last_ += "the application ends " + id;
+                at_work_.erase(at);
+                return rig_.update(id, any<proto::TaskState>(
+                                           {proto::TASK_SUCCEEDED, proto::TASK_FAILED, proto::TASK_STOPPED}));
+        }
+    }
+
+    void check() {
+        effects_.clear();
+        for (const auto& line : rig_.takeLines()) effects_ += "\n    " + line;
+        noteStops();
+        const auto now = rig_.core().status();
+        const bool held = now.state == EntityState::REG || now.state == EntityState::BUSY;
+        if (held == now.holder.id.empty()) broken("state and holder disagree");
+        if (!before_.holder.id.empty() && !now.holder.id.empty() && before_.held != now.held)
+            broken("handed over without being free in between");
+        if (now.held != LeaseNumber{}) {
+            if (now.held < highest_) broken("an older lease is obeyed again");
+            highest_ = now.held;
+        }
+        if (!before_.holder.id.empty() && now.holder.id.empty() && link_ &&
+            rig_.stops.size() == stops_before_)
+            broken("a lease ended and the robot was not stopped");
+        if (before_.holder.id.empty() && !now.holder.id.empty() && confirmed_ < newest_stop_)
+            broken("a robot was handed over that had not confirmed its stop");
+        if ((now.state == EntityState::BUSY) != !running_.empty())
+            broken("BUSY is not the same as tasks that run");
+        if (now.state == EntityState::UNAV && link_) broken("UNAV with a link");
+        if (server_ && !rig_.statuses.empty() && !(rig_.statuses.back() == now))
+            broken("a status was not told");
+        if (now.stop_generation < before_.stop_generation) broken("the stop generation fell");
+    }
+
+    void finish() {
+        last_ = "the end";
+        while (!pending_stops_.empty()) deliverStop();
+        if (link_) linkDown();
+        rig_.advance(std::chrono::seconds{40}, true);
+        if (rig_.core().state() != EntityState::UNAV) broken("not UNAV at the end");
+        for (const auto& [what, count] : open_) broken("never answered: " + what);
+    }
+
+    struct Sent {
+        Header head;
+        std::string bytes;
+        std::string ask;
+    };
+    struct PendingStop {
+        Header head;
+        std::uint32_t generation;
+    };
+    SeededRandom dice_;
+    CoreRig rig_;
+    bool link_ = false;
+    bool server_ = false;
+    std::uint64_t ids_ = 0;
+    std::uint32_t confirmed_ = 0;
+    std::uint32_t newest_stop_ = 0;
+    std::size_t stops_noted_ = 0;
+    std::map<std::string, std::string> at_work_;  ///< tasks that the application has, and their services
+    std::set<std::string> dispatched_, running_, granted_;
+    std::set<std::string> excused_;  ///< requests whose answer was lost with the server
+    std::map<std::string, TimePoint> not_after_;
+    std::map<std::string, int> open_;  ///< requests that wait for their answer
+    std::map<std::string, std::string> request_;
+    std::deque<std::uint64_t> questions_;
+    std::deque<Sent> sent_;
+    std::vector<PendingStop> pending_stops_;
+    Header last_stop_;
+    LeaseNumber highest_;
+    EntityStatus before_;
+    std::size_t stops_before_ = 0;
+    std::string broken_, last_, effects_;
+    std::deque<std::string> history_;
+};
+
+std::uint64_t setting(const char* name, std::uint64_t otherwise) {
+    const char* text = std::getenv(name);
+    return text == nullptr ? otherwise : std::strtoull(text, nullptr, 10);
+}
+
+TEST(EntityManagerProperty, TheRulesHoldUnderRandomEvents) {
+    const auto only = setting("AXON_SEED", 0);
+    const auto seeds = only != 0 ? 1 : setting("AXON_SEEDS", 200);
+    std::size_t dispatches = 0;
+    for (std::uint64_t i = 0; i < seeds; ++i) {
+        const auto seed = only != 0 ? only : i + 1;
+        World world(seed);
+        const auto broken = world.run(2000);
+        ASSERT_EQ(broken, "") << "AXON_SEED=" << seed;
+        dispatches += world.dispatches();
+    }
+    // Rules that are never put to the test hold too.
+    EXPECT_GT(dispatches, seeds * 20);
+    RecordProperty("dispatches", std::to_string(dispatches));
+}
+
+}  // namespace
+}  // namespace axon::test
