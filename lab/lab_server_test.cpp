@@ -134,14 +134,14 @@ TEST_F(LabServerTest, TheClientComesBackWhenTheRobotDoes) {
 
 TEST_F(LabServerTest, RobotsHavePortsOfTheirOwnAndDoNotMix) {
     serve(2);
-    const auto ann = connect(0);
-    const auto bob = connect(1);
-    ASSERT_TRUE(waitUntil([&] { return ann->state().online && bob->state().online; }));
-    ann->command(Command::Enable, 1);
-    ann->drive(200, 0);
-    ASSERT_TRUE(waitUntil([&] { return ann->state().x_mm > 50; }));
-    EXPECT_FALSE(bob->state().moving);
-    EXPECT_FALSE(bob->state().motors_on);
+    const auto left = connect(0);
+    const auto client2 = connect(1);
+    ASSERT_TRUE(waitUntil([&] { return left->state().online && client2->state().online; }));
+    left->command(Command::Enable, 1);
+    left->drive(200, 0);
+    ASSERT_TRUE(waitUntil([&] { return left->state().x_mm > 50; }));
+    EXPECT_FALSE(client2->state().moving);
+    EXPECT_FALSE(client2->state().motors_on);
 }
 
 TEST_F(LabServerTest, AnAddressInUseIsNamedWithTheMend) {

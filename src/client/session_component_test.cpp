@@ -399,21 +399,21 @@ TEST_F(ClientTest, AHeldEntityIsRefusedWithItsHoldersNameAndSeveralAllOrNone) {
     const auto second = robot("Second");
     const auto ada = client();
     auto other = options();
-    other.display_name = "bob@lab";
-    const auto bob = client(other);
+    other.display_name = "client2@lab";
+    const auto client2 = client(other);
     const auto held = take(*ada, "Second");
-    ASSERT_TRUE(bob->waitFor("First", 5s).ok());
-    const auto refused = bob->checkOut(std::vector<std::string>{"First", "Second"});
+    ASSERT_TRUE(client2->waitFor("First", 5s).ok());
+    const auto refused = client2->checkOut(std::vector<std::string>{"First", "Second"});
     ASSERT_FALSE(refused.ok());
     EXPECT_EQ(refused.refusal().code, RefusalCode::AlreadyHeld);
     EXPECT_EQ(refused.refusal().holder, "ada@lab");
-    EXPECT_TRUE(bob->held().empty());
+    EXPECT_TRUE(client2->held().empty());
     ASSERT_TRUE(held.release().ok());
     ASSERT_TRUE(waitUntil([&] { return first->state() == EntityState::IDLE; }))
         << "the reservation was given back";
-    const auto both = bob->checkOut(std::vector<std::string>{"First", "Second"});
+    const auto both = client2->checkOut(std::vector<std::string>{"First", "Second"});
     ASSERT_TRUE(both.ok()) << both.refusal().message;
-    EXPECT_THAT(bob->held(), SizeIs(2));
+    EXPECT_THAT(client2->held(), SizeIs(2));
 }
 
 TEST_F(ClientTest, AStopIsConfirmedLatchesAndIsRearmed) {

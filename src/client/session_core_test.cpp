@@ -77,7 +77,7 @@ TEST_F(SessionCoreTest, OneRefusalAbortsTheOthersAndNamesTheHolder) {
 
     EXPECT_EQ(answer.count, 1);
     EXPECT_EQ(answer.refusal.code, RefusalCode::AlreadyHeld);
-    EXPECT_EQ(answer.refusal.holder, "bob@lab");
+    EXPECT_EQ(answer.refusal.holder, "client2@lab");
     EXPECT_THAT(answer.refusal.message, HasSubstr("Cyton"));
     ASSERT_THAT(link.sent, SizeIs(1));
     EXPECT_EQ(link.sent[0].body.check_out().phase(), proto::ABORT);
@@ -223,9 +223,9 @@ TEST_F(SessionCoreTest, ARefusalForAStaleLeaseEndsItHere) {
 
 TEST_F(SessionCoreTest, ANewerHolderInTheStatusEndsTheLease) {
     take("Cyton");
-    status(3, EntityState::REG, {"other", "bob@lab"}, {1, 2});
+    status(3, EntityState::REG, {"other", "client2@lab"}, {1, 2});
     ASSERT_THAT(observer.lost, SizeIs(1));
-    EXPECT_EQ(observer.lost[0].second.holder, "bob@lab");
+    EXPECT_EQ(observer.lost[0].second.holder, "client2@lab");
 }
 
 TEST_F(SessionCoreTest, AnEntityWhoseRobotApplicationIsGoneIsLost) {
@@ -514,7 +514,7 @@ TEST_F(SessionCoreTest, HeartbeatsStayFastWhileAnEntityThatIsHeldIsBusy) {
     advance(0ms);
     status(3, EntityState::BUSY, kMe, {1, 1});
     EXPECT_LE(core.nextHeartbeat(), clock.now() + 50ms);
-    status(1, EntityState::BUSY, {"other", "bob"}, {1, 1});
+    status(1, EntityState::BUSY, {"other", "client2"}, {1, 1});
     status(3, EntityState::REG, kMe, {1, 1});
     advance(50ms);
     EXPECT_EQ(core.nextHeartbeat(), clock.now() + 2s) << "other people's robots do not count";

@@ -111,7 +111,7 @@ class CoreWorld {
         if (code != RefusalCode::Ok) {
             reply.mutable_refusal()->set_code(static_cast<proto::RefusalCode>(code));
             reply.mutable_refusal()->set_message("no");
-            reply.mutable_refusal()->set_holder("bob@lab");
+            reply.mutable_refusal()->set_holder("client2@lab");
         } else if (asked.body.check_out().phase() != proto::RESERVE) {
             reply.mutable_lease()->set_epoch(1);
             reply.mutable_lease()->set_number(static_cast<std::uint32_t>(lease));

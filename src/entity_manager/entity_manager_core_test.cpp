@@ -40,18 +40,18 @@ int dispatches(const CoreRig& rig) {
 struct Held : testing::Test {
     Held() {
         rig.makeIdle();
-        rig.take("alice", "r1");
+        rig.take("client1", "r1");
     }
     CoreRig rig;
 };
 
 TEST_F(Held, StopVoidsAFullQueueAndTheQueueTakesNoMoreThanItsBound) {
-    rig.task("alice", "run", "Turning");
+    rig.task("client1", "run", "Turning");
     rig.grant("run");
-    for (int i = 0; i < 64; ++i) rig.task("alice", "w" + std::to_string(i), "Turning");
-    rig.task("alice", "one-more", "Turning");
+    for (int i = 0; i < 64; ++i) rig.task("client1", "w" + std::to_string(i), "Turning");
+    rig.task("client1", "one-more", "Turning");
     EXPECT_EQ(refusalOf(rig, "one-more"), proto::QUEUE_FULL);
-    rig.stop("bob");
+    rig.stop("client2");
     for (int i = 0; i < 64; ++i)
         EXPECT_EQ(endOf(rig, "w" + std::to_string(i)), std::pair(proto::TASK_STOPPED, 1));
     EXPECT_EQ(endOf(rig, "run"), std::pair(proto::TASK_STOPPED, 1));
@@ -59,15 +59,15 @@ TEST_F(Held, StopVoidsAFullQueueAndTheQueueTakesNoMoreThanItsBound) {
 }
 
 TEST_F(Held, NothingIsDispatchedWhileAStopIsOnItsWayToTheStrand) {
-    rig.task("alice", "t1", "Turning");
+    rig.task("client1", "t1", "Turning");
     rig.grant("t1");
-    rig.task("alice", "t2", "Turning");
+    rig.task("client1", "t2", "Turning");
     // The signal thread has raised the generation and told the robot; the strand does not know yet.
-    auto head = rig.headOf("bob");
-    const auto raised = rig.gate.raise("bob", head.sequence);
+    auto head = rig.headOf("client2");
+    const auto raised = rig.gate.raise("client2", head.sequence);
     rig.update("t1", proto::TASK_SUCCEEDED);
     EXPECT_EQ(dispatches(rig), 1);
-    rig.task("alice", "t3", "Turning");
+    rig.task("client1", "t3", "Turning");
     EXPECT_EQ(refusalOf(rig, "t3"), proto::OLD_GENERATION);
     rig.core().onStopSignal(head, StopCause::Requested, *raised);
     EXPECT_EQ(endOf(rig, "t2"), std::pair(proto::TASK_STOPPED, 1));
@@ -75,12 +75,12 @@ TEST_F(Held, NothingIsDispatchedWhileAStopIsOnItsWayToTheStrand) {
 }
 
 TEST_F(Held, AResetDoesNotReviveWhatAStopUnderWayVoids) {
-    rig.task("alice", "t1", "Turning");
+    rig.task("client1", "t1", "Turning");
     rig.grant("t1");
-    rig.task("alice", "t2", "Turning");
-    auto head = rig.headOf("bob");
-    const auto raised = rig.gate.raise("bob", head.sequence);
-    rig.reset("alice");  // its own stop is newer than the one that is under way
+    rig.task("client1", "t2", "Turning");
+    auto head = rig.headOf("client2");
+    const auto raised = rig.gate.raise("client2", head.sequence);
+    rig.reset("client1");  // its own stop is newer than the one that is under way
     rig.update("t1", proto::TASK_STOPPED);
     rig.stopDone(rig.gate.generation());
     EXPECT_EQ(dispatches(rig), 1);
@@ -91,37 +91,37 @@ TEST_F(Held, AResetDoesNotReviveWhatAStopUnderWayVoids) {
 }
 
 TEST_F(Held, AnAnswerThatIsFasterThanTheNewsOfItsStopIsToldAfterIt) {
-    auto head = rig.headOf("bob");
-    const auto raised = rig.gate.raise("bob", head.sequence);
+    auto head = rig.headOf("client2");
+    const auto raised = rig.gate.raise("client2", head.sequence);
     rig.stopDone(*raised);
     rig.stopDone(*raised, proto::StopReceipt::STANDSTILL);
     rig.core().onStopSignal(head, StopCause::Requested, *raised);
     std::vector<proto::StopReceipt::Stage> stages;
     for (const auto& record : rig.to_clients)
-        if (record.message.has_receipt() && record.head.sender.id == "bob")
+        if (record.message.has_receipt() && record.head.sender.id == "client2")
             stages.push_back(record.message.receipt().stage());
     EXPECT_EQ(stages, (std::vector{proto::StopReceipt::MANAGER, proto::StopReceipt::CALLBACK_RETURNED,
                                    proto::StopReceipt::STANDSTILL}));
 }
 
 TEST_F(Held, StopsThatReachTheStrandInAnotherOrderAreAllHandled) {
-    auto first = rig.headOf("bob");
-    auto second = rig.headOf("bob");
-    const auto one = rig.gate.raise("bob", first.sequence);
-    const auto two = rig.gate.raise("bob", second.sequence);
+    auto first = rig.headOf("client2");
+    auto second = rig.headOf("client2");
+    const auto one = rig.gate.raise("client2", first.sequence);
+    const auto two = rig.gate.raise("client2", second.sequence);
     rig.core().onStopSignal(second, StopCause::Requested, *two);
     rig.core().onStopSignal(first, StopCause::Requested, *one);
     rig.stopDone(*two);
     rig.generation = static_cast<std::int32_t>(*two);
-    rig.rearm("alice", "r2");
+    rig.rearm("client1", "r2");
     EXPECT_FALSE(rig.core().latched());
-    rig.task("alice", "t1", "Turning");
+    rig.task("client1", "t1", "Turning");
     EXPECT_EQ(dispatches(rig), 1);
 }
 
 TEST_F(Held, TheShortWatchdogRunsBeforeTheTaskDoes) {
     rig.takeLines();
-    rig.task("alice", "t1", "Turning");
+    rig.task("client1", "t1", "Turning");
     const auto lines = rig.takeLines();
     ASSERT_GE(lines.size(), 2U);
     EXPECT_EQ(lines[0], "application: watchdog busy");
@@ -129,10 +129,10 @@ TEST_F(Held, TheShortWatchdogRunsBeforeTheTaskDoes) {
 }
 
 TEST_F(Held, HeadersNameTheRecipientTheEntityTheLeaseAndTheGeneration) {
-    rig.stop("bob");
-    rig.task("alice", "t1", "Turning");
+    rig.stop("client2");
+    rig.task("client1", "t1", "Turning");
     const auto& head = rig.to_clients.back().head;
-    EXPECT_EQ(head.sender.id, "alice");
+    EXPECT_EQ(head.sender.id, "client1");
     EXPECT_EQ(head.entity, rig.core().uuid());
     EXPECT_EQ(head.msg_type, kMsgTask);
     EXPECT_EQ(head.held, (LeaseNumber{1, 1}));
@@ -156,7 +156,7 @@ TEST_F(Held, RawDataIsMovedNotCopied) {
     proto::ToEntity message;
     const std::string bulk(60'000, 'x');
     message.mutable_raw()->add_data(bulk);
-    rig.send("alice", message);
+    rig.send("client1", message);
     ASSERT_TRUE(rig.to_application.back().has_raw());
     EXPECT_EQ(rig.to_application.back().raw().data(0), bulk);
     proto::EiToEm back;
@@ -167,16 +167,16 @@ TEST_F(Held, RawDataIsMovedNotCopied) {
 }
 
 TEST_F(Held, AnAnswerThatComesAfterTheLeaseSetsNothingForTheNextHolder) {
-    rig.setParam("alice", "r2", "Driving", "Speed=555");
+    rig.setParam("client1", "r2", "Driving", "Speed=555");
     proto::ToEntity release;
     release.mutable_release();
-    rig.send("alice", release);
+    rig.send("client1", release);
     rig.stopDone(1);
-    rig.take("bob", "r3");
+    rig.take("client2", "r3");
     proto::EiToEm answer;
     answer.mutable_answer()->set_request(1);
     rig.fromApplication(answer);
-    rig.task("bob", "t1", "Driving", {"Distance=1"});
+    rig.task("client2", "t1", "Driving", {"Distance=1"});
     ASSERT_TRUE(rig.to_application.back().has_task());
     for (const auto& param : rig.to_application.back().task().params())
         EXPECT_EQ(param.values(0).int_(), param.name() == "Speed" ? 200 : 1);
@@ -187,7 +187,7 @@ TEST_F(Held, TheUuidSurvivesARestartAndTheEpochGrows) {
     rig.restart();
     EXPECT_EQ(rig.core().uuid(), uuid);
     rig.makeIdle();
-    rig.take("alice", "r2");
+    rig.take("client1", "r2");
     EXPECT_EQ(rig.core().status().held, (LeaseNumber{2, 1}));
 }
 
@@ -200,7 +200,7 @@ TEST_F(Held, AnUploadStaysInItsWindowAndIsCreditedAsItIsConsumed) {
     offer.mutable_resource_offer()->set_file_name("map");
     offer.mutable_resource_offer()->set_size(content.size());
     offer.mutable_resource_offer()->set_sha256(test::MemoryResources::fakeHash(content));
-    rig.send("alice", offer);
+    rig.send("client1", offer);
     std::uint64_t allowed = 0;
     std::size_t seen = 0;
     const auto readCredits = [&] {
@@ -216,7 +216,7 @@ TEST_F(Held, AnUploadStaysInItsWindowAndIsCreditedAsItIsConsumed) {
         chunk.mutable_resource_chunk()->set_transfer_id(idOf("x"));
         chunk.mutable_resource_chunk()->set_offset(at);
         chunk.mutable_resource_chunk()->set_content(content.substr(at, size));
-        rig.send("alice", chunk);
+        rig.send("client1", chunk);
         at += size;
     }
     ASSERT_TRUE(rig.to_application.back().has_resource());
@@ -229,7 +229,7 @@ TEST(EntityManagerCore, AllClientsThatAskAreToldWhyItIsUnavailable) {
     rig.core().onLinkDown("gone");
     proto::ToEntity request;
     request.mutable_status_request()->set_request_id(idOf("q"));
-    rig.send("bob", request);
+    rig.send("client2", request);
     const auto& status = rig.to_clients.back().message.status();
     EXPECT_EQ(status.request_id(), idOf("q"));
     EXPECT_EQ(status.state(), proto::UNAV);

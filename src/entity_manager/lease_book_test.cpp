@@ -9,8 +9,8 @@
 namespace axon::entity_manager {
 namespace {
 
-const Sender kAlice{"a", "alice", Role::Operator};
-const Sender kBob{"b", "bob", Role::Operator};
+const Sender kAlice{"a", "client1", Role::Operator};
+const Sender kBob{"b", "client2", Role::Operator};
 
 TEST(LeaseBook, ACommandIsCheckedAgainstSenderEpochAndNumber) {
     test::MemoryStorage storage;
@@ -20,7 +20,7 @@ TEST(LeaseBook, ACommandIsCheckedAgainstSenderEpochAndNumber) {
     const auto first = book.grant(kAlice, "r1").number;
     EXPECT_TRUE(book.check(kAlice, first).ok());
     EXPECT_EQ(book.check(kBob, first).code, RefusalCode::NotHolder) << "the number alone is no proof";
-    EXPECT_EQ(book.check(kBob, first).holder, "alice");
+    EXPECT_EQ(book.check(kBob, first).holder, "client1");
     EXPECT_EQ(book.check(kAlice, {first.epoch + 1, first.number}).code, RefusalCode::WrongEpoch);
     EXPECT_EQ(book.check(kAlice, {first.epoch - 1, first.number}).code, RefusalCode::WrongEpoch);
     book.end(RefusalCode::RevokedLease, "why");

@@ -26,6 +26,7 @@ Refusal notSettable(const proto::Service& service, const proto::CtrlParam& meta)
 void ServiceProfiler::load(proto::ServicesProfile profile, const std::string& entity_id,
                            ResourceStore& store) {
     profile_ = std::move(profile);
+    declared_ = profile_;
     stamps_.clear();
     for (int i = 0; i < profile_.services_size(); ++i) {
         auto& service = *profile_.mutable_services(i);
@@ -189,8 +190,8 @@ ServiceProfiler::Cleared ServiceProfiler::clearAfterTask(const Order& order) {
         if (param.savable() || !settable(param) || !param.ready() ||
             stamps.params[static_cast<std::size_t>(i)] > order.stamp)
             continue;
-        param.clear_initial();
-        param.set_ready(false);
+        *param.mutable_initial() = declared_.services(order.service).params(i).initial();
+        param.set_ready(param.initial_size() > 0);
         cleared.changed = true;
     }
     for (int i = 0; i < service.resources_size(); ++i) {

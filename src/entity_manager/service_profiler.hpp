@@ -66,7 +66,7 @@ class ServiceProfiler {
         bool changed = false;
         std::vector<std::string> files;  ///< resources whose files are to be deleted
     };
-    /// Clears what is not savable and was set before the task was accepted.
+    /// What is not savable and was set before the task was accepted goes back to the profile's own value, or to none.
     Cleared clearAfterTask(const Order& order);
 
   private:
@@ -77,6 +77,7 @@ class ServiceProfiler {
     void refreshMissing(int service);
 
     proto::ServicesProfile profile_;
+    proto::ServicesProfile declared_;  ///< as it was loaded: what a value that is not savable goes back to
     std::vector<Stamps> stamps_;
     std::uint64_t clock_ = 0;  ///< counts what has been set
 };

@@ -145,7 +145,7 @@ TEST_F(FrontEndTest, TheLastWordAboutAnEntityIsTheTrueOneThoughItChangesWhileACl
     entity("e2");
     auto other = std::make_shared<FakeOutbox>();
     other->while_told = [&] { status("e2", EntityState::ERR); };
-    ASSERT_TRUE(core.setCallback("bob", Role::Operator, other).ok());
+    ASSERT_TRUE(core.setCallback("client2", Role::Operator, other).ok());
     EXPECT_EQ(other->lines.back(), "e2 ERR");
 }
 
@@ -205,10 +205,10 @@ TEST_F(FrontEndTest, KeepAliveFeedsTheWatchdogAndAnIdleClientHasTenSeconds) {
 TEST_F(FrontEndTest, StopsEveryEntityThatALostClientHeldAndNoOther) {
     for (const char* id : {"e1", "e2", "e3"}) entity(id);
     const auto ada = join("ada");
-    const auto bob = join("bob");
+    const auto client2 = join("client2");
     status("e1", EntityState::REG, ada.id());
     status("e2", EntityState::BUSY, ada.id());
-    status("e3", EntityState::BUSY, bob.id());
+    status("e3", EntityState::BUSY, client2.id());
     core.leave(ada.client, Ending::Lost, "connection lost");
     core.leave(ada.client, Ending::Ended, "again");
     EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by ada to e1", "lost to e1",
@@ -246,7 +246,7 @@ TEST_F(FrontEndTest, StopsWhatWasGrantedToAClientThatIsGone) {
 
 TEST_F(FrontEndTest, RoutesToTheRecipientOrToAll) {
     const auto ada = join("ada");
-    const auto bob = join("bob");
+    const auto client2 = join("client2");
     Header head;
     head.sender.id = ada.id();
     core.entityMsg(Lane::Data, head, "grant");
@@ -257,7 +257,7 @@ TEST_F(FrontEndTest, RoutesToTheRecipientOrToAll) {
     core.entityMsg(Lane::Data, head, "late");
     EXPECT_THAT(ada.data->take(), ElementsAre("msg grant", "samples"));
     EXPECT_THAT(ada.signal->take(), ElementsAre("msg receipt"));
-    EXPECT_THAT(bob.data->take(), ElementsAre("samples"));
+    EXPECT_THAT(client2.data->take(), ElementsAre("samples"));
 }
 
 TEST_F(FrontEndTest, AnswersRequests) {
@@ -290,7 +290,7 @@ TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
         settings, clock, random, topic, [](const std::string&) {}, [] {});
     auto data = std::make_shared<FakeOutbox>();
     const auto client = core.setCallback("ada", Role::Operator, data).value();
-    EXPECT_EQ(core.setCallback("bob", Role::Operator, data).refusal().code, RefusalCode::Overloaded);
+    EXPECT_EQ(core.setCallback("client2", Role::Operator, data).refusal().code, RefusalCode::Overloaded);
     Registration registration;
     registration.entity = registration.name = "e1";
     core.entityBasicPrflUpdate(Presence::Joined, registration, "");

@@ -143,12 +143,12 @@ class World {
             last_ += "onwards: ";
             if (!link_) return linkUp();
             if (!server_) return serverUp();
-            if (now.state == EntityState::IDLE) return checkOut(any<std::string>({"alice", "bob"}));
+            if (now.state == EntityState::IDLE) return checkOut(any<std::string>({"client1", "client2"}));
             if (!now.holder.id.empty() && now.latched && roll(2) == 0) return rearm(now.holder.id);
             if (!now.holder.id.empty() && !now.latched) return task(now.holder.id);
         }
         const auto client =
-            any<std::string>({"alice", "alice", "alice", "bob", "carol", "admin", "observer"});
+            any<std::string>({"client1", "client1", "client1", "client2", "client3", "admin", "observer"});
         switch (roll(26)) {
             case 0:
             case 1:
