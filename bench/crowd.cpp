@@ -46,13 +46,14 @@ class MemoryLink final : public BackEndPort {
             sink_.onLinkMessage(done);
         });
     }
-    void send(const proto::EmToEi& message) override {
-        if (!message.has_raw()) return;
+    bool send(const proto::EmToEi& message) override {
+        if (!message.has_raw()) return true;
         for (const auto& block : message.raw().data()) {
             if (!batchIntact(block.data(), block.size())) ++slot_.corrupt;
         }
         slot_.data_at = nowNs();
         ++slot_.data;
+        return true;
     }
     void setBusy(bool) override {}
 

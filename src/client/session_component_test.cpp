@@ -209,7 +209,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
     }
 
     // BackEndPort: the application.
-    void send(const proto::EmToEi& message) override {
+    bool send(const proto::EmToEi& message) override {
         proto::EiToEm out;
         if (message.has_param()) {
             out.mutable_answer()->set_request(message.param().request());
@@ -240,6 +240,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
             const std::lock_guard lock(seen_mutex_);
             texts_.push_back(message.text().text());
         }
+        return true;
     }
     void stop(std::uint32_t generation, StopCause) override {
         ++stops;

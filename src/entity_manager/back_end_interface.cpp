@@ -49,6 +49,9 @@ constexpr Duration kPassClosed = 200ms;
 constexpr Duration kSlack = 50ms;  // for a sign of life that has arrived and has not been read yet
 constexpr std::size_t kQueueFrames = 1024;
 constexpr std::size_t kQueueBytes = 4 * 1024 * 1024;
+constexpr std::size_t kQueueRaw = 256;        // frames of raw data, of which the oldest are dropped
+constexpr std::size_t kWriteAtOnce = 65'536;  // what the queue no longer has cannot be dropped
+constexpr Duration kLastWords = 50ms;
 constexpr int kPriority = 6;  // SO_PRIORITY: the highest that needs no privilege
 
 TimePoint now() {
@@ -110,30 +113,45 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         dropPeer();
     }
 
-    void send(const proto::EmToEi& message) {
+    bool send(const proto::EmToEi& message) {
         const auto peer = peer_;
-        if (!peer) return;
+        if (!peer) return true;
         std::string frame;
-        if (!appendFrame(frame, message.SerializeAsString()))
-            return refused({RefusalCode::TooLarge,
-                            "a message to the robot application exceeds 1 MiB: send less at once",
-                            {}});
+        if (!appendFrame(frame, message.SerializeAsString())) {
+            refused({RefusalCode::TooLarge,
+                     "a message to the robot application exceeds 1 MiB: send less at once",
+                     {}});
+            return false;
+        }
         // A task must not wait for a generation that nobody has announced.
         if (message.has_task() && message.task().stop_generation() > announced_.load()) {
             announce(message.task().stop_generation());
             beat();
         }
-        if (peer->queued.size() + peer->writing.size() + frame.size() > kQueueBytes ||
-            peer->queued_frames >= kQueueFrames) {
+        const auto full = [&] {
+            return peer->queued_bytes + peer->writing.size() + frame.size() > kQueueBytes ||
+                   peer->queued.size() >= kQueueFrames;
+        };
+        // Old raw data is worth less than anything that comes after it.
+        while (peer->queued_raw > 0 && (full() || (message.has_raw() && peer->queued_raw >= kQueueRaw)))
+            dropRaw(*peer);
+        if (full()) {
+            if (message.has_raw()) {
+                ++raw_dropped_;
+                return true;
+            }
             asio::post(strand_, [self = shared_from_this(), peer] {
                 self->lost(peer, "the robot application does not read: the queue to it is full");
             });
-            return;
+            return true;
         }
-        peer->queued += frame;
-        ++peer->queued_frames;
+        peer->queued_bytes += frame.size();
+        if (message.has_raw()) ++peer->queued_raw;
+        peer->queued.push_back({std::move(frame), message.has_raw()});
         if (peer->writing.empty()) writeNext(peer);
+        return true;
     }
+    std::uint64_t rawDropped() const { return raw_dropped_; }
 
     void stop(std::uint32_t generation, StopCause cause) {
         if (const auto signal = signal_.load()) {
@@ -164,8 +182,14 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         FrameReader signal_reader, data_reader;
         std::array<char, 4096> signal_bytes;
         std::array<char, 64 * 1024> data_bytes;
-        std::string queued, writing;
-        std::size_t queued_frames = 0;
+        struct Queued {
+            std::string frame;
+            bool raw;
+        };
+        std::deque<Queued> queued;
+        std::size_t queued_bytes = 0, queued_raw = 0;
+        std::string writing;
+        bool ending = false;  // the signal connection has ended, last words on the other are awaited
     };
 
     /// One connection on which Hello has been said and Welcome is awaited.
@@ -406,10 +430,20 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
             asio::buffer(peer->signal_bytes),
             [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
                 if (self->peer_ != peer) return;
-                if (error) return self->lost(peer, "the robot application has closed the link");
+                if (error) return self->awaitLastWords(peer);
                 peer->signal_reader.feed({peer->signal_bytes.data(), count});
                 if (self->deliver(peer, peer->signal_reader, true)) self->readSignal(peer);
             });
+    }
+
+    /// An application that ends the link says why on the data connection, whose end may be read later than
+    /// that of the signal connection. The application has stopped by itself.
+    void awaitLastWords(const std::shared_ptr<Peer>& peer) {
+        peer->ending = true;
+        beat_timer_.expires_after(kLastWords);
+        beat_timer_.async_wait([self = shared_from_this(), peer](const asio::error_code& error) {
+            if (!error) self->lost(peer, "the robot application has closed the link");
+        });
     }
 
     void readData(const std::shared_ptr<Peer>& peer) {
@@ -446,10 +480,24 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         return false;
     }
 
+    void dropRaw(Peer& peer) {
+        const auto oldest = std::find_if(peer.queued.begin(), peer.queued.end(),
+                                         [](const auto& queued) { return queued.raw; });
+        peer.queued_bytes -= oldest->frame.size();
+        --peer.queued_raw;
+        peer.queued.erase(oldest);
+        ++raw_dropped_;
+    }
+
     void writeNext(const std::shared_ptr<Peer>& peer) {
-        peer->writing.swap(peer->queued);
-        peer->queued.clear();
-        peer->queued_frames = 0;
+        do {
+            auto& next = peer->queued.front();
+            peer->queued_bytes -= next.frame.size();
+            if (next.raw) --peer->queued_raw;
+            peer->writing += next.frame;
+            peer->queued.pop_front();
+        } while (!peer->queued.empty() &&
+                 peer->writing.size() + peer->queued.front().frame.size() <= kWriteAtOnce);
         asio::async_write(peer->data, asio::buffer(peer->writing),
                           [self = shared_from_this(), peer](const asio::error_code& error, std::size_t) {
                               if (self->peer_ != peer) return;
@@ -482,7 +530,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
     void onBeatTimer() {
-        if (closed_ || !peer_) return;
+        if (closed_ || !peer_ || peer_->ending) return;
         const auto peer = peer_;
         beat();
         const auto time = now();
@@ -536,6 +584,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     Snapshot<SignalSocket> signal_{nullptr};
     std::atomic<std::uint32_t> announced_{0};
 
+    std::atomic<std::uint64_t> raw_dropped_{0};
+
     // Confined to the strand
     bool started_ = false, closed_ = false, linking_ = false;
     asio::steady_timer look_timer_, beat_timer_;
@@ -581,8 +631,11 @@ void BackEndInterface::start() {
 void BackEndInterface::close() {
     connections_->close();
 }
-void BackEndInterface::send(const proto::EmToEi& message) {
-    connections_->send(message);
+bool BackEndInterface::send(const proto::EmToEi& message) {
+    return connections_->send(message);
+}
+std::uint64_t BackEndInterface::rawDropped() const {
+    return connections_->rawDropped();
 }
 void BackEndInterface::stop(std::uint32_t generation, StopCause cause) {
     connections_->stop(generation, cause);

@@ -2,6 +2,7 @@
 #pragma once
 #include <asio/any_io_executor.hpp>
 #include <chrono>
+#include <cstdint>
 #include <memory>
 #include <string>
 
@@ -66,7 +67,10 @@ class BackEndInterface final : public BackEndPort {
     /// Ends the link (the application stops by itself) without an event.
     void close();
 
-    void send(const proto::EmToEi& message) override;
+    /// Raw data for an application that reads slowly: the oldest is dropped. Anything else ends the link when
+    /// the queue is full.
+    bool send(const proto::EmToEi& message) override;
+    std::uint64_t rawDropped() const;  ///< frames, since construction. Any thread.
     void stop(std::uint32_t generation, StopCause cause) override;
     void setBusy(bool busy) override;
 

@@ -962,6 +962,7 @@ void EntityManagerCore::Machine::passRaw(const Incident& incident) {
     auto& raw = *raw_to_link_.mutable_raw();
     raw.mutable_data()->Swap(incident.body->mutable_raw()->mutable_data());
     if (raw.from() != incident.head->sender.name) raw.set_from(incident.head->sender.name);
+    raw.set_stop_generation(generation_);
     back_end_.send(raw_to_link_);
 }
 

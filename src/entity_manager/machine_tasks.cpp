@@ -289,6 +289,7 @@ void EntityManagerCore::Machine::controlTask(const Incident& incident) {
         }
         message.mutable_pause()->set_task_id(control.task_id());
         message.mutable_pause()->set_resume(resume);
+        message.mutable_pause()->set_stop_generation(generation_);
     }
     back_end_.send(message);
     reply(to, control.task_id(), {});
@@ -335,6 +336,7 @@ void EntityManagerCore::Machine::askParameter(const Incident& incident) {
     ask.set_request(number);
     ask.set_service(profiler_.record(question.service).name());
     *ask.mutable_param() = question.param;
+    ask.set_stop_generation(generation_);
     questions_.emplace(number, std::move(question));
     back_end_.send(message);
 }

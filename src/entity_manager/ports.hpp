@@ -27,8 +27,8 @@ class BackEndPort {
   public:
     virtual ~BackEndPort() = default;
     /// Data lane, in order. When the link's bounded queue is full the link is closed (control overflow), and
-    /// the core learns of it as onLinkDown.
-    virtual void send(const proto::EmToEi& message) = 0;
+    /// the core learns of it as onLinkDown. False when the message is larger than a frame: nothing was sent.
+    virtual bool send(const proto::EmToEi& message) = 0;
     /// Signal lane. Idempotent by generation: the EI calls the application once per generation.
     /// Any thread; never blocks, takes no lock that data holds. Does nothing when the link is down (the EI
     /// has stopped by itself then).

@@ -466,10 +466,11 @@ std::string shown(const proto::EmToEi& message) {
 
 }  // namespace
 
-void CoreRig::send(const proto::EmToEi& message) {
+bool CoreRig::send(const proto::EmToEi& message) {
     note("application: " + shown(message));
     to_application.push_back(message);
     if (on_application) on_application(message);
+    return true;
 }
 
 void CoreRig::stop(std::uint32_t raised, StopCause cause) {

@@ -87,7 +87,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     void restart();
 
     // BackEndPort and ServerPort.
-    void send(const proto::EmToEi& message) override;
+    bool send(const proto::EmToEi& message) override;
     void stop(std::uint32_t generation, StopCause cause) override;
     void setBusy(bool busy) override;
     void wantConnection(bool wanted) override;
