@@ -74,6 +74,7 @@ class Manager : public entity_manager::BackEndEvents {
         proto::EmToEi message;
         message.mutable_pause()->set_task_id(id);
         message.mutable_pause()->set_resume(resume);
+        message.mutable_pause()->set_stop_generation(gate_.generation());
         send(message, id);
     }
     void cancel(const std::string& id) {

@@ -16,6 +16,9 @@
 #include <cerrno>
 #include <cstring>
 #include <iostream>
+#include <utility>
+
+#include "common/utf8.hpp"
 
 namespace axon {
 
@@ -33,6 +36,8 @@ constexpr auto kSlack = 50ms;  // for a sign of life that has arrived and has no
 constexpr int kStopPriority = 30;
 constexpr int kWatchPriority = 29;
 constexpr std::size_t kNameMax = 255;
+constexpr std::size_t kNotesMax = 32;
+constexpr auto kOutOfDescriptors = 100ms;
 
 TimePoint now() {
     return std::chrono::steady_clock::now();
@@ -83,10 +88,11 @@ std::chrono::milliseconds watchdogFrom(std::uint32_t ms, std::chrono::millisecon
 
 Communicator::Communicator(EntityInterfacer::Options options) : options_(std::move(options)) {
     if (options_.application.empty() || options_.application.size() > kNameMax ||
-        options_.instance.size() > kNameMax)
+        options_.instance.size() > kNameMax || validUtf8(options_.application) != options_.application ||
+        validUtf8(options_.instance) != options_.instance)
         misconfigured(
             "Options::application: expected the name that the Entity Manager is configured with, 1 to 255 "
-            "characters: set it");
+            "characters of UTF-8: set it");
     address_ = options_.address;
     if (options_.ports_file.empty()) {
         const auto range =
@@ -129,6 +135,23 @@ void Communicator::log(LogLevel level, const std::string& text) const {
     }
     static constexpr std::array names{"", "warning: ", "error: "};
     std::cerr << "axon: " + std::string(names.at(static_cast<std::size_t>(level))) + text + "\n";
+}
+
+void Communicator::note(LogLevel level, std::string text) {
+    {
+        const std::lock_guard lock(notes_mutex_);
+        if (notes_.size() < kNotesMax) notes_.emplace_back(level, std::move(text));
+    }
+    data_wake_.wake();
+}
+
+void Communicator::logNotes() {
+    std::vector<std::pair<LogLevel, std::string>> notes;
+    {
+        const std::lock_guard lock(notes_mutex_);
+        notes.swap(notes_);
+    }
+    for (const auto& [level, text] : notes) log(level, text);
 }
 
 void Communicator::listen() {
@@ -262,9 +285,9 @@ bool Communicator::linked() const {
 void Communicator::stopThread() {
     this_thread_of = this;
     if (!becomeRealTime(kStopPriority))
-        log(LogLevel::Info,
-            "the stop thread runs with ordinary priority: real-time scheduling is not permitted here "
-            "(CAP_SYS_NICE or an rtprio limit would allow it)");
+        note(LogLevel::Info,
+             "the stop thread runs with ordinary priority: real-time scheduling is not permitted here "
+             "(CAP_SYS_NICE or an rtprio limit would allow it)");
     unsigned faults_seen = 0;
     while (true) {
         std::array<pollfd, 2> wait{pollfd{stop_wake_.fd(), POLLIN, 0},
@@ -272,15 +295,16 @@ void Communicator::stopThread() {
         ::poll(wait.data(), wait.size(), -1);
         if (signal_link_ && (wait[1].revents != 0 || signal_link_->lost())) readSignals(*signal_link_);
         if ((wait[0].revents & POLLIN) != 0) stop_wake_.drain();
-        if (signal_link_ && signal_link_->lost()) {
-            dispatchStop(StopSignal::Cause::LinkLost);
+        const auto faults = faults_.load();
+        const bool fault = std::exchange(faults_seen, faults) != faults;
+        // An Entity Manager that knew nothing of the fault would start the next task.
+        if (fault && signal_link_) signal_link_->cut("the robot application has stopped itself");
+        const bool lost = signal_link_ && signal_link_->lost();
+        if (fault || lost) dispatchStop(fault ? StopSignal::Cause::Fault : StopSignal::Cause::LinkLost);
+        if (lost) {
             signal_link_.reset();
             watch_wake_.wake();
             data_wake_.wake();
-        }
-        if (const auto faults = faults_.load(); faults != faults_seen) {
-            faults_seen = faults;
-            dispatchStop(StopSignal::Cause::Fault);
         }
         if (end_stop_thread_) {
             dispatchStop(StopSignal::Cause::Shutdown);
@@ -293,6 +317,13 @@ void Communicator::stopThread() {
             if (signal_link_) {
                 baseline_known_ = false;
                 level_.adopt(0);
+                signal_link_->epoch = level_.epoch();
+                {
+                    // Only now: data of this link is judged by this level.
+                    const std::lock_guard data_lock(data_handover_mutex_);
+                    data_handover_ = signal_link_;
+                }
+                data_wake_.wake();
             }
         }
     }
@@ -386,8 +417,8 @@ bool Communicator::callStop(const StopSignal& signal) {
     heard_ns_ = nanoseconds(now());
     in_callback_ = false;
     if (!returned)
-        log(LogLevel::Error,
-            "the stop callback threw (" + thrown + "): this stop is not acknowledged; catch inside onStop");
+        note(LogLevel::Error,
+             "the stop callback threw (" + thrown + "): this stop is not acknowledged; catch inside onStop");
     return returned;
 }
 
@@ -407,8 +438,13 @@ void Communicator::standstill() {
     link->sendSignal(message);
 }
 
-void Communicator::fault(const std::string& what) {
+void Communicator::fault(const std::string& what, const std::function<void()>& last_words) {
+    const auto link = currentLink();
+    // Before the last words: what the Entity Manager sends when it hears them must not begin.
+    if (link) link->condemn(what);
+    if (last_words) last_words();
     faults_.fetch_add(1);
+    if (link) link->cut(what);
     stop_wake_.wake();
     log(LogLevel::Error, what + ": stop");
 }
@@ -421,9 +457,10 @@ void Communicator::watchThread() {
     std::vector<pollfd> wait;
     while (!end_watch_thread_) {
         if (watched_ && watched_->lost()) watched_.reset();
-        wait.assign({{watch_wake_.fd(), POLLIN, 0}, {listener_.get(), POLLIN, 0}});
-        auto due = TimePoint::max();
-        if (watched_) due = next_beat_;
+        const bool listening = accept_again_ <= now();
+        wait.assign({{watch_wake_.fd(), POLLIN, 0}, {listening ? listener_.get() : -1, POLLIN, 0}});
+        auto due = listening ? TimePoint::max() : accept_again_;
+        if (watched_) due = std::min(due, next_beat_);
         for (const auto& pending : pending_) {
             wait.push_back({pending.socket.get(), POLLIN, 0});
             due = std::min(due, pending.deadline);
@@ -460,7 +497,12 @@ void Communicator::watchThread() {
 void Communicator::accept() {
     for (int burst = 0; burst < 64; ++burst) {
         Descriptor socket(::accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
-        if (!socket.open()) return;
+        if (!socket.open()) {
+            // The connection stays in the backlog, so that polling at once would spin.
+            if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM)
+                accept_again_ = now() + kOutOfDescriptors;
+            return;
+        }
         const int on = 1;
         ::setsockopt(socket.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
         if (pending_.size() >= kPendingMax) {
@@ -556,12 +598,7 @@ bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
         const std::lock_guard lock(signal_handover_mutex_);
         signal_handover_ = watched_;
     }
-    {
-        const std::lock_guard lock(data_handover_mutex_);
-        data_handover_ = watched_;
-    }
     stop_wake_.wake();
-    data_wake_.wake();
     return true;
 }
 
@@ -608,9 +645,9 @@ void Communicator::checkSilence() {
     if (silent < timeout) {
         if (silent > timeout * 3 / 5 && !slow_warned_) {
             slow_warned_ = true;
-            log(LogLevel::Warning,
-                "beats of the Entity Manager come late (more than half of the watchdog of " +
-                    std::to_string(timeout.count()) + " ms): this machine is overloaded");
+            note(LogLevel::Warning,
+                 "beats of the Entity Manager come late (more than half of the watchdog of " +
+                     std::to_string(timeout.count()) + " ms): this machine is overloaded");
         }
         next_beat_ = std::min(next_beat_, heard + timeout);
         return;

@@ -4,12 +4,15 @@
 #include <atomic>
 #include <condition_variable>
 #include <deque>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "common/clock.hpp"
@@ -139,12 +142,20 @@ class Communicator {
     void watchProfiles();
     void reapTasks();
     std::shared_ptr<Task::Running> findTask(const std::string& id_bytes);
+    /// False when it threw, which is a fault.
     template <class Call>
-    void guarded(const char* what, Call call);
+    bool guarded(const char* what, Call call, const std::function<void()>& last_words = {});
+    /// Whether a stop has come since the Entity Manager, at this generation, passed something on.
+    bool overtaken(const Link& link, std::uint32_t generation) const;
+    void logNotes();
 
     std::shared_ptr<Link> currentLink() const;
     void publish(std::shared_ptr<Link> link);
-    void fault(const std::string& what);
+    /// Stops the application and cuts the link: the Entity Manager must not start the next task. The last
+    /// words are said when nothing that answers them can begin any more.
+    void fault(const std::string& what, const std::function<void()>& last_words);
+    /// A log line of the stop or the watch thread, which never wait for a logger: the data thread writes it.
+    void note(LogLevel level, std::string text);
     void listen();
     bool onOwnThread() const;
 
@@ -174,7 +185,7 @@ class Communicator {
     std::atomic<bool> busy_{false};
     std::atomic<bool> in_callback_{false};
 
-    // Links on their way from the watch thread to the other two
+    // Links on their way from the watch thread to the stop thread, and from there to the data thread
     std::mutex signal_handover_mutex_, data_handover_mutex_;
     std::shared_ptr<Link> signal_handover_, data_handover_;
 
@@ -186,6 +197,7 @@ class Communicator {
     std::shared_ptr<Link> watched_;
     std::deque<Pending> pending_;
     TimePoint next_beat_{};
+    TimePoint accept_again_{};
     std::uint64_t beat_sequence_ = 0;
     bool slow_warned_ = false;
 
@@ -196,11 +208,16 @@ class Communicator {
     mutable std::mutex link_mutex_;
     std::shared_ptr<Link> link_;  // what senders see, published by the data thread; guarded by link_mutex_
 
+    std::mutex notes_mutex_;                               // held for a push or a swap
+    std::vector<std::pair<LogLevel, std::string>> notes_;  // guarded by notes_mutex_
+
     std::mutex statements_mutex_;
-    std::array<Profile, 2> profiles_;  // these four guarded by statements_mutex_
+    std::array<Profile, 2> profiles_;  // these six guarded by statements_mutex_
     std::optional<std::array<double, 3>> position_;
     std::map<std::string, std::pair<bool, std::string>, std::less<>> active_;
     std::map<std::string, std::shared_ptr<Stream::Channel>, std::less<>> channels_;
+    bool all_streams_ = true;
+    std::set<std::string, std::less<>> wanted_streams_;
 
     std::mutex tasks_mutex_;
     std::condition_variable task_ended_;

@@ -10,6 +10,7 @@
 #include <fstream>
 #include <iterator>
 
+#include "common/utf8.hpp"
 #include "entity_interfacer/communicator.hpp"
 
 namespace axon {
@@ -20,6 +21,7 @@ using namespace std::chrono_literals;
 constexpr std::size_t kProfileMax = kFrameMax - 4096;
 constexpr std::size_t kTasksMax = 64;
 constexpr std::size_t kRecentMax = 256;
+constexpr std::size_t kStreamsMax = 4096;
 constexpr auto kProfileLook = 1s;
 
 std::optional<std::string> readFile(const std::filesystem::path& file) {
@@ -55,12 +57,12 @@ void Communicator::setPosition(double x, double y, double z) {
 void Communicator::setServiceActive(std::string_view service, bool active, std::string_view reason) {
     proto::EiToEm message;
     auto& body = *message.mutable_active();
-    body.set_service(std::string(service));
+    body.set_service(validUtf8(service));
     body.set_active(active);
-    body.set_reason(std::string(reason));
+    body.set_reason(validUtf8(reason));
     {
         const std::lock_guard lock(statements_mutex_);
-        active_[std::string(service)] = {active, std::string(reason)};
+        active_[body.service()] = {active, body.reason()};
     }
     send(message, Link::Kind::Control);
 }
@@ -77,8 +79,12 @@ void Communicator::sendTaskFeedback(std::string_view service, std::string_view t
 
 std::shared_ptr<Stream::Channel> Communicator::channel(std::string_view name) {
     const std::lock_guard lock(statements_mutex_);
-    auto& channel = channels_[std::string(name)];
-    if (!channel) channel = std::make_shared<Stream::Channel>(std::string(name), *this);
+    const auto valid = validUtf8(name);
+    auto& channel = channels_[valid];
+    if (!channel) {
+        channel = std::make_shared<Stream::Channel>(valid, *this);
+        channel->wanted = all_streams_ || wanted_streams_.contains(valid);
+    }
     return channel;
 }
 
@@ -104,7 +110,7 @@ void Communicator::sendProfiles(Link& link, bool all) {
         proto::EiToEm message;
         auto& upload = *message.mutable_profile();
         upload.set_services(i == 1);
-        upload.set_file_name(profile.file.string());
+        upload.set_file_name(validUtf8(profile.file.string()));
         upload.set_xml(profile.xml);
         link.sendData(message, Link::Kind::Control);
     }
@@ -149,14 +155,20 @@ void Communicator::watchProfiles() {
 }
 
 template <class Call>
-void Communicator::guarded(const char* what, Call call) {
+bool Communicator::guarded(const char* what, Call call, const std::function<void()>& last_words) {
     try {
         call();
+        return true;
     } catch (const std::exception& error) {
-        fault(std::string("an exception left ") + what + " (" + error.what() + ")");
+        fault(std::string("an exception left ") + what + " (" + error.what() + ")", last_words);
     } catch (...) {
-        fault(std::string("an exception left ") + what);
+        fault(std::string("an exception left ") + what, last_words);
     }
+    return false;
+}
+
+bool Communicator::overtaken(const Link& link, std::uint32_t generation) const {
+    return link.lost() || !level_.settled() || level_.stopped() > generation || level_.epoch() != link.epoch;
 }
 
 void Communicator::dataThread() {
@@ -175,6 +187,7 @@ void Communicator::dataThread() {
         if (link && link->pending()) wait[1].events |= POLLOUT;
         ::poll(wait.data(), wait.size(), 1000);
         if (wait[0].revents != 0) data_wake_.drain();
+        logNotes();
         if (link && (wait[1].revents & POLLOUT) != 0) link->flush();
         if (link && (wait[1].revents & ~POLLOUT) != 0) readData(link);
         if (link && link->lost()) drop();
@@ -193,6 +206,7 @@ void Communicator::dataThread() {
         reapTasks();
     }
     drop();
+    logNotes();
     this_thread_of = nullptr;
 }
 
@@ -215,9 +229,11 @@ void Communicator::adoptDataLink(const std::shared_ptr<Link>& link) {
             message.mutable_active()->set_reason(state.second);
             link->sendData(message, Link::Kind::Control);
         }
+        all_streams_ = true;
+        wanted_streams_.clear();
         for (const auto& [name, channel] : channels_) channel->wanted = true;
+        publish(link);  // in here, so that no statement comes between what is repeated and what is sent
     }
-    publish(link);
     log(LogLevel::Info, "linked with Entity Manager " + link->manager);
     if (callbacks_.link_up) guarded("onLinkUp", [&] { callbacks_.link_up(); });
 }
@@ -242,19 +258,29 @@ void Communicator::readData(const std::shared_ptr<Link>& link) {
 }
 
 void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi& message) {
-    const auto answer = [&](std::uint64_t request, const char* what, const std::function<Decision()>& ask) {
-        auto decision =
-            Decision::deny(std::string(what) + " threw an exception: the robot application has stopped");
-        guarded(what, [&] { decision = ask(); });
+    const auto respond = [&](std::uint64_t request, proto::RefusalCode code, const std::string& reason) {
         proto::EiToEm reply;
         auto& body = *reply.mutable_answer();
         body.set_request(request);
-        body.mutable_refusal()->set_code(decision.granted() ? proto::OK : proto::DENIED);
-        body.mutable_refusal()->set_message(decision.reason());
+        body.mutable_refusal()->set_code(code);
+        body.mutable_refusal()->set_message(validUtf8(reason));
         link->sendData(reply, Link::Kind::Control);
+    };
+    const auto answer = [&](std::uint64_t request, const char* what, const std::function<Decision()>& ask) {
+        auto decision =
+            Decision::deny(std::string(what) + " threw an exception: the robot application has stopped");
+        const auto reply = [&] {
+            respond(request, decision.granted() ? proto::OK : proto::DENIED, decision.reason());
+        };
+        if (guarded(
+                what, [&] { decision = ask(); }, reply))
+            reply();
     };
     switch (message.body_case()) {
         case proto::EmToEi::kParam:
+            if (overtaken(*link, message.param().stop_generation()))
+                return respond(message.param().request(), proto::OLD_GENERATION,
+                               "a stop has come since this parameter was sent: send it again");
             return answer(message.param().request(), "onParameter", [&] {
                 return callbacks_.parameter ? callbacks_.parameter(message.param().service(),
                                                                    fromProto(message.param().param()))
@@ -275,6 +301,8 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
         case proto::EmToEi::kPause:
             if (const auto task = findTask(message.pause().task_id())) {
                 const bool resume = message.pause().resume();
+                if (resume && (task->stopRequested() || overtaken(*link, message.pause().stop_generation())))
+                    return;
                 task->setPaused(!resume);
                 const auto& callback = resume ? callbacks_.resume : callbacks_.pause;
                 if (callback) guarded(resume ? "onResume" : "onPause", [&] { callback(Task(task)); });
@@ -285,17 +313,23 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
                 guarded("onText", [&] { callbacks_.text(message.text().text(), message.text().from()); });
             return;
         case proto::EmToEi::kRaw:
-            if (callbacks_.raw)
+            if (callbacks_.raw && !overtaken(*link, message.raw().stop_generation()))
                 guarded("onRaw", [&] {
                     const auto& blocks = message.raw().data();
                     callbacks_.raw({blocks.begin(), blocks.end()}, message.raw().from());
                 });
             return;
         case proto::EmToEi::kStream: {
+            const auto& control = message.stream();
             const std::lock_guard lock(statements_mutex_);
+            if (control.stream().empty())
+                all_streams_ = control.on();
+            else if (!control.on())
+                wanted_streams_.erase(control.stream());
+            else if (wanted_streams_.size() < kStreamsMax)
+                wanted_streams_.insert(control.stream());
             for (const auto& [name, channel] : channels_)
-                if (message.stream().stream().empty() || message.stream().stream() == name)
-                    channel->wanted = message.stream().on();
+                channel->wanted = all_streams_ || wanted_streams_.contains(name);
             return;
         }
         case proto::EmToEi::kProfileError:
@@ -329,7 +363,10 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
                                                        "\", …) or take the service out of its profile");
     if (callbacks_.task_request) {
         auto decision = Decision::deny("onTaskRequest threw an exception: the robot application has stopped");
-        guarded("onTaskRequest", [&] { decision = callbacks_.task_request(Task(task)); });
+        if (!guarded(
+                "onTaskRequest", [&] { decision = callbacks_.task_request(Task(task)); },
+                [&] { refuse(RefusalCode::Denied, decision.reason()); }))
+            return;
         if (!decision.granted()) return refuse(RefusalCode::Denied, decision.reason());
     }
     reapTasks();
@@ -365,11 +402,12 @@ void Communicator::runTask(const std::shared_ptr<Task::Running>& running,
         handler(task);
         running->handlerReturned();
     } catch (const std::exception& error) {
-        running->end(false, std::string("an exception left the handler: ") + error.what());
-        fault("an exception left the handler of '" + running->service + "' (" + error.what() + ")");
+        const std::string what = error.what();
+        fault("an exception left the handler of '" + running->service + "' (" + what + ")",
+              [&] { running->end(false, "an exception left the handler: " + what); });
     } catch (...) {
-        running->end(false, "an exception left the handler");
-        fault("an exception left the handler of '" + running->service + "'");
+        fault("an exception left the handler of '" + running->service + "'",
+              [&] { running->end(false, "an exception left the handler"); });
     }
 }
 

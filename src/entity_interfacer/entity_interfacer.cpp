@@ -4,6 +4,7 @@
 #include <axon/link.pb.h>
 
 #include "common/clock.hpp"
+#include "common/utf8.hpp"
 #include "entity_interfacer/communicator.hpp"
 
 namespace axon {
@@ -67,13 +68,13 @@ void sample(Stream::Channel& channel, Fill fill) {
 void Stream::send(double value, std::string_view units) {
     sample(*channel_, [&](proto::StreamSample& out) {
         out.mutable_scalar()->set_value(value);
-        out.mutable_scalar()->set_units(std::string(units));
+        out.mutable_scalar()->set_units(validUtf8(units));
     });
 }
 void Stream::send(const std::vector<double>& values, std::string_view units) {
     sample(*channel_, [&](proto::StreamSample& out) {
         out.mutable_vector()->mutable_values()->Add(values.begin(), values.end());
-        out.mutable_vector()->set_units(std::string(units));
+        out.mutable_vector()->set_units(validUtf8(units));
     });
 }
 void Stream::send(const Pose& pose) {
@@ -81,7 +82,7 @@ void Stream::send(const Pose& pose) {
         auto& p = *out.mutable_pose();
         p.set_x(pose.x), p.set_y(pose.y), p.set_z(pose.z);
         p.set_roll(pose.roll), p.set_pitch(pose.pitch), p.set_yaw(pose.yaw);
-        p.set_frame(pose.frame);
+        p.set_frame(validUtf8(pose.frame));
     });
 }
 void Stream::send(const Scan& scan) {
@@ -96,7 +97,7 @@ void Stream::send(const Image& image) {
     sample(*channel_, [&](proto::StreamSample& out) {
         auto& i = *out.mutable_image();
         i.set_width(image.width), i.set_height(image.height);
-        i.set_encoding(image.encoding);
+        i.set_encoding(validUtf8(image.encoding));
         i.set_pixels(image.pixels);
     });
 }
@@ -163,12 +164,12 @@ void EntityInterfacer::standstill() {
 void EntityInterfacer::setStatus(bool busy, std::string_view text) {
     proto::EiToEm message;
     message.mutable_status()->set_busy(busy);
-    message.mutable_status()->set_text(std::string(text));
+    message.mutable_status()->set_text(validUtf8(text));
     communicator_->send(message, Link::Kind::Control);
 }
 void EntityInterfacer::sendInfoMsg(std::string_view text) {
     proto::EiToEm message;
-    message.mutable_text()->set_text(std::string(text));
+    message.mutable_text()->set_text(validUtf8(text));
     if (!communicator_->send(message, Link::Kind::Control))
         communicator_->log(LogLevel::Error, "sendInfoMsg: expected at most 1 MiB; the text was dropped");
 }

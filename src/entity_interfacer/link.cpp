@@ -30,12 +30,17 @@ Link::Link(Descriptor signal, FrameReader from_signal, Descriptor data, FrameRea
     data_reader.setLimit(kFrameMax);
 }
 
-void Link::cut(const std::string& reason) {
+void Link::condemn(const std::string& reason) {
     {
         const std::lock_guard lock(reason_mutex_);
         if (reason_.empty()) reason_ = reason;
     }
     lost_.store(true, std::memory_order_release);
+}
+
+void Link::cut(const std::string& reason) {
+    condemn(reason);
+    closed_.store(true, std::memory_order_release);
     ::shutdown(signal_.get(), SHUT_RDWR);
     ::shutdown(data_.get(), SHUT_RDWR);
 }
@@ -57,7 +62,7 @@ void Link::sendSignal(const proto::EiToEm& message) {
 bool Link::sendData(const proto::EiToEm& message, Kind kind) {
     std::string frame;
     if (!appendFrame(frame, message.SerializeAsString())) return false;
-    if (lost()) return true;
+    if (closed_.load(std::memory_order_acquire)) return true;
     const std::lock_guard lock(data_mutex_);
     bytes_ += frame.size();
     if (kind == Kind::Droppable) ++droppable_;

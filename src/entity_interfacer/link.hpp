@@ -3,6 +3,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <deque>
 #include <mutex>
 #include <string>
@@ -39,6 +40,13 @@ class Link {
     int signalFd() const { return signal_.get(); }
     int dataFd() const { return data_.get(); }
 
+    /// Of the StopLevel when the stop thread took the link, which it does before the data thread has it: a
+    /// higher one means that the application has stopped itself since.
+    std::uint64_t epoch = 0;
+
+    /// Lost: nothing that arrives counts any more, no task of it begins. Last words can still be sent until
+    /// the cut, which must follow.
+    void condemn(const std::string& reason);
     /// Ends both connections; the stop thread sees it as end of file. The first reason counts.
     void cut(const std::string& reason);
     std::string reason() const;
@@ -62,7 +70,7 @@ class Link {
 
     const Descriptor signal_, data_;
     const WakeUp& data_thread_;
-    std::atomic<bool> lost_{false};
+    std::atomic<bool> lost_{false}, closed_{false};
     std::atomic<bool> pending_{false};
     mutable std::mutex reason_mutex_;
     std::string reason_;  // guarded by reason_mutex_

@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "common/ids.hpp"
+#include "common/utf8.hpp"
 
 namespace axon {
 namespace {
@@ -15,6 +16,11 @@ using namespace std::chrono_literals;
 // The signal lane repeats the generation at least every 100 ms; a second without is a broken peer.
 constexpr auto kSettleTime = 1s;
 constexpr std::size_t kTextMax = 64 * 1024;
+
+std::string shortText(std::string_view text) {
+    const auto valid = validUtf8(text.substr(0, kTextMax));
+    return std::string(cutUtf8(valid, kTextMax));
+}
 
 std::string idText(const std::string& bytes) {
     const auto id = Id128::fromBytes(bytes);
@@ -84,7 +90,7 @@ void toProto(const Value& value, proto::Param& param) {
     auto& out = *param.add_values();
     if (const auto* i = std::get_if<std::int64_t>(&value)) out.set_int_(*i);
     if (const auto* d = std::get_if<double>(&value)) out.set_dbl(*d);
-    if (const auto* s = std::get_if<std::string>(&value)) out.set_str(*s);
+    if (const auto* s = std::get_if<std::string>(&value)) out.set_str(validUtf8(*s));
     if (const auto* b = std::get_if<bool>(&value)) out.set_bool_(*b);
 }
 
@@ -107,7 +113,7 @@ Task::Running::Running(const proto::TaskDispatch& dispatch, std::shared_ptr<Link
       id(idText(dispatch.task_id())),
       service(dispatch.service()),
       generation(dispatch.stop_generation()),
-      epoch(level.epoch()),
+      epoch(link->epoch),
       link_(std::move(link)),
       level_(level) {
     for (const auto& param : dispatch.params()) parameters.push_back(fromProto(param));
@@ -188,7 +194,7 @@ void Task::Running::progress(double part) {
 void Task::Running::feedback(std::string_view text) {
     const std::lock_guard lock(mutex_);
     if (ended_) return;
-    feedback_ = text.substr(0, kTextMax);
+    feedback_ = shortText(text);
     proto::TaskEvent event;
     event.set_state(paused() ? proto::TASK_PAUSED : proto::TASK_RUNNING);
     reportLocked(event);
@@ -197,10 +203,11 @@ void Task::Running::feedback(std::string_view text) {
 void Task::Running::result(std::string_view name, std::vector<Value> values, std::string_view units) {
     const std::lock_guard lock(mutex_);
     if (ended_) return;
+    const auto valid = validUtf8(name);
     const auto known =
-        std::find_if(results_.begin(), results_.end(), [&](const Output& o) { return o.name == name; });
+        std::find_if(results_.begin(), results_.end(), [&](const Output& o) { return o.name == valid; });
     auto& output = known != results_.end() ? *known : results_.emplace_back();
-    output = {std::string(name), std::move(values), std::string(units)};
+    output = {valid, std::move(values), validUtf8(units)};
 }
 
 void Task::Running::answer(const Refusal& refusal) {
@@ -211,7 +218,7 @@ void Task::Running::answer(const Refusal& refusal) {
     auto& answer = *message.mutable_task_answer();
     answer.set_task_id(id_bytes);
     answer.mutable_refusal()->set_code(static_cast<proto::RefusalCode>(refusal.code));
-    answer.mutable_refusal()->set_message(refusal.message);
+    answer.mutable_refusal()->set_message(validUtf8(refusal.message));
     link_->sendData(message, Link::Kind::Control);
 }
 
@@ -225,7 +232,7 @@ void Task::Running::end(bool succeeded, std::string_view reason) {
         progress_ = 1;
     } else {
         event.mutable_reason()->set_code(proto::FAILED);
-        event.mutable_reason()->set_message(std::string(reason.substr(0, kTextMax)));
+        event.mutable_reason()->set_message(shortText(reason));
     }
     reportLocked(event);
 }

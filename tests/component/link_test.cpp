@@ -95,6 +95,9 @@ class Manager : public BackEndEvents {
     void freeze(std::shared_future<void> until) {
         post([until] { until.wait(); });
     }
+    /// On the strand, as the core does it in the middle of an event.
+    bool sendNow(const proto::EmToEi& message) { return link_->send(message); }
+    std::uint64_t rawDropped() const { return link_->rawDropped(); }
     std::string dispatch(const std::string& service, std::uint32_t generation,
                          const std::vector<proto::Param>& params = {}) {
         const auto id = Id128::random(random_).bytes();
@@ -118,8 +121,11 @@ class Manager : public BackEndEvents {
         downs++;
     }
     void onLinkMessage(const proto::EiToEm& message) override {
-        const std::lock_guard lock(mutex_);
-        messages_.push_back(message);
+        {
+            const std::lock_guard lock(mutex_);
+            messages_.push_back(message);
+        }
+        if (on_message) on_message(message);
     }
     void onLinkRefused(const Refusal& refusal) override {
         const std::lock_guard lock(mutex_);
@@ -166,6 +172,7 @@ class Manager : public BackEndEvents {
         return false;
     }
 
+    std::function<void(const proto::EiToEm&)> on_message;  // on the strand; set before anything is sent
     StopGate gate;
     std::atomic<int> ups{0}, downs{0};
     Clock::time_point started_at;
@@ -677,27 +684,199 @@ TEST(Link, ASlowStopCallbackIsNoSilenceOfTheManager) {
     EXPECT_TRUE(manager.linked());
 }
 
-TEST(Link, AnExceptionInAHandlerFailsTheTaskAndStops) {
+TEST(Link, AnExceptionInAHandlerFailsTheTaskStopsAndNoQueuedTaskBegins) {
     Stops stops;
+    std::atomic<int> good_runs{0};
     EntityInterfacer interfacer(options("Throw"));
     stops.attach(interfacer);
     interfacer.onTask("Bad", [](Task& task) { task.number("Missing"); });
-    interfacer.onText([](const std::string&, const std::string&) { throw 7; });
-    interfacer.onTask("Good", [](Task&) {});
+    interfacer.onParameter([](const std::string&, const Parameter&) -> Decision { throw 7; });
+    interfacer.onTask("Good", [&](Task&) { good_runs++; });
     interfacer.start();
     Manager manager("Throw");
-    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    // The next of the queue goes out in the same moment as the verdict comes in.
+    proto::EmToEi next;
+    next.mutable_task()->set_task_id(std::string(16, 'n'));
+    next.mutable_task()->set_service("Good");
+    manager.on_message = [&](const proto::EiToEm& message) {
+        if (message.has_task() && message.task().event().state() == proto::TASK_FAILED) manager.sendNow(next);
+    };
     const auto bad = manager.dispatch("Bad", 0);
     ASSERT_TRUE(waitUntil([&] { return manager.finalOf(bad) && stops.count(Cause::Fault) == 1; }));
     EXPECT_EQ(manager.finalOf(bad)->state(), proto::TASK_FAILED);
     EXPECT_NE(manager.finalOf(bad)->reason().message().find("Missing"), std::string::npos);
-    proto::EmToEi text;
-    text.mutable_text()->set_text("x");
-    manager.send(text);
-    ASSERT_TRUE(waitUntil([&] { return stops.count(Cause::Fault) == 2; }));
+    ASSERT_TRUE(waitUntil([&] { return manager.downs == 1 && manager.ups == 2 && interfacer.linked(); }));
+    proto::EmToEi ask;
+    ask.mutable_param()->set_request(1);
+    manager.send(ask);
+    ASSERT_TRUE(waitUntil([&] { return manager.answerTo(1) && stops.count(Cause::Fault) == 2; }));
+    EXPECT_EQ(manager.answerTo(1)->code(), proto::DENIED);
+    ASSERT_TRUE(waitUntil([&] { return manager.downs == 2 && manager.ups == 3 && interfacer.linked(); }));
+    EXPECT_EQ(good_runs, 0);
     const auto good = manager.dispatch("Good", 0);
     ASSERT_TRUE(waitUntil([&] { return manager.finalOf(good).has_value(); }));
     EXPECT_EQ(manager.finalOf(good)->state(), proto::TASK_SUCCEEDED);
+}
+
+TEST(Link, WhatAStopHasOvertakenDoesNotReachTheApplication) {
+    std::atomic<int> params{0}, resumes{0};
+    std::mutex mutex;
+    std::vector<std::string> raw;
+    std::promise<void> end;
+    const auto ended = end.get_future().share();
+    EntityInterfacer interfacer(options("Overtaken"));
+    interfacer.onStop([](const StopSignal&) {});
+    interfacer.onRaw([&](const std::vector<std::string>& blocks, const std::string&) {
+        const std::lock_guard lock(mutex);
+        raw.push_back(blocks.at(0));
+    });
+    interfacer.onParameter([&](const std::string&, const Parameter&) {
+        params++;
+        return Decision::grant();
+    });
+    interfacer.onResume([&](const Task&) { resumes++; });
+    interfacer.onTask("Stubborn", [ended](Task&) { ended.wait_for(10s); });
+    interfacer.start();
+    Manager manager("Overtaken");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    const auto task = manager.dispatch("Stubborn", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(task).has_value(); }));
+    proto::EmToEi pause;
+    pause.mutable_pause()->set_task_id(task);
+    manager.send(pause);
+    const auto newest = manager.stop();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(newest); }));
+    for (const auto generation : {newest - 1, newest}) {
+        proto::EmToEi velocities;
+        velocities.mutable_raw()->add_data(generation == newest ? "new" : "old");
+        velocities.mutable_raw()->set_stop_generation(generation);
+        manager.send(velocities);
+        pause.mutable_pause()->set_resume(true);
+        pause.mutable_pause()->set_stop_generation(generation);  // the task itself is older in both cases
+        manager.send(pause);
+        proto::EmToEi ask;
+        ask.mutable_param()->set_request(generation + 10);
+        ask.mutable_param()->set_stop_generation(generation);
+        manager.send(ask);
+    }
+    ASSERT_TRUE(waitUntil([&] { return manager.answerTo(newest + 10).has_value(); }));
+    EXPECT_EQ(manager.answerTo(newest + 9)->code(), proto::OLD_GENERATION);
+    EXPECT_EQ(manager.answerTo(newest + 10)->code(), proto::OK);
+    EXPECT_EQ(params, 1);
+    EXPECT_EQ(resumes, 0);
+    end.set_value();
+    const std::lock_guard lock(mutex);
+    EXPECT_EQ(raw, std::vector<std::string>{"new"});
+}
+
+TEST(Link, ALoggerThatBlocksHoldsUpNeitherStopNorWatchdog) {
+    std::promise<void> release, go;
+    const auto released = release.get_future().share();
+    std::atomic<bool> blocked{false};
+    std::atomic<int> requested{0}, lost{0};
+    auto o = options("Logger");
+    o.logger = [&, released](LogLevel, const std::string& text) {
+        if (text.find("stop callback threw") == std::string::npos) return;
+        blocked = true;
+        released.wait();
+    };
+    EntityInterfacer interfacer(o);
+    interfacer.onStop([&](const StopSignal& stop) {
+        if (stop.cause == Cause::LinkLost) lost++;
+        if (stop.cause == Cause::Requested && ++requested == 1) throw std::runtime_error("first");
+    });
+    Manager manager("Logger");
+    const std::shared_ptr<void> at_end(nullptr, [&](void*) { release.set_value(), go.set_value(); });
+    interfacer.start();
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    manager.stop();
+    ASSERT_TRUE(waitUntil([&] { return blocked.load(); }));
+    const auto second = manager.stop();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(second); }));
+    EXPECT_EQ(requested, 2);
+    manager.freeze(go.get_future().share());
+    EXPECT_TRUE(waitUntil([&] { return lost == 1; }, 2s * kSlow));
+}
+
+TEST(Link, TextThatIsNoUtf8DoesNotEndTheLink) {
+    EntityInterfacer interfacer(options("Bytes"));
+    interfacer.onTask("Bad", [](Task& task) {
+        task.feedback(std::string(64 * 1024 - 1, 'a') + "\xC3\xBC");
+        task.result("R\xFF", std::string("\xFF"), "\xFF");
+        task.fail("gr\xFC\xDF");
+    });
+    interfacer.onParameter([](const std::string&, const Parameter&) { return Decision::deny("\xFF"); });
+    interfacer.start();
+    Manager manager("Bytes");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    interfacer.sendInfoMsg("\xFF");
+    interfacer.setStatus(true, "\xFF");
+    interfacer.setServiceActive("S\xFF", false, "\xFF");
+    interfacer.stream("pose\xFF").send(1.0, "\xFF");
+    interfacer.stream("map").send(Pose{0, 0, 0, 0, 0, 0, "\xFF"});
+    proto::EmToEi ask;
+    ask.mutable_param()->set_request(1);
+    manager.send(ask);
+    const auto bad = manager.dispatch("Bad", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(bad) && manager.answerTo(1); }));
+    EXPECT_EQ(manager.finalOf(bad)->reason().message(), "gr\xEF\xBF\xBD\xEF\xBF\xBD");
+    EXPECT_EQ(manager.finalOf(bad)->results(0).values(0).str(), "\xEF\xBF\xBD");
+    EXPECT_LE(manager.finalOf(bad)->feedback().size(), 64U * 1024U);
+    EXPECT_EQ(manager.answerTo(1)->message(), "\xEF\xBF\xBD");
+    EXPECT_EQ(manager.downs, 0);
+}
+
+TEST(Link, ASlowApplicationLosesOldRawDataAndKeepsTheLink) {
+    constexpr int kFrames = 120;
+    std::promise<void> go;
+    const auto gone = go.get_future().share();
+    std::atomic<int> newest{-1};
+    std::atomic<std::uint64_t> count{0};
+    bool set = false;
+    EntityInterfacer interfacer(options("Slow"));
+    interfacer.onRaw([&, gone](const std::vector<std::string>& blocks, const std::string&) {
+        gone.wait();
+        newest = std::stoi(blocks.at(0));
+        count++;
+    });
+    Manager manager("Slow");
+    const std::shared_ptr<void> at_end(nullptr, [&](void*) {
+        if (!set) go.set_value();
+    });
+    interfacer.start();
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    proto::EmToEi raw;
+    raw.mutable_raw()->add_data();
+    raw.mutable_raw()->add_data(std::string(250'000, 'x'));
+    for (int i = 0; i < kFrames; ++i) {
+        raw.mutable_raw()->set_data(0, std::to_string(i));
+        manager.send(raw);
+    }
+    ASSERT_TRUE(waitUntil([&] { return manager.rawDropped() > 0; }));
+    set = true;
+    go.set_value();
+    ASSERT_TRUE(waitUntil([&] { return newest == kFrames - 1; }));
+    EXPECT_TRUE(waitUntil([&] { return count + manager.rawDropped() == kFrames; }));
+    EXPECT_EQ(manager.downs, 0);
+}
+
+TEST(Link, AMessageLargerThanAFrameIsNotSentAndSaysSo) {
+    EntityInterfacer interfacer(options("Large"));
+    interfacer.start();
+    Manager manager("Large");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    std::promise<std::pair<bool, bool>> sent;
+    manager.post([&] {
+        proto::EmToEi message;
+        message.mutable_text()->set_text("fits");
+        const bool small = manager.sendNow(message);
+        message.mutable_text()->set_text(std::string(kFrameMax, 'x'));
+        sent.set_value({small, manager.sendNow(message)});
+    });
+    EXPECT_EQ(sent.get_future().get(), (std::pair{true, false}));
+    EXPECT_TRUE(waitUntil([&] { return manager.refusal().code == RefusalCode::TooLarge; }));
+    EXPECT_EQ(manager.downs, 0);
 }
 
 TEST(Link, DestructionStopsAndTheManagerIsTold) {
@@ -789,10 +968,24 @@ TEST(Link, TextRawAndStreamsTravelBothWays) {
     EXPECT_EQ(got[1].text().text(), "ready");
     EXPECT_EQ(got[2].raw().data(0), "bytes");
     EXPECT_TRUE(got[3].status().busy());
-    proto::EmToEi off;
-    off.mutable_stream()->set_stream("pose");
-    manager.send(off);
+    const auto other = interfacer.stream("scan");
+    const auto turn = [&](const std::string& name, bool on) {
+        proto::EmToEi control;
+        control.mutable_stream()->set_stream(name);
+        control.mutable_stream()->set_on(on);
+        manager.send(control);
+    };
+    turn("", false);
+    EXPECT_TRUE(waitUntil([&] { return !stream.wanted() && !other.wanted(); }));
+    turn("pose", true);
+    turn("", true);
+    turn("", false);  // who watches all leaves; who watches "pose" stays
+    turn("scan", true);
+    EXPECT_TRUE(waitUntil([&] { return other.wanted(); }));
+    EXPECT_TRUE(stream.wanted());
+    turn("pose", false);
     EXPECT_TRUE(waitUntil([&] { return !stream.wanted(); }));
+    EXPECT_TRUE(other.wanted());
 }
 
 TEST(Link, ASecondManagerIsRefusedWithATypedErrorAndTakesOverLater) {

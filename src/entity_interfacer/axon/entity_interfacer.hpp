@@ -199,8 +199,8 @@ enum class LogLevel { Info, Warning, Error };
 /// the callbacks refer to must live until then.
 ///
 /// Failure: link loss, a dead or silent Entity Manager, an exception that leaves a callback, and destruction
-/// all dispatch onStop. An exception that leaves a task handler fails that task as well; none ends the
-/// process.
+/// all dispatch onStop. An exception that leaves a task handler fails that task as well. One that leaves any
+/// callback but onStop also ends the link, which comes up again at once; none ends the process.
 class AXON_EI_API EntityInterfacer {
   public:
     struct Options {
