@@ -111,7 +111,14 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         const auto bytes = profile.SerializeAsString();
         const auto attempt = attempt_;
         guarded([&] {
-            session_->sendBasicPrflAsync(transport::toIce(registration), toRange(bytes), [] {}, failure(attempt, "registration"));
+            session_->sendBasicPrflAsync(transport::toIce(registration), toRange(bytes),
+                [weak = weak_from_this(), attempt] {
+                    if (const auto self = weak.lock())
+                        self->post([attempt](Connection& me) {
+                            if (attempt == me.attempt_) me.registered();
+                        });
+                },
+                failure(attempt, "registration"));
         });
     }
 
@@ -287,10 +294,15 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
         up_ = true;
         busy_ = false;
-        said_ = false;
-        backoff_ = kFirstBackoff;
         if (const auto events = events_.lock()) events->serverUp();
         keepAlive();
+    }
+
+    /// Only now: a server that lets us in and refuses the registration must not be asked ten times a second.
+    void registered() {
+        registered_ = true;
+        said_ = false;
+        backoff_ = kFirstBackoff;
     }
 
     void keepAlive() {
@@ -310,11 +322,14 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     void lost(const std::string& reason) {
         const bool was_up = up_;
+        const bool was_registered = registered_;
         drop();
         if (closed_) return;
         if (const auto events = events_.lock(); events && was_up) events->serverDown(reason);
         if (!wanted_) return;
-        if (!std::exchange(said_, true))
+        if (was_registered)
+            spdlog::warn("the session with the entity server at {}:{} is lost: {}", address_.host, address_.port, reason);
+        else if (!std::exchange(said_, true))
             spdlog::warn("no session with the entity server at {}:{} ({}); trying again until there is one", address_.host,
                          address_.port, reason);
         retry_.expires_after(backoff_);
@@ -329,6 +344,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     void drop() {
         ++attempt_;
         up_ = false;
+        registered_ = false;
         retry_.cancel();
         beat_.cancel();
         forget(data_callback_, ice_->dataAdapter());
@@ -370,6 +386,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     std::chrono::milliseconds idle_period_{2000};
     bool wanted_ = false;
     bool up_ = false;
+    bool registered_ = false;
     bool busy_ = false;
     bool said_ = false;
     bool closed_ = false;

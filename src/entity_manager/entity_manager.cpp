@@ -64,32 +64,46 @@ void EntityManager::stop() {
 // -- from the server ------------------------------------------------------------------------------------------------
 
 void EntityManager::stopSignal(Header head, StopCause cause) {
+    const bool drill = cause == StopCause::Drill;
+    // A generation that the strand never hears of would make every command an old one, so a drill that would be
+    // dropped raises none.
+    if (drill && inbox_.signalsFull()) return;
     const auto generation = gate_.raise(head.sender.id, head.sequence);
-    if (!generation) return;  // the same stop by another path
+    if (!generation) {  // the same stop by another path, or repeated because its receipt did not arrive
+        if (const auto known = gate_.raisedBy(head.sender.id, head.sequence))
+            wake(inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head), cause, generation = *known] {
+                core_->onStopRepeated(head, cause, generation);
+            }));
+        return;
+    }
     back_end_.port->stop(*generation, cause);
-    wake(inbox_.pushSignal([this, head = std::move(head), cause, generation = *generation] {
-        core_->onStopSignal(head, cause, generation);
-    }));
+    wake(inbox_.pushSignal(drill ? Inbox::Signal::Drill : Inbox::Signal::Stop,
+                           [this, head = std::move(head), cause, generation = *generation] {
+                               core_->onStopSignal(head, cause, generation);
+                           }));
 }
 
 void EntityManager::resetSignal(Header head) {
-    wake(inbox_.pushSignal([this, head = std::move(head)] { core_->onResetSignal(head); }));
+    wake(inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onResetSignal(head); }));
 }
 
 void EntityManager::clearSignal(Header head) {
-    wake(inbox_.pushSignal([this, head = std::move(head)] { core_->onClearSignal(head); }));
+    wake(inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onClearSignal(head); }));
 }
 
 void EntityManager::clientUpdate(Header head, ClientChange change) {
-    wake(inbox_.pushControl([this, head = std::move(head), change] { core_->onClientUpdate(head, change); }));
+    wake(inbox_.pushSignal(Inbox::Signal::Client,
+                           [this, head = std::move(head), change] { core_->onClientUpdate(head, change); }));
 }
 
 void EntityManager::serverHeartbeat() {
-    wake(inbox_.pushControl([this] { core_->onServerHeartbeat(); }));
+    server_heard_ = true;
+    wake(inbox_.wake());
 }
 
 void EntityManager::clientMsg(Header head, std::string bytes) {
-    wake(inbox_.pushControl([this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }));
+    const auto size = bytes.size();
+    wake(inbox_.pushControl([this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }, size));
 }
 
 void EntityManager::clientMsgDataSeq(Header head, std::string bytes) {
@@ -102,12 +116,13 @@ void EntityManager::undeliverable(const Header& head, int code, const std::strin
 }
 
 void EntityManager::serverUp() {
+    server_up_ = true;
     core_->onServerUp();
     afterEvents();
 }
 
 void EntityManager::serverDown(const std::string& reason) {
-    spdlog::warn("{}: the session with the server is lost: {}", name_, reason);
+    server_up_ = false;
     core_->onServerDown(reason);
     afterEvents();
 }
@@ -138,7 +153,8 @@ void EntityManager::onLinkMessage(const proto::EiToEm& message) {
 
 void EntityManager::wake(Inbox::Verdict verdict) {
     switch (verdict) {
-        case Inbox::Verdict::AlreadyScheduled: return;
+        case Inbox::Verdict::AlreadyScheduled:
+        case Inbox::Verdict::Dropped: return;
         case Inbox::Verdict::Scheduled:
             asio::post(strand_, [weak = weak_from_this()] {
                 if (const auto self = weak.lock()) self->drain();
@@ -146,10 +162,13 @@ void EntityManager::wake(Inbox::Verdict verdict) {
             return;
         case Inbox::Verdict::Overflow:
             // Control may not be lost, so the peer that sends faster than it is handled is dropped; the loss of the
-            // session stops the robot.
+            // session stops the robot. Once for each session, and then the core wants a new one.
+            if (leaving_.exchange(true)) return;
             asio::post(strand_, [weak = weak_from_this()] {
                 const auto self = weak.lock();
-                if (!self || self->stopped_) return;
+                if (!self) return;
+                self->leaving_ = false;
+                if (self->stopped_ || !self->server_up_) return;
                 spdlog::error("{}: more than the bounded number of control messages wait; leaving the server", self->name_);
                 self->server_->wantConnection(false);
                 self->serverDown("control messages arrived faster than they could be handled");
@@ -162,15 +181,21 @@ void EntityManager::drain() {
     for (int handled = 0; handled < kEventsPerTurn; ++handled) {
         const auto event = inbox_.take();
         if (!event) {
+            hearServer();  // after take(): a beat that was told that the strand comes is not left behind
             afterEvents();
             return;
         }
         if (!stopped_) event();
     }
+    hearServer();
     afterEvents();
     asio::post(strand_, [weak = weak_from_this()] {
         if (const auto self = weak.lock()) self->drain();
     });
+}
+
+void EntityManager::hearServer() {
+    if (server_heard_.exchange(false) && !stopped_) core_->onServerHeartbeat();
 }
 
 void EntityManager::afterEvents() {
@@ -199,6 +224,7 @@ void EntityManager::armTimer() {
         const auto self = weak.lock();
         if (!self || self->stopped_) return;
         self->armed_ = TimePoint::max();
+        self->hearServer();
         self->core_->onTimer();
         self->afterEvents();
     });

@@ -22,7 +22,8 @@ namespace axon::entity_manager {
 /// communicators.
 ///
 /// Threads: everything is confined to the strand but the way of a stop: the signal thread writes it to the Entity
-/// Interfacer, raises the generation, and only then tells the strand (architecture, section 7.1).
+/// Interfacer, raises the generation, and only then tells the strand (architecture, section 7.1). Nothing that the
+/// server pushes on the signal lane takes a lock that data holds.
 /// Ownership: a shared object, because pushes of the server may be under way while it ends. stop() before the last
 /// reference is dropped.
 class EntityManager final : public ServerEvents, private BackEndEvents, public std::enable_shared_from_this<EntityManager> {
@@ -75,6 +76,7 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
 
     void wake(Inbox::Verdict verdict);
     void drain();
+    void hearServer();
     void afterEvents();
     void armTimer();
 
@@ -88,6 +90,9 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     asio::steady_timer timer_;
     TimePoint armed_ = TimePoint::max();
     std::atomic<EntityState> state_{EntityState::UNAV};
+    std::atomic<bool> server_heard_{false};  // a heartbeat that the strand has not counted yet
+    std::atomic<bool> leaving_{false};       // a control overflow on its way to the strand
+    bool server_up_ = false;
     bool latched_ = false;
     bool stopped_ = false;
 };

@@ -40,6 +40,9 @@ void EntityManagerCore::onClientMsg(const Header& head, std::string_view bytes) 
 void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
     machine_->onStopSignal(head, cause, generation);
 }
+void EntityManagerCore::onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation) {
+    machine_->onStopRepeated(head, cause, generation);
+}
 void EntityManagerCore::onResetSignal(const Header& head) {
     machine_->onSignal(Event::Reset, head);
 }

@@ -69,6 +69,8 @@ class EntityManagerCore {
     void onClientMsg(const Header& head, std::string_view bytes);
     /// The signal thread has forwarded the stop to the EI already, under `generation` of the StopGate.
     void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
+    /// A stop that has been seen before, under `generation`: its receipt is told again.
+    void onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation);
     void onResetSignal(const Header& head);
     void onClearSignal(const Header& head);
     void onClientUpdate(const Header& head, ClientChange change);

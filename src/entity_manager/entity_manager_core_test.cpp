@@ -5,6 +5,7 @@
 
 #include <set>
 
+#include "entity_manager/stream_watches.hpp"
 #include "tests/support/core_rig.hpp"
 
 namespace axon::entity_manager {
@@ -189,6 +190,156 @@ TEST_F(Held, TheUuidSurvivesARestartAndTheEpochGrows) {
     rig.makeIdle();
     rig.take("client1", "r2");
     EXPECT_EQ(rig.core().status().held, (LeaseNumber{2, 1}));
+}
+
+TEST_F(Held, NoGenerationThatWasToldIsAboveWhereTheNextLifeBegins) {
+    for (const int stops : {3, 2500}) {
+        for (int i = 0; i < stops; ++i) rig.stop("client2");
+        SeededRandom random(7);
+        StopGate gate;  // a new process, killed at any moment before
+        auto disk = rig.storage;
+        const EntityManagerCore next({.application = "rig"}, rig.clock, random, rig, rig, disk, rig.resources, gate);
+        EXPECT_GE(next.status().stop_generation, rig.core().status().stop_generation);
+        EXPECT_EQ(static_cast<std::int32_t>(gate.generation()), next.status().stop_generation);
+    }
+}
+
+TEST(EntityManagerCore, ADamagedStopGenerationIsAMisconfiguration) {
+    CoreRig rig;
+    rig.storage.save("stop_generation", "12 monkeys");
+    EXPECT_THROW(rig.restart(), std::runtime_error);
+}
+
+TEST(EntityManagerCore, AStopOnItsWayAsTheLinkComesUpHoldsUpNoCheckOut) {
+    CoreRig rig;
+    const auto head = rig.headOf("client2");
+    const auto raised = rig.gate.raise("client2", head.sequence);
+    rig.linkUp();
+    rig.core().onStopSignal(head, StopCause::Requested, *raised);
+    rig.uploadProfiles();
+    rig.core().onServerUp();
+    rig.take("client1", "r1");
+    EXPECT_EQ(rig.core().state(), EntityState::REG);
+}
+
+TEST(EntityManagerCore, AServiceThatWasSwitchedOffStaysSoWhenTheProfilesAreReadAnew) {
+    CoreRig rig;
+    rig.makeIdle();
+    proto::EiToEm off;
+    off.mutable_active()->set_service("Turning");
+    off.mutable_active()->set_active(false);
+    rig.fromApplication(off);
+    rig.uploadProfiles();
+    rig.take("client1", "r1");
+    rig.task("client1", "t1", "Turning");
+    EXPECT_EQ(refusalOf(rig, "t1"), proto::INACTIVE_SERVICE);
+}
+
+TEST_F(Held, TheLinkIsNotLeftBusyWhenItIsLostInTheMiddleOfATask) {
+    rig.task("client1", "t1", "Turning");
+    rig.grant("t1");
+    ASSERT_TRUE(rig.busy);
+    rig.core().onLinkDown("pulled");
+    EXPECT_FALSE(rig.busy);
+}
+
+TEST_F(Held, ARepeatedStopIsAnsweredWithItsReceiptAndStopsNothingMore) {
+    const auto head = rig.headOf("client2");
+    const auto raised = rig.gate.raise("client2", head.sequence);
+    rig.core().onStopSignal(head, StopCause::Requested, *raised);
+    rig.stopDone(*raised);
+    EXPECT_FALSE(rig.gate.raise("client2", head.sequence));
+    ASSERT_EQ(rig.gate.raisedBy("client2", head.sequence), raised);
+    rig.takeLines();
+    rig.core().onStopRepeated(head, StopCause::Requested, *raised);
+    const auto lines = rig.takeLines();
+    ASSERT_EQ(lines.size(), 1U);
+    EXPECT_EQ(lines[0].find("client2 (signal): StopReceipt client2:1 CALLBACK_RETURNED gen=1"), 0U) << lines[0];
+}
+
+TEST(StopGate, AStopWithoutASequenceNumberIsAlwaysNew) {
+    StopGate gate;
+    for (const std::int64_t sequence : {0, 0, -1, -1}) EXPECT_TRUE(gate.raise("browser", sequence));
+    EXPECT_TRUE(gate.raise("browser", 1));
+    EXPECT_FALSE(gate.raise("browser", 1));
+    EXPECT_EQ(gate.generation(), 5U);
+}
+
+TEST_F(Held, ACommandSentWhileAStopIsCarriedOutIsToldSo) {
+    const auto head = rig.headOf("client2");
+    rig.gate.raise("client2", head.sequence);
+    rig.generation = 1;
+    rig.task("client1", "t1", "Turning");
+    const auto& reason = rig.to_clients.back().message.task().reason();
+    EXPECT_EQ(reason.code(), proto::OLD_GENERATION);
+    EXPECT_NE(reason.message().find("is being carried out"), std::string::npos) << reason.message();
+}
+
+TEST_F(Held, WatchingByNameGoesOnWhenTheLastWhoWatchedAllEnds) {
+    const auto watch = [&](const std::string& client, const std::string& stream, bool on) {
+        proto::ToEntity message;
+        message.mutable_watch()->set_on(on);
+        if (!stream.empty()) message.mutable_watch()->add_streams(stream);
+        rig.send(client, message);
+    };
+    watch("client2", "pose", true);
+    watch("client3", "", true);
+    rig.takeLines();
+    watch("client3", "", false);
+    EXPECT_EQ(rig.takeLines(), (std::vector<std::string>{"application: StreamControl \"\" off",
+                                                         "application: StreamControl \"pose\" on"}));
+    const auto before = rig.to_application.size();
+    watch("client2", std::string(256, 'x'), true);
+    EXPECT_EQ(rig.to_clients.back().message.reply().refusal().code(), proto::BAD_NAME);
+    EXPECT_EQ(rig.to_application.size(), before);
+}
+
+TEST(StreamWatches, TheOldestWatcherButTheHolderMakesRoom) {
+    StreamWatches watches;
+    ASSERT_TRUE(watches.watch("holder", {"pose"}));
+    ASSERT_TRUE(watches.watch("first", {"scan"}));
+    for (std::size_t i = 2; i < StreamWatches::kMaxWatchers; ++i)
+        ASSERT_TRUE(watches.watch("c" + std::to_string(i), {"pose"}));
+    const auto switches = watches.watch("new", {"pose"}, "holder");
+    ASSERT_TRUE(switches);
+    ASSERT_EQ(switches->size(), 1U);
+    EXPECT_EQ(switches->front().stream, "scan");
+    EXPECT_FALSE(switches->front().on);
+    EXPECT_EQ(watches.watchersOf("pose", "").size(), StreamWatches::kMaxWatchers);
+}
+
+TEST(EntityManagerCore, WhatIsLargerThanAFrameIsRefusedAndWedgesNothing) {
+    CoreRig rig;
+    rig.linkUp();
+    rig.upload(false, test::kRigBasicProfile);
+    rig.upload(true, R"(<ServiceProfile count="1">
+  <Service name="Say" type="SMPL">
+    <Parameters>
+      <Param name="Words" type="INPUT" data_type="STR" multiple="true" required="true"/>
+    </Parameters>
+  </Service>
+</ServiceProfile>
+)");
+    rig.core().onServerUp();
+    rig.take("client1", "r1");
+    ASSERT_EQ(rig.core().state(), EntityState::REG);
+    proto::ToEntity message;
+    message.mutable_task()->set_task_id(idOf("t1"));
+    message.mutable_task()->set_service("Say");
+    auto& words = *message.mutable_task()->add_params();
+    words.set_name("Words");
+    for (int i = 0; i < 20; ++i) words.add_values()->set_str(std::string(60'000, 'x'));
+    proto::ToEntity set;
+    set.mutable_set_param()->set_service("Say");
+    *set.mutable_set_param()->mutable_param() = words;
+    const auto before = rig.to_application.size();
+    rig.send("client1", message);
+    EXPECT_EQ(refusalOf(rig, "t1"), proto::TOO_LARGE);
+    rig.send("client1", set);
+    EXPECT_EQ(rig.to_clients.back().message.reply().refusal().code(), proto::TOO_LARGE);
+    EXPECT_EQ(rig.to_application.size(), before);
+    rig.task("client1", "t2", "Say", {"Words=hello"});
+    EXPECT_EQ(dispatches(rig), 1);
 }
 
 TEST_F(Held, AnUploadStaysInItsWindowAndIsCreditedAsItIsConsumed) {

@@ -7,22 +7,55 @@
 
 namespace axon::entity_manager {
 
-Inbox::Verdict Inbox::pushSignal(Event event) {
+/// Which of the waiting signals makes room for one that must not be lost; kSignals = none. The newest generation must
+/// reach the strand, or every command would be an old one, and so must the newest stop; a new stop is both.
+std::size_t Inbox::victimFor(Signal kind) {
+    std::size_t newest_stop = kSignals;
+    std::size_t newest_generation = kSignals;
+    for (std::size_t i = 0; i < kSignals && kind != Signal::Stop; ++i) {
+        if (signalAt(i).kind == Signal::Stop) newest_stop = newest_generation = i;
+        if (signalAt(i).kind == Signal::Drill) newest_generation = i;
+    }
+    for (std::size_t i = 0; i < kSignals; ++i)
+        if (signalAt(i).kind == Signal::Passing) return i;
+    for (std::size_t i = 0; i < kSignals; ++i)
+        if (signalAt(i).kind == Signal::Drill && i != newest_generation) return i;
+    for (std::size_t i = kSignals; i-- > 0;)
+        if (signalAt(i).kind == Signal::Stop && i != newest_stop) return i;
+    return kSignals;
+}
+
+Inbox::Verdict Inbox::pushSignal(Signal kind, Event event) {
+    Event victim;  // destroyed after the lock
     {
         const std::lock_guard lock(signal_mutex_);
-        if (signal_count_ == signals_.size()) --signal_count_;
-        signals_[(signal_first_ + signal_count_) % signals_.size()] = std::move(event);
+        if (signal_count_ == kSignals) {
+            if (kind == Signal::Passing || kind == Signal::Drill) return Verdict::Dropped;
+            auto at = victimFor(kind);
+            if (at == kSignals) return Verdict::Overflow;
+            victim = std::move(signalAt(at).event);
+            for (; at + 1 < kSignals; ++at) signalAt(at) = std::move(signalAt(at + 1));
+            --signal_count_;
+        }
+        signalAt(signal_count_) = {kind, std::move(event)};
         ++signal_count_;
     }
     return wake();
 }
 
-Inbox::Verdict Inbox::pushControl(Event event) {
+bool Inbox::signalsFull() const {
+    const std::lock_guard lock(signal_mutex_);
+    return signal_count_ == kSignals;
+}
+
+Inbox::Verdict Inbox::pushControl(Event event, std::size_t bytes) {
     {
         const std::lock_guard lock(mutex_);
-        if (control_events_ == bounds_.control_events) return Verdict::Overflow;
-        waiting_.push_back({std::move(event)});
+        if (control_events_ == bounds_.control_events || control_bytes_ + bytes > bounds_.control_bytes)
+            return Verdict::Overflow;
+        waiting_.push_back({std::move(event), bytes});
         ++control_events_;
+        control_bytes_ += bytes;
     }
     return wake();
 }
@@ -33,7 +66,7 @@ Inbox::Verdict Inbox::pushData(Event event, std::size_t bytes) {
         const std::lock_guard lock(mutex_);
         while (data_events_ > 0 && (data_events_ == bounds_.data_events || data_bytes_ + bytes > bounds_.data_bytes)) {
             const auto oldest = std::find_if(waiting_.begin(), waiting_.end(), [](const Waiting& w) { return w.data; });
-            data_bytes_ -= oldest->data_bytes;
+            data_bytes_ -= oldest->bytes;
             --data_events_;
             ++dropped_;
             dropped.push_back(std::move(oldest->event));
@@ -59,7 +92,7 @@ Inbox::Event Inbox::next() {
     {
         const std::lock_guard lock(signal_mutex_);
         if (signal_count_ > 0) {
-            Event event = std::exchange(signals_[signal_first_], nullptr);
+            Event event = std::exchange(signalAt(0).event, nullptr);
             signal_first_ = (signal_first_ + 1) % signals_.size();
             --signal_count_;
             return event;
@@ -71,9 +104,10 @@ Inbox::Event Inbox::next() {
     waiting_.pop_front();
     if (first.data) {
         --data_events_;
-        data_bytes_ -= first.data_bytes;
+        data_bytes_ -= first.bytes;
     } else {
         --control_events_;
+        control_bytes_ -= first.bytes;
     }
     return std::move(first.event);
 }

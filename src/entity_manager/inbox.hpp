@@ -13,6 +13,10 @@ namespace axon::entity_manager {
 /// What waits to be handled by one Entity Manager's strand. Signals overtake everything else; data is dropped
 /// oldest-first when it piles up; control overflow is reported, so that the owner can drop the peer.
 ///
+/// A stop is never lost: when all signal slots are taken it takes the place of a signal that may be dropped, and
+/// among nothing but stops that of the second newest, whose effect the newest has too. A client's loss or return is
+/// not lost either. What else finds the slots full is dropped.
+///
 /// Threads: push…() from any; take() from the strand alone. Signals have a mutex and preallocated slots of their own,
 /// so that no amount of data holds up a stop (invariant 3).
 class Inbox {
@@ -21,40 +25,56 @@ class Inbox {
 
     struct Bounds {
         std::size_t control_events = 4096;
+        std::size_t control_bytes = 16U << 20U;
         std::size_t data_events = 1024;
         std::size_t data_bytes = 8U << 20U;
     };
-    enum class Verdict { Scheduled, AlreadyScheduled, Overflow };
+    enum class Verdict { Scheduled, AlreadyScheduled, Overflow, Dropped };
+    enum class Signal : std::uint8_t {
+        Stop,
+        Client,   ///< a client was lost, came back, or has left
+        Drill,    ///< raises the generation as a stop does, and may be dropped
+        Passing,  ///< may be dropped: reset, clear, a repeated stop
+    };
+    static constexpr std::size_t kSignals = 64;
 
     explicit Inbox(Bounds bounds) : bounds_(bounds) {}
     Inbox() : Inbox(Bounds{}) {}
 
-    /// Always fits: when all slots are taken the strand has 64 signals to handle and one more changes nothing but
-    /// its receipt, so the newest takes the place of the second newest.
-    Verdict pushSignal(Event event);
-    Verdict pushControl(Event event);
+    /// Dropped: a passing one found no slot. Overflow: one that may not be lost found nothing that may.
+    Verdict pushSignal(Signal kind, Event event);
+    /// Whether a drill or a passing signal would be dropped now. False stays false for the one thread that pushes them.
+    bool signalsFull() const;
+    Verdict pushControl(Event event, std::size_t bytes = 0);
     /// May drop older data to make room. `bytes` counts towards the bound.
     Verdict pushData(Event event, std::size_t bytes);
 
     /// The next event, signals first, then control and data in the order of their arrival; empty = nothing left,
     /// and the next push answers Scheduled.
     Event take();
+    /// The strand is to come although there is no event. Takes no lock.
+    Verdict wake() { return scheduled_.exchange(true) ? Verdict::AlreadyScheduled : Verdict::Scheduled; }
 
     std::uint64_t droppedData() const;
 
   private:
     struct Waiting {
         Event event;
-        std::size_t data_bytes = 0;  // 0 = control
+        std::size_t bytes = 0;
         bool data = false;
     };
-    Verdict wake() { return scheduled_.exchange(true) ? Verdict::AlreadyScheduled : Verdict::Scheduled; }
+    struct WaitingSignal {
+        Signal kind = Signal::Passing;
+        Event event;
+    };
+    WaitingSignal& signalAt(std::size_t i) { return signals_[(signal_first_ + i) % signals_.size()]; }
+    std::size_t victimFor(Signal kind);
     Event next();
 
     const Bounds bounds_;
 
     mutable std::mutex signal_mutex_;
-    std::array<Event, 64> signals_;   // guarded by signal_mutex_: a ring
+    std::array<WaitingSignal, kSignals> signals_;  // guarded by signal_mutex_: a ring
     std::size_t signal_first_ = 0;    // guarded by signal_mutex_
     std::size_t signal_count_ = 0;    // guarded by signal_mutex_
     std::atomic<bool> scheduled_{false};  // whether the strand will come; no lock, so that data takes none of signals
@@ -62,6 +82,7 @@ class Inbox {
     mutable std::mutex mutex_;
     std::deque<Waiting> waiting_;     // guarded by mutex_
     std::size_t control_events_ = 0;  // guarded by mutex_
+    std::size_t control_bytes_ = 0;   // guarded by mutex_
     std::size_t data_events_ = 0;     // guarded by mutex_
     std::size_t data_bytes_ = 0;      // guarded by mutex_
     std::uint64_t dropped_ = 0;       // guarded by mutex_

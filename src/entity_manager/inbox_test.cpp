@@ -8,6 +8,8 @@
 namespace axon::entity_manager {
 namespace {
 
+using Signal = Inbox::Signal;
+
 class InboxTest : public testing::Test {
   protected:
     Inbox::Event note(char c) {
@@ -23,7 +25,7 @@ TEST_F(InboxTest, ASignalOvertakesEverythingThatWaits) {
     Inbox inbox;
     inbox.pushControl(note('a'));
     inbox.pushData(note('b'), 10);
-    inbox.pushSignal(note('S'));
+    inbox.pushSignal(Signal::Stop, note('S'));
     drain(inbox);
     EXPECT_EQ(seen, "Sab");
 }
@@ -52,17 +54,85 @@ TEST_F(InboxTest, ControlOverflowIsReportedAndChangesNothing) {
 TEST_F(InboxTest, OnlyTheFirstPushAfterEmptyNeedsToWakeTheStrand) {
     Inbox inbox;
     EXPECT_EQ(inbox.pushData(note('a'), 1), Inbox::Verdict::Scheduled);
-    EXPECT_EQ(inbox.pushSignal(note('b')), Inbox::Verdict::AlreadyScheduled);
+    EXPECT_EQ(inbox.pushSignal(Signal::Stop, note('b')), Inbox::Verdict::AlreadyScheduled);
     drain(inbox);
-    EXPECT_EQ(inbox.pushSignal(note('c')), Inbox::Verdict::Scheduled);
+    EXPECT_EQ(inbox.pushSignal(Signal::Stop, note('c')), Inbox::Verdict::Scheduled);
 }
 
-TEST_F(InboxTest, TheNewestSignalAlwaysFits) {
-    Inbox inbox;
-    for (int i = 0; i < 100; ++i) inbox.pushSignal(note('x'));
-    inbox.pushSignal(note('L'));
+TEST_F(InboxTest, ControlIsBoundedByItsBytesToo) {
+    Inbox inbox({.control_events = 10, .control_bytes = 100});
+    EXPECT_EQ(inbox.pushControl(note('a'), 60), Inbox::Verdict::Scheduled);
+    EXPECT_EQ(inbox.pushControl(note('b'), 60), Inbox::Verdict::Overflow);
     drain(inbox);
-    EXPECT_EQ(seen, std::string(63, 'x') + "L");
+    EXPECT_EQ(inbox.pushControl(note('c'), 60), Inbox::Verdict::Scheduled);
+    drain(inbox);
+    EXPECT_EQ(seen, "ac");
+}
+
+TEST_F(InboxTest, AStopThatWaitsIsNotLostToAFloodOfDrillsAndResets) {
+    Inbox inbox;
+    inbox.pushSignal(Signal::Stop, note('S'));
+    for (int i = 0; i < 200; ++i) inbox.pushSignal(Signal::Passing, note('x'));
+    EXPECT_TRUE(inbox.signalsFull());
+    EXPECT_EQ(inbox.pushSignal(Signal::Passing, note('x')), Inbox::Verdict::Dropped);
+    drain(inbox);
+    EXPECT_EQ(seen, "S" + std::string(63, 'x'));
+}
+
+TEST_F(InboxTest, AStopThatFindsTheRingFullTakesThePlaceOfTheOldestThatIsNone) {
+    Inbox inbox;
+    inbox.pushSignal(Signal::Stop, note('S'));
+    inbox.pushSignal(Signal::Passing, note('o'));
+    for (int i = 0; i < 62; ++i) inbox.pushSignal(Signal::Passing, note('x'));
+    inbox.pushSignal(Signal::Stop, note('T'));
+    inbox.pushSignal(Signal::Client, note('C'));
+    drain(inbox);
+    EXPECT_EQ(seen, "S" + std::string(61, 'x') + "TC");
+}
+
+TEST_F(InboxTest, AmongNothingButStopsTheNewestAlwaysFits) {
+    Inbox inbox;
+    for (int i = 0; i < 100; ++i) inbox.pushSignal(Signal::Stop, note('s'));
+    EXPECT_EQ(inbox.pushSignal(Signal::Stop, note('L')), Inbox::Verdict::AlreadyScheduled);
+    drain(inbox);
+    EXPECT_EQ(seen, std::string(63, 's') + "L");
+}
+
+TEST_F(InboxTest, TheLossOfAClientTakesThePlaceOfAStopThatIsNotTheNewest) {
+    Inbox inbox;
+    for (int i = 0; i < 62; ++i) inbox.pushSignal(Signal::Stop, note('s'));
+    inbox.pushSignal(Signal::Stop, note('o'));
+    inbox.pushSignal(Signal::Stop, note('N'));
+    EXPECT_EQ(inbox.pushSignal(Signal::Client, note('C')), Inbox::Verdict::AlreadyScheduled);
+    drain(inbox);
+    EXPECT_EQ(seen, std::string(62, 's') + "NC");
+}
+
+TEST_F(InboxTest, TheNewestGenerationReachesTheStrandThoughADrillRaisedIt) {
+    Inbox inbox;
+    for (int i = 0; i < 63; ++i) inbox.pushSignal(Signal::Client, note('c'));
+    inbox.pushSignal(Signal::Drill, note('d'));
+    EXPECT_EQ(inbox.pushSignal(Signal::Client, note('C')), Inbox::Verdict::Overflow);
+    EXPECT_EQ(inbox.pushSignal(Signal::Stop, note('S')), Inbox::Verdict::AlreadyScheduled);
+    drain(inbox);
+    EXPECT_EQ(seen, std::string(63, 'c') + "S");
+}
+
+TEST_F(InboxTest, ASignalThatMayNotBeLostAndFindsNothingThatMayIsReported) {
+    Inbox inbox;
+    inbox.pushSignal(Signal::Stop, note('S'));
+    for (int i = 0; i < 63; ++i) inbox.pushSignal(Signal::Client, note('c'));
+    EXPECT_EQ(inbox.pushSignal(Signal::Client, note('d')), Inbox::Verdict::Overflow);
+    drain(inbox);
+    EXPECT_EQ(seen, "S" + std::string(63, 'c'));
+}
+
+TEST_F(InboxTest, AWakeWithoutAnEventIsAskedOfTheStrandOnce) {
+    Inbox inbox;
+    EXPECT_EQ(inbox.wake(), Inbox::Verdict::Scheduled);
+    EXPECT_EQ(inbox.wake(), Inbox::Verdict::AlreadyScheduled);
+    EXPECT_FALSE(inbox.take());
+    EXPECT_EQ(inbox.wake(), Inbox::Verdict::Scheduled);
 }
 
 }  // namespace

@@ -2,7 +2,6 @@
 #include "entity_manager/lease_book.hpp"
 
 #include <charconv>
-#include <exception>
 #include <stdexcept>
 #include <utility>
 
@@ -30,13 +29,9 @@ std::string named(const Sender& sender) {
 
 }  // namespace
 
-LeaseBook::LeaseBook(Storage& storage, RandomSource& random) : storage_(storage), random_(random) {
+LeaseBook::LeaseBook(Storage& storage, RandomSource& random) : random_(random) {
     last_ = {loadEpoch(storage) + 1, 0};
-    save();
-}
-
-void LeaseBook::save() {
-    storage_.save(kKey, std::to_string(last_.epoch) + ' ' + std::to_string(last_.number));
+    storage.save(kKey, std::to_string(last_.epoch) + ' ' + std::to_string(last_.number));
 }
 
 Refusal LeaseBook::mayTake(const Sender& sender, const std::string& request_id) const {
@@ -71,11 +66,7 @@ void LeaseBook::reserve(const Sender& sender, const std::string& request_id, Tim
 const LeaseBook::Held& LeaseBook::grant(const Sender& sender, const std::string& request_id) {
     reservation_.reset();
     ++last_.number;
-    // The epoch already fences across a restart, so a check-out need not fail because the disk is full.
-    try {
-        save();
-    } catch (const std::exception&) {
-    }
+    // Not saved: the epoch fences across a restart, and a check-out need not wait for the disk.
     end_code_ = RefusalCode::Ok;
     end_why_.clear();
     held_ = Held{last_, Id128::random(random_), sender, request_id};

@@ -61,9 +61,6 @@ class LeaseBook {
     LeaseNumber last() const { return last_; }
 
   private:
-    void save();
-
-    Storage& storage_;
     RandomSource& random_;
     LeaseNumber last_;  ///< highest ever given
     std::optional<Held> held_;

@@ -2,7 +2,10 @@
 #include "entity_manager/machine.hpp"
 
 #include <algorithm>
+#include <charconv>
 #include <chrono>
+#include <exception>
+#include <stdexcept>
 #include <utility>
 
 #include "messages/text.hpp"
@@ -19,6 +22,10 @@ constexpr Duration kStandstillWait = std::chrono::seconds{5};
 constexpr Duration kPositionPeriod = std::chrono::milliseconds{200};
 constexpr Duration kRawRefusalPeriod = std::chrono::milliseconds{200};
 constexpr std::size_t kOpenStops = 16;
+constexpr std::size_t kActiveTold = 1024;
+constexpr std::size_t kStreamName = 255;
+constexpr std::uint32_t kGenerationsReserved = 1000;
+constexpr const char* kGenerationKey = "stop_generation";
 constexpr std::size_t kReasonMax = 2000;
 
 std::string loadUuid(Storage& storage, RandomSource& random) {
@@ -27,6 +34,19 @@ std::string loadUuid(Storage& storage, RandomSource& random) {
     const auto made = Id128::uuid(random).toString();
     storage.save("uuid", made);
     return made;
+}
+
+/// Where the generations of this life begin: above all that an earlier one has told, however it ended.
+std::uint32_t firstGeneration(Storage& storage, StopGate& gate) {
+    if (const auto text = storage.load(kGenerationKey)) {
+        std::uint32_t stored = 0;
+        const auto [end, error] = std::from_chars(text->data(), text->data() + text->size(), stored);
+        if (error != std::errc{} || end != text->data() + text->size())
+            throw std::runtime_error("The stored value \"stop_generation\" is damaged: expected a number, found \"" + *text +
+                                     "\". Remove it only when all clients of this entity have been restarted.");
+        gate.continueFrom(stored);
+    }
+    return gate.generation();
 }
 
 std::string named(const Sender& sender) {
@@ -85,16 +105,19 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomS
       clock_(clock),
       back_end_(back_end),
       server_(server),
+      storage_(storage),
       store_(resources),
       stop_gate_(stop_gate),
       uuid_(loadUuid(storage, random)),
       reason_("waiting for the robot application " + inQuotes(settings_.application)),
       server_watchdog_(settings_.server_watchdog_busy, settings_.server_watchdog_idle, clock.now()),
       lease_(storage, random),
-      generation_(stop_gate.generation()),
+      generation_(firstGeneration(storage, stop_gate)),
       required_(generation_),
       queue_(settings_.task_queue_bound),
-      uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {}
+      uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
+    reserveGenerations();
+}
 
 // -- rows
 // -----------------------------------------------------------------------------------------------------------
@@ -152,11 +175,15 @@ Refusal EntityManagerCore::Machine::guard(Event event, const Header& head) const
         const auto seen = static_cast<std::uint32_t>(head.stop_generation);
         // A stop that the signal thread has passed on already and that is still on its way to this strand
         // counts.
-        const auto newest = stopsAreHandled() ? required_ : stop_gate_.generation();
-        if (seen < newest || !stopsAreHandled())
+        if (!stopsAreHandled())
+            return {RefusalCode::OldGeneration,
+                    "A stop is being carried out (stop generation " + std::to_string(stop_gate_.generation()) +
+                        "). Look at the entity, then send it again.",
+                    {}};
+        if (seen < required_)
             return {RefusalCode::OldGeneration,
                     "It was sent before the newest stop was known (stop generation " + std::to_string(seen) +
-                        ", now " + std::to_string(newest) + "). Look at the entity, then send it again.",
+                        ", now " + std::to_string(required_) + "). Look at the entity, then send it again.",
                     {}};
         if (seen > generation_)
             return {RefusalCode::Malformed,
@@ -297,7 +324,7 @@ void EntityManagerCore::Machine::settle() {
     const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_;
     if (occupied != busy_told_) {
         busy_told_ = occupied;
-        if (link_up_) back_end_.setBusy(occupied);
+        back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
     }
     // The server sends its heartbeats in the short period while the status it knows is BUSY.
     server_watchdog_.setBusy(state_ == EntityState::BUSY, clock_.now());
@@ -311,7 +338,9 @@ void EntityManagerCore::Machine::onLinkUp() {
     if (quit_) return;
     if (link_up_) onLinkDown("the robot application has connected anew");
     link_up_ = true;
-    commanded_ = confirmed_ = generation_;  // it has stopped by itself when its last link ended
+    // It has stopped by itself when its last link ended: before all stops so far, those on their way here included.
+    link_generation_ = commanded_ = confirmed_ = stop_gate_.generation();
+    active_told_.clear();
     lingering_.clear();
     application_busy_ = false;
     fire(Event::LinkUp);
@@ -377,6 +406,9 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             taskUpdate(*message.mutable_task()->mutable_event());
             break;
         case proto::EiToEm::kActive:
+            // Kept by name, for profiles that are read anew; the application says it only once.
+            if (active_told_.size() < kActiveTold || active_told_.contains(message.active().service()))
+                active_told_[message.active().service()] = message.active().active();
             if (const auto service =
                     profiler_.setActive(message.active().service(), message.active().active()))
                 sendService(service.value());
@@ -448,6 +480,9 @@ void EntityManagerCore::Machine::considerProfiles() {
     basic_profile_ = std::move(profile);
     basic_profile_.set_entity_id(uuid_);
     profiler_.load(services_->message, uuid_, store_);
+    for (const auto& [service, active] : active_told_) {
+        [[maybe_unused]] const auto known = profiler_.setActive(service, active);  // not all are in this profile
+    }
     Registration registration;
     registration.entity = uuid_;
     registration.name = basic_profile_.name();
@@ -570,10 +605,23 @@ void EntityManagerCore::Machine::handled(std::uint32_t generation, bool internal
     } else {
         generation_ = std::max(generation_, generation);
         while (std::erase(early_, generation_ + 1) > 0) ++generation_;
+        std::erase_if(early_, [this](std::uint32_t early) { return early <= generation_; });
+        if (generation_ >= reserved_) reserveGenerations();
     }
     if (voids) required_ = std::max(required_, generation);
     // A task that a stop should have voided must not become valid again: only when none is under way.
     if (stopsAreHandled()) queue_.restamp(generation_);
+}
+
+/// Many at a time, so that a stop does not wait for the disk.
+void EntityManagerCore::Machine::reserveGenerations() {
+    const bool first = reserved_ == 0;
+    reserved_ = generation_ + kGenerationsReserved;
+    try {
+        storage_.save(kGenerationKey, std::to_string(reserved_));
+    } catch (const std::exception&) {
+        if (first) throw;  // at the start somebody can mend it; later a full disk must not fail a stop
+    }
 }
 
 void EntityManagerCore::Machine::stopApplication(Incident& incident) {
@@ -608,23 +656,40 @@ void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
     settle();
 }
 
-void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
-    OpenStop open;
-    auto& receipt = open.receipt;
-    receipt.set_stop_id(incident.head->sender.id + ':' + std::to_string(incident.head->sequence));
-    receipt.set_cause(static_cast<proto::StopCause>(incident.cause));
-    receipt.set_stop_generation(incident.generation);
-    receipt.set_by(named(incident.head->sender));
+void EntityManagerCore::Machine::onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation) {
+    if (quit_) return;
+    proto::ToClient message;
+    auto& receipt = *message.mutable_receipt();
+    receipt = receiptOf(head, cause, generation);
+    for (const auto& open : open_stops_)
+        if (open.receipt.stop_id() == receipt.stop_id()) receipt.set_stage(open.receipt.stage());
+    tell(head.sender, kMsgReceipt, message, Lane::Signal);
+}
+
+proto::StopReceipt EntityManagerCore::Machine::receiptOf(const Header& head, StopCause cause,
+                                                         std::uint32_t generation) const {
+    proto::StopReceipt receipt;
+    receipt.set_stop_id(head.sender.id + ':' + std::to_string(head.sequence));
+    receipt.set_cause(static_cast<proto::StopCause>(cause));
+    receipt.set_stop_generation(generation);
+    receipt.set_by(named(head.sender));
     receipt.set_stage(proto::StopReceipt::MANAGER);
     receipt.set_at_us(toMicroseconds(clock_.now()));
     receipt.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
+    return receipt;
+}
+
+void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
+    OpenStop open;
+    auto& receipt = open.receipt;
+    receipt = receiptOf(*incident.head, incident.cause, incident.generation);
     if (!incident.head->sender.id.empty()) open.to.push_back(incident.head->sender);
     if (holder() != nullptr && holder()->id != incident.head->sender.id) open.to.push_back(*holder());
 
     proto::ToClient message;
     *message.mutable_receipt() = receipt;
     for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
-    if (!link_up_) {
+    if (!link_up_ || incident.generation <= link_generation_) {  // at the time of the stop there was none
         message.mutable_receipt()->set_stage(proto::StopReceipt::NO_APPLICATION);
         for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
         return;
@@ -999,11 +1064,16 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
 void EntityManagerCore::Machine::noteWatch(const Incident& incident) {
     const auto& watch = incident.body->watch();
     const std::vector<std::string> streams(watch.streams().begin(), watch.streams().end());
+    for (const auto& stream : streams) {
+        if (stream.size() <= kStreamName) continue;
+        refuse(incident, {RefusalCode::BadName, "A stream's name has at most 255 bytes.", {}});
+        return;
+    }
     if (!watch.on()) {
         switchStreams(watches_.unwatch(incident.head->sender.id, streams));
         return;
     }
-    const auto switches = watches_.watch(incident.head->sender.id, streams);
+    const auto switches = watches_.watch(incident.head->sender.id, streams, holder() != nullptr ? holder()->id : std::string());
     if (switches)
         switchStreams(switches.value());
     else
@@ -1013,11 +1083,19 @@ void EntityManagerCore::Machine::noteWatch(const Incident& incident) {
 void EntityManagerCore::Machine::switchStreams(const std::vector<StreamWatches::Switch>& switches) {
     if (!link_up_) return;  // what is on is told when the application has come
     proto::EmToEi message;
-    for (const auto& change : switches) {
+    const auto tellApplication = [&](const StreamWatches::Switch& change) {
         message.mutable_stream()->set_stream(change.stream);
         message.mutable_stream()->set_on(change.on);
         back_end_.send(message);
+    };
+    bool all_off = false;
+    for (const auto& change : switches) {
+        tellApplication(change);
+        all_off |= change.stream.empty() && !change.on;
     }
+    if (!all_off) return;
+    // Which switches off those too that are watched by name.
+    for (const auto& change : watches_.present()) tellApplication(change);
 }
 
 void EntityManagerCore::Machine::sendSample(proto::StreamSample& sample) {

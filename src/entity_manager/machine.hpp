@@ -36,6 +36,7 @@ class EntityManagerCore::Machine {
     void onServerDown(const std::string& reason);
     void onClientMsg(const Header& head, std::string_view bytes);
     void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
+    void onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation);
     void onSignal(Event event, const Header& head);
     void onClientUpdate(const Header& head, ClientChange change);
     void onServerHeartbeat();
@@ -123,6 +124,8 @@ class EntityManagerCore::Machine {
     void acknowledge(const Incident& incident);
     void stopDone(const proto::StopDone& done);
     void confirmStop(std::uint32_t generation);
+    proto::StopReceipt receiptOf(const Header& head, StopCause cause, std::uint32_t generation) const;
+    void reserveGenerations();
     /// Every stop that has been given is confirmed by the robot application, those on their way here
     /// included.
     bool standing() const { return stopsAreHandled() && confirmed_ >= commanded_; }
@@ -186,6 +189,7 @@ class EntityManagerCore::Machine {
     Clock& clock_;
     BackEndPort& back_end_;
     ServerPort& server_;
+    Storage& storage_;
     ResourceStore& store_;
     StopGate& stop_gate_;
     std::string uuid_;
@@ -213,6 +217,7 @@ class EntityManagerCore::Machine {
     LeaseBook lease_;
     std::optional<WaitingGrant> waiting_grant_;
 
+    std::uint32_t reserved_ = 0;  ///< a next life begins here: no generation above it is told before it is raised
     std::uint32_t generation_;  ///< all stops up to this one have been handled here
     std::uint32_t required_;    ///< a command must have seen at least this one
     std::vector<std::uint32_t>
@@ -220,9 +225,11 @@ class EntityManagerCore::Machine {
     std::vector<proto::StopDone> early_done_;  ///< answers to stops above generation_
     std::uint32_t commanded_ = 0;              ///< newest stop that the robot application must have been told
     std::uint32_t confirmed_ = 0;              ///< newest stop whose callback has returned
+    std::uint32_t link_generation_ = 0;        ///< stops up to this one the application has never been sent
     std::deque<OpenStop> open_stops_;
 
     ServiceProfiler profiler_;
+    std::map<std::string, bool, std::less<>> active_told_;  ///< by the application since its link is up
     TaskQueue queue_;
     std::vector<Active> active_;
     std::vector<Lingering> lingering_;

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "entity_interfacer/frame.hpp"
 #include "entity_manager/machine.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -14,6 +15,29 @@ namespace {
 
 constexpr std::size_t kQuestions = 64;
 constexpr double kLongestNotAfter_s = 1e6;
+/// Some bytes are left for a stop generation that grows while a task waits.
+constexpr std::size_t kMessageMax = kFrameMax - 64;
+
+proto::EmToEi dispatchOf(const Task& task) {
+    proto::EmToEi message;
+    auto& order = *message.mutable_task();
+    order.set_task_id(task.id.bytes());
+    order.set_service(task.service);
+    order.set_stop_generation(task.generation);
+    for (const auto& param : task.order.params) *order.add_params() = param;
+    for (const auto& resource : task.order.resources) *order.add_resources() = resource;
+    return message;
+}
+
+/// The link has no larger frames, and what cannot be sent would never be answered.
+Refusal checkSize(const proto::EmToEi& message) {
+    if (message.ByteSizeLong() <= kMessageMax) return {};
+    return {RefusalCode::TooLarge,
+            "With all parameters it has " + std::to_string(message.ByteSizeLong()) +
+                " bytes, and the robot application takes at most " + std::to_string(kMessageMax) +
+                " at once. Shorten the parameters, or upload a resource.",
+            {}};
+}
 
 bool isFinal(proto::TaskState state) {
     return state >= proto::TASK_SUCCEEDED;
@@ -54,6 +78,10 @@ void EntityManagerCore::Machine::admitTask(const Incident& incident) {
     if (request.not_after_s() > 0 && request.not_after_s() < kLongestNotAfter_s)
         task.not_after = clock_.now() + std::chrono::duration_cast<Duration>(
                                             std::chrono::duration<double>(request.not_after_s()));
+    if (const auto refusal = checkSize(dispatchOf(task)); !refusal.ok()) {
+        refuse(incident, refusal);
+        return;
+    }
     queue_.push(std::move(task));
     dispatchNext();
     if (!queue_.empty() && queue_.waiting().back().id == *id)
@@ -94,13 +122,7 @@ void EntityManagerCore::Machine::dispatch(Task task) {
         busy_told_ = true;
         back_end_.setBusy(true);
     }
-    proto::EmToEi message;
-    auto& order = *message.mutable_task();
-    order.set_task_id(task.id.bytes());
-    order.set_service(task.service);
-    order.set_stop_generation(task.generation);
-    for (const auto& param : task.order.params) *order.add_params() = param;
-    for (const auto& resource : task.order.resources) *order.add_resources() = resource;
+    const auto message = dispatchOf(task);
     profiler_.setExecuting(task.order.service, true);
     active_.push_back({std::move(task)});
     back_end_.send(message);
@@ -337,6 +359,10 @@ void EntityManagerCore::Machine::askParameter(const Incident& incident) {
     ask.set_service(profiler_.record(question.service).name());
     *ask.mutable_param() = question.param;
     ask.set_stop_generation(generation_);
+    if (const auto refusal = checkSize(message); !refusal.ok()) {
+        refuse(incident, refusal);
+        return;
+    }
     questions_.emplace(number, std::move(question));
     back_end_.send(message);
 }

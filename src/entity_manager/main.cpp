@@ -15,7 +15,9 @@ int main(int argc, char** argv) {
     using namespace axon;
     using namespace axon::entity_manager;
 
-    Ice::CtrlCHandler interrupts;  // first: it blocks the signals before any thread exists
+    std::promise<void> ended;  // before the handler, which calls upon them until it is gone
+    std::atomic_flag once;
+    Ice::CtrlCHandler interrupts;  // before all else: it blocks the signals before any thread exists
     try {
         const auto options = readDaemonOptions(argc, argv);
         if (options.exit_code) return *options.exit_code;
@@ -31,8 +33,6 @@ int main(int argc, char** argv) {
                                                    EntityManager::overTcp(options.back_end, random), clock, random, storage,
                                                    resources);
 
-        std::promise<void> ended;
-        std::atomic_flag once;
         interrupts.setCallback([&](int) {
             if (!once.test_and_set()) ended.set_value();
         });

@@ -1,17 +1,15 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "entity_manager/stream_watches.hpp"
 
+#include <algorithm>
+
 namespace axon::entity_manager {
 
 Result<std::vector<StreamWatches::Switch>> StreamWatches::watch(const std::string& client,
-                                                                const std::vector<std::string>& streams) {
+                                                                const std::vector<std::string>& streams,
+                                                                const std::string& keep) {
     const auto wanted = streams.empty() ? std::vector<std::string>{""} : streams;
     const auto at = streams_.find(client);
-    if (at == streams_.end() && streams_.size() >= kMaxWatchers)
-        return Refusal{RefusalCode::Overloaded,
-                       std::to_string(kMaxWatchers) +
-                           " clients watch this entity already. Try again when some have left.",
-                       {}};
     const std::size_t now = at == streams_.end() ? 0 : at->second.size();
     if (now + wanted.size() > kMaxStreams)
         return Refusal{
@@ -19,6 +17,14 @@ Result<std::vector<StreamWatches::Switch>> StreamWatches::watch(const std::strin
             "A client may watch " + std::to_string(kMaxStreams) + " streams by name. Name none to watch all.",
             {}};
     std::vector<Switch> switches;
+    if (at == streams_.end()) {
+        if (streams_.size() >= kMaxWatchers) {
+            const auto oldest = std::find_if(order_.begin(), order_.end(),
+                                             [&](const std::string& watcher) { return watcher != keep; });
+            switches = forget(std::string(*oldest));
+        }
+        order_.push_back(client);
+    }
     for (const auto& stream : wanted)
         if (streams_[client].insert(stream).second && ++count_[stream] == 1)
             switches.push_back({stream, true});
@@ -38,7 +44,10 @@ std::vector<StreamWatches::Switch> StreamWatches::unwatch(const std::string& cli
         count_.erase(stream);
         switches.push_back({stream, false});
     }
-    if (at->second.empty()) streams_.erase(at);
+    if (at->second.empty()) {
+        std::erase(order_, client);
+        streams_.erase(at);
+    }
     return switches;
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <deque>
 #include <map>
 #include <set>
 #include <string>
@@ -12,8 +13,9 @@ namespace axon::entity_manager {
 
 /// Who watches which stream of the entity. The stream "" stands for all of them.
 ///
-/// Threads: the core's strand. Bounded: kMaxWatchers clients with kMaxStreams streams each, else OVERLOADED;
-/// the server tells of clients that are gone, and forget() makes room.
+/// Threads: the core's strand. Bounded: kMaxStreams streams for each client, else OVERLOADED; of kMaxWatchers clients
+/// the one that began first makes room for the next. The server tells an entity only of the loss of its holder, so
+/// watchers that are gone are known by nothing but their age.
 class StreamWatches {
   public:
     static constexpr std::size_t kMaxWatchers = 256;
@@ -24,7 +26,9 @@ class StreamWatches {
         bool on;
     };
 
-    Result<std::vector<Switch>> watch(const std::string& client, const std::vector<std::string>& streams);
+    /// `keep` is a client that does not make room: the holder; empty = nobody.
+    Result<std::vector<Switch>> watch(const std::string& client, const std::vector<std::string>& streams,
+                                      const std::string& keep = {});
     /// No stream named: none is watched any more.
     std::vector<Switch> unwatch(const std::string& client, const std::vector<std::string>& streams);
     std::vector<Switch> forget(const std::string& client) { return unwatch(client, {}); }
@@ -36,6 +40,7 @@ class StreamWatches {
 
   private:
     std::map<std::string, std::set<std::string>> streams_;  ///< client → streams
+    std::deque<std::string> order_;                         ///< the clients, who began first at the front
     std::map<std::string, int> count_;                      ///< stream → watchers
 };
 

@@ -15,6 +15,7 @@
 namespace axon {
 namespace {
 
+constexpr std::size_t kTextMax = 64 * 1024;
 constexpr double kTwoTo63 = 9223372036854775808.0;
 
 std::string numberText(double number) {
@@ -315,6 +316,11 @@ Result<proto::Param> acceptParam(const proto::CtrlParam& meta, const proto::Para
     for (const auto& given : param.values()) {
         auto value = converted(meta.data_type(), given);
         if (!value) return wrongType(meta, kindName(given));
+        if (value->str().size() > kTextMax)
+            return Refusal{RefusalCode::TooLarge,
+                           nameOf(meta) + " takes texts of at most " + std::to_string(kTextMax) +
+                               " bytes: upload a file as a resource",
+                           {}};
         if (auto refusal = checkValue(meta, *value); !refusal.ok()) return refusal;
         *out.add_values() = std::move(*value);
     }

@@ -137,6 +137,14 @@ TEST(CheckParam, OtherTypesAreRefused) {
               RefusalCode::WrongType);
 }
 
+TEST(CheckParam, ATextLargerThan64KiBIsRefused) {
+    proto::Value text;
+    text.set_str(std::string(64 * 1024, 'x'));
+    EXPECT_TRUE(acceptParam(meta(proto::STR), param({text})));
+    text.mutable_str()->push_back('x');
+    EXPECT_EQ(acceptParam(meta(proto::STR), param({text})).refusal().code, RefusalCode::TooLarge);
+}
+
 TEST(CheckParam, NotANumberNeverReachesARobot) {
     for (const double bad :
          {std::nan(""), std::numeric_limits<double>::infinity(), -std::numeric_limits<double>::infinity()})
