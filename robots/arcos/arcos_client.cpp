@@ -33,6 +33,10 @@ class EventDescriptor {
         const std::uint64_t one = 1;
         [[maybe_unused]] const auto written = ::write(fd_, &one, sizeof one);
     }
+    void lower() const {
+        std::uint64_t raised = 0;
+        [[maybe_unused]] const auto got = ::read(fd_, &raised, sizeof raised);
+    }
 
   private:
     int fd_;
@@ -149,6 +153,7 @@ class ArcosClient::Worker final : public ClientSession::Port {
         std::array<pollfd, 2> waiting{pollfd{wake_.get(), POLLIN, 0}, pollfd{fd, POLLIN, 0}};
         const auto ms = std::chrono::duration_cast<std::chrono::milliseconds>(time).count();
         ::poll(waiting.data(), fd < 0 ? 1 : 2, static_cast<int>(ms));
+        if (waiting[0].revents != 0) wake_.lower();
     }
 
     // Constant after construction.
