@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <Ice/Ice.h>
-#include <spdlog/spdlog.h>
 
 #include <asio/thread_pool.hpp>
 #include <future>
@@ -10,6 +9,7 @@
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/file_storage.hpp"
 #include "entity_manager/server_communicators.hpp"
+#include "transport/logging.hpp"
 
 int main(int argc, char** argv) {
     using namespace axon;
@@ -21,7 +21,7 @@ int main(int argc, char** argv) {
     try {
         const auto options = readDaemonOptions(argc, argv);
         if (options.exit_code) return *options.exit_code;
-        spdlog::set_level(spdlog::level::from_str(options.log_level));
+        transport::logToStderr(options.log_level);
 
         SteadyClock clock;
         SystemRandom random;

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
 #include <csignal>
@@ -9,6 +8,7 @@
 
 #include "server/options.hpp"
 #include "server/server.hpp"
+#include "transport/logging.hpp"
 
 int main(int argc, char** argv) {
     // Before any thread exists, so that all inherit it: the two signals are waited for below.
@@ -19,12 +19,10 @@ int main(int argc, char** argv) {
     pthread_sigmask(SIG_BLOCK, &ends, nullptr);
     std::signal(SIGPIPE, SIG_IGN);
 
-    spdlog::set_default_logger(spdlog::stderr_color_mt("axon-server"));
-    spdlog::set_pattern("%Y-%m-%d %H:%M:%S.%e %^%l%$ %v");
     try {
         auto parsed = axon::server::parseOptions(argc, argv);
         if (!parsed.options) return parsed.exit_code;
-        spdlog::set_level(spdlog::level::from_str(parsed.options->log_level));
+        axon::transport::logToStderr(parsed.options->log_level);
         const axon::server::Server server(std::move(parsed.options->settings));
         std::printf("%s\n", server.readyLine().c_str());
         std::fflush(stdout);

@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <string>
+
+namespace axon::transport {
+
+/// Makes the program's log lines go to standard error without anybody waiting for it: whoever logs puts the
+/// line into a queue of 4096, and a thread of its own writes. Signal threads and timers log, too, and a
+/// terminal that is stopped or a pipe that nobody reads must not hold up a stop. While the queue is full the
+/// oldest lines are lost.
+///
+/// `level` is debug, info, warn or error. Control characters in a line are written as \xNN, so that no peer's
+/// name looks like a line of ours. Call it once, at the start of main(), after signals are blocked (the
+/// thread inherits the mask) and before other threads exist. At exit it waits for the queue to be written,
+/// half a second at most.
+void logToStderr(const std::string& level);
+
+/// The line with its control characters written as \xNN.
+std::string withoutControls(const std::string& line);
+
+}  // namespace axon::transport
