@@ -22,7 +22,11 @@ class EntityServer::Rim {
     Rim(EntityServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
         const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
         EntityServerCore::Note note)
-        : core(settings.core, clock, random, topic, std::move(note), [this] { wake(); }),
+        : core(
+              settings.core, clock, random, topic, std::move(note), [this] { wake(); },
+              [this] {
+                  if (auto* thread = publisher_ready.load()) thread->wake();
+              }),
           data_lane{core, Lane::Data, {}, 0, transport::OpenSessions<EntitySessionServant>(clock)},
           signal_lane{core, Lane::Signal, signalLimits(), 0,
                       transport::OpenSessions<EntitySessionServant>(clock)},
@@ -43,13 +47,19 @@ class EntityServer::Rim {
         signal_subscriber = subscriber(*signal_topic);
         data_topic->activate();
         signal_topic->activate();
-        timer = std::make_unique<transport::TimerThread>("axon-ent-timer", clock, [this, &clock] {
-            const auto due =
-                std::min({core.onTimer(), data_lane.sessions.expire(), signal_lane.sessions.expire()});
+        timer = std::make_unique<transport::TimerThread>(
             // Thousands of idle entities are served in batches, not with a wake-up for each.
-            return std::max<TimePoint>(due, clock.now() + std::chrono::milliseconds{5});
-        });
+            "axon-ent-timer", Lane::Signal, std::chrono::milliseconds{5}, clock, [this] {
+                return std::min({core.onTimer(), data_lane.sessions.expire(), signal_lane.sessions.expire()});
+            });
         timer_ready = timer.get();
+        publisher = std::make_unique<transport::TimerThread>("axon-publisher", Lane::Data, Duration{}, clock,
+                                                             [this, &clock] {
+                                                                 core.publishPending();
+                                                                 return clock.now() + std::chrono::hours{1};
+                                                             });
+        publisher_ready = publisher.get();
+        publisher->wake();  // for what was left before it could be woken
     }
 
     void wake() {
@@ -67,7 +77,9 @@ class EntityServer::Rim {
     std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> data_subscriber;
     std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> signal_subscriber;
     std::atomic<transport::TimerThread*> timer_ready{nullptr};
-    std::unique_ptr<transport::TimerThread> timer;
+    std::atomic<transport::TimerThread*> publisher_ready{nullptr};
+    std::unique_ptr<transport::TimerThread> publisher;
+    std::unique_ptr<transport::TimerThread> timer;  // destroyed first: it wakes the publisher
 };
 
 EntityServer::EntityServer(EntityServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,

@@ -27,7 +27,7 @@ struct EntityServerSettings {
 };
 
 /// The entity server on Ice: two adapters, EntityServer and EntityServerSignal, each with a communicator and
-/// threads of its own; the registry behind them; one timer thread. Thesis: EntityServer.
+/// threads of its own; the registry behind them; a timer thread and a publisher. Thesis: EntityServer.
 ///
 /// Life: construct, publishTo(), activate(), and before it is destroyed, destroy both communicators.
 class EntityServer {

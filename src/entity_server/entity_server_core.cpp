@@ -27,6 +27,7 @@ class EntityServerCore::Session {
     std::atomic<bool> registered{false};
 
     RateLimit rate;
+    std::atomic<Duration::rep> heard{0};  // the last sign of life, on the clock; written without a lock
 
     // Guarded by the core's mutex.
     RecordRef record;
@@ -34,8 +35,16 @@ class EntityServerCore::Session {
     TimePoint next_heartbeat;
     std::uint64_t revision = 0;  // of its entry in the due queue; older entries are void
     std::int64_t heartbeats = 0;
+    TimePoint fed;  // the last sign of life that the watchdog was told
     bool gone = false;
 
+    /// Tells the watchdog of the signs of life since it was told last.
+    void listen() {
+        const TimePoint last{Duration{heard.load(std::memory_order_relaxed)}};
+        if (last <= fed || !watchdog) return;
+        fed = last;
+        watchdog->feed(last);
+    }
     Duration period() const {
         const auto& registration = record->registration;
         return std::chrono::milliseconds{watchdog->busy() ? registration.heartbeat_busy_ms
@@ -79,13 +88,15 @@ Result<void> check(const Registration& registration, std::size_t profile_bytes,
 }  // namespace
 
 EntityServerCore::EntityServerCore(CoreSettings settings, const Clock& clock, RandomSource& random,
-                                   FrontEndTopic& topic, Note note, std::function<void()> wake)
+                                   FrontEndTopic& topic, Note note, std::function<void()> wake,
+                                   std::function<void()> pending)
     : settings_(settings),
       clock_(clock),
       random_(random),
       topic_(topic),
       note_(std::move(note)),
-      wake_(std::move(wake)) {}
+      wake_(std::move(wake)),
+      pending_(std::move(pending)) {}
 
 EntityServerCore::~EntityServerCore() = default;
 
@@ -170,6 +181,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         session->watchdog = std::make_unique<Watchdog>(settings_.heartbeats_missed * busy_period,
                                                        settings_.heartbeats_missed * idle_period, now);
         session->watchdog->setBusy(busy, now);
+        session->fed = now;
         if (!session->registered) {
             session->registered = true;
             registered_.emplace(session->entity, session);
@@ -180,7 +192,8 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         schedule(session, std::min(session->next_heartbeat, now + session->period()));
     }
     wake_();
-    publish(session->entity);
+    leaveToPublisher(session->entity);
+    publishPending();
     return {};
 }
 
@@ -201,6 +214,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
                                             : session->name + " is checked out by " + status.holder.name;
         }
         became_busy = busy && !session->watchdog->busy();
+        session->listen();
         session->watchdog->setBusy(busy, now);
         auto record = std::make_shared<Record>(*session->record);
         record->status = std::move(status);
@@ -216,7 +230,8 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         session->signal->newHeartbeat(heartbeat);
         wake_();
     }
-    publish(session->entity);
+    leaveToPublisher(session->entity);
+    publishPending();
     if (!line.empty()) note_(line);
 }
 
@@ -262,8 +277,7 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Header head, std::s
 }
 
 void EntityServerCore::keepAlive(const SessionRef& session) {
-    const std::lock_guard lock(mutex_);
-    if (session->watchdog) session->watchdog->feed(clock_.now());
+    session->heard.store(clock_.now().time_since_epoch().count(), std::memory_order_relaxed);
 }
 
 void EntityServerCore::leave(const SessionRef& session, bool orderly, const std::string& why) {
@@ -280,7 +294,8 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
     session->data->disconnect(orderly, why);
     if (session->signal) session->signal->disconnect(orderly, why);
     if (session->registered) {
-        publish(session->entity);
+        leaveToPublisher(session->entity);
+        pending_();
         note_(session->name + " left: " + why);
     }
 }
@@ -300,6 +315,18 @@ void EntityServerCore::refuseUnknown(Lane lane, const Header& head) {
                                                " is connected; 'axon ls' shows those that are there"));
 }
 
+// Data is not answered message by message: a sender that streams to an entity that left needs one answer.
+bool EntityServerCore::refusedLately(const std::string& sender) {
+    constexpr std::size_t kRemembered = 4096;
+    const auto now = clock_.now();
+    const std::lock_guard lock(refused_mutex_);
+    const auto found = refused_.find(sender);
+    if (found != refused_.end() && now - found->second < std::chrono::seconds{1}) return true;
+    if (found == refused_.end() && refused_.size() >= kRemembered) refused_.clear();
+    refused_[sender] = now;
+    return false;
+}
+
 void EntityServerCore::clientMsg(const Header& head, std::string_view message) {
     const auto table = data_table_.load();
     const auto entity = table->find(head.entity);
@@ -310,7 +337,10 @@ void EntityServerCore::clientMsg(const Header& head, std::string_view message) {
 void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view data) {
     const auto table = data_table_.load();
     const auto entity = table->find(head.entity);
-    if (entity == table->end()) return refuseUnknown(Lane::Data, head);
+    if (entity == table->end()) {
+        if (!refusedLately(head.sender.id)) refuseUnknown(Lane::Data, head);
+        return;
+    }
     entity->second->data->newClientMsgDataSeq(head, data);
 }
 
@@ -374,6 +404,7 @@ TimePoint EntityServerCore::onTimer() {
             due_.pop();
             const auto session = due.session.lock();
             if (!session || session->gone || session->revision != due.revision) continue;
+            session->listen();
             if (session->watchdog->expired(now)) {
                 silent.emplace_back(session, session->watchdog->timeout());
                 continue;
@@ -406,10 +437,14 @@ std::size_t EntityServerCore::entities() const {
 // Front-end servers are told of levels: what is now, compared with what was told last. One thread publishes
 // at a time, so that they hear of one entity in order though no lock is held while they are told; a thread
 // that finds another one publishing leaves the entity's name behind and goes.
-void EntityServerCore::publish(const std::string& entity) {
+void EntityServerCore::leaveToPublisher(const std::string& entity) {
+    const std::lock_guard lock(mutex_);
+    if (!std::exchange(waiting_to_publish_[entity], true)) to_publish_.push_back(entity);
+}
+
+void EntityServerCore::publishPending() {
     {
         const std::lock_guard lock(mutex_);
-        if (!std::exchange(waiting_to_publish_[entity], true)) to_publish_.push_back(entity);
         if (publishing_) return;
         publishing_ = true;
     }

@@ -13,12 +13,12 @@
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
+#include "common/rate_limit.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
 #include "common/watchdog.hpp"
 #include "entity_server/ports.hpp"
-#include "transport/rate_limit.hpp"
 
 namespace axon::entity_server {
 
@@ -34,14 +34,16 @@ struct CoreSettings {
 /// Where in the flow: between the Entity Managers (EntityOutbox, EntitySessionServant) and the front-end
 /// servers (FrontEndTopic, FrontEndToEntityServant). An event goes in as one call; effects leave through the
 /// ports before it returns, except that publications about one entity may be made by another thread that is
-/// publishing already.
+/// publishing already, and those of an entity that leaves are made by publishPending(): it may leave on a
+/// thread of the signal lane or the heartbeats' timer, which must not be held up.
 ///
 /// States of a session: opened ─ attach() ► two lanes ─ sendBasicPrfl() ► registered ─ leave() ► gone.
 ///
 /// It holds of each entity: UUID → outboxes, UUID → registration, basic profile bytes and last status.
 /// Payloads are opaque. Threads: any, concurrently; calls for one lane of one session come one after the
 /// other. Routing reads immutable tables, of which each lane has its own reference; the registry's mutex is
-/// taken when entities join, change and leave and for heartbeats, never by a message or a signal. Failure:
+/// taken when entities join, change and leave and by the timer, never by a message, a signal or a sign of
+/// life. Failure:
 /// refusals are returned or sent back; nothing throws.
 class EntityServerCore {
   public:
@@ -49,9 +51,10 @@ class EntityServerCore {
     using SessionRef = std::shared_ptr<Session>;
     using Note = std::function<void(const std::string& line)>;
 
-    /// `note` gets a line for people; `wake` is called when onTimer() is due earlier than it said.
+    /// `note` gets a line for people; `wake` is called when onTimer() is due earlier than it said, `pending`
+    /// when publishPending() is to be called, by a thread that is not the signal lane's.
     EntityServerCore(CoreSettings settings, const Clock& clock, RandomSource& random, FrontEndTopic& topic,
-                     Note note, std::function<void()> wake);
+                     Note note, std::function<void()> wake, std::function<void()> pending);
     ~EntityServerCore();
 
     // From an Entity Manager. `session` is never null.
@@ -73,7 +76,8 @@ class EntityServerCore {
     // From the front-end servers. `head.sender` has been vouched for.
     void clientMsg(const Header& head, std::string_view message);
     void clientMsgDataSeq(const Header& head, std::string_view data);
-    /// STATUS: everything that is known is published again.
+    /// STATUS: everything that is known is published again; for a front-end server in a process of its own
+    /// that comes later than the entities. The embedded one has heard of them all and does not ask.
     void clientRequest(const Header& head);
     void clientUpdate(const Header& head, ClientChange change);
     void stopSignal(const Header& head, StopCause cause);
@@ -82,6 +86,8 @@ class EntityServerCore {
 
     /// Sends the heartbeats that are due and gives up silent EMs; returns when it wants to be called again.
     TimePoint onTimer();
+    /// Publishes what others have left behind.
+    void publishPending();
 
     std::size_t entities() const;
 
@@ -106,10 +112,11 @@ class EntityServerCore {
     template <class Send>
     void toEntities(const Header& head, Send&& send);
     void refuseUnknown(Lane lane, const Header& head);
+    bool refusedLately(const std::string& sender);
     bool flooded(const SessionRef& session);
     void rebuildTables();
     void schedule(const SessionRef& session, TimePoint at);
-    void publish(const std::string& entity);
+    void leaveToPublisher(const std::string& entity);
     void publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now);
 
     const CoreSettings settings_;
@@ -118,9 +125,13 @@ class EntityServerCore {
     FrontEndTopic& topic_;
     const Note note_;
     const std::function<void()> wake_;
+    const std::function<void()> pending_;
 
     Snapshot<Table> data_table_;
     Snapshot<Table> signal_table_;  // the same tables, behind a lock of their own
+
+    std::mutex refused_mutex_;
+    std::unordered_map<std::string, TimePoint> refused_;  // guarded by refused_mutex_: whose data, and when
 
     mutable std::mutex mutex_;
     // Guarded by mutex_:

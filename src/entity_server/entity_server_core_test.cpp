@@ -127,12 +127,18 @@ class EntityServerTest : public testing::Test {
     FakeTopic topic;
     std::vector<std::string> notes;
     int woken = 0;
+    int pending = 0;
+    bool publish_at_once = true;
     EntityServerCore core{{},
                           clock,
                           random,
                           topic,
                           [this](const std::string& line) { notes.push_back(line); },
-                          [this] { ++woken; }};
+                          [this] { ++woken; },
+                          [this] {
+                              ++pending;
+                              if (publish_at_once) core.publishPending();
+                          }};
 };
 
 TEST_F(EntityServerTest, PublishesJoiningChangingAndLeaving) {
@@ -268,6 +274,74 @@ TEST_F(EntityServerTest, GivesUpASilentEntityAfterFivePeriods) {
     EXPECT_THAT(peer.signal->disconnected, HasSubstr("250 ms"));
 }
 
+TEST_F(EntityServerTest, WhoGivesUpAnEntityLeavesThePublishingToAnother) {
+    publish_at_once = false;
+    const auto peer = join(kFirst);
+    status(peer, EntityState::BUSY);
+    topic.take();
+    pass(250ms);
+    EXPECT_EQ(core.entities(), 0U);
+    EXPECT_THAT(topic.lines, IsEmpty());
+    EXPECT_EQ(pending, 1);
+    core.publishPending();
+    EXPECT_THAT(topic.take(), ElementsAre("left Robot"));
+}
+
+TEST_F(EntityServerTest, ASignOfLifeBeforeATaskBeganDoesNotShortenItsTimeOut) {
+    const auto peer = join(kFirst);
+    core.keepAlive(peer.session);
+    clock.advance(1s);
+    status(peer, EntityState::BUSY);
+    pass(249ms);
+    EXPECT_EQ(core.entities(), 1U);
+    core.keepAlive(peer.session);
+    pass(249ms);
+    EXPECT_EQ(core.entities(), 1U);
+    pass(1ms);
+    EXPECT_EQ(core.entities(), 0U);
+}
+
+TEST_F(EntityServerTest, DataForNobodyIsRefusedOnceASecondForEachSender) {
+    for (int i = 0; i < 1000; ++i) core.clientMsgDataSeq(head("nobody", i % 2 == 0 ? "c1" : "c2"), "bytes");
+    EXPECT_THAT(topic.take(),
+                ElementsAre("refused UNKNOWN_ENTITY to c1 of 9", "refused UNKNOWN_ENTITY to c2 of 9"));
+    clock.advance(1s);
+    core.clientMsgDataSeq(head("nobody"), "bytes");
+    EXPECT_EQ(topic.take().size(), 1U);
+}
+
+/// Random bytes are drawn while the registry is locked: what happens then happens to a locked registry.
+class WhileLocked final : public RandomSource {
+  public:
+    void fill(void* bytes, std::size_t count) override {
+        if (now) std::exchange(now, nullptr)();
+        random.fill(bytes, count);
+    }
+    std::function<void()> now;
+    SeededRandom random{1};
+};
+
+TEST(EntityServerLocks, SignsOfLifeAndStopsDoNotWaitForTheRegistry) {
+    ManualClock clock;
+    WhileLocked random;
+    FakeTopic topic;
+    EntityServerCore core(
+        {}, clock, random, topic, [](const std::string&) {}, [] {}, [] {});
+    const auto signal = std::make_shared<FakeOutbox>();
+    const auto session = core.open(std::make_shared<FakeOutbox>());
+    ASSERT_TRUE(core.attach(EntityServerCore::token(*session), signal).ok());
+    Registration registration;
+    registration.entity = kFirst;
+    registration.name = "Robot";
+    ASSERT_TRUE(core.sendBasicPrfl(session, registration, "").ok());
+    random.now = [&] {
+        core.keepAlive(session);
+        core.stopSignal({}, StopCause::Requested);
+    };
+    core.open(std::make_shared<FakeOutbox>());
+    EXPECT_THAT(signal->lines, ElementsAre("stop requested"));
+}
+
 TEST_F(EntityServerTest, PublishesEverythingAgainOnRequest) {
     join(kFirst, "A");
     join(kSecond, "B");
@@ -285,7 +359,7 @@ TEST(EntityServerFlood, DropsAnEntityThatFloods) {
     CoreSettings settings;
     settings.messages_per_second = 3;
     EntityServerCore core(
-        settings, clock, random, topic, [](const std::string&) {}, [] {});
+        settings, clock, random, topic, [](const std::string&) {}, [] {}, [] {});
     const auto data = std::make_shared<FakeOutbox>();
     const auto session = core.open(data);
     ASSERT_TRUE(core.attach(EntityServerCore::token(*session), std::make_shared<FakeOutbox>()).ok());

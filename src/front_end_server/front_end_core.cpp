@@ -15,7 +15,8 @@ class FrontEndCore::Client {
           data(std::move(its_data)),
           rate(settings.messages_per_second),
           watchdog(settings.watchdog_busy, settings.watchdog_idle, now),
-          next_heartbeat(now + settings.heartbeat_idle) {}
+          next_heartbeat(now + settings.heartbeat_idle),
+          fed(now) {}
 
     // Constant after construction.
     const Sender me;
@@ -24,14 +25,25 @@ class FrontEndCore::Client {
 
     RateLimit rate;
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
+    std::atomic<Duration::rep> heard{0};  // the last sign of life, on the clock; written without a lock
+    std::atomic<std::size_t> told{0};     // entities, when it joined
 
     // Guarded by the core's mutex.
     Watchdog watchdog;
     TimePoint next_heartbeat;
     std::int64_t heartbeats = 0;
     bool warned = false;
+    TimePoint fed;  // the last sign of life that the watchdog was told
     bool gone = false;
 
+    /// Tells the watchdog of the signs of life since it was told last. Under the core's mutex.
+    void listen() {
+        const TimePoint last{Duration{heard.load(std::memory_order_relaxed)}};
+        if (last <= fed) return;
+        fed = last;
+        watchdog.feed(last);
+        warned = false;
+    }
     /// The signal lane, or the only one there is.
     std::shared_ptr<ClientOutbox> signalOutbox() const {
         const auto own = *signal.load();
@@ -76,6 +88,9 @@ const Sender& FrontEndCore::me(const Client& client) {
 const std::string& FrontEndCore::token(const Client& client) {
     return client.token;
 }
+std::size_t FrontEndCore::told(const Client& client) {
+    return client.told;
+}
 
 Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& display_name, Role role,
                                                           std::shared_ptr<ClientOutbox> data) {
@@ -97,7 +112,7 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
     }
     wake_();
     note_("client " + client->me.name + " joined (" + client->me.id + ")");
-    pushAll(*client->data, {});
+    client->told = pushAll(*client->data);
     return client;
 }
 
@@ -119,7 +134,8 @@ Result<FrontEndCore::ClientRef> FrontEndCore::attach(const std::string& token,
 // No lock is held while a client is told, so something may change meanwhile and be told by another thread
 // first. Therefore again, until what was told is what is: the last word about each entity is then the true
 // one.
-void FrontEndCore::pushAll(ClientOutbox& to, Records told) {
+std::size_t FrontEndCore::pushAll(ClientOutbox& to) {
+    Records told;
     while (true) {
         Records now;
         {
@@ -140,7 +156,7 @@ void FrontEndCore::pushAll(ClientOutbox& to, Records told) {
             changed = true;
             to.newBasicPrflMsg(Presence::Left, record->registration, {});
         }
-        if (!changed) return;
+        if (!changed) return now.size();
         told = std::move(now);
     }
 }
@@ -156,7 +172,7 @@ bool FrontEndCore::flooded(const ClientRef& client) {
 void FrontEndCore::sendRequest(const ClientRef& client, Header head) {
     if (flooded(client)) return;
     if (head.msg_type == kMsgStatus) {
-        pushAll(*client->data, {});
+        pushAll(*client->data);
         return;
     }
     client->data->newRefusalMsg(
@@ -206,18 +222,22 @@ void FrontEndCore::sendClearSignal(const ClientRef& client, Header head) {
 }
 
 void FrontEndCore::keepAlive(const ClientRef& client) {
-    const std::lock_guard lock(mutex_);
-    client->watchdog.feed(clock_.now());
-    client->warned = false;
+    client->heard.store(clock_.now().time_since_epoch().count(), std::memory_order_relaxed);
 }
 
-void FrontEndCore::settle(const Sender& client, Ending ending, const std::string& entity, bool busy) {
+// All stops before anything else is said: no entity's stop waits for another one's paperwork.
+void FrontEndCore::settle(const Sender& client, Ending ending, const std::map<std::string, bool>& held) {
     Header head;
     head.sender = client;
-    head.entity = entity;
     head.sent_at_us = toMicroseconds(clock_.now());
-    if (ending != Ending::Ended || busy) topic_.stopSignal(head, causeOf(ending));
-    topic_.clientUpdate(head, ending == Ending::Ended ? ClientChange::Ended : ClientChange::Lost);
+    for (const auto& [entity, busy] : held) {
+        head.entity = entity;
+        if (ending != Ending::Ended || busy) topic_.stopSignal(head, causeOf(ending));
+    }
+    for (const auto& [entity, busy] : held) {
+        head.entity = entity;
+        topic_.clientUpdate(head, ending == Ending::Ended ? ClientChange::Ended : ClientChange::Lost);
+    }
 }
 
 void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::string& why) {
@@ -237,7 +257,7 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
         }
         rebuildClients();
     }
-    for (const auto& [entity, busy] : held) settle(client->me, ending, entity, busy);
+    settle(client->me, ending, held);
     client->data->disconnect(ending == Ending::Ended, why);
     if (const auto signal = *client->signal.load()) signal->disconnect(ending == Ending::Ended, why);
     const char* how = ending == Ending::Ended  ? " left"
@@ -290,6 +310,7 @@ void FrontEndCore::updateHolding(const std::string& holder) {
                                                [](const auto& entity) { return entity.second; });
     auto& watched = *client->second;
     const auto now = clock_.now();
+    watched.listen();
     if (busy && !watched.watchdog.busy()) watched.next_heartbeat = now;
     watched.watchdog.setBusy(busy, now);
 }
@@ -364,7 +385,7 @@ void FrontEndCore::entityUpdate(EntityStatus status) {
             }
         }
     }
-    if (late) settle(late->sender, late->ending, entity, busy);
+    if (late) settle(late->sender, late->ending, {{entity, busy}});
     if (busy) wake_();
     toClients(Lane::Data, {}, [&](ClientOutbox& client) { client.newStatusMsg(status); });
 }
@@ -399,6 +420,7 @@ TimePoint FrontEndCore::onTimer() {
         const auto now = clock_.now();
         next = now + std::chrono::seconds{1};
         for (const auto& [id, client] : clients_) {
+            client->listen();
             if (client->watchdog.expired(now)) {
                 silent.emplace_back(client, client->watchdog.timeout());
                 continue;

@@ -14,12 +14,12 @@
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
+#include "common/rate_limit.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
 #include "common/watchdog.hpp"
 #include "front_end_server/ports.hpp"
-#include "transport/rate_limit.hpp"
 
 namespace axon::front_end_server {
 
@@ -54,8 +54,8 @@ enum class Ending : std::uint8_t {
 ///
 /// Threads: any, concurrently; calls for one lane of one client, and those from one entity server about
 /// entities, come one after the other. Routing reads immutable tables, of which each lane has its own
-/// reference; the mutex is taken for joins, statuses, leaves and keepAlives, never by a message or a client's
-/// signal. Failure: refusals are sent back; nothing throws.
+/// reference; the mutex is taken for joins, statuses, leaves and by the timer, never by a message, a sign of
+/// life or a client's signal. Failure: refusals are sent back; nothing throws.
 class FrontEndCore {
   public:
     class Client;
@@ -74,6 +74,8 @@ class FrontEndCore {
     Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);
     static const Sender& me(const Client& client);
     static const std::string& token(const Client& client);
+    /// How many entities it was told of when it joined, those that left meanwhile not counted.
+    static std::size_t told(const Client& client);
     /// STATUS: everything that is known is sent again.
     void sendRequest(const ClientRef& client, Header head);
     void sendToEntity(const ClientRef& client, Header head, std::string_view message);
@@ -121,9 +123,9 @@ class FrontEndCore {
     template <class Send>
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     bool flooded(const ClientRef& client);
-    void pushAll(ClientOutbox& to, Records told);
+    std::size_t pushAll(ClientOutbox& to);
     std::size_t stopTargets(const std::string& entity) const;
-    void settle(const Sender& client, Ending ending, const std::string& entity, bool busy);
+    void settle(const Sender& client, Ending ending, const std::map<std::string, bool>& held);
     void rebuildClients();
     void rebuildKnown();
     void updateHolding(const std::string& holder);

@@ -149,6 +149,55 @@ TEST_F(FrontEndTest, TheLastWordAboutAnEntityIsTheTrueOneThoughItChangesWhileACl
     EXPECT_EQ(other->lines.back(), "e2 ERR");
 }
 
+TEST_F(FrontEndTest, AClientIsToldHowManyEntitiesItWasToldOf) {
+    entity("e1");
+    entity("e2");
+    auto data = std::make_shared<FakeOutbox>();
+    data->while_told = [&] { core.entityBasicPrflUpdate(Presence::Left, {"e1"}, {}); };
+    const auto client = core.setCallback("ada", Role::Operator, data).value();
+    EXPECT_EQ(FrontEndCore::told(*client), 1U);
+}
+
+TEST_F(FrontEndTest, ASignOfLifeBeforeATaskBeganDoesNotShortenItsTimeOut) {
+    entity("e1");
+    const auto peer = join();
+    core.keepAlive(peer.client);
+    clock.advance(1s);
+    status("e1", EntityState::BUSY, peer.id());
+    pass(249ms);
+    EXPECT_EQ(core.clients(), 1U);
+    pass(1ms);
+    EXPECT_EQ(core.clients(), 0U);
+}
+
+/// Random bytes are drawn while the monitor is locked: what happens then happens to a locked monitor.
+class WhileLocked final : public RandomSource {
+  public:
+    void fill(void* bytes, std::size_t count) override {
+        if (now) std::exchange(now, nullptr)();
+        random.fill(bytes, count);
+    }
+    std::function<void()> now;
+    SeededRandom random{1};
+};
+
+TEST(FrontEndLocks, SignsOfLifeAndStopsDoNotWaitForTheMonitor) {
+    ManualClock clock;
+    WhileLocked random;
+    FakeTopic topic;
+    FrontEndCore core(
+        {}, clock, random, topic, [](const std::string&) {}, [] {});
+    const auto client = core.setCallback("ada", Role::Operator, std::make_shared<FakeOutbox>()).value();
+    Header head;
+    head.entity = "e1";
+    random.now = [&] {
+        core.keepAlive(client);
+        core.sendStopSignal(client, head, StopCause::Requested);
+    };
+    ASSERT_TRUE(core.setCallback("eve", Role::Operator, std::make_shared<FakeOutbox>()).ok());
+    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by ada to e1"));
+}
+
 TEST_F(FrontEndTest, TheSenderIsTheSessionsNeverThePeers) {
     const auto peer = join("ada");
     core.sendToEntity(peer.client, to("e1"), "hello");
@@ -211,8 +260,8 @@ TEST_F(FrontEndTest, StopsEveryEntityThatALostClientHeldAndNoOther) {
     status("e3", EntityState::BUSY, client2.id());
     core.leave(ada.client, Ending::Lost, "connection lost");
     core.leave(ada.client, Ending::Ended, "again");
-    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by ada to e1", "lost to e1",
-                                          "stop (client lost) by ada to e2", "lost to e2"));
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by ada to e1",
+                                          "stop (client lost) by ada to e2", "lost to e1", "lost to e2"));
 }
 
 TEST_F(FrontEndTest, AnOrderlyEndStopsOnlyWhatRuns) {
@@ -222,7 +271,7 @@ TEST_F(FrontEndTest, AnOrderlyEndStopsOnlyWhatRuns) {
     status("e1", EntityState::REG, peer.id());
     status("e2", EntityState::BUSY, peer.id());
     core.leave(peer.client, Ending::Ended, "over");
-    EXPECT_THAT(topic.take(), ElementsAre("ended to e1", "stop (released) by ada to e2", "ended to e2"));
+    EXPECT_THAT(topic.take(), ElementsAre("stop (released) by ada to e2", "ended to e1", "ended to e2"));
 }
 
 TEST_F(FrontEndTest, WhatWasReleasedIsNotStopped) {

@@ -43,9 +43,11 @@ class FrontEndServer::Rim {
         signal_subscriber = subscriber(*signal_topic, Lane::Signal);
         data_topic->activate();
         signal_topic->activate();
-        timer = std::make_unique<transport::TimerThread>("axon-fe-timer", clock, [this] {
-            return std::min({core.onTimer(), data_lane.sessions.expire(), signal_lane.sessions.expire()});
-        });
+        timer = std::make_unique<transport::TimerThread>(
+            // It walks all clients, and each task that begins wakes it: not for every one of them.
+            "axon-fe-timer", Lane::Signal, std::chrono::milliseconds{5}, clock, [this] {
+                return std::min({core.onTimer(), data_lane.sessions.expire(), signal_lane.sessions.expire()});
+            });
         timer_ready = timer.get();
     }
 

@@ -191,13 +191,12 @@ Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_p
         throw toIce(
             Refusal{RefusalCode::WrongState, "setCallback is for a new session on the data port, once", {}});
     }
-    const auto entities = static_cast<int>(lane_.core.entities());
     auto client = transport::valueOrThrow(lane_.core.setCallback(
         display_name_, role_, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, peer_)));
     Axon::FrontEndComm::SessionFacts facts;
     facts.me = toIce(FrontEndCore::me(*client));
     facts.token = FrontEndCore::token(*client);
-    facts.entities = entities;
+    facts.entities = static_cast<int>(FrontEndCore::told(*client));
     const auto milliseconds = [](Duration duration) {
         return static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(duration).count());
     };

@@ -1,12 +1,17 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "transport/outbox.hpp"
 
+#include "transport/communicator.hpp"
+
 namespace axon::transport {
 
-void Outbox::onSent(std::size_t bytes) {
+static_assert(OutboxLimits{}.data_bytes >= kMessageSizeMaxKib * std::size_t{1024},
+              "what a peer may send must be able to wait");
+
+void Outbox::onSent(Traffic traffic, std::size_t bytes) {
     {
         const std::lock_guard lock(mutex_);
-        core_.sent(bytes);
+        core_.sent(traffic, bytes);
         if (!core_.startPump()) return;
     }
     while (true) {
@@ -16,7 +21,7 @@ void Outbox::onSent(std::size_t bytes) {
             item = core_.next();
         }
         if (!item) return;
-        launch(item->bytes, item->parcel);
+        launch(item->traffic, item->bytes, item->parcel);
     }
 }
 

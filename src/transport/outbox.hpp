@@ -42,7 +42,7 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
             verdict = core_.offer(traffic, bytes, own);
         }
         if (verdict == Verdict::Send) {
-            launch(bytes, send);
+            launch(traffic, bytes, send);
         } else if (verdict == Verdict::Overflow) {
             disconnect_(traffic == Traffic::Signal ? "it does not take signals"
                                                    : "it does not read its messages");
@@ -54,15 +54,16 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
 
   private:
     template <class Send>
-    void launch(std::size_t bytes, Send& send) {
+    void launch(Traffic traffic, std::size_t bytes, Send& send) {
         try {
-            send(SendCallbacks{[self = shared_from_this()](std::exception_ptr) { self->close(); },
-                               [self = shared_from_this(), bytes](bool) { self->onSent(bytes); }});
+            send(SendCallbacks{
+                [self = shared_from_this()](std::exception_ptr) { self->close(); },
+                [self = shared_from_this(), traffic, bytes](bool) { self->onSent(traffic, bytes); }});
         } catch (const std::exception&) {
             close();  // the connection or the communicator is gone; its close callback tells the owner
         }
     }
-    void onSent(std::size_t bytes);
+    void onSent(Traffic traffic, std::size_t bytes);
 
     const Disconnect disconnect_;
     mutable std::mutex mutex_;

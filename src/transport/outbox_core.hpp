@@ -19,11 +19,12 @@ enum class Traffic : std::uint8_t {
 
 struct OutboxLimits {
     std::size_t window_bytes = 256 * 1024;  ///< given to Ice and not yet written to the socket
-    std::size_t data_bytes = 1024 * 1024;   ///< waiting behind the window
+    /// Waiting behind the window; one message of the largest size fits. A larger one waits alone.
+    std::size_t data_bytes = (4096 + 64) * 1024;
     std::size_t data_messages = 4096;
     std::size_t control_bytes = 8 * 1024 * 1024;
     std::size_t control_messages = 16384;
-    std::size_t signals_unsent = 256;
+    std::size_t signals_unsent = 4096;  ///< a stop for each of 2048 entities, twice
 };
 
 struct OutboxCounts {
@@ -58,6 +59,7 @@ class OutboxCore {
     struct Item {
         Parcel parcel;
         std::size_t bytes;
+        Traffic traffic;
     };
 
     explicit OutboxCore(OutboxLimits limits) : limits_(limits) {}
@@ -68,10 +70,11 @@ class OutboxCore {
         if (closed_) return Verdict::Closed;
         switch (traffic) {
             case Traffic::Signal:
-                if (unsent_messages_ >= limits_.signals_unsent) {
+                if (unsent_signals_ >= limits_.signals_unsent) {
                     close();
                     return Verdict::Overflow;
                 }
+                ++unsent_signals_;
                 return launch(bytes);
             case Traffic::Heartbeat:
                 if (unsent_messages_ > 0 || !queue_.empty()) {
@@ -88,32 +91,29 @@ class OutboxCore {
                 }
                 ++control_messages_;
                 control_bytes_ += bytes;
-                queue_.push_back({{make(), bytes}, traffic});
+                queue_.push_back({make(), bytes, traffic});
                 return Verdict::Queued;
             case Traffic::Data:
                 break;
         }
         if (mayPass()) return launch(bytes);
-        if (bytes > limits_.data_bytes) {
-            ++counts_.dropped;
-            return Verdict::Dropped;
-        }
         while (!data_.empty() &&
                (data_bytes_ + bytes > limits_.data_bytes || data_.size() >= limits_.data_messages)) {
-            data_bytes_ -= data_.front()->item.bytes;
+            data_bytes_ -= data_.front()->bytes;
             queue_.erase(data_.front());
             data_.pop_front();
             ++counts_.dropped;
         }
-        queue_.push_back({{make(), bytes}, traffic});
+        queue_.push_back({make(), bytes, traffic});
         data_.push_back(std::prev(queue_.end()));
         data_bytes_ += bytes;
         return Verdict::Queued;
     }
 
     /// A message left for the kernel.
-    void sent(std::size_t bytes) {
+    void sent(Traffic traffic, std::size_t bytes) {
         unsent_bytes_ -= bytes;
+        if (traffic == Traffic::Signal) --unsent_signals_;
         --unsent_messages_;
         ++counts_.sent;
     }
@@ -134,12 +134,12 @@ class OutboxCore {
         auto first = queue_.begin();
         if (first->traffic == Traffic::Data) {
             data_.pop_front();
-            data_bytes_ -= first->item.bytes;
+            data_bytes_ -= first->bytes;
         } else {
             --control_messages_;
-            control_bytes_ -= first->item.bytes;
+            control_bytes_ -= first->bytes;
         }
-        Item item = std::move(first->item);
+        Item item = std::move(*first);
         queue_.erase(first);
         launch(item.bytes);
         return item;
@@ -162,11 +162,6 @@ class OutboxCore {
     }
 
   private:
-    struct Waiting {
-        Item item;
-        Traffic traffic;
-    };
-
     bool mayPass() const { return !pumping_ && queue_.empty() && unsent_bytes_ < limits_.window_bytes; }
     Verdict launch(std::size_t bytes) {
         unsent_bytes_ += bytes;
@@ -175,13 +170,14 @@ class OutboxCore {
     }
 
     OutboxLimits limits_;
-    std::list<Waiting> queue_;
-    std::deque<typename std::list<Waiting>::iterator> data_;  // the data in queue_, oldest first
+    std::list<Item> queue_;
+    std::deque<typename std::list<Item>::iterator> data_;  // the data in queue_, oldest first
     std::size_t data_bytes_ = 0;
     std::size_t control_bytes_ = 0;
     std::size_t control_messages_ = 0;
     std::size_t unsent_bytes_ = 0;
     std::size_t unsent_messages_ = 0;
+    std::size_t unsent_signals_ = 0;
     bool pumping_ = false;
     bool closed_ = false;
     OutboxCounts counts_;

@@ -55,18 +55,22 @@ TEST(OutboxCore, DropsTheOldestDataAndKeepsControl) {
     EXPECT_EQ(offer(core, Traffic::Data, 4), Verdict::Queued);
     EXPECT_EQ(offer(core, Traffic::Data, 5), Verdict::Queued);  // 1 goes
     EXPECT_EQ(core.counts().dropped, 1U);
-    core.sent(100);
+    core.sent(Traffic::Control, 100);
     EXPECT_EQ(pump(core), (std::vector<int>{2, 3}));
-    core.sent(10);
-    core.sent(100);
+    core.sent(Traffic::Control, 10);
+    core.sent(Traffic::Control, 100);
     EXPECT_EQ(pump(core), (std::vector<int>{4}));
 }
 
-TEST(OutboxCore, LeavesOutDataThatCouldNeverFit) {
+TEST(OutboxCore, AMessageLargerThanTheBoundWaitsAlone) {
     Core core(small());
     ASSERT_EQ(offer(core, Traffic::Data, 0), Verdict::Send);
-    EXPECT_EQ(offer(core, Traffic::Data, 1, 301), Verdict::Dropped);
-    EXPECT_EQ(core.counts().waiting, 0U);
+    EXPECT_EQ(offer(core, Traffic::Data, 1, 10), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Data, 2, 301), Verdict::Queued);  // 1 goes
+    EXPECT_EQ(core.counts().waiting, 1U);
+    EXPECT_EQ(core.counts().dropped, 1U);
+    core.sent(Traffic::Data, 100);
+    EXPECT_EQ(pump(core), (std::vector<int>{2}));
 }
 
 TEST(OutboxCore, DisconnectsWhereControlOverflows) {
@@ -82,16 +86,26 @@ TEST(OutboxCore, NeverQueuesASignal) {
     Core core(small());
     ASSERT_EQ(offer(core, Traffic::Data, 0), Verdict::Send);
     ASSERT_EQ(offer(core, Traffic::Data, 1), Verdict::Queued);
-    EXPECT_EQ(offer(core, Traffic::Signal, 2), Verdict::Send);
-    EXPECT_EQ(offer(core, Traffic::Signal, 3), Verdict::Send);
-    EXPECT_EQ(offer(core, Traffic::Signal, 4), Verdict::Overflow);
+    for (int i = 2; i <= 4; ++i) EXPECT_EQ(offer(core, Traffic::Signal, i), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Signal, 5), Verdict::Overflow);
+}
+
+TEST(OutboxCore, UnsentDataIsNotCountedAsSignals) {
+    Core core(small());
+    for (int i = 0; i < 20; ++i) ASSERT_EQ(offer(core, Traffic::Data, i, 1), Verdict::Send);
+    for (int i = 20; i < 23; ++i) EXPECT_EQ(offer(core, Traffic::Signal, i, 1), Verdict::Send);
+    core.sent(Traffic::Data, 1);
+    EXPECT_EQ(offer(core, Traffic::Heartbeat, 23, 1), Verdict::Dropped);
+    core.sent(Traffic::Signal, 1);
+    EXPECT_EQ(offer(core, Traffic::Signal, 24, 1), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Signal, 25, 1), Verdict::Overflow);
 }
 
 TEST(OutboxCore, LeavesOutAHeartbeatBehindUnsentMessages) {
     Core core(small());
     EXPECT_EQ(offer(core, Traffic::Heartbeat, 0, 10), Verdict::Send);
     EXPECT_EQ(offer(core, Traffic::Heartbeat, 1, 10), Verdict::Dropped);
-    core.sent(10);
+    core.sent(Traffic::Control, 10);
     EXPECT_EQ(offer(core, Traffic::Heartbeat, 2, 10), Verdict::Send);
 }
 
@@ -99,7 +113,7 @@ TEST(OutboxCore, NothingPassesAMessageThatIsBeingTakenOutOfTheQueue) {
     Core core(small());
     ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);
     ASSERT_EQ(offer(core, Traffic::Control, 1, 10), Verdict::Queued);
-    core.sent(100);
+    core.sent(Traffic::Control, 100);
     ASSERT_TRUE(core.startPump());
     const auto item = core.next();
     ASSERT_TRUE(item);
@@ -143,7 +157,7 @@ TEST(OutboxCoreProperty, KeepsOrderAndBounds) {
             ASSERT_LE(counts.unsent_bytes, limits.window_bytes + 90);
             ASSERT_LE(counts.waiting, limits.data_messages + limits.control_messages);
             while (!unsent.empty() && random.next() % 3 == 0) {
-                core.sent(unsent.front());
+                core.sent(Traffic::Control, unsent.front());
                 unsent.erase(unsent.begin());
             }
             if (core.startPump()) {
@@ -154,7 +168,7 @@ TEST(OutboxCoreProperty, KeepsOrderAndBounds) {
         }
         if (overflow) continue;
         while (!unsent.empty()) {
-            core.sent(unsent.front());
+            core.sent(Traffic::Control, unsent.front());
             unsent.erase(unsent.begin());
             if (core.startPump()) {
                 while (auto item = core.next()) {

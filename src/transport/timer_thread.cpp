@@ -6,8 +6,14 @@
 
 namespace axon::transport {
 
-TimerThread::TimerThread(std::string name, const Clock& clock, std::function<TimePoint()> tick)
-    : name_(std::move(name)), clock_(clock), tick_(std::move(tick)), thread_([this] { run(); }) {}
+TimerThread::TimerThread(std::string name, Lane lane, Duration pause, const Clock& clock,
+                         std::function<TimePoint()> tick)
+    : name_(std::move(name)),
+      lane_(lane),
+      pause_(pause),
+      clock_(clock),
+      tick_(std::move(tick)),
+      thread_([this] { run(); }) {}
 
 TimerThread::~TimerThread() {
     {
@@ -28,17 +34,20 @@ void TimerThread::wake() {
 
 void TimerThread::run() {
     pthread_setname_np(pthread_self(), name_.c_str());
-    sched_param parameters{};
-    parameters.sched_priority = 10;
-    // Refused where not permitted; the signal lane's communicator says so for both.
-    pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
+    if (lane_ == Lane::Signal) {
+        sched_param parameters{};
+        parameters.sched_priority = 10;
+        // Refused where not permitted; the signal lane's communicator says so for both.
+        pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
+    }
     while (true) {
         const auto due = tick_();
         // A duration, and wait_until on the steady clock: the injected clock only says how long.
-        const auto pause = due - clock_.now();
+        const auto ahead = due - clock_.now();
+        const auto now = std::chrono::steady_clock::now();
         std::unique_lock lock(mutex_);
-        changed_.wait_until(lock, std::chrono::steady_clock::now() + pause,
-                            [this] { return woken_ || stopping_; });
+        changed_.wait_until(lock, now + pause_, [this] { return stopping_; });
+        changed_.wait_until(lock, now + ahead, [this] { return woken_ || stopping_; });
         if (stopping_) return;
         woken_ = false;
     }

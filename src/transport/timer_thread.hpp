@@ -7,15 +7,18 @@
 #include <thread>
 
 #include "common/clock.hpp"
+#include "common/routed.hpp"
 
 namespace axon::transport {
 
-/// The one thread of a server that lets time pass for its core. Calls `tick` at the time that its last call
-/// returned, and whenever it is woken. Under SCHED_RR where permitted, as heartbeats and watchdogs belong to
-/// the signal lane. The destructor joins it.
+/// A thread of a server that lets time pass for its core, or works off what others leave to it. Calls `tick`
+/// at the time that its last call returned and when it is woken, but not more often than once in `pause`.
+/// Of the signal lane, as heartbeats and watchdogs are, it runs under SCHED_RR where permitted. The
+/// destructor joins it.
 class TimerThread {
   public:
-    TimerThread(std::string name, const Clock& clock, std::function<TimePoint()> tick);
+    TimerThread(std::string name, Lane lane, Duration pause, const Clock& clock,
+                std::function<TimePoint()> tick);
     ~TimerThread();
     TimerThread(const TimerThread&) = delete;
     TimerThread& operator=(const TimerThread&) = delete;
@@ -27,6 +30,8 @@ class TimerThread {
     void run();
 
     const std::string name_;
+    const Lane lane_;
+    const Duration pause_;
     const Clock& clock_;
     const std::function<TimePoint()> tick_;
     std::mutex mutex_;
