@@ -2,10 +2,12 @@
 #include "client/callback_queue.hpp"
 
 #include <pthread.h>
-#include <spdlog/spdlog.h>
+#include <spdlog/logger.h>
 
 #include <algorithm>
 #include <exception>
+
+#include "client/log.hpp"
 
 namespace axon::client {
 
@@ -70,7 +72,7 @@ void CallbackQueue::run() {
         try {
             entry.callback();
         } catch (const std::exception& error) {
-            spdlog::warn("client: a callback of the program threw: {}", error.what());
+            log().warn("client: a callback of the program threw: {}", error.what());
         }
         entry.callback = nullptr;
         lock.lock();

@@ -3,6 +3,7 @@
 
 #include <utility>
 
+#include "client/send_queue.hpp"
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
 
@@ -19,11 +20,24 @@ namespace slice = ::Axon::FrontEndComm;
 constexpr int kLeaveTimeoutMs = 1000;
 constexpr std::size_t kHeaderBytes = 200;
 
-/// What users send must be refused before it is lost: the bound of the data lane is that of Session's own
-/// check.
+/// A stop names each entity in a message of its own, and is sent again until it is confirmed: 2048 of them,
+/// eight times, to a server that takes none.
+constexpr std::size_t kSignalsUnsent = 16 * 1024;
+
+/// What users send is refused before it is lost. Besides it there are uploads, in the Entity Managers'
+/// windows.
 transport::OutboxLimits dataLimits() {
     transport::OutboxLimits limits;
-    limits.data_bytes = 16 * 1024 * 1024;
+    limits.data_bytes = kWaitingBytesMax + 1024 * 1024;
+    limits.control_bytes = 2 * kWaitingBytesMax;
+    limits.signals_unsent = kSignalsUnsent;  // the second chance of stops
+    return limits;
+}
+
+/// Stops, resets, clears and heartbeats, each small.
+transport::OutboxLimits signalLimits() {
+    transport::OutboxLimits limits;
+    limits.signals_unsent = kSignalsUnsent;
     return limits;
 }
 
@@ -65,8 +79,10 @@ class CallbackServant final : public slice::ClientCallback {
                               {static_cast<RefusalCode>(code), std::move(reason), {}});
         });
     }
-    void newStopAccepted(Axon::CommUtil::Header head, int, const Ice::Current&) override {
-        tell([&](auto& events) { events.newStopAccepted(attempt_, transport::fromIce(std::move(head))); });
+    void newStopAccepted(Axon::CommUtil::Header head, int entities, const Ice::Current&) override {
+        tell([&](auto& events) {
+            events.newStopAccepted(attempt_, transport::fromIce(std::move(head)), entities);
+        });
     }
     void newUpdateMsg(int code, std::string text, const Ice::Current&) override {
         tell([&](auto& events) { events.newServerText(attempt_, code, text); });
@@ -111,8 +127,8 @@ void post(transport::Outbox& outbox, Traffic traffic, Send send) {
 
 }  // namespace
 
-ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, const std::string& endpoint,
-                                                     const Login& login,
+ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, transport::OutboxLimits limits,
+                                                     const std::string& endpoint, const Login& login,
                                                      const std::shared_ptr<ConnectionEvents>& events) {
     const auto timeout =
         static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(login.timeout).count());
@@ -136,7 +152,7 @@ ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, const
                 ->ice_invocationTimeout(timeout);
         lane.oneway = lane.session->ice_oneway()->ice_invocationTimeout(-1);
         lane.outbox = std::make_shared<transport::Outbox>(
-            dataLimits(), [connection = lane.connection](const std::string& why) {
+            limits, [connection = lane.connection](const std::string& why) {
                 connection->disconnect({false, why}, false);
             });
         lane.connection->onClosed([events = std::weak_ptr(events), attempt = login.attempt,
@@ -161,12 +177,12 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
     auto connection = std::make_shared<ServerConnection>();
     connection->attempt_ = login.attempt;
     try {
-        connection->data_ = openLane(data, login.endpoint, login, events);
+        connection->data_ = openLane(data, dataLimits(), login.endpoint, login, events);
         const auto facts = connection->data_.session->setCallback(connection->data_.callback);
         connection->me_ = transport::fromIce(Axon::CommUtil::Sender(facts.me));
         connection->entities_ = facts.entities;
         const auto& endpoint = facts.signalEndpoint.empty() ? login.endpoint : facts.signalEndpoint;
-        connection->signal_ = openLane(signal, endpoint, login, events);
+        connection->signal_ = openLane(signal, signalLimits(), endpoint, login, events);
         connection->signal_.session->attachSignalLane(facts.token, connection->signal_.callback);
     } catch (...) {
         const auto refusal = transport::translate(std::current_exception());
@@ -184,10 +200,13 @@ void ServerConnection::send(const LaneEnd& lane, Traffic traffic, const Header& 
         traffic, bytes.size() + kHeaderBytes,
         [&](SendCallbacks&& callbacks) { call(*oneway, operation, head, bytes, std::move(callbacks)); },
         [&] {
-            return transport::Outbox::Parcel(
-                [oneway, operation, head, owned = std::move(bytes)](SendCallbacks&& callbacks) {
-                    call(*oneway, operation, head, owned, std::move(callbacks));
-                });
+            const auto size = bytes.size() + kHeaderBytes;
+            *waiting_bytes_ += size;
+            std::shared_ptr<void> waits(nullptr, [count = waiting_bytes_, size](void*) { *count -= size; });
+            return transport::Outbox::Parcel([oneway, operation, head, owned = std::move(bytes),
+                                              waits = std::move(waits)](SendCallbacks&& callbacks) {
+                call(*oneway, operation, head, owned, std::move(callbacks));
+            });
         });
 }
 

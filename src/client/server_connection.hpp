@@ -28,7 +28,7 @@ class ConnectionEvents {
     virtual void newServiceRecord(std::uint64_t attempt, const Header& head, std::string_view record) = 0;
     virtual void newEntityMsg(std::uint64_t attempt, const Header& head, std::string_view message) = 0;
     virtual void newRefusal(std::uint64_t attempt, const Header& head, const Refusal& refusal) = 0;
-    virtual void newStopAccepted(std::uint64_t attempt, const Header& head) = 0;
+    virtual void newStopAccepted(std::uint64_t attempt, const Header& head, int entities) = 0;
     virtual void newServerText(std::uint64_t attempt, int code, const std::string& text) = 0;
     virtual void newServerHeartbeat(std::uint64_t attempt) = 0;
     /// One of the two connections has ended. May come before open() has returned.
@@ -74,8 +74,9 @@ class ServerConnection {
     void sendResetSignal(const Header& head) const;
     void sendClearSignal(const Header& head) const;
     void keepAlive(std::int64_t sequence) const;
-    /// Messages that wait for the server to read.
+    /// Messages of the data lane that wait for the server to read, and their bytes.
     std::size_t waiting() const { return data_.outbox->counts().waiting; }
+    std::size_t waitingBytes() const { return *waiting_bytes_; }
 
     /// Orderly: the server releases what is held. Waits for its answer, at most a second.
     void leave() const;
@@ -90,12 +91,15 @@ class ServerConnection {
         std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx> callback;
         std::shared_ptr<transport::Outbox> outbox;
     };
-    static LaneEnd openLane(const LaneHome& home, const std::string& endpoint, const Login& login,
-                            const std::shared_ptr<ConnectionEvents>& events);
+    static LaneEnd openLane(const LaneHome& home, transport::OutboxLimits limits, const std::string& endpoint,
+                            const Login& login, const std::shared_ptr<ConnectionEvents>& events);
     void send(const LaneEnd& lane, transport::Traffic traffic, const Header& head, std::string bytes,
               int operation) const;
 
     LaneEnd data_, signal_;
+    // Shared with the messages that wait: each takes its own bytes off, sent or dropped.
+    const std::shared_ptr<std::atomic<std::size_t>> waiting_bytes_ =
+        std::make_shared<std::atomic<std::size_t>>(0);
     Sender me_;
     int entities_ = 0;
     std::uint64_t attempt_ = 0;

@@ -3,13 +3,14 @@
 
 #include <axon/messages.pb.h>
 #include <pwd.h>
-#include <spdlog/spdlog.h>
+#include <spdlog/logger.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <stdexcept>
 
 #include "client/content.hpp"
+#include "client/log.hpp"
 #include "transport/communicator.hpp"
 
 namespace axon::client {
@@ -21,7 +22,6 @@ constexpr Duration kFirstBackoff = 100ms;
 constexpr Duration kLastBackoff = 2s;
 /// No thread sleeps longer than this; a time far away is a wait_until that may overflow.
 constexpr Duration kLongestSleep = 1h;
-constexpr std::size_t kWaitingMax = 256;
 constexpr std::size_t kChunkBytes = 64 * 1024;
 constexpr std::size_t kMessageBytesMax = (transport::kMessageSizeMaxKib - 64) * 1024ULL;
 constexpr Duration kReleaseTime = 1s;
@@ -59,11 +59,14 @@ Client::Session::~Session() {
 // ---- locks, and what leaves them
 
 template <class Use>
-auto Client::Session::withCore(Use&& use) {
+auto Client::Session::withCore(Use&& use, Sends sends) {
     struct Leave {
         Session& session;
         std::unique_lock<std::mutex> lock;
+        const Sends sends;
+        const std::uint64_t before = session.outgoing_.last();
         ~Leave() {
+            const auto last = session.outgoing_.last();
             const auto deadline = std::min(session.core_.nextDeadline(), session.core_.serverDeadline());
             const auto heartbeat = session.core_.nextHeartbeat();
             const bool wake_timer = deadline < session.timer_at_;
@@ -71,20 +74,28 @@ auto Client::Session::withCore(Use&& use) {
             if (wake_timer) session.timer_at_ = deadline;
             if (wake_heartbeat) session.heartbeat_at_ = heartbeat;
             lock.unlock();
-            session.flush();
+            if (last != before) {
+                if (sends == Sends::Here) {
+                    session.flush(last);
+                } else {
+                    session.sender_.wake();
+                }
+            }
             if (wake_timer) session.timer_.wake();
             if (wake_heartbeat) session.heartbeat_.wake();
         }
     };
-    const Leave leave{*this, std::unique_lock(core_mutex_)};
+    const Leave leave{*this, std::unique_lock(core_mutex_), sends};
     return use(core_);
 }
 
 template <class Use>
 void Client::Session::onCore(std::uint64_t attempt, Use&& use) {
-    withCore([&](SessionCore& core) {
-        if (attempt == listening_) use(core);
-    });
+    withCore(
+        [&](SessionCore& core) {
+            if (attempt == listening_) use(core);
+        },
+        Sends::Sender);
 }
 
 template <class Use>
@@ -122,16 +133,11 @@ Answer Client::Session::ask(Ask&& ask) {
     return future.get();
 }
 
-/// One thread at a time sends, so the order of the core is the order on the wire; who finds another one at it
-/// leaves its messages to that one.
-void Client::Session::flush() {
-    std::unique_lock lock(outgoing_mutex_);
-    if (flushing_) return;
-    flushing_ = true;
-    while (!outgoing_.empty()) {
-        auto message = std::move(outgoing_.front());
-        outgoing_.pop_front();
-        lock.unlock();
+/// Up to the message `ticket`; one thread at a time, so the order of the core is the order on the wire.
+void Client::Session::flush(std::uint64_t ticket) {
+    const std::lock_guard sending(send_mutex_);
+    while (auto item = outgoing_.take(ticket)) {
+        auto& message = item->message;
         if (const auto connection = connection_.load()) {
             switch (message.kind) {
                 case Kind::ToEntity:
@@ -151,30 +157,28 @@ void Client::Session::flush() {
                     break;
             }
         }
-        lock.lock();
+        outgoing_.sent(item->bytes);
     }
-    flushing_ = false;
 }
 
+void Client::Session::put(Kind kind, const Header& head, std::string bytes) {
+    const auto size = bytes.size() + kMessageOverhead;
+    outgoing_.put({kind, head, std::move(bytes)}, size);
+}
 void Client::Session::sendToEntity(const Header& head, std::string bytes) {
-    const std::lock_guard lock(outgoing_mutex_);
-    outgoing_.push_back({Kind::ToEntity, head, std::move(bytes)});
+    put(Kind::ToEntity, head, std::move(bytes));
 }
 void Client::Session::sendToEntityDataSeq(const Header& head, std::string bytes) {
-    const std::lock_guard lock(outgoing_mutex_);
-    outgoing_.push_back({Kind::ToEntityDataSeq, head, std::move(bytes)});
+    put(Kind::ToEntityDataSeq, head, std::move(bytes));
 }
 void Client::Session::sendRequest(const Header& head, std::string bytes) {
-    const std::lock_guard lock(outgoing_mutex_);
-    outgoing_.push_back({Kind::Request, head, std::move(bytes)});
+    put(Kind::Request, head, std::move(bytes));
 }
 void Client::Session::sendReset(const Header& head) {
-    const std::lock_guard lock(outgoing_mutex_);
-    outgoing_.push_back({Kind::Reset, head, {}});
+    put(Kind::Reset, head, {});
 }
 void Client::Session::sendClear(const Header& head) {
-    const std::lock_guard lock(outgoing_mutex_);
-    outgoing_.push_back({Kind::Clear, head, {}});
+    put(Kind::Clear, head, {});
 }
 void Client::Session::keepAlive(std::int64_t sequence, bool busy) {
     beat_ = {sequence, busy};
@@ -200,13 +204,12 @@ Refusal Client::Session::admit(std::size_t bytes) const {
                     " bytes. Send it in pieces, or upload it as a resource.",
                 {}};
     }
-    const auto connection = connection_.load();
-    if (connection && connection->waiting() >= kWaitingMax) {
-        return {RefusalCode::Overloaded,
-                std::to_string(kWaitingMax) + " messages wait for the server to read them. Send more slowly.",
-                {}};
+    auto waiting = outgoing_.waiting();
+    if (const auto connection = connection_.load()) {
+        waiting.messages += connection->waiting();
+        waiting.bytes += connection->waitingBytes();
     }
-    return {};
+    return admission(waiting.messages, waiting.bytes, bytes);
 }
 
 void Client::Session::Alarm::start(const char* name, const Clock& clock, std::function<TimePoint()> tick) {
@@ -249,6 +252,10 @@ Result<void> Client::Session::connect() {
     } catch (const std::exception& error) {
         return Refusal{RefusalCode::Internal, error.what(), {}};
     }
+    sender_.start("axon-sender", clock_, [this] {
+        flush(outgoing_.last());
+        return clock_.now() + kLongestSleep;
+    });
     const auto established = establish();
     if (!established) {
         auto refusal = established.refusal();
@@ -262,6 +269,7 @@ Result<void> Client::Session::connect() {
     heartbeat_.start("axon-heartbeat", clock_, [this] { return onHeartbeat(); });
     stop_timer_.start("axon-stops", clock_, [this] { return onStopTimer(); });
 
+    if (!options_.await_entities) return {};
     // The entities that are there are pushed at once; a client that has just connected should know them.
     std::unique_lock lock(core_mutex_);
     entities_changed_.wait_for(lock, std::chrono::nanoseconds(toDuration(options_.timeout)),
@@ -290,24 +298,28 @@ Result<void> Client::Session::establish() {
         connection_.store(connection);
         signal_connection_.store(connection);
         withDesk([&](StopDesk& desk) { desk.onConnected(connection->me()); });
-        withCore([&](SessionCore& core) {
-            if (listening_ != login.attempt || closing_) {
-                failure = {RefusalCode::NotConnected, "the connection ended during the login", {}};
-                return;
-            }
-            up_ = true;
-            core.onConnected(connection->me(), connection->entities());
-        });
+        withCore(
+            [&](SessionCore& core) {
+                if (listening_ != login.attempt || closing_) {
+                    failure = {RefusalCode::NotConnected, "the connection ended during the login", {}};
+                    return;
+                }
+                up_ = true;
+                core.onConnected(connection->me(), connection->entities());
+            },
+            Sends::Sender);
     }
     if (failure.ok()) return {};
     const auto connection = connection_.load();
     connection_.store(nullptr);
     signal_connection_.store(nullptr);
     if (connection) connection->drop();
-    withCore([&](SessionCore& core) {
-        listening_ = 0;
-        core.onDisconnected(failure.message);  // forgets the profiles that came before the failure
-    });
+    withCore(
+        [&](SessionCore& core) {
+            listening_ = 0;
+            core.onDisconnected(failure.message);  // forgets the profiles that came before the failure
+        },
+        Sends::Sender);
     withDesk([](StopDesk& desk) { desk.onDisconnected(); });
     return failure;
 }
@@ -318,18 +330,17 @@ void Client::Session::closed(std::uint64_t attempt, const std::string& reason) {
 
 void Client::Session::lost(std::uint64_t attempt, const std::string& reason) {
     bool counts = false;
-    withCore([&](SessionCore& core) {
-        if (attempt != listening_) return;
-        listening_ = 0;  // nothing of this connection counts any more
-        counts = up_;
-        if (!up_) return;
-        up_ = false;
-        {
-            const std::lock_guard lock(outgoing_mutex_);
+    withCore(
+        [&](SessionCore& core) {
+            if (attempt != listening_) return;
+            listening_ = 0;  // nothing of this connection counts any more
+            counts = up_;
+            if (!up_) return;
+            up_ = false;
             outgoing_.clear();
-        }
-        core.onDisconnected(reason);
-    });
+            core.onDisconnected(reason);
+        },
+        Sends::Sender);
     if (!counts) return;
     withDesk([](StopDesk& desk) { desk.onDisconnected(); });
     const auto connection = connection_.load();
@@ -390,6 +401,7 @@ void Client::Session::close() {
         for (auto* holder : {&data_communicator_, &signal_communicator_}) {
             if (holder->communicator()) holder->communicator()->destroy();
         }
+        sender_.end();
         timer_.end();
         heartbeat_.end();
         stop_timer_.end();
@@ -400,11 +412,13 @@ void Client::Session::close() {
 
 TimePoint Client::Session::onTimer() {
     std::uint64_t silent = 0;
-    withCore([&](SessionCore& core) {
-        timer_at_ = TimePoint::min();  // this thread is awake: no need to wake it
-        core.onTimer();
-        if (core.serverSilent()) silent = listening_;
-    });
+    withCore(
+        [&](SessionCore& core) {
+            timer_at_ = TimePoint::min();  // this thread is awake: no need to wake it
+            core.onTimer();
+            if (core.serverSilent()) silent = listening_;
+        },
+        Sends::Sender);
     if (silent != 0) lost(silent, "the server has been silent for too long");
     if (give_up_.exchange(false)) lost(listening_, "this program does not return from its callbacks");
 
@@ -430,18 +444,20 @@ TimePoint Client::Session::onTimer() {
 
 TimePoint Client::Session::onHeartbeat() {
     std::optional<std::pair<std::int64_t, bool>> beat;
-    withCore([&](SessionCore& core) {
-        heartbeat_at_ = TimePoint::min();
-        core.onHeartbeatTimer();
-        beat = std::exchange(beat_, std::nullopt);
-    });
+    withCore(
+        [&](SessionCore& core) {
+            heartbeat_at_ = TimePoint::min();
+            core.onHeartbeatTimer();
+            beat = std::exchange(beat_, std::nullopt);
+        },
+        Sends::Sender);
     if (beat) {
         bool alive = true;
         if (beat->second && options_.keep_running) {
             try {
                 alive = options_.keep_running();
             } catch (const std::exception& error) {
-                spdlog::warn("client: keep_running threw, which counts as no: {}", error.what());
+                log().warn("client: keep_running threw, which counts as no: {}", error.what());
                 alive = false;
             }
         }
@@ -502,8 +518,8 @@ void Client::Session::newRefusal(std::uint64_t attempt, const Header& head, cons
     onCore(attempt, [&](SessionCore& core) { core.onRefusal(head, refusal); });
 }
 
-void Client::Session::newStopAccepted(std::uint64_t, const Header& head) {
-    withDesk([&](StopDesk& desk) { desk.onStopAccepted(head.sequence); });
+void Client::Session::newStopAccepted(std::uint64_t, const Header& head, int entities) {
+    withDesk([&](StopDesk& desk) { desk.onStopAccepted(head.sequence, head.entity, entities); });
 }
 
 void Client::Session::newServerText(std::uint64_t attempt, int code, const std::string& text) {
@@ -519,8 +535,8 @@ void Client::Session::newServerHeartbeat(std::uint64_t attempt) {
 void Client::Session::post(std::function<void()> callback, bool may_be_left_out) {
     if (callbacks_.post(std::move(callback), may_be_left_out)) return;
     // The program does not return from its callbacks: it does not know any more what its robots do.
-    spdlog::error("client: {} callbacks wait for the program to return from one; the connection is given up",
-                  CallbackQueue::kBound);
+    log().error("client: {} callbacks wait for the program to return from one; the connection is given up",
+                CallbackQueue::kBound);
     give_up_ = true;
     timer_.wake();
 }
@@ -617,7 +633,7 @@ void Client::Session::onTransferCredit(const Id128& transfer, std::uint64_t offs
 }
 
 void Client::Session::onServerText(int code, const std::string& text) {
-    spdlog::info("server: {} ({})", text, code);
+    log().info("server: {} ({})", text, code);
 }
 
 void Client::Session::setOnEntity(std::function<void(Presence, const Entity&)> callback) {
@@ -666,14 +682,14 @@ std::vector<CheckOut> Client::Session::held() const {
 
 Task Client::Session::run(const Held& held, std::string_view service, const std::vector<Argument>& arguments,
                           Seconds not_after) {
-    const auto overloaded = admit(0);
-    if (!overloaded.ok()) {
-        TaskReport report{Id128::uuid(random_).toString(), held.entity, std::string(service)};
-        report.state = TaskState::Refused;
-        report.reason = overloaded;
-        return Task(std::make_shared<Task::Shared>(*Id128::parse(report.id), weak_from_this(), report));
-    }
     return withCore([&](SessionCore& core) {
+        const auto overloaded = admit(0);
+        if (!overloaded.ok()) {
+            TaskReport report{Id128::uuid(random_).toString(), held.entity, std::string(service)};
+            report.state = TaskState::Refused;
+            report.reason = overloaded;
+            return Task(std::make_shared<Task::Shared>(*Id128::parse(report.id), weak_from_this(), report));
+        }
         const auto id = core.run(held, service, arguments, toDuration(not_after));
         auto task = std::make_shared<Task::Shared>(id, weak_from_this(), *core.task(id));
         if (!isFinal(task->report.state)) tasks_[task->text] = task;
@@ -683,7 +699,8 @@ Task Client::Session::run(const Held& held, std::string_view service, const std:
 
 Result<void> Client::Session::upload(const Held& held, std::string_view service, std::string_view resource,
                                      const std::filesystem::path& path,
-                                     const std::function<void(std::uint64_t, std::uint64_t)>& progress) {
+                                     const std::function<void(std::uint64_t, std::uint64_t)>& progress,
+                                     const std::stop_token& give_up) {
     mayWait();
     auto opened = ResourceFile::open(path);
     if (!opened) return opened.refusal();
@@ -696,6 +713,10 @@ Result<void> Client::Session::upload(const Held& held, std::string_view service,
         uploads_[transfer] = window;
         return transfer;
     });
+    const std::stop_callback cancel(give_up, [&window] {
+        window->finish(
+            {RefusalCode::Cancelled, "The upload was cancelled; it goes on when it is begun again.", {}});
+    });
     std::optional<std::uint64_t> sent;
     Refusal failure;
     while (true) {
@@ -706,7 +727,7 @@ Result<void> Client::Session::upload(const Held& held, std::string_view service,
         }
         std::uint64_t at = turn.from;
         if (progress && !sent) progress(at, file.size());
-        while (at < turn.to && failure.ok()) {
+        while (at < turn.to && failure.ok() && !give_up.stop_requested()) {
             auto content = file.read(at, std::min<std::uint64_t>(kChunkBytes, turn.to - at));
             if (!content) {
                 failure = content.refusal();
@@ -987,10 +1008,11 @@ Result<void> CheckOut::set(std::string_view service, const Argument& argument) c
 
 Result<void> CheckOut::upload(std::string_view service, std::string_view resource,
                               const std::filesystem::path& file,
-                              std::function<void(std::uint64_t, std::uint64_t)> progress) const {
+                              std::function<void(std::uint64_t, std::uint64_t)> progress,
+                              std::stop_token give_up) const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
-    return session->upload(shared_->held, service, resource, file, progress);
+    return session->upload(shared_->held, service, resource, file, progress, give_up);
 }
 
 Task CheckOut::run(std::string_view service, const std::vector<Argument>& arguments,
@@ -1009,15 +1031,19 @@ Task CheckOut::run(std::string_view service, const std::vector<Argument>& argume
 Result<void> CheckOut::sendText(std::string_view text) const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
-    if (auto refusal = session->admit(text.size()); !refusal.ok()) return refusal;
-    return session->withCore([&](SessionCore& core) { return core.sendText(shared_->held, text); });
+    return session->withCore([&](SessionCore& core) -> Result<void> {
+        if (auto refusal = session->admit(text.size()); !refusal.ok()) return refusal;
+        return core.sendText(shared_->held, text);
+    });
 }
 
 Result<void> CheckOut::sendRaw(std::string_view bytes) const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
-    if (auto refusal = session->admit(bytes.size()); !refusal.ok()) return refusal;
-    return session->withCore([&](SessionCore& core) { return core.sendRaw(shared_->held, bytes); });
+    return session->withCore([&](SessionCore& core) -> Result<void> {
+        if (auto refusal = session->admit(bytes.size()); !refusal.ok()) return refusal;
+        return core.sendRaw(shared_->held, bytes);
+    });
 }
 
 void CheckOut::onText(std::function<void(const std::string&)> callback) const {

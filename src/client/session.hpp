@@ -4,19 +4,20 @@
 
 #include <atomic>
 #include <condition_variable>
-#include <deque>
 #include <future>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
 #include <set>
+#include <stop_token>
 #include <string>
 #include <unordered_map>
 #include <vector>
 
 #include "axon/client.hpp"
 #include "client/callback_queue.hpp"
+#include "client/send_queue.hpp"
 #include "client/server_connection.hpp"
 #include "client/session_core.hpp"
 #include "client/stop_desk.hpp"
@@ -78,9 +79,13 @@ class Client::Session final : public SessionObserver,
     Result<void> connect();
     void close();
 
+    /// Who sends what a use of the core gave to send: the calling thread, when it is the user's, or the
+    /// sender's thread. The threads of heartbeats, deadlines and signals send no data: whoever floods the
+    /// data lane must not hold them up.
+    enum class Sends : std::uint8_t { Here, Sender };
     /// Runs `use` on the core, then sends what it gave to send and wakes the threads that wait for its times.
     template <class Use>
-    auto withCore(Use&& use);
+    auto withCore(Use&& use, Sends sends = Sends::Here);
     /// A request of the core that answers by a callback; waits for the answer.
     template <class Answer, class Ask>
     Answer ask(Ask&& ask);
@@ -96,14 +101,16 @@ class Client::Session final : public SessionObserver,
              Seconds not_after);
     Result<void> upload(const Held& held, std::string_view service, std::string_view resource,
                         const std::filesystem::path& file,
-                        const std::function<void(std::uint64_t, std::uint64_t)>& progress);
+                        const std::function<void(std::uint64_t, std::uint64_t)>& progress,
+                        const std::stop_token& give_up);
     Result<void> release(const Held& held);
     Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline);
     Result<Entity> waitFor(std::string_view name, Seconds time) const;
     Result<std::shared_ptr<void>> watch(std::string_view name, const std::vector<std::string>& streams,
                                         std::function<void(const Sample&)> callback);
     void unwatch(std::uint64_t watch);
-    /// OVERLOADED while the server does not read, TOO_LARGE for what no message holds.
+    /// OVERLOADED while the server does not read, TOO_LARGE for what no message holds. Under core_mutex_, in
+    /// one with the sending, so that several threads do not share the last place.
     Refusal admit(std::size_t bytes) const;
 
     void setOnEntity(std::function<void(Presence, const Entity&)> callback);
@@ -142,7 +149,7 @@ class Client::Session final : public SessionObserver,
     void newServiceRecord(std::uint64_t attempt, const Header& head, std::string_view record) override;
     void newEntityMsg(std::uint64_t attempt, const Header& head, std::string_view message) override;
     void newRefusal(std::uint64_t attempt, const Header& head, const Refusal& refusal) override;
-    void newStopAccepted(std::uint64_t attempt, const Header& head) override;
+    void newStopAccepted(std::uint64_t attempt, const Header& head, int entities) override;
     void newServerText(std::uint64_t attempt, int code, const std::string& text) override;
     void newServerHeartbeat(std::uint64_t attempt) override;
     void closed(std::uint64_t attempt, const std::string& reason) override;
@@ -182,7 +189,8 @@ class Client::Session final : public SessionObserver,
     template <class Use>
     auto withDesk(Use&& use);
 
-    void flush();
+    void put(Kind kind, const Header& head, std::string bytes);
+    void flush(std::uint64_t ticket);
     Result<void> establish();
     void lost(std::uint64_t attempt, const std::string& reason);
     void tellConnection(bool connected, const std::string& reason);
@@ -220,10 +228,8 @@ class Client::Session final : public SessionObserver,
     std::vector<OutgoingStop> stops_;
     TimePoint stops_at_ = TimePoint::max();
 
-    std::mutex outgoing_mutex_;
-    // Guarded by outgoing_mutex_:
-    std::deque<Outgoing> outgoing_;
-    bool flushing_ = false;
+    SendQueue<Outgoing> outgoing_;  // put into under core_mutex_
+    std::mutex send_mutex_;         // the order of outgoing_ is that on the wire
 
     std::mutex callbacks_mutex_;
     // Guarded by callbacks_mutex_:
@@ -245,7 +251,7 @@ class Client::Session final : public SessionObserver,
     CallbackQueue callbacks_;
     Ice::CommunicatorHolder data_communicator_, signal_communicator_;
     LaneHome data_, signal_;
-    Alarm timer_, heartbeat_, stop_timer_;
+    Alarm sender_, timer_, heartbeat_, stop_timer_;
 };
 
 }  // namespace axon::client

@@ -189,6 +189,7 @@ void SessionCore::onDisconnected(const std::string& reason) {
     announced_ = 0;
     promised_ = 0;
     for (auto& [id, known] : gone) {
+        marks_.forget(id);
         if (known.announced) observer_.onEntity(Presence::Left, known.facts);
     }
     server_.setBusy(false, clock_.now());
@@ -226,6 +227,7 @@ void SessionCore::onProfile(Presence presence, const Registration& registration,
         const bool announced = known->second.announced;
         entities_.erase(known);
         names_.remove(id);
+        marks_.forget(id);
         if (announced) observer_.onEntity(Presence::Left, facts);
         return;
     }
@@ -261,6 +263,7 @@ void SessionCore::onStatus(const EntityStatus& status) {
     facts.stop_generation = std::max(facts.stop_generation, status.stop_generation);
     facts.holder = status.holder;
     facts.reason = status.reason;
+    countMoving(status.entity);
 
     if (const auto mine = leases_.find(status.entity); mine != leases_.end()) {
         if (status.held > mine->second.number && status.holder.id != self_.id) {
@@ -495,6 +498,7 @@ void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& sta
         facts.stop_generation =
             std::max(facts.stop_generation, static_cast<std::int32_t>(status.stop_generation()));
         facts.reason = status.reason();
+        countMoving(head.entity);
         if (known->second.announced) observer_.onEntity(Presence::Changed, facts);
     }
     for (const auto& event : status.tasks()) onTaskEvent(head.entity, event);
@@ -619,9 +623,10 @@ void SessionCore::onCheckOutReply(const Header& head, const proto::CheckOutReply
 void SessionCore::grant(const std::string& entity, const proto::CheckOutReply& reply) {
     leases_[entity] = {numberOf(reply.lease()), reply.lease().key(), reply.services()};
     auto& facts = entities_[entity].facts;
-    facts.stop_generation =
-        std::max(facts.stop_generation, static_cast<std::int32_t>(reply.stop_generation()));
+    facts.stop_generation = static_cast<std::int32_t>(reply.stop_generation());
+    marks_.take(entity, facts.stop_generation);
     facts.latched = reply.latched();
+    countMoving(entity);
     pace();
 }
 
@@ -691,6 +696,7 @@ void SessionCore::endLease(const std::string& entity, const Refusal& why, bool t
     if (found == leases_.end()) return;
     const Held held{entity, found->second.number};
     leases_.erase(found);
+    countMoving(entity);
     std::vector<std::pair<Ask, Id128>> keys;
     for (const auto& [key, pending] : pending_) {
         const bool mine = pending.entity == entity && pending.lease == held.lease;
@@ -1109,23 +1115,28 @@ void SessionCore::control(const Id128& task, proto::TaskAction action, Done done
 
 bool SessionCore::busy() const {
     if (running_tasks_ > 0) return true;
-    return std::any_of(leases_.begin(), leases_.end(), [&](const auto& entry) {
-        const auto known = entities_.find(entry.first);
-        return known != entities_.end() && moves(known->second.facts.state);
-    });
+    return !moving_.empty();
+}
+
+void SessionCore::countMoving(const std::string& entity) {
+    const auto known = entities_.find(entity);
+    const bool counts = leases_.count(entity) != 0 && known != entities_.end();
+    const auto keep = [&](std::set<std::string>& in, bool member) {
+        if (member) {
+            in.insert(entity);
+        } else {
+            in.erase(entity);
+        }
+    };
+    keep(moving_, counts && moves(known->second.facts.state));
+    keep(busy_, counts && known->second.facts.state == EntityState::BUSY);
 }
 
 void SessionCore::pace() {
     if (!connected_) return;
     const auto now = clock_.now();
     // The server beats fast only while it sees an entity of ours BUSY; our own tasks begin a little earlier.
-    server_.setBusy(std::any_of(leases_.begin(), leases_.end(),
-                                [&](const auto& entry) {
-                                    const auto known = entities_.find(entry.first);
-                                    return known != entities_.end() &&
-                                           known->second.facts.state == EntityState::BUSY;
-                                }),
-                    now);
+    server_.setBusy(!busy_.empty(), now);
     if (busy()) next_heartbeat_ = std::min(next_heartbeat_, now + settings_.heartbeat_busy);
 }
 

@@ -242,6 +242,8 @@ class SessionCore {
     /// A refusal that says that the lease is no longer ours.
     void noteRefusal(const std::string& entity, LeaseNumber under, const Refusal& refusal);
     void sendWatches(const std::string& entity);
+    /// Whether the entity is held and moves; after each change of its state or its lease.
+    void countMoving(const std::string& entity);
     void pace();
 
     // Constant after construction.
@@ -265,6 +267,7 @@ class SessionCore {
     NameIndex names_;
     std::unordered_map<std::string, KnownEntity> entities_;
     std::map<std::string, Lease> leases_;
+    std::set<std::string> moving_, busy_;  // held, and BUSY or driven otherwise; held and BUSY
     std::unordered_map<Id128, TaskRecord> tasks_;
     std::size_t running_tasks_ = 0;
     std::deque<Id128> finished_tasks_;

@@ -15,11 +15,22 @@ namespace axon::client {
 /// Threads: any; the lock is held for one look-up, and sending a stop to everything does not take it.
 class SignalMarks {
   public:
-    /// Generations only rise; an older one that arrives late changes nothing.
+    /// While it is there its generation only rises; an older one that arrives late changes nothing.
     void raise(const std::string& entity, std::int32_t generation) {
         const std::lock_guard lock(mutex_);
         auto& newest = newest_[entity];
         newest = std::max(newest, generation);
+    }
+    /// What the entity itself says of the present, once it has answered this client: an Entity Manager that
+    /// began anew counts from its own beginning.
+    void take(const std::string& entity, std::int32_t generation) {
+        const std::lock_guard lock(mutex_);
+        newest_[entity] = generation;
+    }
+    /// It has left: what comes back under its name tells its generation anew.
+    void forget(const std::string& entity) {
+        const std::lock_guard lock(mutex_);
+        newest_.erase(entity);
     }
     std::int32_t of(const std::string& entity) const {
         const std::lock_guard lock(mutex_);

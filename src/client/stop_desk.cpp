@@ -39,6 +39,9 @@ void StopDesk::onEntity(Presence presence, const std::string& id, const std::str
         names_.remove(id);
     } else {
         names_.put(id, name);
+        for (auto& order : orders_) {
+            if (order.everything) add(order, id);
+        }
     }
 }
 
@@ -94,22 +97,35 @@ void StopDesk::stop(const std::vector<std::string>& names, Duration deadline, Do
             ids.insert(ids.end(), found->begin(), found->end());
         }
     }
-    for (const auto& id : ids) {
-        Receipt receipt;
-        receipt.entity = id;
-        receipt.name = names_.label(id);
-        receipt.stop_generation = marks_.of(id);
-        order.receipts.emplace(id, std::move(receipt));
-    }
+    for (const auto& id : ids) add(order, id);
     if (!order.unknown.ok() && !order.receipts.empty()) order.unknown.message += " The others were stopped.";
     orders_.push_back(std::move(order));
     send(orders_.back(), Lane::Signal, false);
-    if (settled(orders_.back())) finish(std::prev(orders_.end()));
+    finishIfSettled(orders_.back());
+}
+
+Receipt& StopDesk::add(Order& order, const std::string& entity) const {
+    const auto [entry, is_new] = order.receipts.try_emplace(entity);
+    Receipt& receipt = entry->second;
+    if (is_new) {
+        receipt.entity = entity;
+        receipt.stop_generation = marks_.of(entity);
+        receipt.server = order.accepted;
+        ++order.unconfirmed;
+    }
+    receipt.name = names_.label(entity);
+    return receipt;
 }
 
 bool StopDesk::settled(const Order& order) {
-    return std::all_of(order.receipts.begin(), order.receipts.end(),
-                       [](const auto& entry) { return entry.second.confirmed(); });
+    if (order.unconfirmed > 0) return false;
+    return !order.everything ||
+           (order.reached && order.receipts.size() >= static_cast<std::size_t>(*order.reached));
+}
+
+void StopDesk::finishIfSettled(Order& order) {
+    if (!settled(order)) return;
+    finish(std::find_if(orders_.begin(), orders_.end(), [&](const Order& one) { return &one == &order; }));
 }
 
 StopDesk::Order* StopDesk::find(std::int64_t sequence) {
@@ -118,13 +134,25 @@ StopDesk::Order* StopDesk::find(std::int64_t sequence) {
     return found == orders_.end() ? nullptr : &*found;
 }
 
-void StopDesk::onStopAccepted(std::int64_t sequence) {
+void StopDesk::onStopAccepted(std::int64_t sequence, const std::string& entity, int entities) {
     Order* order = find(sequence);
     if (order == nullptr) return;
     const Seconds after = clock_.now() - order->given;
-    for (auto& [id, receipt] : order->receipts) {
-        if (!receipt.server) receipt.server = after;
+    if (!order->everything) {
+        const auto entry = order->receipts.find(entity);
+        if (entry != order->receipts.end() && entities > 0 && !entry->second.server)
+            entry->second.server = after;
+        return;
     }
+    order->reached = std::max(order->reached.value_or(0), entities);
+    // When it reached fewer than there are receipts, nobody says which: their own answers must show it.
+    if (entities > 0 && static_cast<std::size_t>(entities) >= order->receipts.size()) {
+        if (!order->accepted) order->accepted = after;
+        for (auto& [id, receipt] : order->receipts) {
+            if (!receipt.server) receipt.server = after;
+        }
+    }
+    finishIfSettled(*order);
 }
 
 void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& incoming) {
@@ -134,9 +162,10 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
     Order* order = find(sequenceOf(incoming.stop_id()));
     if (order == nullptr) return;
     const auto entry = order->receipts.find(entity);
-    if (entry == order->receipts.end()) return;
+    if (entry == order->receipts.end() && !order->everything) return;
 
-    Receipt& receipt = entry->second;
+    Receipt& receipt = entry == order->receipts.end() ? add(*order, entity) : entry->second;
+    const bool was_confirmed = receipt.confirmed();
     const Seconds after = clock_.now() - order->given;
     receipt.stop_generation = std::max(receipt.stop_generation, generation);
     receipt.state = stateFromProto(incoming.state()).value_or(receipt.state);
@@ -164,8 +193,8 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
         default:
             break;
     }
-    if (!settled(*order)) return;
-    finish(std::find_if(orders_.begin(), orders_.end(), [&](const Order& o) { return &o == order; }));
+    if (!was_confirmed && receipt.confirmed()) --order->unconfirmed;
+    finishIfSettled(*order);
 }
 
 void StopDesk::onRefusal(std::int64_t sequence, const std::string& entity, const Refusal& refusal) {
@@ -188,6 +217,13 @@ void StopDesk::finish(std::list<Order>::iterator order) {
     }
     std::vector<Receipt> receipts;
     for (const auto& [id, receipt] : ended.receipts) receipts.push_back(receipt);
+    // Reached, and never heard of: not to be taken for stopped.
+    while (receipts.size() < static_cast<std::size_t>(ended.reached.value_or(0))) {
+        Receipt silent;
+        silent.name = "(an entity that has not answered)";
+        silent.server = ended.accepted;
+        receipts.push_back(std::move(silent));
+    }
     ended.done(std::move(receipts));
 }
 

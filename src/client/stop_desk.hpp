@@ -4,6 +4,7 @@
 #include <functional>
 #include <list>
 #include <map>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -43,8 +44,9 @@ class StopDesk {
     void onConnected(const Sender& self);
     void onDisconnected();
     void onEntity(Presence presence, const std::string& id, const std::string& name);
-    /// newStopAccepted: the servers' stage. `sequence` is that of the order.
-    void onStopAccepted(std::int64_t sequence);
+    /// newStopAccepted: the servers' stage, of one entity or ("") of everything, and how many entities it
+    /// reached. `sequence` is that of the order.
+    void onStopAccepted(std::int64_t sequence, const std::string& entity, int entities);
     /// A receipt of an EM; those of other people's stops raise the generation and nothing else.
     void onReceipt(const std::string& entity, const proto::StopReceipt& receipt);
     /// newRefusalMsg: the servers know no such entity (any more).
@@ -52,7 +54,8 @@ class StopDesk {
 
     /// No names = every entity there is. In doubt it stops: an ambiguous name stops all that it may mean, and
     /// a name that is not found does not hold up the others (its refusal is the order's answer, when they are
-    /// done).
+    /// done). A stop of everything needs no names: it is done when the servers have said how many entities it
+    /// reached and as many have answered, known here or not; those that have not are receipts without a name.
     void stop(const std::vector<std::string>& names, Duration deadline, Done done);
 
     void onTimer();
@@ -67,12 +70,17 @@ class StopDesk {
         bool everything = false;
         TimePoint given, deadline, resend;
         std::map<std::string, Receipt> receipts;  // by UUID
+        std::size_t unconfirmed = 0;              // of the receipts
+        std::optional<int> reached;               // entities, of a stop of everything that was accepted
+        std::optional<Seconds> accepted;          // likewise
         Refusal unknown;                          // of a name that was not found
         Done done;
     };
     void send(const Order& order, Lane lane, bool only_unconfirmed);
     Header header(const Order& order, const std::string& entity) const;
+    Receipt& add(Order& order, const std::string& entity) const;
     static bool settled(const Order& order);
+    void finishIfSettled(Order& order);
     void finish(std::list<Order>::iterator order);
     Order* find(std::int64_t sequence);
 

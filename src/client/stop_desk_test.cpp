@@ -71,7 +71,7 @@ TEST_F(StopDeskTest, AReceiptCollectsItsStagesWithTheirTimes) {
     EXPECT_EQ(link.sent[0].lane, Lane::Signal);
     EXPECT_EQ(link.sent[0].head.entity, uuid(3));
     clock.advance(1ms);
-    desk.onStopAccepted(1);
+    desk.onStopAccepted(1, uuid(3), 1);
     clock.advance(1ms);
     receipt(3, proto::StopReceipt::MANAGER);
     EXPECT_EQ(answers, 0);
@@ -126,7 +126,7 @@ TEST_F(StopDeskTest, StoppingEverythingIsOneRequest) {
     stop({});
     ASSERT_THAT(link.sent, SizeIs(1));
     EXPECT_EQ(link.sent[0].head.entity, "");
-    desk.onStopAccepted(1);
+    desk.onStopAccepted(1, {}, 3);
     receipt(1, proto::StopReceipt::NO_APPLICATION);
     receipt(2, proto::StopReceipt::CALLBACK_RETURNED);
     EXPECT_EQ(answers, 0);
@@ -135,6 +135,56 @@ TEST_F(StopDeskTest, StoppingEverythingIsOneRequest) {
     ASSERT_THAT(receipts, SizeIs(3));
     EXPECT_TRUE(receipts[0].no_application);
     for (const auto& one : receipts) EXPECT_TRUE(one.confirmed() && one.server);
+}
+
+TEST_F(StopDeskTest, AStopOfEverythingKnowsHowManyItReached) {
+    stop({});
+    receipt(1, proto::StopReceipt::CALLBACK_RETURNED);
+    receipt(2, proto::StopReceipt::CALLBACK_RETURNED);
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED);
+    EXPECT_EQ(answers, 0) << "nobody has said yet that these are all";
+    desk.onStopAccepted(1, {}, 5);
+    EXPECT_EQ(answers, 0);
+    receipt(4, proto::StopReceipt::CALLBACK_RETURNED);  // not known here, and stopped as well
+    advance(1s);
+    ASSERT_EQ(answers, 1);
+    ASSERT_THAT(receipts, SizeIs(5));
+    for (const auto& one : receipts) EXPECT_EQ(one.confirmed(), !one.entity.empty()) << one.name;
+}
+
+TEST_F(StopDeskTest, AStopNeedsNoListOfEntities) {
+    desk.onDisconnected();
+    desk.onConnected(kMe);
+    stop({});
+    ASSERT_THAT(link.sent, SizeIs(1)) << "sent before the first profile has come";
+    desk.onEntity(Presence::Joined, uuid(1), "PeopleBot");
+    desk.onStopAccepted(1, {}, 1);
+    EXPECT_EQ(answers, 0);
+    receipt(1, proto::StopReceipt::CALLBACK_RETURNED);
+    EXPECT_EQ(answers, 1);
+    ASSERT_THAT(receipts, SizeIs(1));
+    EXPECT_EQ(receipts[0].name, "PeopleBot");
+    EXPECT_TRUE(receipts[0].confirmed() && receipts[0].server);
+}
+
+TEST_F(StopDeskTest, AStopThatReachesNothingHasNoReceipts) {
+    desk.onDisconnected();
+    desk.onConnected(kMe);
+    stop({});
+    desk.onStopAccepted(1, {}, 0);
+    EXPECT_EQ(answers, 1);
+    EXPECT_TRUE(refusal.ok());
+    EXPECT_THAT(receipts, IsEmpty());
+}
+
+TEST_F(StopDeskTest, TheServersStageIsThatOfTheEntityItNames) {
+    stop({"PeopleBot#1", "Cyton"});
+    desk.onStopAccepted(1, uuid(1), 1);
+    desk.onStopAccepted(1, uuid(3), 0);  // it knows no such entity
+    advance(1s);
+    ASSERT_THAT(receipts, SizeIs(2));
+    EXPECT_TRUE(receipts[0].server);
+    EXPECT_FALSE(receipts[1].server);
 }
 
 TEST_F(StopDeskTest, InDoubtItStops) {

@@ -21,10 +21,13 @@ void requestRealTime(std::atomic<bool>& said) {
     parameters.sched_priority = kSignalPriority;
     const int error = pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
     if (error != 0 && !said.exchange(true)) {
-        spdlog::info(
-            "signal lane: no permission for real-time scheduling, ordinary threads are used; stops are "
-            "slower under "
-            "full load (to mend: LimitRTPRIO=30 in the systemd unit, or 'ulimit -r 30')");
+        // The client library has a logger of its own; standard output is its program's.
+        const auto logger = spdlog::get("axon");
+        (logger ? logger : spdlog::default_logger())
+            ->info(
+                "signal lane: no permission for real-time scheduling, ordinary threads are used; stops are "
+                "slower under "
+                "full load (to mend: LimitRTPRIO=30 in the systemd unit, or 'ulimit -r 30')");
     }
 }
 

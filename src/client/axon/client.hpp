@@ -7,6 +7,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <stop_token>
 #include <string>
 #include <string_view>
 #include <variant>
@@ -17,6 +18,8 @@
 #include "common/routed.hpp"
 
 /// The client library: what an operator's program links to use robots (architecture, section 10).
+/// Its log goes to the spdlog logger "axon" when the program has registered one before its first Client, else
+/// to standard error (warnings and worse). It writes nothing to standard output.
 namespace axon::client {
 
 using Seconds = std::chrono::duration<double>;
@@ -121,6 +124,9 @@ struct Options {
     std::string display_name;  ///< empty = user@host
     Seconds timeout{5};        ///< of every request that waits for an answer; never infinite
     bool reconnect = true;
+    /// connect() returns when this client has been told of every entity there is, or the timeout has passed;
+    /// false = as soon as both lanes stand, which is all that a stop of everything needs.
+    bool await_entities = true;
     /// When set, it is asked before each heartbeat while a task runs; false = do not send it (a live socket
     /// is not a live operator). Called on the library's heartbeat thread.
     std::function<bool()> keep_running;
@@ -160,11 +166,13 @@ class CheckOut {
 
     /// Granted or denied by the robot application; DENIED carries its reason.
     Result<void> set(std::string_view service, const Argument& argument) const;
-    /// Sends a file in chunks, resuming where an earlier try ended. progress(sent, total) on the library's
-    /// thread.
+    /// Sends a file in chunks, resuming where an earlier try ended. progress(sent, total) on the calling
+    /// thread. A stop asked for through `give_up` ends it with CANCELLED before its next chunk; the same
+    /// upload goes on from there.
     Result<void> upload(std::string_view service, std::string_view resource,
                         const std::filesystem::path& file,
-                        std::function<void(std::uint64_t, std::uint64_t)> progress = {}) const;
+                        std::function<void(std::uint64_t, std::uint64_t)> progress = {},
+                        std::stop_token give_up = {}) const;
     /// Returns as soon as the request is on its way; refusals arrive as TaskState::Refused with their reason.
     Task run(std::string_view service, const std::vector<Argument>& arguments = {},
              Seconds not_after = Seconds{0}) const;
