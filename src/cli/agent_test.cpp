@@ -287,6 +287,8 @@ TEST_F(Invoked, AnAgentServesAtItsPlaceAndReleasesWhenItEnds) {
     char said[64] = "";
     ASSERT_GT(::read(ready.get(), said, sizeof said - 1), 0);
     EXPECT_STREQ(said, "{\"ready\":true}\n");
+    ASSERT_EQ(::read(ready.get(), said, sizeof said - 1), 0) << "the end of the pipe is given up";
+    EXPECT_NE(::fcntl(ends[1], F_GETFD), -1) << "its number is not free for a socket";
 
     Invoker other(settings, [](const Settings&) {
         return Result<std::shared_ptr<Station>>(
@@ -310,6 +312,37 @@ TEST_F(Invoked, AnAgentServesAtItsPlaceAndReleasesWhenItEnds) {
     serving.join();
     EXPECT_TRUE(station->held().empty());
     EXPECT_FALSE(std::filesystem::exists(agentPlace(settings.server)->socket));
+}
+
+TEST_F(Invoked, AnInterruptDuringTheCheckOutRunsNoCommand) {
+    station->on_check_out = [this] { invoker.interrupt(SIGINT); };
+    EXPECT_EQ(invoker.holdWhile(Json({"Cyton"}), {"touch", (base / "ran").string()}, seen), kInterrupted);
+    EXPECT_FALSE(std::filesystem::exists(base / "ran"));
+    EXPECT_TRUE(station->held().empty());
+}
+
+TEST_F(Invoked, TheAgentAroundIsNotAskedForAnotherServer) {
+    ::setenv("AXON_AGENT", (base / "gone.sock").c_str(), 1);
+    ::setenv("AXON_AGENT_SERVER", "lab.example.org:10410", 1);
+    EXPECT_EQ(invoker.perform(*findVerb("stop"), Json::object(), seen), kDone);
+    EXPECT_EQ(seen.last("receipts")->at("receipts").size(), 3U) << "by a connection of its own";
+    // At the same server the one around is meant, and must be there.
+    ::setenv("AXON_AGENT_SERVER", settings.server.c_str(), 1);
+    EXPECT_EQ(invoker.perform(*findVerb("checkout"), {{"entity", {"Cyton"}}}, seen), kUsage);
+    ::unsetenv("AXON_AGENT");
+    ::unsetenv("AXON_AGENT_SERVER");
+}
+
+TEST_F(Invoked, OnlyAStopOfEverythingDoesNotWaitForTheEntities) {
+    bool awaited = false;
+    Invoker asked(settings, [&](const Settings& with) {
+        awaited = with.await_entities;
+        return Result<std::shared_ptr<Station>>(station);
+    });
+    EXPECT_EQ(asked.perform(*findVerb("stop"), {{"entity", {"Cyton"}}}, seen), kDone);
+    EXPECT_TRUE(awaited);
+    EXPECT_EQ(asked.perform(*findVerb("stop"), Json::object(), seen), kDone);
+    EXPECT_FALSE(awaited);
 }
 
 TEST_F(Invoked, ARefusedCheckOutRunsNoCommand) {

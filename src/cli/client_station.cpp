@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "cli/client_station.hpp"
 
-#include <pwd.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <deque>
 #include <map>
@@ -29,8 +26,8 @@ class ClientStation final : public Station {
     Result<std::vector<Service>> services(const std::string& entity) const override {
         return client_->services(entity);
     }
-    Result<std::vector<Receipt>> stop(const std::vector<std::string>& entities, Seconds deadline) override {
-        return client_->stop(entities, deadline);
+    Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline) override {
+        return client_->stop(names, deadline);
     }
     Result<void> rearm(const std::string& entity) override { return client_->rearm(entity); }
 
@@ -98,9 +95,11 @@ class ClientStation final : public Station {
     }
     Result<void> upload(const std::string& entity, const std::string& service, const std::string& resource,
                         const std::filesystem::path& file,
-                        std::function<void(std::uint64_t, std::uint64_t)> progress) override {
-        return with(entity,
-                    [&](const CheckOut& held) { return held.upload(service, resource, file, progress); });
+                        std::function<void(std::uint64_t, std::uint64_t)> progress,
+                        std::stop_token give_up) override {
+        return with(entity, [&](const CheckOut& held) {
+            return held.upload(service, resource, file, progress, give_up);
+        });
     }
     Result<void> sendText(const std::string& entity, const std::string& text) override {
         return with(entity, [&](const CheckOut& held) { return held.sendText(text); });
@@ -220,13 +219,6 @@ class ClientStation final : public Station {
     const std::unique_ptr<Client> client_;  // last, so that it is destroyed first: its callbacks use the rest
 };
 
-std::string userAtHost() {
-    char host[256] = "";
-    if (::gethostname(host, sizeof host - 1) != 0) host[0] = '\0';
-    const auto* user = ::getpwuid(::getuid());
-    return (user != nullptr ? std::string(user->pw_name) : std::to_string(::getuid())) + "@" + host;
-}
-
 }  // namespace
 
 Result<std::shared_ptr<Station>> connectStation(const Settings& settings) {
@@ -234,8 +226,9 @@ Result<std::shared_ptr<Station>> connectStation(const Settings& settings) {
     options.server = settings.server;
     options.user = settings.user;
     options.password = settings.password;
-    options.display_name = settings.name.empty() ? userAtHost() : settings.name;
+    options.display_name = settings.name;
     options.timeout = Seconds(settings.timeout_s);
+    options.await_entities = settings.await_entities;
     auto connected = Client::connect(std::move(options));
     if (!connected) return connected.refusal();
     return std::shared_ptr<Station>(std::make_shared<ClientStation>(std::move(connected).value()));

@@ -2,6 +2,7 @@
 #pragma once
 #include <algorithm>
 #include <atomic>
+#include <condition_variable>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -65,7 +66,7 @@ class FakeStation : public Station {
         std::vector<Entity> found;
         for (const auto& one : entities_) {
             if (one.id == name) return one;
-            if (one.name == name) found.push_back(one);
+            if (one.name == name || (name.size() >= 4 && one.id.starts_with(name))) found.push_back(one);
         }
         if (found.size() == 1) return found.front();
         if (found.empty())
@@ -77,8 +78,10 @@ class FakeStation : public Station {
         stopped = entities;
         std::vector<Receipt> list;
         for (const auto& one : entities_) {
-            if (!entities.empty() && std::find(entities.begin(), entities.end(), one.id) == entities.end())
-                continue;
+            const auto meant = [&](const std::string& word) {
+                return one.id == word || one.name == word || (word.size() >= 4 && one.id.starts_with(word));
+            };
+            if (!entities.empty() && std::none_of(entities.begin(), entities.end(), meant)) continue;
             Receipt receipt;
             receipt.entity = one.id;
             receipt.name = one.name;
@@ -113,6 +116,7 @@ class FakeStation : public Station {
     }
     Result<void> checkOut(const std::vector<std::string>& ids) override {
         if (!check_out_refusal.ok()) return check_out_refusal;
+        if (on_check_out) on_check_out();
         const std::lock_guard lock(mutex_);
         held_.insert(held_.end(), ids.begin(), ids.end());
         journal.push_back("checkOut");
@@ -132,8 +136,17 @@ class FakeStation : public Station {
     }
     Result<void> upload(const std::string&, const std::string&, const std::string&,
                         const std::filesystem::path&,
-                        std::function<void(std::uint64_t, std::uint64_t)> progress) override {
+                        std::function<void(std::uint64_t, std::uint64_t)> progress,
+                        std::stop_token give_up) override {
         progress(500, 1000);
+        if (upload_is_stuck) {
+            std::mutex mutex;
+            std::condition_variable_any stopped;
+            std::unique_lock lock(mutex);
+            stopped.wait(lock, give_up, [] { return false; });
+            upload_was_given_up = true;
+            return Refusal{RefusalCode::Cancelled, "given up", {}};
+        }
         progress(1000, 1000);
         return {};
     }
@@ -227,10 +240,13 @@ class FakeStation : public Station {
     std::atomic<bool> is_connected{true};
     bool stop_is_confirmed = true;
     bool cancel_is_heard = true;
+    bool upload_is_stuck = false;
+    std::function<void()> on_check_out;
     // … and looks at.
     std::vector<std::string> stopped, rearmed, watched, journal;
     std::vector<Argument> run_arguments, set_arguments;
     std::string sent;
+    std::atomic<bool> upload_was_given_up{false};
 
   private:
     mutable std::mutex mutex_;

@@ -16,6 +16,7 @@
 #include <cstring>
 #include <ctime>
 #include <thread>
+#include <utility>
 
 #include "cli/agent.hpp"
 #include "cli/agent_link.hpp"
@@ -40,11 +41,19 @@ bool holds(const Station& station, const std::string& id) {
     return std::any_of(held.begin(), held.end(), [&](const Entity& entity) { return entity.id == id; });
 }
 
+/// The agent of the `axon checkout X -- command` around this one, when it is at the server that is wanted
+/// here: a stop must not go to another laboratory than the one it names.
+const char* namedAgent(const Settings& settings) {
+    const char* named = std::getenv("AXON_AGENT");
+    const char* server = std::getenv("AXON_AGENT_SERVER");
+    const bool ours = named != nullptr && *named != '\0' && server != nullptr && settings.server == server;
+    return ours ? named : nullptr;
+}
+
 /// The agent that this command may join: the one named by AXON_AGENT (inside `axon checkout X -- command`),
 /// or the one of the server's address.
 std::optional<AgentLink> openAgent(const Settings& settings) {
-    if (const char* named = std::getenv("AXON_AGENT"); named != nullptr && *named != '\0')
-        return AgentLink::open(named);
+    if (const char* named = namedAgent(settings)) return AgentLink::open(named);
     const auto place = agentPlace(settings.server);
     return place ? AgentLink::open(place->socket) : std::nullopt;
 }
@@ -198,6 +207,11 @@ bool Invoker::interrupt(int signal) {
     return !holding_;
 }
 
+bool Invoker::takeInterrupt() {
+    const std::lock_guard lock(mutex_);
+    return std::exchange(pending_, 0U) > 0;
+}
+
 int Invoker::perform(const Verb& verb, Json args, Events& events) {
     if (verb.runs == Runs::Local) {
         const auto mailbox = std::make_shared<Mailbox>();
@@ -261,7 +275,12 @@ int Invoker::perform(const Verb& verb, Json args, Events& events) {
 }
 
 int Invoker::direct(const Verb& verb, Json args, Events& events) {
-    auto station = connect_(settings_);
+    auto settings = settings_;
+    // A stop of everything needs no list of the entities, which may be slow to come.
+    settings.await_entities =
+        std::string_view(verb.name) != "stop" ||
+        (!args.value("entity", std::vector<std::string>{}).empty() && !args.value("all", false));
+    auto station = connect_(settings);
     if (!station) {
         auto event = noServerEvent(station.refusal(), settings_.server);
         if (std::string_view(verb.name) == "stop") {
@@ -279,7 +298,7 @@ int Invoker::direct(const Verb& verb, Json args, Events& events) {
 }
 
 int Invoker::start(const Verb& verb, const Json& args, Events& events) {
-    if (const char* named = std::getenv("AXON_AGENT"); named != nullptr && *named != '\0') {
+    if (const char* named = namedAgent(settings_)) {
         events.emit(
             usageEvent(std::string("the agent named by AXON_AGENT is gone: ") + named, "unset AXON_AGENT"));
         return kUsage;
@@ -352,7 +371,9 @@ int Invoker::serveAgent(int ready_fd) {
     onInterrupt([&](int) { agent->stop(); });
     AgentLog::write("serving " + kept->server() + " as " + kept->self().name);
     say({{"ready", true}});
-    ::close(ready_fd);
+    // Not closed: it is standard output, and the next socket would get its number.
+    if (const Descriptor nowhere(::open("/dev/null", O_WRONLY | O_CLOEXEC)); nowhere)
+        ::dup2(nowhere.get(), ready_fd);
     agent->serve();
     onInterrupt({});
     ::unlink(place->socket.c_str());
@@ -393,6 +414,11 @@ int Invoker::holdWhile(const Json& entities, const std::vector<std::string>& com
         return exitOf(granted.refusal());
     }
     events.emit({{"event", "checked_out"}, {"entities", names}, {"kept", false}, {"for", "command"}});
+    if (takeInterrupt()) {
+        for (const auto& id : ids) static_cast<void>(station->release(id).ok());
+        events.emit({{"event", "notice"}, {"message", "interrupted; the command was not run"}});
+        return kInterrupted;
+    }
 
     std::vector<std::shared_ptr<void>> listening;
     std::mutex telling;
@@ -424,6 +450,7 @@ int Invoker::holdWhile(const Json& entities, const std::vector<std::string>& com
     std::thread serving([&agent] { agent->serve(); });
 
     ::setenv("AXON_AGENT", socket.c_str(), 1);
+    ::setenv("AXON_AGENT_SERVER", settings_.server.c_str(), 1);
     ::setenv("AXON_SERVER", settings_.server.c_str(), 1);
     auto words = command;
     auto pointers = pointersTo(words);
@@ -442,6 +469,7 @@ int Invoker::holdWhile(const Json& entities, const std::vector<std::string>& com
             const std::lock_guard lock(mutex_);
             holding_ = true;
         }
+        if (takeInterrupt()) ::kill(child, SIGINT);  // it may have come before the command was there
         onInterrupt([child](int signal) {
             if (signal != SIGINT) ::kill(child, signal);
         });

@@ -33,6 +33,8 @@ class Invoker {
     int direct(const Verb& verb, Json args, Events& events);
     int start(const Verb& verb, const Json& args, Events& events);
     void onInterrupt(std::function<void(int)> what);
+    /// Whether there were interrupts that nobody has taken yet.
+    bool takeInterrupt();
 
     const Settings settings_;
     const Connect connect_;

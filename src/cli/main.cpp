@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <pthread.h>
+#include <spdlog/sinks/stdout_sinks.h>
+#include <spdlog/spdlog.h>
 #include <unistd.h>
 
 #include <csignal>
@@ -36,6 +38,10 @@ void takeSignals(sigset_t signals, cli::Invoker& invoker) {
 }  // namespace
 
 int main(int argc, char** argv) {
+    // Standard output is what the verbs print, read by programs too. The agent's standard error is its log.
+    const auto log = spdlog::stderr_logger_mt("axon");
+    log->set_level(spdlog::level::warn);
+    spdlog::set_default_logger(log);
     ::signal(SIGPIPE, SIG_IGN);
     sigset_t signals;
     ::sigemptyset(&signals);

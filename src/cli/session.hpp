@@ -77,6 +77,7 @@ struct Settings {
     std::string user, password, name;
     double timeout_s = 5;
     bool json = false;
+    bool await_entities = true;  ///< client::Options has it
 };
 
 using Connect = std::function<Result<std::shared_ptr<Station>>(const Settings&)>;

@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <stop_token>
 #include <string>
 #include <vector>
 
@@ -54,7 +55,8 @@ class Station {
     virtual Result<Entity> find(const std::string& name) const = 0;
     virtual Result<std::vector<Service>> services(const std::string& entity) const = 0;
 
-    virtual Result<std::vector<Receipt>> stop(const std::vector<std::string>& entities, Seconds deadline) = 0;
+    /// By what the user wrote; in doubt all that it may mean. None = everything.
+    virtual Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline) = 0;
     virtual Result<void> rearm(const std::string& entity) = 0;
 
     virtual std::vector<Entity> held() const = 0;
@@ -70,7 +72,8 @@ class Station {
                              const Argument& argument) = 0;
     virtual Result<void> upload(const std::string& entity, const std::string& service,
                                 const std::string& resource, const std::filesystem::path& file,
-                                std::function<void(std::uint64_t, std::uint64_t)> progress) = 0;
+                                std::function<void(std::uint64_t, std::uint64_t)> progress,
+                                std::stop_token give_up) = 0;
     virtual Result<void> sendText(const std::string& entity, const std::string& text) = 0;
     virtual Result<void> sendRaw(const std::string& entity, const std::string& bytes) = 0;
     /// The task's id. `update` is called with each change, the final one included.

@@ -430,7 +430,7 @@ void PersonView::showUpload(const Json& event) {
 
 void PersonView::showReceipts(const Json& event) {
     const auto& list = event.at("receipts");
-    if (list.empty()) return say("there is nothing to stop");
+    if (list.empty()) return;  // a notice says so
     Table table({"STOPPED", "SERVER", "MANAGER", "CALLBACK", "STANDSTILL", "STATE", "RECEIPT"});
     for (const auto& receipt : list) {
         const bool confirmed = receipt.value("confirmed", false);

@@ -2,6 +2,7 @@
 #include <fstream>
 #include <iostream>
 #include <iterator>
+#include <stop_token>
 #include <thread>
 
 #include "cli/arguments.hpp"
@@ -80,15 +81,19 @@ int upload(Session& session) {
                      {"file", file}};
     // The library's call waits for the whole transfer: on a thread, so that progress is shown and Ctrl-C
     // heard. What the thread needs it owns, because an interrupted verb leaves it behind.
+    std::stop_source give_up;
     auto work = [mailbox = session.mailbox, station = session.station, about, file, entity = found->id,
-                 service_name = service.value()->name, resource_name = resource.value()->name] {
-        const auto done = station->upload(entity, service_name, resource_name, file,
-                                          [&](std::uint64_t sent, std::uint64_t total) {
-                                              auto event = about;
-                                              event["sent"] = sent;
-                                              event["total"] = total;
-                                              mailbox->post(std::move(event), true);
-                                          });
+                 service_name = service.value()->name, resource_name = resource.value()->name,
+                 stopping = give_up.get_token()] {
+        const auto done = station->upload(
+            entity, service_name, resource_name, file,
+            [&](std::uint64_t sent, std::uint64_t total) {
+                auto event = about;
+                event["sent"] = sent;
+                event["total"] = total;
+                mailbox->post(std::move(event), true);
+            },
+            stopping);
         Json end{{"event", "end"}};
         if (!done) {
             end["error"] = errorEvent(done.refusal());
@@ -101,6 +106,7 @@ int upload(Session& session) {
         const auto event = session.mailbox->wait();
         if (!event) {
             session.mailbox->takeInterrupt();
+            give_up.request_stop();
             session.events.emit(
                 {{"event", "notice"},
                  {"message", "interrupted; the same axon upload goes on where this one ended"}});

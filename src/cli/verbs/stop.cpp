@@ -9,52 +9,35 @@
 namespace axon::cli {
 namespace {
 
-/// The entities that are meant, as broadly as the words allow: a stop that is too wide is mended by a rearm,
-/// one that is too narrow may not be mended at all. So a name that several share stops all of them.
-std::vector<std::string> meant(Session& session, const std::vector<std::string>& names,
-                               std::vector<Json>& errors) {
-    std::vector<std::string> ids;
-    const auto add = [&](const std::string& id) {
-        if (std::find(ids.begin(), ids.end(), id) == ids.end()) ids.push_back(id);
-    };
-    for (const auto& name : names) {
-        const auto found = session.station->find(name);
-        if (found) {
-            add(found->id);
-            continue;
-        }
-        bool any = false;
-        for (const auto& entity : session.station->entities()) {
-            if (!equalIgnoringCase(entity.name, name)) continue;
-            add(entity.id);
-            any = true;
-        }
-        if (!any) errors.push_back(errorEvent(found.refusal(), name));
-    }
-    return ids;
-}
-
 int stop(Session& session) {
-    const auto names = session.args.value("entity", std::vector<std::string>{});
+    std::vector<std::string> names;
     std::vector<Json> errors;
-    std::vector<std::string> ids;
-    if (!names.empty() && !session.args.value("all", false)) {
-        ids = meant(session, names, errors);
-        if (ids.empty()) {
+    if (!session.args.value("all", false)) {
+        // A word that means nothing here must not hide the receipts of the others; what a word that means
+        // several stops, the library knows best.
+        for (const auto& name : session.args.value("entity", std::vector<std::string>{})) {
+            const auto found = session.station->find(name);
+            if (!found && found.refusal().code == RefusalCode::UnknownEntity) {
+                errors.push_back(errorEvent(found.refusal(), name));
+            } else {
+                names.push_back(name);
+            }
+        }
+        if (names.empty() && !errors.empty()) {
             for (const auto& error : errors) session.events.emit(error);
             session.events.emit(
                 {{"event", "notice"}, {"message", "nothing was stopped; axon stop --all stops everything"}});
             return kRefused;
         }
     }
-    const auto receipts = session.station->stop(ids, Seconds(session.args.value("deadline", 1.0)));
+    const auto receipts = session.station->stop(names, Seconds(session.args.value("deadline", 1.0)));
     if (!receipts) {
         for (const auto& error : errors) session.events.emit(error);
         return refuse(session, receipts.refusal());
     }
     const auto all = session.station->entities();
     auto list = Json::array();
-    bool confirmed = true;
+    bool confirmed = !receipts->empty();
     for (const auto& receipt : receipts.value()) {
         auto json = toJson(receipt);
         const auto entity =
@@ -63,8 +46,11 @@ int stop(Session& session) {
         list.push_back(std::move(json));
         confirmed = confirmed && receipt.confirmed();
     }
-    confirmed = confirmed && receipts->size() >= ids.size();
     session.events.emit({{"event", "receipts"}, {"confirmed", confirmed}, {"receipts", list}});
+    if (list.empty()) {
+        session.events.emit(
+            {{"event", "notice"}, {"message", "there is nothing to stop: no entity is known"}});
+    }
     for (const auto& error : errors) session.events.emit(error);
     if (!confirmed) return kNotConfirmed;
     return errors.empty() ? kDone : kRefused;

@@ -6,6 +6,7 @@
 #include "cli/fake_station.hpp"
 #include "cli/verbs/holding.hpp"
 #include "cli/words.hpp"
+#include "support/loopback.hpp"
 
 using namespace axon;
 using namespace axon::cli;
@@ -127,8 +128,30 @@ TEST_F(Verbs, WrongParametersAreRefusedBeforeTheCheckOut) {
 
 TEST_F(Verbs, StopOfASharedNameStopsAllOfThem) {
     EXPECT_EQ(perform("stop", {{"entity", {"PeopleBot"}}}), kDone);
-    EXPECT_EQ(station->stopped.size(), 2U);
+    EXPECT_THAT(station->stopped, ElementsAre("PeopleBot")) << "the library knows what it means";
     EXPECT_EQ(seen.last("receipts")->at("receipts").at(1).at("call"), "PeopleBot#2");
+}
+
+TEST_F(Verbs, StopOfABeginningThatSeveralShareStopsAllOfThem) {
+    station->entities_[1].id = "11111111-0000-4000-8000-000000000002";
+    EXPECT_EQ(perform("stop", {{"entity", {"1111"}}}), kDone);
+    EXPECT_EQ(seen.last("receipts")->at("receipts").size(), 2U);
+}
+
+TEST_F(Verbs, AStopThatReachedNothingIsNotConfirmed) {
+    station->entities_.clear();
+    EXPECT_EQ(perform("stop", Json::object()), kNotConfirmed);
+    EXPECT_FALSE(seen.last("receipts")->at("confirmed"));
+    EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("nothing to stop"));
+}
+
+TEST_F(Verbs, AnInterruptedUploadSendsNoMore) {
+    station->upload_is_stuck = true;
+    mailbox->interrupt();
+    EXPECT_EQ(
+        perform("upload", {{"entity", "Cyton"}, {"service", "Driving"}, {"resource", "Map"}, {"file", "m"}}),
+        kInterrupted);
+    EXPECT_TRUE(axon::test::waitUntil([&] { return station->upload_was_given_up.load(); }));
 }
 
 TEST_F(Verbs, StopWithoutANameStopsEverything) {
@@ -145,7 +168,7 @@ TEST_F(Verbs, StopSucceedsOnlyWhenConfirmed) {
 
 TEST_F(Verbs, StopDoesWhatItCanWhenANameIsWrong) {
     EXPECT_EQ(perform("stop", {{"entity", {"Cyton", "Citon"}}}), kRefused);
-    EXPECT_THAT(station->stopped, ElementsAre(cyton()));
+    EXPECT_THAT(station->stopped, ElementsAre("Cyton"));
     EXPECT_EQ(seen.last("error")->at("code"), "UNKNOWN_ENTITY");
     station->stopped = {"untouched"};
     EXPECT_EQ(perform("stop", {{"entity", {"Citon"}}}), kRefused);
