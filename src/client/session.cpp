@@ -1031,6 +1031,8 @@ Task CheckOut::run(std::string_view service, const std::vector<Argument>& argume
 Result<void> CheckOut::sendText(std::string_view text) const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
+    // Asked once before the lock, so that who tries again and again does not wear it out.
+    if (auto refusal = session->admit(text.size()); !refusal.ok()) return refusal;
     return session->withCore([&](SessionCore& core) -> Result<void> {
         if (auto refusal = session->admit(text.size()); !refusal.ok()) return refusal;
         return core.sendText(shared_->held, text);
@@ -1040,6 +1042,8 @@ Result<void> CheckOut::sendText(std::string_view text) const {
 Result<void> CheckOut::sendRaw(std::string_view bytes) const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
+    // Asked once before the lock, so that who tries again and again does not wear it out.
+    if (auto refusal = session->admit(bytes.size()); !refusal.ok()) return refusal;
     return session->withCore([&](SessionCore& core) -> Result<void> {
         if (auto refusal = session->admit(bytes.size()); !refusal.ok()) return refusal;
         return core.sendRaw(shared_->held, bytes);

@@ -109,8 +109,8 @@ class Client::Session final : public SessionObserver,
     Result<std::shared_ptr<void>> watch(std::string_view name, const std::vector<std::string>& streams,
                                         std::function<void(const Sample&)> callback);
     void unwatch(std::uint64_t watch);
-    /// OVERLOADED while the server does not read, TOO_LARGE for what no message holds. Under core_mutex_, in
-    /// one with the sending, so that several threads do not share the last place.
+    /// OVERLOADED while the server does not read, TOO_LARGE for what no message holds. Binding under
+    /// core_mutex_, in one with the sending, so that several threads do not share the last place.
     Refusal admit(std::size_t bytes) const;
 
     void setOnEntity(std::function<void(Presence, const Entity&)> callback);

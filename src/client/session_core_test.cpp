@@ -613,5 +613,38 @@ TEST_F(SessionCoreTest, OnlyUtf8IsAText) {
     EXPECT_TRUE(core.sendRaw(held, "\xff").ok());
 }
 
+TEST(SignalMarksTest, AnEntityManagerThatBeganAnewIsAskedInItsOwnGenerations) {
+    CoreWorld world;
+    world.connect();
+    world.status(3, EntityState::IDLE, {}, {}, 7);
+    EXPECT_EQ(world.marks.of(uuid(3)), 7);
+    world.status(3, EntityState::IDLE, {}, {}, 5);
+    EXPECT_EQ(world.marks.of(uuid(3)), 7) << "while it is there, an older one is only late";
+    world.core.onProfile(Presence::Left, {uuid(3), "Cyton", "ROBOT", "MOBILE"}, {});
+    EXPECT_EQ(world.marks.of(uuid(3)), 0);
+    world.join(3, "Cyton");
+    world.status(3, EntityState::IDLE, {}, {}, 1);
+    EXPECT_EQ(world.marks.of(uuid(3)), 1);
+    // A late receipt of the one that was: what the check-out says is what counts.
+    world.marks.raise(uuid(3), 7);
+    world.take("Cyton");
+    EXPECT_EQ(world.marks.of(uuid(3)), 0) << "the reply's";
+}
+
+TEST(BusyTest, CountsWhatIsHeldAndMoves) {
+    CoreWorld world;
+    world.connect();
+    world.status(3, EntityState::BUSY);
+    EXPECT_FALSE(world.core.busy()) << "somebody else's";
+    const auto held = world.take("Cyton");
+    EXPECT_TRUE(world.core.busy());
+    world.status(3, EntityState::REG, kMe, held.lease);
+    EXPECT_FALSE(world.core.busy());
+    world.status(3, EntityState::COLLAB, kMe, held.lease);
+    EXPECT_TRUE(world.core.busy());
+    world.core.release(held, [](const Result<void>&) {});
+    EXPECT_FALSE(world.core.busy());
+}
+
 }  // namespace
 }  // namespace axon::client::test
