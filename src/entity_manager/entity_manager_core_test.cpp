@@ -275,12 +275,18 @@ TEST_F(Held, ACommandSentWhileAStopIsCarriedOutIsToldSo) {
     EXPECT_NE(reason.message().find("is being carried out"), std::string::npos) << reason.message();
 }
 
-TEST_F(Held, WatchingByNameGoesOnWhenTheLastWhoWatchedAllEnds) {
+TEST(EntityManagerCore, WhoWatchesByNameAndTheHolderGoOnWhenTheLastWhoWatchedAllEnds) {
+    CoreRig rig;
+    rig.makeIdle();
     const auto watch = [&](const std::string& client, const std::string& stream, bool on) {
         proto::ToEntity message;
         message.mutable_watch()->set_on(on);
         if (!stream.empty()) message.mutable_watch()->add_streams(stream);
         rig.send(client, message);
+    };
+    const auto last = [&] {
+        const auto& control = rig.to_application.back().stream();
+        return control.stream() + (control.on() ? " on" : " off");
     };
     watch("client2", "pose", true);
     watch("client3", "", true);
@@ -288,7 +294,11 @@ TEST_F(Held, WatchingByNameGoesOnWhenTheLastWhoWatchedAllEnds) {
     watch("client3", "", false);
     EXPECT_EQ(rig.takeLines(), (std::vector<std::string>{"application: StreamControl \"\" off",
                                                          "application: StreamControl \"pose\" on"}));
+    rig.take("client1", "r1");
+    EXPECT_EQ(last(), " on");
+    watch("client3", "", true);
     const auto before = rig.to_application.size();
+    watch("client3", "", false);
     watch("client2", std::string(256, 'x'), true);
     EXPECT_EQ(rig.to_clients.back().message.reply().refusal().code(), proto::BAD_NAME);
     EXPECT_EQ(rig.to_application.size(), before);

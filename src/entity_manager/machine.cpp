@@ -341,6 +341,7 @@ void EntityManagerCore::Machine::onLinkUp() {
     // It has stopped by itself when its last link ended: before all stops so far, those on their way here included.
     link_generation_ = commanded_ = confirmed_ = stop_gate_.generation();
     active_told_.clear();
+    streams_off_ = false;  // a link begins with all of them on
     lingering_.clear();
     application_busy_ = false;
     fire(Event::LinkUp);
@@ -835,6 +836,7 @@ void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
     reply.set_latched(latched_);
     *reply.mutable_services() = profiler_.profile();
     tell(held.holder, kMsgCheckOut, message);
+    if (streams_off_) switchStreams({{"", true}});
 }
 
 void EntityManagerCore::Machine::replyCheckOut(const Sender& to, const std::string& request_id,
@@ -1088,14 +1090,16 @@ void EntityManagerCore::Machine::switchStreams(const std::vector<StreamWatches::
         message.mutable_stream()->set_on(change.on);
         back_end_.send(message);
     };
-    bool all_off = false;
     for (const auto& change : switches) {
+        if (change.stream.empty()) {
+            if (!change.on && holder() != nullptr) continue;  // who is sent all streams counts as one who watches them
+            streams_off_ = !change.on;
+        }
         tellApplication(change);
-        all_off |= change.stream.empty() && !change.on;
+        // An application may take it for a switch of every stream.
+        if (change.stream.empty() && !change.on)
+            for (const auto& named : watches_.present()) tellApplication(named);
     }
-    if (!all_off) return;
-    // Which switches off those too that are watched by name.
-    for (const auto& change : watches_.present()) tellApplication(change);
 }
 
 void EntityManagerCore::Machine::sendSample(proto::StreamSample& sample) {

@@ -237,6 +237,7 @@ class EntityManagerCore::Machine {
     std::map<std::uint64_t, Question> questions_;
     std::uint64_t next_question_ = 1;
     StreamWatches watches_;
+    bool streams_off_ = false;  ///< the application has been told to send only what is watched by name
     TimePoint raw_refused_{};
 
     std::int64_t sequence_ = 0;
