@@ -27,14 +27,19 @@ class EntityServer::Rim {
               [this] {
                   if (auto* thread = publisher_ready.load()) thread->wake();
               }),
-          data_lane{core, Lane::Data, {}, 0, transport::OpenSessions<EntitySessionServant>(clock)},
-          signal_lane{core, Lane::Signal, signalLimits(), 0,
+          data_lane{core, Lane::Data, {}, {}, 0, transport::OpenSessions<EntitySessionServant>(clock)},
+          signal_lane{core,
+                      Lane::Signal,
+                      signalLimits(),
+                      {},
+                      0,
                       transport::OpenSessions<EntitySessionServant>(clock)},
           data_adapter(transport::listen(*data, "EntityServer", settings.data_endpoint)),
           signal_adapter(transport::listen(*signal, "EntityServerSignal", settings.signal_endpoint)),
           data_topic(data->createObjectAdapter("")),
           signal_topic(signal->createObjectAdapter("")) {
         const auto gate = Ice::stringToIdentity("EntityGate");
+        data_lane.signal_host = transport::hostOf(*signal_adapter);
         data_lane.signal_port = transport::portOf(*signal_adapter);
         data_adapter->add(std::make_shared<EntityGateServant>(data_lane), gate);
         signal_adapter->add(std::make_shared<EntityGateServant>(signal_lane), gate);

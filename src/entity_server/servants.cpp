@@ -182,8 +182,8 @@ Axon::EntityComm::SessionFacts EntitySessionServant::setCallback(std::shared_ptr
     auto session = lane_.core.open(std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, peer_));
     const auto token = EntityServerCore::token(*session);
     adopt(std::move(session));
-    const auto address = peer_->localAddress();
-    return {token, address.empty() ? "" : "tcp -h " + address + " -p " + std::to_string(lane_.signal_port)};
+    const auto host = lane_.signal_host.empty() ? peer_->localAddress() : lane_.signal_host;
+    return {token, host.empty() ? "" : "tcp -h " + host + " -p " + std::to_string(lane_.signal_port)};
 }
 
 void EntitySessionServant::attachSignalLane(std::string token, std::shared_ptr<Prx> callback,
@@ -211,17 +211,19 @@ void EntitySessionServant::sendStatus(Axon::CommUtil::EntityStatus status, const
 }
 void EntitySessionServant::sendSvcPrflRecord(IceHeader head, int record_id, int count, ByteRange record,
                                              const Ice::Current& current) {
-    lane_.core.sendSvcPrflRecord(session(current), fromIce(std::move(head)), record_id, count,
-                                 toView(record));
+    lane_.core.sendSvcPrflRecord(session(current), peer_->properHead(std::move(head), current), record_id,
+                                 count, toView(record));
 }
 void EntitySessionServant::sendToClient(IceHeader head, ByteRange message, const Ice::Current& current) {
-    lane_.core.sendToClient(session(current), lane_.lane, fromIce(std::move(head)), toView(message));
+    lane_.core.sendToClient(session(current), lane_.lane, peer_->properHead(std::move(head), current),
+                            toView(message));
 }
 void EntitySessionServant::sendToClientDataSeq(IceHeader head, ByteRange data, const Ice::Current& current) {
-    lane_.core.sendToClientDataSeq(session(current), fromIce(std::move(head)), toView(data));
+    lane_.core.sendToClientDataSeq(session(current), peer_->properHead(std::move(head), current),
+                                   toView(data));
 }
 void EntitySessionServant::sendToPeer(IceHeader head, ByteRange message, const Ice::Current& current) {
-    lane_.core.sendToPeer(session(current), fromIce(std::move(head)), toView(message));
+    lane_.core.sendToPeer(session(current), peer_->properHead(std::move(head), current), toView(message));
 }
 void EntitySessionServant::keepAlive(double, const Ice::Current& current) {
     lane_.core.keepAlive(session(current));

@@ -65,6 +65,7 @@ struct EntityLane {
     EntityServerCore& core;
     Lane lane;
     transport::OutboxLimits limits;
+    std::string signal_host;  ///< of the signal lane's adapter; empty where it listens on all addresses
     int signal_port = 0;
     transport::OpenSessions<EntitySessionServant> sessions;
 };

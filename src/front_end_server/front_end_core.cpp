@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "common/utf8.hpp"
+
 namespace axon::front_end_server {
 
 class FrontEndCore::Client {
@@ -102,8 +104,9 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
                                                        std::to_string(settings_.clients_max) +
                                                        " clients; raise FrontEndServer.ClientsMax");
         }
-        Sender me{Id128::uuid(random_).toString(),
-                  display_name.empty() ? "unnamed" : display_name.substr(0, 256), role};
+        // A name that is no UTF-8 would make every receipt that carries it unreadable.
+        std::string name(cutUtf8(validUtf8(display_name), 256));
+        Sender me{Id128::uuid(random_).toString(), name.empty() ? "unnamed" : std::move(name), role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
                                           settings_, clock_.now());
         clients_.emplace(client->me.id, client);

@@ -149,6 +149,12 @@ TEST_F(FrontEndTest, TheLastWordAboutAnEntityIsTheTrueOneThoughItChangesWhileACl
     EXPECT_EQ(other->lines.back(), "e2 ERR");
 }
 
+TEST_F(FrontEndTest, ANameIsCutBetweenTwoCharacters) {
+    const auto peer = join("x" + std::string(254, 'y') + "\xc3\xab");
+    EXPECT_EQ(FrontEndCore::me(*peer.client).name, "x" + std::string(254, 'y'));
+    EXPECT_EQ(FrontEndCore::me(*join("Zo\xc3").client).name, "Zo\xef\xbf\xbd");
+}
+
 TEST_F(FrontEndTest, AClientIsToldHowManyEntitiesItWasToldOf) {
     entity("e1");
     entity("e2");

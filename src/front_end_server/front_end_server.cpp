@@ -23,14 +23,19 @@ class FrontEndServer::Rim {
         const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
         FrontEndCore::Note note)
         : core(settings.core, clock, random, topic, std::move(note), [this] { wake(); }),
-          data_lane{core, Lane::Data, {}, 0, transport::OpenSessions<ClientSessionServant>(clock)},
-          signal_lane{core, Lane::Signal, signalLimits(), 0,
+          data_lane{core, Lane::Data, {}, {}, 0, transport::OpenSessions<ClientSessionServant>(clock)},
+          signal_lane{core,
+                      Lane::Signal,
+                      signalLimits(),
+                      {},
+                      0,
                       transport::OpenSessions<ClientSessionServant>(clock)},
           data_adapter(transport::listen(*data, "FrontEndServer", settings.data_endpoint)),
           signal_adapter(transport::listen(*signal, "FrontEndServerSignal", settings.signal_endpoint)),
           data_topic(data->createObjectAdapter("")),
           signal_topic(signal->createObjectAdapter("")) {
         const auto gate = Ice::stringToIdentity("ClientGate");
+        data_lane.signal_host = transport::hostOf(*signal_adapter);
         data_lane.signal_port = transport::portOf(*signal_adapter);
         data_adapter->add(std::make_shared<ClientGateServant>(data_lane), gate);
         signal_adapter->add(std::make_shared<ClientGateServant>(signal_lane), gate);

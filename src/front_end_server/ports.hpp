@@ -39,6 +39,7 @@ class EntityTopic {
     virtual ~EntityTopic() = default;
     virtual void clientMsg(const Header& head, std::string_view message) = 0;
     virtual void clientMsgDataSeq(const Header& head, std::string_view data) = 0;
+    /// For a front-end server in a process of its own; the embedded one keeps a copy and answers itself.
     virtual void clientRequest(const Header& head) = 0;
     virtual void clientUpdate(const Header& head, ClientChange change) = 0;
     virtual void stopSignal(const Header& head, StopCause cause) = 0;

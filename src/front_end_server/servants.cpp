@@ -202,9 +202,8 @@ Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_p
     };
     facts.watchdogBusyMs = milliseconds(lane_.core.settings().watchdog_busy);
     facts.watchdogIdleMs = milliseconds(lane_.core.settings().watchdog_idle);
-    const auto address = peer_->localAddress();
-    if (!address.empty())
-        facts.signalEndpoint = "tcp -h " + address + " -p " + std::to_string(lane_.signal_port);
+    const auto host = lane_.signal_host.empty() ? peer_->localAddress() : lane_.signal_host;
+    if (!host.empty()) facts.signalEndpoint = "tcp -h " + host + " -p " + std::to_string(lane_.signal_port);
     adopt(std::move(client));
     return facts;
 }
@@ -225,23 +224,30 @@ void ClientSessionServant::attachSignalLane(std::string token, std::shared_ptr<P
 }
 
 void ClientSessionServant::sendRequest(IceHeader head, ByteRange, const Ice::Current& current) {
-    lane_.core.sendRequest(client(current), fromIce(std::move(head)));
+    lane_.core.sendRequest(client(current), peer_->properHead(std::move(head), current));
 }
 void ClientSessionServant::sendToEntity(IceHeader head, ByteRange message, const Ice::Current& current) {
-    lane_.core.sendToEntity(client(current), fromIce(std::move(head)), toView(message));
+    lane_.core.sendToEntity(client(current), peer_->properHead(std::move(head), current), toView(message));
 }
 void ClientSessionServant::sendToEntityDataSeq(IceHeader head, ByteRange data, const Ice::Current& current) {
-    lane_.core.sendToEntityDataSeq(client(current), fromIce(std::move(head)), toView(data));
+    lane_.core.sendToEntityDataSeq(client(current), peer_->properHead(std::move(head), current),
+                                   toView(data));
 }
+// Also of a peer that is dropped for its head a stop is a stop; what was cut names no entity.
 void ClientSessionServant::sendStopSignal(IceHeader head, Axon::CommUtil::StopCause cause,
                                           const Ice::Current& current) {
-    lane_.core.sendStopSignal(client(current), fromIce(std::move(head)), fromIce(cause));
+    const auto& its_client = client(current);
+    auto its_head = fromIce(std::move(head));
+    const bool proper = transport::isProper(its_head);
+    if (!proper) transport::cutStrings(its_head);
+    lane_.core.sendStopSignal(its_client, std::move(its_head), fromIce(cause));
+    if (!proper) peer_->disconnect({true, std::string(transport::kImproperHead)}, false);
 }
 void ClientSessionServant::sendResetSignal(IceHeader head, const Ice::Current& current) {
-    lane_.core.sendResetSignal(client(current), fromIce(std::move(head)));
+    lane_.core.sendResetSignal(client(current), peer_->properHead(std::move(head), current));
 }
 void ClientSessionServant::sendClearSignal(IceHeader head, const Ice::Current& current) {
-    lane_.core.sendClearSignal(client(current), fromIce(std::move(head)));
+    lane_.core.sendClearSignal(client(current), peer_->properHead(std::move(head), current));
 }
 void ClientSessionServant::keepAlive(double, const Ice::Current& current) {
     lane_.core.keepAlive(client(current));

@@ -67,6 +67,7 @@ struct ClientLane {
     FrontEndCore& core;
     Lane lane;
     transport::OutboxLimits limits;
+    std::string signal_host;  ///< of the signal lane's adapter; empty where it listens on all addresses
     int signal_port = 0;
     transport::OpenSessions<ClientSessionServant> sessions;
 };

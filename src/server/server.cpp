@@ -24,6 +24,11 @@ void checkLoopback(const std::string& endpoint) {
     const auto host = endpoint.substr(0, endpoint.rfind(':'));
     in_addr address{};
     const bool numeric = inet_pton(AF_INET, host.c_str(), &address) == 1;
+    const bool name = host.find_first_not_of("0123456789.") != std::string::npos;
+    if (!numeric && !name) {
+        throw std::runtime_error("'" + endpoint +
+                                 "': expected an address of four numbers, such as 127.0.0.1:10410");
+    }
     const bool loopback = host == "localhost" || (numeric && (ntohl(address.s_addr) >> 24U) == 127);
     if (!loopback) {
         throw std::runtime_error(

@@ -41,6 +41,11 @@ int portOf(const Ice::ObjectAdapter& adapter) {
     return endpointOf(adapter)->port;
 }
 
+std::string hostOf(const Ice::ObjectAdapter& adapter) {
+    const auto host = endpointOf(adapter)->host;
+    return host == "0.0.0.0" || host == "*" || host == "::" ? std::string() : host;
+}
+
 std::string addressOf(const Ice::ObjectAdapter& adapter) {
     const auto endpoint = endpointOf(adapter);
     return endpoint->host + ":" + std::to_string(endpoint->port);

@@ -13,6 +13,8 @@ std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, cons
 
 /// The port that was taken, where 0 was asked for.
 int portOf(const Ice::ObjectAdapter& adapter);
+/// The address that it listens on; empty for all of this machine's.
+std::string hostOf(const Ice::ObjectAdapter& adapter);
 /// "127.0.0.1:10410".
 std::string addressOf(const Ice::ObjectAdapter& adapter);
 

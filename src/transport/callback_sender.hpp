@@ -21,7 +21,7 @@ class CallbackSender {
     template <class Call>
     void send(Traffic traffic, const Header& head, std::string_view bytes, Call call) const {
         outbox_->post(
-            traffic, kOverhead + bytes.size(),
+            traffic, kOverhead + stringBytes(head) + bytes.size(),
             [&](SendCallbacks&& back) {
                 call(*proxy_, toIce(head), toRange(bytes), std::move(back.failed), std::move(back.sent));
             },

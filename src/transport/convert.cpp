@@ -1,7 +1,38 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "transport/convert.hpp"
 
+#include <algorithm>
+#include <array>
+#include <utility>
+
 namespace axon::transport {
+
+namespace {
+
+template <class Head>
+std::array<decltype(&std::declval<Head&>().entity), 5> stringsOf(Head& head) {
+    return {&head.sender.id, &head.sender.name, &head.entity, &head.msg_type, &head.proof};
+}
+
+}  // namespace
+
+std::size_t stringBytes(const Header& head) {
+    std::size_t bytes = 0;
+    for (const auto* text : stringsOf(head)) bytes += text->size();
+    return bytes;
+}
+
+bool isProper(const Header& head) {
+    const auto strings = stringsOf(head);
+    return std::all_of(strings.begin(), strings.end(),
+                       [](const auto* text) { return text->size() <= kHeadStringMax; });
+}
+
+void cutStrings(Header& head) {
+    for (auto* text : stringsOf(head)) {
+        if (text->size() > kHeadStringMax) text->resize(kHeadStringMax);
+    }
+}
 
 Sender fromIce(ice::Sender&& sender) {
     return {std::move(sender.id), std::move(sender.name), static_cast<Role>(sender.role)};

@@ -25,6 +25,16 @@ inline ByteRange toRange(std::string_view bytes) {
     return {begin, begin + bytes.size()};
 }
 
+/// The longest string, in bytes, that the head of a proper message has: names have at most 256, ids 36.
+inline constexpr std::size_t kHeadStringMax = 1024;
+inline constexpr std::string_view kImproperHead =
+    "it sent a message with a malformed head (expected strings of at most 1024 bytes)";
+/// The bytes of the head's strings.
+std::size_t stringBytes(const Header& head);
+bool isProper(const Header& head);
+/// Of a head that is not proper: cuts its strings. What was cut names no entity.
+void cutStrings(Header& head);
+
 Sender fromIce(ice::Sender&& sender);
 Header fromIce(ice::Header&& head);
 Registration fromIce(ice::Registration&& registration);

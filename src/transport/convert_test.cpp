@@ -103,5 +103,19 @@ TEST(Translate, GivesEachFailureItsCode) {
     EXPECT_EQ(code(std::runtime_error("x")), RefusalCode::Internal);
 }
 
+TEST(Convert, AHeadWithALongStringIsNotProper) {
+    Header head;
+    head.sender.id = "12345";
+    head.entity = std::string(kHeadStringMax, 'e');
+    head.proof = "123";
+    EXPECT_EQ(stringBytes(head), kHeadStringMax + 8);
+    EXPECT_TRUE(isProper(head));
+    head.msg_type = std::string(kHeadStringMax + 1, 't');
+    EXPECT_FALSE(isProper(head));
+    cutStrings(head);
+    EXPECT_TRUE(isProper(head));
+    EXPECT_EQ(head.sender.id, "12345");
+}
+
 }  // namespace
 }  // namespace axon::transport

@@ -65,6 +65,16 @@ void PeerConnection::require(const Ice::Current& current) const {
     }
 }
 
+Header PeerConnection::properHead(ice::Header&& head, const Ice::Current& current) {
+    require(current);
+    auto its = fromIce(std::move(head));
+    if (!isProper(its)) {
+        disconnect({true, std::string(kImproperHead)}, false);
+        throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
+    }
+    return its;
+}
+
 std::string PeerConnection::peer() const {
     const auto ip = ipOf(*connection_);
     return ip ? ip->remoteAddress + ":" + std::to_string(ip->remotePort) : "an unknown address";

@@ -8,6 +8,8 @@
 #include <mutex>
 #include <string>
 
+#include "transport/convert.hpp"
+
 namespace axon::transport {
 
 /// Why a connection ended, for a person, and whether the peer's behaviour is to blame (oversize, protocol
@@ -35,6 +37,9 @@ class PeerConnection {
     /// Throws Ice::ObjectNotExistException when the call came over another connection: to others there is no
     /// session.
     void require(const Ice::Current& current) const;
+    /// The head as the cores take it. A peer whose head is not proper (convert.hpp) is disconnected for its
+    /// behaviour, and the call ends with Ice::ObjectNotExistException.
+    Header properHead(ice::Header&& head, const Ice::Current& current);
     const Ice::Connection* get() const { return connection_.get(); }
     /// "127.0.0.1:50122", for logs.
     std::string peer() const;

@@ -48,6 +48,28 @@ TEST(ServerStart, RefusesToListenElsewhereThanOnLoopback) {
     EXPECT_NO_THROW(server::checkLoopback("localhost:10410"));
 }
 
+TEST(ServerStart, SaysThatAnAddressHasFourNumbers) {
+    try {
+        server::checkLoopback("127.1:10410");
+        FAIL() << "expected a misconfiguration";
+    } catch (const std::runtime_error& error) {
+        EXPECT_NE(std::string(error.what()).find("four numbers"), std::string::npos) << error.what();
+    }
+}
+
+TEST(ServerStart, TellsTheSignalLanesOwnAddress) {
+    auto settings = onLoopback();
+    settings.client_signal_endpoint = settings.entity_signal_endpoint = "127.251.0.1:0";
+    const server::Server server(settings);
+    RawEntity robot(server.entityAddress(Lane::Data), kFirst);
+    robot.join();
+    RawClient client(server.clientAddress(Lane::Data));
+    EXPECT_EQ(client.facts.signalEndpoint.rfind("tcp -h 127.251.0.1 -p ", 0), 0U)
+        << client.facts.signalEndpoint;
+    client.stop(kFirst);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested"); }));
+}
+
 TEST(ServerStart, SaysThatAPortIsTaken) {
     const server::Server first(onLoopback());
     auto settings = onLoopback();
@@ -224,6 +246,23 @@ TEST_F(Servers, DropOnlyThePeerThatSendsAnOversizeMessage) {
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop improper"); }));
     good.text(kFirst, "still here");
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg good@lab TEXT still here"); }));
+}
+
+TEST_F(Servers, DropThePeerWhoseHeadIsMalformedAfterItsStop) {
+    RawEntity robot(entities(), kFirst);
+    robot.join();
+    RawClient bad(clients(), "bad@lab");
+    auto head = bad.headTo("");
+    head.msg_type = std::string(transport::kHeadStringMax + 1, 'x');
+    bad.signalOneway()->sendStopSignal(transport::toIce(head), Axon::CommUtil::StopCause::Requested);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested bad@lab"); }));
+    EXPECT_TRUE(waitUntil([&] { return server.frontEndCore().clients() == 0; }));
+
+    RawClient worse(clients(), "worse@lab");
+    head.entity = kFirst;
+    worse.dataOneway()->sendToEntity(transport::toIce(head), toRange("hello"));
+    EXPECT_TRUE(waitUntil([&] { return server.frontEndCore().clients() == 0; }));
+    EXPECT_FALSE(robot.log.has("msg worse@lab"));
 }
 
 TEST_F(Servers, NoticeThatAnEntityManagerIsKilled) {
