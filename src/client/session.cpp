@@ -212,9 +212,10 @@ Refusal Client::Session::admit(std::size_t bytes) const {
     return admission(waiting.messages, waiting.bytes, bytes);
 }
 
-void Client::Session::Alarm::start(const char* name, const Clock& clock, std::function<TimePoint()> tick) {
+void Client::Session::Alarm::start(const char* name, Lane lane, const Clock& clock,
+                                   std::function<TimePoint()> tick) {
     const std::lock_guard lock(mutex_);
-    thread_ = std::make_unique<transport::TimerThread>(name, clock, std::move(tick));
+    thread_ = std::make_unique<transport::TimerThread>(name, lane, Duration{}, clock, std::move(tick));
 }
 
 void Client::Session::Alarm::wake() {
@@ -252,7 +253,7 @@ Result<void> Client::Session::connect() {
     } catch (const std::exception& error) {
         return Refusal{RefusalCode::Internal, error.what(), {}};
     }
-    sender_.start("axon-sender", clock_, [this] {
+    sender_.start("axon-sender", Lane::Data, clock_, [this] {
         flush(outgoing_.last());
         return clock_.now() + kLongestSleep;
     });
@@ -265,9 +266,9 @@ Result<void> Client::Session::connect() {
         refusal.message = "No session with the server at " + options_.server + ": " + refusal.message;
         return refusal;
     }
-    timer_.start("axon-timer", clock_, [this] { return onTimer(); });
-    heartbeat_.start("axon-heartbeat", clock_, [this] { return onHeartbeat(); });
-    stop_timer_.start("axon-stops", clock_, [this] { return onStopTimer(); });
+    timer_.start("axon-timer", Lane::Signal, clock_, [this] { return onTimer(); });
+    heartbeat_.start("axon-heartbeat", Lane::Signal, clock_, [this] { return onHeartbeat(); });
+    stop_timer_.start("axon-stops", Lane::Signal, clock_, [this] { return onStopTimer(); });
 
     if (!options_.await_entities) return {};
     // The entities that are there are pushed at once; a client that has just connected should know them.
@@ -741,6 +742,12 @@ Result<void> Client::Session::upload(const Held& held, std::string_view service,
         }
         sent = at;
         if (!failure.ok()) break;
+    }
+    if (!failure.ok()) {
+        // An empty chunk makes the Entity Manager put away what it has, to be gone on with; refused here when
+        // the transfer has ended there already.
+        withCore(
+            [&](SessionCore& core) { static_cast<void>(core.sendChunk(id, sent.value_or(0), {}).ok()); });
     }
     const std::lock_guard lock(core_mutex_);
     uploads_.erase(id);

@@ -158,7 +158,7 @@ class Client::Session final : public SessionObserver,
     /// A timer thread that other threads may wake while it is being ended.
     class Alarm {
       public:
-        void start(const char* name, const Clock& clock, std::function<TimePoint()> tick);
+        void start(const char* name, Lane lane, const Clock& clock, std::function<TimePoint()> tick);
         void wake();
         void end();
 

@@ -68,10 +68,12 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
         profile(true, kServices);
         EXPECT_TRUE(wanted_);
         onStrand([&] { core_.onServerUp(); });
-        beat_ = std::make_unique<transport::TimerThread>("robot-beat", clock_, [this] {
-            signal_session_->ice_oneway()->ice_invocationTimeout(-1)->keepAliveAsync(1, nullptr, [](auto) {});
-            return clock_.now() + 20ms;
-        });
+        beat_ =
+            std::make_unique<transport::TimerThread>("robot-beat", Lane::Signal, Duration{}, clock_, [this] {
+                signal_session_->ice_oneway()->ice_invocationTimeout(-1)->keepAliveAsync(1, nullptr,
+                                                                                         [](auto) {});
+                return clock_.now() + 20ms;
+            });
     }
     ~TestRobot() override { leave(); }
     void leave() {
@@ -478,6 +480,32 @@ TEST_F(ClientTest, UploadsAFileInItsWindow) {
     EXPECT_EQ(held.upload("Drive", "Mapp", path).refusal().code, RefusalCode::UnknownResource);
     EXPECT_EQ(held.upload("Drive", "Map", robots->folder() / "none").refusal().code,
               RefusalCode::UnknownResource);
+}
+
+TEST_F(ClientTest, AnUploadThatWasGivenUpGoesOnUnderTheSameCheckOut) {
+    const auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    const auto path = robots->folder() / "lab.map";
+    constexpr std::size_t kSize = 1'500'000;
+    std::ofstream(path) << std::string(kSize, 'm');
+    std::stop_source give_up;
+    std::uint64_t last = 0;
+    const auto ended = held.upload(
+        "Drive", "Map", path,
+        [&](std::uint64_t sent, std::uint64_t) {
+            last = sent;
+            if (sent > kSize / 2) give_up.request_stop();
+        },
+        give_up.get_token());
+    EXPECT_EQ(ended.refusal().code, RefusalCode::Cancelled);
+    EXPECT_LT(last, kSize);
+    std::optional<std::uint64_t> first;
+    const auto uploaded = held.upload("Drive", "Map", path, [&](std::uint64_t sent, std::uint64_t) {
+        if (!first) first = sent;
+    });
+    EXPECT_TRUE(uploaded.ok()) << uploaded.refusal().message;
+    EXPECT_EQ(first, last) << "where the one before ended";
 }
 
 TEST_F(ClientTest, TextsAndStreamsArriveInOrder) {
