@@ -141,9 +141,9 @@ class FakeStation : public Station {
         progress(500, 1000);
         if (upload_is_stuck) {
             std::mutex mutex;
-            std::condition_variable_any stopped;
+            std::condition_variable_any ended;
             std::unique_lock lock(mutex);
-            stopped.wait(lock, give_up, [] { return false; });
+            ended.wait(lock, give_up, [] { return false; });
             upload_was_given_up = true;
             return Refusal{RefusalCode::Cancelled, "given up", {}};
         }

@@ -691,7 +691,7 @@ void SessionCore::release(const Held& held, Done done) {
     await(Ask::Release, Id128::random(random_), std::move(pending));
 }
 
-void SessionCore::endLease(const std::string& entity, const Refusal& why, bool tell) {
+void SessionCore::endLease(std::string entity, const Refusal& why, bool tell) {
     const auto found = leases_.find(entity);
     if (found == leases_.end()) return;
     const Held held{entity, found->second.number};

@@ -233,7 +233,8 @@ class SessionCore {
     void sendCheckOut(const Id128& id, CheckOutParty& party, int phase);
     void sendRelease(const Held& held);
     void grant(const std::string& entity, const proto::CheckOutReply& reply);
-    void endLease(const std::string& entity, const Refusal& why, bool tell);
+    /// The entity by value: callers name it by its key in leases_, which goes away here.
+    void endLease(std::string entity, const Refusal& why, bool tell);
     /// Until it is final, or the time is up and it becomes Unknown.
     void awaitTask(const Id128& id, const TaskRecord& record);
     void finishTask(const Id128& id, TaskState state, const Refusal& why);
