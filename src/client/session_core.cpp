@@ -650,7 +650,7 @@ void SessionCore::advanceCheckOut(const Id128& id) {
     done(std::move(granted));
 }
 
-void SessionCore::failCheckOut(const Id128& id, const Refusal& why) {
+void SessionCore::failCheckOut(Id128 id, Refusal why) {
     const auto found = check_outs_.find(id);
     if (found == check_outs_.end()) return;
     auto order = std::move(found->second);

@@ -229,7 +229,7 @@ class SessionCore {
     void onStatusMsg(const Header& head, const proto::EntityStatus& status);
     void onService(const std::string& entity, const proto::Service& service);
     void advanceCheckOut(const Id128& id);
-    void failCheckOut(const Id128& id, const Refusal& why);
+    void failCheckOut(Id128 id, Refusal why);
     void sendCheckOut(const Id128& id, CheckOutParty& party, int phase);
     void sendRelease(const Held& held);
     void grant(const std::string& entity, const proto::CheckOutReply& reply);
