@@ -46,8 +46,8 @@ class EventDescriptor {
 
 class ArcosClient::Worker final : public ClientSession::Port {
   public:
-    Worker(StreamOpener open, Callbacks callbacks)
-        : open_(std::move(open)), callbacks_(std::move(callbacks)), session_(*this) {}
+    Worker(StreamOpener open, Callbacks callbacks, Duration silence_limit)
+        : open_(std::move(open)), callbacks_(std::move(callbacks)), session_(*this, silence_limit) {}
 
     ~Worker() override {
         command(encodeCommand(Command::EStop));
@@ -179,8 +179,8 @@ class ArcosClient::Worker final : public ClientSession::Port {
     std::thread thread_;
 };
 
-ArcosClient::ArcosClient(StreamOpener open, Callbacks callbacks)
-    : worker_(std::make_unique<Worker>(std::move(open), std::move(callbacks))) {}
+ArcosClient::ArcosClient(StreamOpener open, Callbacks callbacks, Duration silence_limit)
+    : worker_(std::make_unique<Worker>(std::move(open), std::move(callbacks), silence_limit)) {}
 ArcosClient::~ArcosClient() = default;
 void ArcosClient::start() {
     worker_->start();

@@ -27,7 +27,9 @@ class ArcosClient {
         std::function<void(const std::string& reason)> on_lost;  ///< also for each failed attempt to connect
     };
 
-    ArcosClient(StreamOpener open, Callbacks callbacks);
+    /// `silence_limit`: without a packet for so long the robot counts as lost.
+    ArcosClient(StreamOpener open, Callbacks callbacks,
+                Duration silence_limit = ClientSession::kSilenceLimit);
     ~ArcosClient();
     ArcosClient(const ArcosClient&) = delete;
     ArcosClient& operator=(const ArcosClient&) = delete;

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "robots/arcos/client_session.hpp"
 
+#include <chrono>
 #include <cmath>
 #include <numbers>
+#include <string>
 
 namespace axon::arcos {
 namespace {
@@ -161,8 +163,11 @@ void ClientSession::tick(TimePoint now) {
             if (now - last_heard_ >= kOpenTimeout) end("the robot does not send its state after OPEN");
             break;
         case State::Online:
-            if (now - last_heard_ >= kSilenceTimeout) {
-                end("no word from the robot for 500 ms");
+            if (now - last_heard_ >= silence_limit_) {
+                end("no word from the robot for " +
+                    std::to_string(
+                        std::chrono::duration_cast<std::chrono::milliseconds>(silence_limit_).count()) +
+                    " ms");
                 return;
             }
             break;

@@ -57,7 +57,7 @@ struct RobotState {
 /// | Synchronising | SYNCn sent, its echo awaited; repeated after kSyncTimeout, from SYNC0 after kSyncTries |
 /// third echo → Opening; kSyncRounds used up → Closed, onLost | | Opening | OPEN sent, the first server
 /// information awaited for kOpenTimeout | it arrives → Online, onOnline; else → Closed, onLost | | Online | |
-/// no server information for kSilenceTimeout, or end() → Closed, onLost |
+/// no server information for the silence limit, or end() → Closed, onLost |
 ///
 /// Threads: none, not thread-safe; the owner confines it (ArcosClient does). I/O-free: time comes in with
 /// each call, bytes leave through the port. Failure: only onLost, with a reason for a person.
@@ -78,11 +78,12 @@ class ClientSession {
     static constexpr int kSyncTries = 3;
     static constexpr int kSyncRounds = 4;
     static constexpr Duration kOpenTimeout = std::chrono::seconds{2};
-    static constexpr Duration kSilenceTimeout = std::chrono::milliseconds{500};  // five packets missing
+    static constexpr Duration kSilenceLimit = std::chrono::milliseconds{500};  // five packets missing
     static constexpr Duration kPulsePeriod =
         std::chrono::milliseconds{500};  // a quarter of the robot's watchdog
 
-    explicit ClientSession(Port& port) : port_(port) {}
+    explicit ClientSession(Port& port, Duration silence_limit = kSilenceLimit)
+        : port_(port), silence_limit_(silence_limit) {}
 
     /// There is a link: start shaking hands.
     void begin(TimePoint now);
@@ -108,6 +109,7 @@ class ClientSession {
     void onServerInformation(const ServerInformation& sip, TimePoint now);
 
     Port& port_;
+    const Duration silence_limit_;
     State state_ = State::Closed;
     PacketReader reader_;
     RobotIdentity identity_;

@@ -86,7 +86,8 @@ Application::Application(const Settings& settings)
             .on_online = [this](const arcos::RobotIdentity& identity) { onRobotOnline(identity); },
             .on_state = [this](const RobotState& robot) { onRobotState(robot); },
             .on_lost = [this](const std::string& reason) { onRobotLost(reason); },
-        });
+        },
+        settings.robot_silence_limit);
     robot_->start();
 }
 

@@ -172,6 +172,8 @@ class ApplicationTest : public ::testing::Test {
         settings.ports = ports_.path();
         settings.profiles = "robots/peoplebot";
         settings.at = {1500, 3000, 0};
+        // This machine may stand still for a while; loss of the robot has its own tests, which close the connection.
+        settings.robot_silence_limit = std::chrono::seconds{10};
         application_ = std::make_unique<Application>(settings);
         application_->start();
         manager_ = std::make_unique<Manager>(settings.application);

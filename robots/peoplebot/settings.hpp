@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <stdexcept>
@@ -18,6 +19,8 @@ struct Settings {
     std::string instance;
     std::string name;                ///< of the entity; empty: that of the basic profile
     std::string ports;               ///< a ports.cfg, or "first-last"; empty: the Entity Interfacer's range
+    /// Without a packet for so long the robot is lost; five are missing then.
+    std::chrono::steady_clock::duration robot_silence_limit = std::chrono::milliseconds{500};
     MapPose at;                      ///< where the robot stands when the program starts
     std::filesystem::path profiles;  ///< the folder of the two profiles; empty: found beside the program
 };
