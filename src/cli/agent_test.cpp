@@ -346,7 +346,7 @@ TEST_F(Invoked, OnlyAStopOfEverythingDoesNotWaitForTheEntities) {
 }
 
 TEST_F(Invoked, ARefusedCheckOutRunsNoCommand) {
-    station->check_out_refusal = {RefusalCode::AlreadyHeld, "held", "eve@lab"};
+    station->check_out_refusal = {RefusalCode::AlreadyHeld, "held", "cl2@lab"};
     EXPECT_EQ(invoker.holdWhile(Json({"Cyton"}), {"touch", (base / "ran").string()}, seen), kRefused);
     EXPECT_FALSE(std::filesystem::exists(base / "ran"));
 }

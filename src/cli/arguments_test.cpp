@@ -220,10 +220,10 @@ TEST(Words, QuotesForTheShellWhatNeedsIt) {
 }
 
 TEST(Words, NamesTheHolderAndTheMendOfARefusal) {
-    const auto event = errorEvent({RefusalCode::AlreadyHeld, "PeopleBot is held", "eve@lab"}, "PeopleBot");
+    const auto event = errorEvent({RefusalCode::AlreadyHeld, "PeopleBot is held", "cl2@lab"}, "PeopleBot");
     EXPECT_EQ(event["code"], "ALREADY_HELD");
-    EXPECT_EQ(event["holder"], "eve@lab");
-    EXPECT_THAT(event["mend"].get<std::string>(), HasSubstr("eve@lab"));
+    EXPECT_EQ(event["holder"], "cl2@lab");
+    EXPECT_THAT(event["mend"].get<std::string>(), HasSubstr("cl2@lab"));
     EXPECT_EQ(errorEvent({RefusalCode::Latched, "stopped", {}}, "Cyton Arm")["mend"],
               "axon rearm 'Cyton Arm', when it is safe to move again");
 }

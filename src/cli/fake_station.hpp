@@ -109,7 +109,7 @@ class FakeStation : public Station {
         std::vector<Lost> list;
         for (const auto& one : entities_) {
             if (one.id == lost_id) {
-                list.push_back({one, {RefusalCode::RevokedLease, "an admin took it over", "eve@lab"}});
+                list.push_back({one, {RefusalCode::RevokedLease, "an admin took it over", "cl2@lab"}});
             }
         }
         return list;

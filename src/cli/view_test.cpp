@@ -86,7 +86,7 @@ TEST_F(View, ListsEntitiesWithHolderAndLatch) {
     all[0].state = EntityState::BUSY;
     all[1].state = EntityState::REG;
     all[1].latched = true;
-    all[1].holder = {"x", "eve@lab", Role::Operator};
+    all[1].holder = {"x", "cl2@lab", Role::Operator};
     auto list = Json::array();
     for (const auto& entity : all) {
         list.push_back(toJson(entity, &entity == &all[0]));
@@ -95,7 +95,7 @@ TEST_F(View, ListsEntitiesWithHolderAndLatch) {
     EXPECT_EQ(shown({{{"event", "entities"}, {"server", "s"}, {"entities", list}}}),
               "NAME         CATEGORY  TYPE        STATE  HOLDER   LATCH\n"
               "PeopleBot#1  ROBOT     MOBILE      BUSY   you\n"
-              "PeopleBot#2  ROBOT     MOBILE      REG    eve@lab  stopped\n"
+              "PeopleBot#2  ROBOT     MOBILE      REG    cl2@lab  stopped\n"
               "Cyton        ROBOT     STATIONARY  IDLE   -\n");
 }
 
@@ -175,12 +175,12 @@ TEST_F(View, ShowsTheReceiptOfAStopStageByStage) {
 }
 
 TEST_F(View, ShowsErrorsWithCodeHolderAndMend) {
-    shown({errorEvent({RefusalCode::AlreadyHeld, "PeopleBot is not free", "eve@lab"}, "PeopleBot")});
+    shown({errorEvent({RefusalCode::AlreadyHeld, "PeopleBot is not free", "cl2@lab"}, "PeopleBot")});
     EXPECT_EQ(out.str(), "");
     EXPECT_EQ(err.str(),
               "axon: PeopleBot is not free (ALREADY_HELD)\n"
-              "held by: eve@lab\n"
-              "mend: ask eve@lab to release it, or try again when it is free\n");
+              "held by: cl2@lab\n"
+              "mend: ask cl2@lab to release it, or try again when it is free\n");
 }
 
 TEST_F(View, ShowsSamplesAsPeopleReadThem) {
@@ -207,9 +207,9 @@ TEST_F(View, TellsALostCheckOutLoudly) {
             {"entity", "PeopleBot"},
             {"code", "REVOKED_LEASE"},
             {"message", "taken over"},
-            {"holder", "eve@lab"}}});
+            {"holder", "cl2@lab"}}});
     EXPECT_EQ(err.str(),
-              "axon: the check-out of PeopleBot is LOST: taken over; held by eve@lab (REVOKED_LEASE)\n");
+              "axon: the check-out of PeopleBot is LOST: taken over; held by cl2@lab (REVOKED_LEASE)\n");
 }
 
 TEST(JsonLines, AreOneObjectEach) {

@@ -314,7 +314,7 @@ class ClientTest : public ::testing::Test {
     Options options() const {
         Options options;
         options.server = server->clientAddress(Lane::Data);
-        options.display_name = "ada@lab";
+        options.display_name = "client1@lab";
         return options;
     }
     std::unique_ptr<Client> client(const Options& with) const {
@@ -365,7 +365,7 @@ TEST_F(ClientTest, KnowsWhoIsThereAsSoonAsItIsConnected) {
     EXPECT_EQ(late->find("PeopleBot").refusal().code, RefusalCode::AmbiguousEntity);
     EXPECT_EQ(late->find(first->uuid())->name, "PeopleBot");
     EXPECT_TRUE(late->find("PeopleBot#2").ok());
-    EXPECT_EQ(late->self().name, "ada@lab");
+    EXPECT_EQ(late->self().name, "client1@lab");
 }
 
 TEST_F(ClientTest, RunsATaskFromCheckOutToRelease) {
@@ -400,16 +400,16 @@ TEST_F(ClientTest, TheApplicationsReasonReachesTheClient) {
 TEST_F(ClientTest, AHeldEntityIsRefusedWithItsHoldersNameAndSeveralAllOrNone) {
     const auto first = robot("First");
     const auto second = robot("Second");
-    const auto ada = client();
+    const auto client1 = client();
     auto other = options();
     other.display_name = "client2@lab";
     const auto client2 = client(other);
-    const auto held = take(*ada, "Second");
+    const auto held = take(*client1, "Second");
     ASSERT_TRUE(client2->waitFor("First", 5s).ok());
     const auto refused = client2->checkOut(std::vector<std::string>{"First", "Second"});
     ASSERT_FALSE(refused.ok());
     EXPECT_EQ(refused.refusal().code, RefusalCode::AlreadyHeld);
-    EXPECT_EQ(refused.refusal().holder, "ada@lab");
+    EXPECT_EQ(refused.refusal().holder, "client1@lab");
     EXPECT_TRUE(client2->held().empty());
     ASSERT_TRUE(held.release().ok());
     ASSERT_TRUE(waitUntil([&] { return first->state() == EntityState::IDLE; }))

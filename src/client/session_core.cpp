@@ -426,6 +426,7 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes) {
             if (known->second.announced) observer_.onEntity(Presence::Changed, known->second.facts);
             break;
         }
+        case proto::ToClient::kHandOver:
         case proto::ToClient::BODY_NOT_SET:
             ++malformed_;  // or a message of a newer version: nothing this one could do with it
             break;

@@ -74,7 +74,7 @@ inline std::string uuid(int number) {
     return "0000000" + digits.substr(0, 1) + "-1111-4111-8111-11111111111" + digits.substr(0, 1);
 }
 
-inline const Sender kMe{"99999999-1111-4111-8111-111111111111", "ada@lab", Role::Operator};
+inline const Sender kMe{"99999999-1111-4111-8111-111111111111", "client1@lab", Role::Operator};
 
 /// A core that is connected and knows of PeopleBot, PeopleBot and Cyton.
 class CoreWorld {

@@ -25,6 +25,8 @@ std::string_view refusalName(RefusalCode code) {
             return "LATCHED";
         case RefusalCode::Reserved:
             return "RESERVED";
+        case RefusalCode::HandOverRefused:
+            return "HAND_OVER_REFUSED";
         case RefusalCode::UnknownEntity:
             return "UNKNOWN_ENTITY";
         case RefusalCode::AmbiguousEntity:

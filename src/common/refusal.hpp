@@ -18,6 +18,7 @@ enum class RefusalCode : int {
     OldGeneration = 7,
     Latched = 8,
     Reserved = 9,
+    HandOverRefused = 10,
     UnknownEntity = 20,
     AmbiguousEntity = 21,
     UnknownService = 22,

@@ -88,6 +88,9 @@ struct EntityStatus {
     Sender holder;
     LeaseNumber held;
     std::string reason;
+    bool orphaned = false;
+    std::int32_t waiting = 0;
+    std::int32_t stop_latency_us = 0;
 
     bool operator==(const EntityStatus&) const = default;
 };
@@ -104,6 +107,7 @@ inline constexpr const char* kMsgRaw = "RAW";
 inline constexpr const char* kMsgRearm = "REARM";
 inline constexpr const char* kMsgStatus = "STATUS";
 inline constexpr const char* kMsgWatch = "WATCH";
+inline constexpr const char* kMsgHandOver = "HAND_OVER";
 // … and towards a client, besides the above:
 inline constexpr const char* kMsgReply = "REPLY";
 inline constexpr const char* kMsgReceipt = "RECEIPT";

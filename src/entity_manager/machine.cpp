@@ -90,6 +90,8 @@ Event eventOf(const proto::ToEntity& message) {
             if (message.task_control().action() == proto::RESUME) return Event::Resume;
             if (message.task_control().action() == proto::CANCEL) return Event::Cancel;
             break;
+        case proto::ToEntity::kHandOverAnswer:
+        case proto::ToEntity::kHandOverPolicy:
         case proto::ToEntity::BODY_NOT_SET:
             break;
     }

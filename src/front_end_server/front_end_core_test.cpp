@@ -81,7 +81,7 @@ class FrontEndTest : public testing::Test {
         FrontEndCore::ClientRef client;
         std::string id() const { return FrontEndCore::me(*client).id; }
     };
-    Peer join(const std::string& name = "ada") {
+    Peer join(const std::string& name = "client1") {
         Peer peer;
         peer.client = core.setCallback(name, Role::Operator, peer.data).value();
         EXPECT_TRUE(core.attach(FrontEndCore::token(*peer.client), peer.signal).ok());
@@ -139,7 +139,7 @@ TEST_F(FrontEndTest, TheLastWordAboutAnEntityIsTheTrueOneThoughItChangesWhileACl
     auto data = std::make_shared<FakeOutbox>();
     // As another thread would, in the middle of the first push.
     data->while_told = [&] { core.entityBasicPrflUpdate(Presence::Left, {"e1"}, {}); };
-    ASSERT_TRUE(core.setCallback("ada", Role::Operator, data).ok());
+    ASSERT_TRUE(core.setCallback("client1", Role::Operator, data).ok());
     EXPECT_EQ(data->lines.back(), "left e1");
 
     entity("e2");
@@ -160,7 +160,7 @@ TEST_F(FrontEndTest, AClientIsToldHowManyEntitiesItWasToldOf) {
     entity("e2");
     auto data = std::make_shared<FakeOutbox>();
     data->while_told = [&] { core.entityBasicPrflUpdate(Presence::Left, {"e1"}, {}); };
-    const auto client = core.setCallback("ada", Role::Operator, data).value();
+    const auto client = core.setCallback("client1", Role::Operator, data).value();
     EXPECT_EQ(FrontEndCore::told(*client), 1U);
 }
 
@@ -193,7 +193,7 @@ TEST(FrontEndLocks, SignsOfLifeAndStopsDoNotWaitForTheMonitor) {
     FakeTopic topic;
     FrontEndCore core(
         {}, clock, random, topic, [](const std::string&) {}, [] {});
-    const auto client = core.setCallback("ada", Role::Operator, std::make_shared<FakeOutbox>()).value();
+    const auto client = core.setCallback("client1", Role::Operator, std::make_shared<FakeOutbox>()).value();
     Header head;
     head.entity = "e1";
     random.now = [&] {
@@ -201,14 +201,14 @@ TEST(FrontEndLocks, SignsOfLifeAndStopsDoNotWaitForTheMonitor) {
         core.sendStopSignal(client, head, StopCause::Requested);
     };
     ASSERT_TRUE(core.setCallback("eve", Role::Operator, std::make_shared<FakeOutbox>()).ok());
-    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by ada to e1"));
+    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by client1 to e1"));
 }
 
 TEST_F(FrontEndTest, TheSenderIsTheSessionsNeverThePeers) {
-    const auto peer = join("ada");
+    const auto peer = join("client1");
     core.sendToEntity(peer.client, to("e1"), "hello");
     core.sendStopSignal(peer.client, to("e1"), StopCause::ClientLost);
-    EXPECT_THAT(topic.take(), ElementsAre("ada to e1 hello", "stop (requested) by ada to e1"));
+    EXPECT_THAT(topic.take(), ElementsAre("client1 to e1 hello", "stop (requested) by client1 to e1"));
 }
 
 TEST_F(FrontEndTest, AcceptsAStopForAllWithoutALease) {
@@ -216,7 +216,7 @@ TEST_F(FrontEndTest, AcceptsAStopForAllWithoutALease) {
     entity("e2");
     const auto peer = join();
     core.sendStopSignal(peer.client, to(""), StopCause::Requested);
-    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by ada to "));
+    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by client1 to "));
     EXPECT_THAT(peer.signal->take(), ElementsAre("stop accepted 2"));
 }
 
@@ -235,7 +235,7 @@ TEST_F(FrontEndTest, StopsForASilentClientExactlyAtItsWatchdog) {
     EXPECT_THAT(topic.lines, IsEmpty());
     EXPECT_GE(peer.signal->heartbeats, 4);
     pass(1ms);
-    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by ada to e1", "lost to e1"));
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by client1 to e1", "lost to e1"));
     EXPECT_TRUE(peer.data->disconnected);
     EXPECT_TRUE(peer.signal->disconnected);
     EXPECT_EQ(core.clients(), 0U);
@@ -259,15 +259,15 @@ TEST_F(FrontEndTest, KeepAliveFeedsTheWatchdogAndAnIdleClientHasTenSeconds) {
 
 TEST_F(FrontEndTest, StopsEveryEntityThatALostClientHeldAndNoOther) {
     for (const char* id : {"e1", "e2", "e3"}) entity(id);
-    const auto ada = join("ada");
+    const auto client1 = join("client1");
     const auto client2 = join("client2");
-    status("e1", EntityState::REG, ada.id());
-    status("e2", EntityState::BUSY, ada.id());
+    status("e1", EntityState::REG, client1.id());
+    status("e2", EntityState::BUSY, client1.id());
     status("e3", EntityState::BUSY, client2.id());
-    core.leave(ada.client, Ending::Lost, "connection lost");
-    core.leave(ada.client, Ending::Ended, "again");
-    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by ada to e1",
-                                          "stop (client lost) by ada to e2", "lost to e1", "lost to e2"));
+    core.leave(client1.client, Ending::Lost, "connection lost");
+    core.leave(client1.client, Ending::Ended, "again");
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by client1 to e1",
+                                          "stop (client lost) by client1 to e2", "lost to e1", "lost to e2"));
 }
 
 TEST_F(FrontEndTest, AnOrderlyEndStopsOnlyWhatRuns) {
@@ -277,7 +277,7 @@ TEST_F(FrontEndTest, AnOrderlyEndStopsOnlyWhatRuns) {
     status("e1", EntityState::REG, peer.id());
     status("e2", EntityState::BUSY, peer.id());
     core.leave(peer.client, Ending::Ended, "over");
-    EXPECT_THAT(topic.take(), ElementsAre("stop (released) by ada to e2", "ended to e1", "ended to e2"));
+    EXPECT_THAT(topic.take(), ElementsAre("stop (released) by client1 to e2", "ended to e1", "ended to e2"));
 }
 
 TEST_F(FrontEndTest, WhatWasReleasedIsNotStopped) {
@@ -294,24 +294,24 @@ TEST_F(FrontEndTest, StopsWhatWasGrantedToAClientThatIsGone) {
     const auto peer = join();
     core.leave(peer.client, Ending::Lost, "connection lost");
     status("e1", EntityState::REG, peer.id());
-    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by ada to e1", "lost to e1"));
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by client1 to e1", "lost to e1"));
     status("e1", EntityState::REG, "a client of another front-end server");
     EXPECT_THAT(topic.lines, IsEmpty());
 }
 
 TEST_F(FrontEndTest, RoutesToTheRecipientOrToAll) {
-    const auto ada = join("ada");
+    const auto client1 = join("client1");
     const auto client2 = join("client2");
     Header head;
-    head.sender.id = ada.id();
+    head.sender.id = client1.id();
     core.entityMsg(Lane::Data, head, "grant");
     core.entityMsg(Lane::Signal, head, "receipt");
     head.sender.id.clear();
     core.entityMsgDataSeq(head, "sample");
     head.sender.id = "gone";
     core.entityMsg(Lane::Data, head, "late");
-    EXPECT_THAT(ada.data->take(), ElementsAre("msg grant", "samples"));
-    EXPECT_THAT(ada.signal->take(), ElementsAre("msg receipt"));
+    EXPECT_THAT(client1.data->take(), ElementsAre("msg grant", "samples"));
+    EXPECT_THAT(client1.signal->take(), ElementsAre("msg receipt"));
     EXPECT_THAT(client2.data->take(), ElementsAre("samples"));
 }
 
@@ -344,7 +344,7 @@ TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
     FrontEndCore core(
         settings, clock, random, topic, [](const std::string&) {}, [] {});
     auto data = std::make_shared<FakeOutbox>();
-    const auto client = core.setCallback("ada", Role::Operator, data).value();
+    const auto client = core.setCallback("client1", Role::Operator, data).value();
     EXPECT_EQ(core.setCallback("client2", Role::Operator, data).refusal().code, RefusalCode::Overloaded);
     Registration registration;
     registration.entity = registration.name = "e1";
@@ -358,8 +358,8 @@ TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
     for (int i = 0; i < 3; ++i) core.sendToEntity(client, head, "x");
     topic.take();
     core.sendStopSignal(client, head, StopCause::Requested);
-    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by ada to e1",
-                                          "stop (improper client) by ada to e1", "lost to e1"));
+    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by client1 to e1",
+                                          "stop (improper client) by client1 to e1", "lost to e1"));
     EXPECT_TRUE(data->disconnected);
 }
 

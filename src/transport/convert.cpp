@@ -70,7 +70,10 @@ EntityStatus fromIce(ice::EntityStatus&& status) {
             status.stopGeneration,
             fromIce(std::move(status.holder)),
             {status.held.epoch, status.held.number},
-            std::move(status.reason)};
+            std::move(status.reason),
+            status.orphaned,
+            status.waiting,
+            status.stopLatencyUs};
 }
 
 ice::Sender toIce(const Sender& sender) {
@@ -102,7 +105,8 @@ ice::EntityStatus toIce(const EntityStatus& status) {
     return {status.entity,        static_cast<ice::EntityState>(status.state),
             status.latched,       status.stop_generation,
             toIce(status.holder), {status.held.epoch, status.held.number},
-            status.reason};
+            status.reason,        status.orphaned,
+            status.waiting,       status.stop_latency_us};
 }
 
 ice::RequestRefused toIce(const Refusal& refusal) {

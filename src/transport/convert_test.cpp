@@ -49,7 +49,7 @@ TEST(Convert, EnumeratorsOfTheContractsAndOfTheCoresAgree) {
 
 TEST(Convert, EverythingOfAHeaderGoesThereAndBack) {
     Header head;
-    head.sender = {"id", "ada@lab", Role::Admin};
+    head.sender = {"id", "client1@lab", Role::Admin};
     head.entity = "uuid";
     head.msg_type = kMsgTask;
     head.held = {3, 7};
@@ -67,7 +67,7 @@ TEST(Convert, EverythingOfAHeaderGoesThereAndBack) {
     EXPECT_EQ(back.sent_at_us, head.sent_at_us);
     EXPECT_EQ(back.proof, head.proof);
 
-    const EntityStatus status{"uuid", EntityState::BUSY, true, 5, {"c", "n", Role::Operator}, {1, 2}, "why"};
+    const EntityStatus status{"uuid", EntityState::BUSY, true, 5, {"c", "n", Role::Operator}, {1, 2}, "why", true, 3, 450};
     EXPECT_EQ(fromIce(toIce(status)), status);
     const Registration registration{"uuid", "name", "ROBOT", "MOBILE", 20, 900, "tcp"};
     EXPECT_EQ(fromIce(toIce(registration)), registration);

@@ -20,7 +20,7 @@ using transport::ByteRange;
 using transport::toRange;
 using transport::toView;
 
-/// What a peer was told, as lines: "msg TASK hello", "signal stop requested ada". Thread-safe.
+/// What a peer was told, as lines: "msg TASK hello", "signal stop requested client1". Thread-safe.
 class Log {
   public:
     void add(std::string line) {
@@ -204,7 +204,7 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
 class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontEndComm::ClientSessionPrx,
                                  Axon::FrontEndComm::ClientCallbackPrx> {
   public:
-    explicit RawClient(const std::string& address, const std::string& name = "ada@lab",
+    explicit RawClient(const std::string& address, const std::string& name = "client1@lab",
                        bool with_signal_lane = true) {
         const auto open = [&](const std::shared_ptr<Axon::FrontEndComm::ClientGatePrx>& gate) {
             return gate->open("", "", name);

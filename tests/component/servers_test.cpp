@@ -109,7 +109,7 @@ TEST_F(Servers, CarryMessagesBothWaysInOrder) {
     for (const auto& line : robot.log.lines()) {
         if (line.rfind("msg ", 0) == 0) {
             // The sender is the session's, not what the client wrote.
-            EXPECT_EQ(line, "msg ada@lab TEXT " + std::to_string(expected++));
+            EXPECT_EQ(line, "msg client1@lab TEXT " + std::to_string(expected++));
         }
     }
     for (int i = 0; i < kMessages; ++i) {
@@ -160,7 +160,7 @@ TEST_F(Servers, StopOvertakesAFilledDataLane) {
     }
     const auto start = std::chrono::steady_clock::now();
     client.stop("");
-    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested ada@lab"); }));
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested client1@lab"); }));
     EXPECT_LT(std::chrono::steady_clock::now() - start, 500ms);  // usually less than one
     EXPECT_EQ(robot.data_received, 0U);
     EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 1"); }));

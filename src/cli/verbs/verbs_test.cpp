@@ -111,9 +111,9 @@ TEST_F(Verbs, DetachNeedsACheckOutThatOutlivesIt) {
 }
 
 TEST_F(Verbs, ARefusedCheckOutNamesTheHolderAndRunsNothing) {
-    station->check_out_refusal = {RefusalCode::AlreadyHeld, "Cyton is held by eve@lab", "eve@lab"};
+    station->check_out_refusal = {RefusalCode::AlreadyHeld, "Cyton is held by cl2@lab", "cl2@lab"};
     EXPECT_EQ(perform("run", runCyton()), kRefused);
-    EXPECT_EQ(seen.events.back()["holder"], "eve@lab");
+    EXPECT_EQ(seen.events.back()["holder"], "cl2@lab");
     EXPECT_TRUE(station->run_arguments.empty());
 }
 
@@ -199,7 +199,7 @@ TEST_F(Verbs, ALostCheckOutIsNamedAsTheReason) {
     EXPECT_EQ(perform("cancel", {{"entity", "Cyton"}}), kRefused);
     EXPECT_THAT(seen.last("error")->at("message").get<std::string>(),
                 HasSubstr("was lost: an admin took it over"));
-    EXPECT_EQ(seen.last("error")->at("holder"), "eve@lab");
+    EXPECT_EQ(seen.last("error")->at("holder"), "cl2@lab");
 }
 
 TEST_F(Verbs, CancelFindsTheOnlyTask) {
