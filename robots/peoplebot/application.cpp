@@ -71,7 +71,7 @@ Application::Application(const Settings& settings)
     }
     entity_.uploadServiceProfile(folder / "services_profile.xml");
     entity_.setPosition(settings.at.x_mm, settings.at.y_mm, 0);
-    setServicesActive(false, "ROBOT_LOST: the robot is not connected yet");
+    setServicesActive(false, "the robot is not connected yet");
 
     auto open = arcos::tcpStreams(settings.robot);
     gate_ = std::make_unique<DriveGate>(DriveGate::Robot{
@@ -112,7 +112,7 @@ void Application::offerServices() {
 }
 
 Decision Application::consider(const Task& task) const {
-    if (!robot_->state().online) return Decision::deny("ROBOT_LOST: the robot is not connected");
+    if (!robot_->state().online) return Decision::robotLost("the robot is not connected: is it switched on, is its address right?");
     try {
         const auto objection = task.service() == kDriving ? Driving::objection(drivingRequest(task))
                                                           : Turning::objection(turningRequest(task));
@@ -164,7 +164,10 @@ void Application::perform(Task& task, Motion& motion, const std::function<void()
         if (step.outcome == MotionStep::Outcome::Failed) {
             // Before the verdict travels: the robot is told first.
             gate_->stop();
-            task.fail(step.reason);
+            if (robot.online)
+                task.fail(step.reason);
+            else
+                task.robotLost(step.reason);
         } else {
             task.succeed();
         }
@@ -234,8 +237,8 @@ void Application::onRobotLost(const std::string& reason) {
     if (reason == last_loss_) return;  // each attempt to connect is reported; one line tells it
     last_loss_ = reason;
     standstill_after_ = 0;
-    setServicesActive(false, "ROBOT_LOST: " + reason);
-    entity_.sendInfoMsg("ROBOT_LOST: " + reason);
+    setServicesActive(false, "the robot is lost: " + reason);
+    entity_.sendInfoMsg("the robot is lost: " + reason);
     fmt::print(stderr, "axon-peoplebot: {}{}\n", reason,
                was_online_ ? "" : "; trying again until it answers");
 }

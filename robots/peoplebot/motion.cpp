@@ -54,7 +54,7 @@ std::optional<std::string> stall(const RobotState& robot) {
 
 std::optional<std::string> absence(const RobotState& robot) {
     if (robot.online) return std::nullopt;
-    return "ROBOT_LOST: the connection to the robot is gone";
+    return "the connection to the robot is gone";
 }
 
 }  // namespace

@@ -175,7 +175,7 @@ TEST_F(DrivingTest, APauseIsNoStandstill) {
 TEST_F(DrivingTest, ALostRobotIsSaidSo) {
     auto motion = begin({.distance_mm = 1000});
     robot_.state.online = false;
-    EXPECT_THAT(robot_.run(motion, 1).reason, HasSubstr("ROBOT_LOST"));
+    EXPECT_THAT(robot_.run(motion, 1).reason, HasSubstr("connection to the robot"));
 }
 
 TEST_F(DrivingTest, RequestsThatCannotBeDrivenAreRefusedWithTheMend) {
@@ -223,7 +223,7 @@ TEST(Turning, ANewlyPressedBumperAStallAndALossFail) {
     robot.state.right_stall = true;
     EXPECT_THAT(robot.run(motion, 1).reason, HasSubstr("right motor stalled"));
     robot.state.online = false;
-    EXPECT_THAT(robot.run(motion, 1).reason, HasSubstr("ROBOT_LOST"));
+    EXPECT_THAT(robot.run(motion, 1).reason, HasSubstr("connection to the robot"));
 }
 
 TEST(Turning, RequestsThatCannotBeTurnedAreRefusedWithTheMend) {

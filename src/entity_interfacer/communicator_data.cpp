@@ -34,6 +34,11 @@ std::optional<std::string> readFile(const std::filesystem::path& file) {
     return text;
 }
 
+RefusalCode codeOf(const Decision& decision) {
+    if (decision.granted()) return RefusalCode::Ok;
+    return decision.isRobotLost() ? RefusalCode::RobotLost : RefusalCode::Denied;
+}
+
 }  // namespace
 
 bool Communicator::send(const proto::EiToEm& message, Link::Kind kind) {
@@ -258,11 +263,11 @@ void Communicator::readData(const std::shared_ptr<Link>& link) {
 }
 
 void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi& message) {
-    const auto respond = [&](std::uint64_t request, proto::RefusalCode code, const std::string& reason) {
+    const auto respond = [&](std::uint64_t request, RefusalCode code, const std::string& reason) {
         proto::EiToEm reply;
         auto& body = *reply.mutable_answer();
         body.set_request(request);
-        body.mutable_refusal()->set_code(code);
+        body.mutable_refusal()->set_code(static_cast<proto::RefusalCode>(code));
         body.mutable_refusal()->set_message(validUtf8(reason));
         link->sendData(reply, Link::Kind::Control);
     };
@@ -270,7 +275,7 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
         auto decision =
             Decision::deny(std::string(what) + " threw an exception: the robot application has stopped");
         const auto reply = [&] {
-            respond(request, decision.granted() ? proto::OK : proto::DENIED, decision.reason());
+            respond(request, codeOf(decision), decision.reason());
         };
         if (guarded(
                 what, [&] { decision = ask(); }, reply))
@@ -279,7 +284,7 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
     switch (message.body_case()) {
         case proto::EmToEi::kParam:
             if (overtaken(*link, message.param().stop_generation()))
-                return respond(message.param().request(), proto::OLD_GENERATION,
+                return respond(message.param().request(), RefusalCode::OldGeneration,
                                "a stop has come since this parameter was sent: send it again");
             return answer(message.param().request(), "onParameter", [&] {
                 return callbacks_.parameter ? callbacks_.parameter(message.param().service(),
@@ -365,9 +370,9 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
         auto decision = Decision::deny("onTaskRequest threw an exception: the robot application has stopped");
         if (!guarded(
                 "onTaskRequest", [&] { decision = callbacks_.task_request(Task(task)); },
-                [&] { refuse(RefusalCode::Denied, decision.reason()); }))
+                [&] { refuse(codeOf(decision), decision.reason()); }))
             return;
-        if (!decision.granted()) return refuse(RefusalCode::Denied, decision.reason());
+        if (!decision.granted()) return refuse(codeOf(decision), decision.reason());
     }
     reapTasks();
     const std::lock_guard lock(tasks_mutex_);
@@ -404,10 +409,10 @@ void Communicator::runTask(const std::shared_ptr<Task::Running>& running,
     } catch (const std::exception& error) {
         const std::string what = error.what();
         fault("an exception left the handler of '" + running->service + "' (" + what + ")",
-              [&] { running->end(false, "an exception left the handler: " + what); });
+              [&] { running->end(RefusalCode::Failed, "an exception left the handler: " + what); });
     } catch (...) {
         fault("an exception left the handler of '" + running->service + "'",
-              [&] { running->end(false, "an exception left the handler"); });
+              [&] { running->end(RefusalCode::Failed, "an exception left the handler"); });
     }
 }
 

@@ -222,7 +222,8 @@ void Task::Running::answer(const Refusal& refusal) {
     link_->sendData(message, Link::Kind::Control);
 }
 
-void Task::Running::end(bool succeeded, std::string_view reason) {
+void Task::Running::end(RefusalCode code, std::string_view reason) {
+    const bool succeeded = code == RefusalCode::Ok;
     const std::lock_guard lock(mutex_);
     if (ended_) return;
     ended_ = true;
@@ -231,14 +232,14 @@ void Task::Running::end(bool succeeded, std::string_view reason) {
     if (succeeded) {
         progress_ = 1;
     } else {
-        event.mutable_reason()->set_code(proto::FAILED);
+        event.mutable_reason()->set_code(static_cast<proto::RefusalCode>(code));
         event.mutable_reason()->set_message(shortText(reason));
     }
     reportLocked(event);
 }
 
 void Task::Running::handlerReturned() {
-    if (!stopRequested()) return end(true, {});
+    if (!stopRequested()) return end(RefusalCode::Ok, {});
     const std::lock_guard lock(mutex_);
     if (ended_) return;
     ended_ = true;
@@ -371,10 +372,13 @@ bool Task::waitFor(std::chrono::duration<double> time) const {
     return running_->waitFor(std::chrono::duration_cast<std::chrono::nanoseconds>(time));
 }
 void Task::succeed() {
-    running_->end(true, {});
+    running_->end(RefusalCode::Ok, {});
 }
 void Task::fail(std::string_view reason) {
-    running_->end(false, reason);
+    running_->end(RefusalCode::Failed, reason);
+}
+void Task::robotLost(std::string_view reason) {
+    running_->end(RefusalCode::RobotLost, reason);
 }
 
 }  // namespace axon

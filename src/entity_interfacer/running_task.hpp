@@ -53,7 +53,8 @@ class Task::Running {
     void result(std::string_view name, std::vector<Value> values, std::string_view units);
     void answer(const Refusal& refusal);
     /// The verdict, sent once.
-    void end(bool succeeded, std::string_view reason);
+    /// `code` is Ok for a success.
+    void end(RefusalCode code, std::string_view reason);
     /// The handler has returned without throwing.
     void handlerReturned();
     bool ended() const;

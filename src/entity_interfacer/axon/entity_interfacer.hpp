@@ -48,14 +48,18 @@ struct AXON_EI_API Parameter {
 /// person.
 class AXON_EI_API Decision {
   public:
-    static Decision grant() { return Decision(true, {}); }
-    static Decision deny(std::string reason) { return Decision(false, std::move(reason)); }
-    bool granted() const { return granted_; }
+    static Decision grant() { return Decision(Verdict::Granted, {}); }
+    static Decision deny(std::string reason) { return Decision(Verdict::Denied, std::move(reason)); }
+    /// Not now: the robot itself does not answer. The client is told ROBOT_LOST instead of DENIED.
+    static Decision robotLost(std::string reason) { return Decision(Verdict::RobotLost, std::move(reason)); }
+    bool granted() const { return verdict_ == Verdict::Granted; }
+    bool isRobotLost() const { return verdict_ == Verdict::RobotLost; }
     const std::string& reason() const { return reason_; }
 
   private:
-    Decision(bool granted, std::string reason) : granted_(granted), reason_(std::move(reason)) {}
-    bool granted_;
+    enum class Verdict : int { Granted, Denied, RobotLost };
+    Decision(Verdict verdict, std::string reason) : verdict_(verdict), reason_(std::move(reason)) {}
+    Verdict verdict_;
     std::string reason_;
 };
 
@@ -171,6 +175,8 @@ class AXON_EI_API Task {
     // requested: then the task was stopped (or cancelled).
     void succeed();
     void fail(std::string_view reason);
+    /// Failed because the robot itself does not answer (any more): the client is told ROBOT_LOST.
+    void robotLost(std::string_view reason);
 
     class Running;
     explicit Task(std::shared_ptr<Running> running) : running_(std::move(running)) {}
