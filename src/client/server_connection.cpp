@@ -20,7 +20,7 @@ namespace slice = ::Axon::FrontEndComm;
 constexpr int kLeaveTimeoutMs = 1000;
 constexpr std::size_t kHeaderBytes = 200;
 
-/// A stop names each entity in a message of its own, and is sent again until it is confirmed: 2048 of them,
+/// A program may stop its entities one by one, and a stop is sent again until it is confirmed: 2048 of them,
 /// eight times, to a server that takes none.
 constexpr std::size_t kSignalsUnsent = 16 * 1024;
 
@@ -228,6 +228,19 @@ void ServerConnection::sendStopSignal(Lane lane, const Header& head, StopCause c
         session->sendStopSignalAsync(toIce(head), toIce(cause), nullptr, std::move(callbacks.failed),
                                      std::move(callbacks.sent));
     });
+}
+
+void ServerConnection::sendStopSignals(Lane lane, const Header& head,
+                                       const std::vector<std::string>& entities, StopCause cause) const {
+    constexpr std::size_t kUuidBytes = 37;
+    const auto& end = lane == Lane::Signal ? signal_ : data_;
+    // A signal is sent at once or not at all, so the parcel that would own a copy is never made.
+    const auto send = [&](SendCallbacks&& callbacks) {
+        end.oneway->sendStopSignalsAsync(toIce(head), entities, toIce(cause), nullptr,
+                                         std::move(callbacks.failed), std::move(callbacks.sent));
+    };
+    end.outbox->post(Traffic::Signal, kHeaderBytes + entities.size() * kUuidBytes, send,
+                     [] { return transport::Outbox::Parcel(); });
 }
 
 void ServerConnection::sendResetSignal(const Header& head) const {

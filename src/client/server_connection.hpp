@@ -8,6 +8,7 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "common/clock.hpp"
 #include "common/result.hpp"
@@ -71,6 +72,8 @@ class ServerConnection {
     void sendToEntityDataSeq(const Header& head, std::string bytes) const;
     void sendRequest(const Header& head, std::string bytes) const;
     void sendStopSignal(Lane lane, const Header& head, StopCause cause) const;
+    void sendStopSignals(Lane lane, const Header& head, const std::vector<std::string>& entities,
+                         StopCause cause) const;
     void sendResetSignal(const Header& head) const;
     void sendClearSignal(const Header& head) const;
     void keepAlive(std::int64_t sequence) const;

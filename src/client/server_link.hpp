@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "common/routed.hpp"
 
@@ -36,6 +37,9 @@ class StopLink {
   public:
     virtual ~StopLink() = default;
     virtual void sendStopSignal(Lane lane, const Header& head, StopCause cause) = 0;
+    /// One message, which the servers fan out; `head.entity` is empty.
+    virtual void sendStopSignals(Lane lane, const Header& head, std::vector<std::string> entities,
+                                 StopCause cause) = 0;
 };
 
 }  // namespace axon::client

@@ -111,8 +111,13 @@ auto Client::Session::withDesk(Use&& use) {
             lock.unlock();
             if (!stops.empty()) {
                 if (const auto connection = session.signal_connection_.load()) {
-                    for (const auto& stop : stops)
-                        connection->sendStopSignal(stop.lane, stop.head, stop.cause);
+                    for (const auto& stop : stops) {
+                        if (stop.entities.empty()) {
+                            connection->sendStopSignal(stop.lane, stop.head, stop.cause);
+                        } else {
+                            connection->sendStopSignals(stop.lane, stop.head, stop.entities, stop.cause);
+                        }
+                    }
                 }
             }
             if (wake) session.stop_timer_.wake();
@@ -185,7 +190,12 @@ void Client::Session::keepAlive(std::int64_t sequence, bool busy) {
 }
 
 void Client::Session::sendStopSignal(Lane lane, const Header& head, StopCause cause) {
-    stops_.push_back({lane, head, cause});
+    stops_.push_back({lane, head, {}, cause});
+}
+
+void Client::Session::sendStopSignals(Lane lane, const Header& head, std::vector<std::string> entities,
+                                      StopCause cause) {
+    stops_.push_back({lane, head, std::move(entities), cause});
 }
 
 void Client::Session::mayWait() const {

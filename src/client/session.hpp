@@ -141,6 +141,8 @@ class Client::Session final : public SessionObserver,
 
     // StopLink: under desk_mutex_.
     void sendStopSignal(Lane lane, const Header& head, StopCause cause) override;
+    void sendStopSignals(Lane lane, const Header& head, std::vector<std::string> entities,
+                         StopCause cause) override;
 
     // ConnectionEvents: threads of Ice.
     void newProfile(std::uint64_t attempt, Presence presence, const Registration& registration,
@@ -175,6 +177,7 @@ class Client::Session final : public SessionObserver,
     struct OutgoingStop {
         Lane lane;
         Header head;
+        std::vector<std::string> entities;  // none: what the head names
         StopCause cause;
     };
     struct Watching {

@@ -62,9 +62,14 @@ void StopDesk::send(const Order& order, Lane lane, bool only_unconfirmed) {
         link_.sendStopSignal(lane, header(order, {}), StopCause::Requested);
         return;
     }
+    std::vector<std::string> ids;
     for (const auto& [id, receipt] : order.receipts) {
-        if (only_unconfirmed && receipt.confirmed()) continue;
-        link_.sendStopSignal(lane, header(order, id), StopCause::Requested);
+        if (!only_unconfirmed || !receipt.confirmed()) ids.push_back(id);
+    }
+    if (ids.size() == 1) {
+        link_.sendStopSignal(lane, header(order, ids.front()), StopCause::Requested);
+    } else if (!ids.empty()) {
+        link_.sendStopSignals(lane, header(order, {}), std::move(ids), StopCause::Requested);
     }
 }
 
@@ -138,6 +143,15 @@ void StopDesk::onStopAccepted(std::int64_t sequence, const std::string& entity, 
     Order* order = find(sequence);
     if (order == nullptr) return;
     const Seconds after = clock_.now() - order->given;
+    if (!order->everything && entity.empty()) {
+        // Fewer than were named: which ones are not there is told by their refusals, and the rest by
+        // receipts.
+        if (entities < 0 || static_cast<std::size_t>(entities) < order->receipts.size()) return;
+        for (auto& [id, receipt] : order->receipts) {
+            if (!receipt.server) receipt.server = after;
+        }
+        return;
+    }
     if (!order->everything) {
         const auto entry = order->receipts.find(entity);
         if (entry != order->receipts.end() && entities > 0 && !entry->second.server)

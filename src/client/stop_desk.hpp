@@ -44,8 +44,8 @@ class StopDesk {
     void onConnected(const Sender& self);
     void onDisconnected();
     void onEntity(Presence presence, const std::string& id, const std::string& name);
-    /// newStopAccepted: the servers' stage, of one entity or ("") of everything, and how many entities it
-    /// reached. `sequence` is that of the order.
+    /// newStopAccepted: the servers' stage, of one entity or ("") of all that the order names, and how many
+    /// entities it reached. `sequence` is that of the order.
     void onStopAccepted(std::int64_t sequence, const std::string& entity, int entities);
     /// A receipt of an EM; those of other people's stops raise the generation and nothing else.
     void onReceipt(const std::string& entity, const proto::StopReceipt& receipt);

@@ -10,17 +10,23 @@ namespace axon::client::test {
 namespace {
 
 using namespace std::chrono_literals;
+using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
 
 struct GivenStop {
     Lane lane;
     Header head;
+    std::vector<std::string> entities = {};
 };
 
 class RecordingStopLink final : public StopLink {
   public:
     void sendStopSignal(Lane lane, const Header& head, StopCause) override { sent.push_back({lane, head}); }
+    void sendStopSignals(Lane lane, const Header& head, std::vector<std::string> entities,
+                         StopCause) override {
+        sent.push_back({lane, head, std::move(entities)});
+    }
     std::vector<GivenStop> sent;
 };
 
@@ -122,6 +128,34 @@ TEST_F(StopDeskTest, OnlyWhatIsNotConfirmedIsSentAgain) {
     EXPECT_EQ(link.sent[1].head.entity, uuid(1));
 }
 
+TEST_F(StopDeskTest, AStopOfSeveralIsOneMessageOnEachLane) {
+    stop({"Cyton", "PeopleBot#1", "PeopleBot#2"});
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].head.entity, "");
+    EXPECT_EQ(link.sent[0].head.sequence, 1);
+    EXPECT_THAT(link.sent[0].entities, ElementsAre(uuid(1), uuid(2), uuid(3)));
+    receipt(2, proto::StopReceipt::CALLBACK_RETURNED);
+    link.sent.clear();
+    advance(100ms);
+    ASSERT_THAT(link.sent, SizeIs(2));
+    EXPECT_EQ(link.sent[1].lane, Lane::Data);
+    EXPECT_EQ(link.sent[1].head.sequence, 1) << "the same stop";
+    EXPECT_THAT(link.sent[1].entities, ElementsAre(uuid(1), uuid(3)));
+}
+
+TEST_F(StopDeskTest, TheServersStageOfSeveralIsMarkedWhenItReachedThemAll) {
+    stop({"Cyton", "PeopleBot#1"});
+    clock.advance(1ms);
+    desk.onStopAccepted(1, {}, 1);
+    clock.advance(1ms);
+    receipt(1, proto::StopReceipt::CALLBACK_RETURNED);
+    desk.onStopAccepted(1, {}, 2);
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED);
+    ASSERT_THAT(receipts, SizeIs(2));
+    EXPECT_EQ(receipts[0].server, Seconds(2ms)) << "one of two may have been either";
+    EXPECT_EQ(receipts[1].server, Seconds(2ms));
+}
+
 TEST_F(StopDeskTest, StoppingEverythingIsOneRequest) {
     stop({});
     ASSERT_THAT(link.sent, SizeIs(1));
@@ -189,7 +223,8 @@ TEST_F(StopDeskTest, TheServersStageIsThatOfTheEntityItNames) {
 
 TEST_F(StopDeskTest, InDoubtItStops) {
     stop({"PeopleBot"});
-    EXPECT_THAT(link.sent, SizeIs(2)) << "both that the name may mean";
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_THAT(link.sent[0].entities, ElementsAre(uuid(1), uuid(2))) << "both that the name may mean";
     link.sent.clear();
     stop({"Nobody", "Cyton"});
     EXPECT_THAT(link.sent, SizeIs(1)) << "an unknown name does not hold up the others";

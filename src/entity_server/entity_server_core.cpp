@@ -380,6 +380,26 @@ void EntityServerCore::stopSignal(const Header& head, StopCause cause) {
     toEntities(head, [&](EntityOutbox& entity) { entity.stopSignal(head, cause); });
 }
 
+// All that are there first: no entity's stop waits for the refusals of those that are not.
+void EntityServerCore::stopSignals(const Header& head, const std::vector<std::string>& entities,
+                                   StopCause cause) {
+    const auto table = signal_table_.load();
+    std::vector<const std::string*> unknown;
+    for (const auto& entity : entities) {
+        const auto found = table->find(entity);
+        if (found != table->end()) {
+            found->second->signal->stopSignal(head, cause);
+        } else {
+            unknown.push_back(&entity);
+        }
+    }
+    auto refused = head;
+    for (const auto* entity : unknown) {
+        refused.entity = entity->substr(0, 64);
+        refuseUnknown(Lane::Signal, refused);
+    }
+}
+
 void EntityServerCore::resetSignal(const Header& head) {
     toEntities(head, [&](EntityOutbox& entity) { entity.resetSignal(head); });
 }

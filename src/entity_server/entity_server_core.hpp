@@ -81,6 +81,7 @@ class EntityServerCore {
     void clientRequest(const Header& head);
     void clientUpdate(const Header& head, ClientChange change);
     void stopSignal(const Header& head, StopCause cause);
+    void stopSignals(const Header& head, const std::vector<std::string>& entities, StopCause cause);
     void resetSignal(const Header& head);
     void clearSignal(const Header& head);
 

@@ -224,6 +224,17 @@ TEST_F(EntityServerTest, SignalsTakeTheSignalLaneAndAllMeansAll) {
     EXPECT_THAT(first.data->lines, IsEmpty());
 }
 
+TEST_F(EntityServerTest, AStopOfSeveralReachesThoseThatAreThereAndRefusesTheOthers) {
+    const auto first = join(kFirst);
+    const auto second = join(kSecond);
+    topic.take();
+    core.stopSignals(head(""), {"nobody", kSecond}, StopCause::Requested);
+    EXPECT_THAT(first.signal->lines, IsEmpty());
+    EXPECT_THAT(second.signal->lines, ElementsAre("stop requested"));
+    EXPECT_THAT(second.data->lines, IsEmpty());
+    EXPECT_THAT(topic.take(), ElementsAre("refused UNKNOWN_ENTITY to c1 of 9"));
+}
+
 TEST_F(EntityServerTest, AnEntitySpeaksUnderItsOwnName) {
     const auto first = join(kFirst, "Master");
     const auto second = join(kSecond, "Slave");

@@ -271,6 +271,10 @@ void FrontEndToEntityServant::stopSignal(IceHeader head, Axon::CommUtil::StopCau
                                          const Ice::Current&) {
     core_.stopSignal(fromIce(std::move(head)), fromIce(cause));
 }
+void FrontEndToEntityServant::stopSignals(IceHeader head, Axon::CommUtil::Entities entities,
+                                          Axon::CommUtil::StopCause cause, const Ice::Current&) {
+    core_.stopSignals(fromIce(std::move(head)), entities, fromIce(cause));
+}
 void FrontEndToEntityServant::resetSignal(IceHeader head, const Ice::Current&) {
     core_.resetSignal(fromIce(std::move(head)));
 }

@@ -137,6 +137,8 @@ class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntit
                       const Ice::Current&) override;
     void stopSignal(Axon::CommUtil::Header head, Axon::CommUtil::StopCause cause,
                     const Ice::Current&) override;
+    void stopSignals(Axon::CommUtil::Header head, Axon::CommUtil::Entities entities,
+                     Axon::CommUtil::StopCause cause, const Ice::Current&) override;
     void resetSignal(Axon::CommUtil::Header head, const Ice::Current&) override;
     void clearSignal(Axon::CommUtil::Header head, const Ice::Current&) override;
 

@@ -212,6 +212,20 @@ void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCaus
     flooded(client);  // after the stop: also the last one of a flood is a stop
 }
 
+void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
+                                   const std::vector<std::string>& entities, StopCause cause) {
+    head.sender = client->me;
+    head.entity.clear();
+    if (cause != StopCause::Drill) cause = StopCause::Requested;
+    topic_.stopSignals(head, entities, cause);
+    const auto known = signal_known_.load();
+    const auto targets = std::count_if(entities.begin(), entities.end(),
+                                       [&](const std::string& entity) { return known->contains(entity); });
+    client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
+    note_("stop by " + client->me.name + " to " + std::to_string(targets) + " entities");
+    flooded(client);
+}
+
 void FrontEndCore::sendResetSignal(const ClientRef& client, Header head) {
     head.sender = client->me;
     topic_.resetSignal(head);
@@ -233,9 +247,15 @@ void FrontEndCore::settle(const Sender& client, Ending ending, const std::map<st
     Header head;
     head.sender = client;
     head.sent_at_us = toMicroseconds(clock_.now());
+    std::vector<std::string> stopped;
     for (const auto& [entity, busy] : held) {
-        head.entity = entity;
-        if (ending != Ending::Ended || busy) topic_.stopSignal(head, causeOf(ending));
+        if (ending != Ending::Ended || busy) stopped.push_back(entity);
+    }
+    if (stopped.size() == 1) {
+        head.entity = stopped.front();
+        topic_.stopSignal(head, causeOf(ending));
+    } else if (!stopped.empty()) {
+        topic_.stopSignals(head, stopped, causeOf(ending));
     }
     for (const auto& [entity, busy] : held) {
         head.entity = entity;

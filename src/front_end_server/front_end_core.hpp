@@ -81,6 +81,8 @@ class FrontEndCore {
     void sendToEntity(const ClientRef& client, Header head, std::string_view message);
     void sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data);
     void sendStopSignal(const ClientRef& client, Header head, StopCause cause);
+    void sendStopSignals(const ClientRef& client, Header head, const std::vector<std::string>& entities,
+                         StopCause cause);
     void sendResetSignal(const ClientRef& client, Header head);
     void sendClearSignal(const ClientRef& client, Header head);
     void keepAlive(const ClientRef& client);

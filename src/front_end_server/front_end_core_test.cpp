@@ -66,6 +66,11 @@ class FakeTopic final : public EntityTopic {
         lines.push_back(std::string("stop (") + toString(cause) + ") by " + head.sender.name + " to " +
                         head.entity);
     }
+    void stopSignals(const Header& head, const std::vector<std::string>& entities, StopCause cause) override {
+        std::string line = std::string("stop (") + toString(cause) + ") by " + head.sender.name + " to";
+        for (const auto& entity : entities) line += " " + entity;
+        lines.push_back(line);
+    }
     void resetSignal(const Header& head) override { lines.push_back("reset to " + head.entity); }
     void clearSignal(const Header& head) override { lines.push_back("clear to " + head.entity); }
     std::vector<std::string> take() { return std::exchange(lines, {}); }
@@ -220,6 +225,16 @@ TEST_F(FrontEndTest, AcceptsAStopForAllWithoutALease) {
     EXPECT_THAT(peer.signal->take(), ElementsAre("stop accepted 2"));
 }
 
+TEST_F(FrontEndTest, AStopOfSeveralIsOnePublicationAndOneReceipt) {
+    entity("e1");
+    entity("e2");
+    entity("e3");
+    const auto peer = join();
+    core.sendStopSignals(peer.client, to("forged"), {"e1", "nobody", "e3"}, StopCause::ClientLost);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by client1 to e1 nobody e3"));
+    EXPECT_THAT(peer.signal->take(), ElementsAre("stop accepted 2"));
+}
+
 TEST_F(FrontEndTest, AClientWithOneLaneGetsItsSignalsThere) {
     auto data = std::make_shared<FakeOutbox>();
     const auto client = core.setCallback("browser", Role::Operator, data).value();
@@ -266,8 +281,8 @@ TEST_F(FrontEndTest, StopsEveryEntityThatALostClientHeldAndNoOther) {
     status("e3", EntityState::BUSY, client2.id());
     core.leave(client1.client, Ending::Lost, "connection lost");
     core.leave(client1.client, Ending::Ended, "again");
-    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by client1 to e1",
-                                          "stop (client lost) by client1 to e2", "lost to e1", "lost to e2"));
+    EXPECT_THAT(topic.take(),
+                ElementsAre("stop (client lost) by client1 to e1 e2", "lost to e1", "lost to e2"));
 }
 
 TEST_F(FrontEndTest, AnOrderlyEndStopsOnlyWhatRuns) {

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "common/refusal.hpp"
 #include "common/routed.hpp"
@@ -43,6 +44,9 @@ class EntityTopic {
     virtual void clientRequest(const Header& head) = 0;
     virtual void clientUpdate(const Header& head, ClientChange change) = 0;
     virtual void stopSignal(const Header& head, StopCause cause) = 0;
+    /// To each of these, fanned out by the entity servers; `head.entity` is empty.
+    virtual void stopSignals(const Header& head, const std::vector<std::string>& entities,
+                             StopCause cause) = 0;
     virtual void resetSignal(const Header& head) = 0;
     virtual void clearSignal(const Header& head) = 0;
 };

@@ -137,6 +137,10 @@ void IceEntityTopic::clientUpdate(const Header& head, ClientChange change) {
 void IceEntityTopic::stopSignal(const Header& head, StopCause cause) {
     publish([&] { signal_->stopSignal(toIce(head), toIce(cause)); });
 }
+void IceEntityTopic::stopSignals(const Header& head, const std::vector<std::string>& entities,
+                                 StopCause cause) {
+    publish([&] { signal_->stopSignals(toIce(head), entities, toIce(cause)); });
+}
 void IceEntityTopic::resetSignal(const Header& head) {
     publish([&] { signal_->resetSignal(toIce(head)); });
 }
@@ -241,6 +245,15 @@ void ClientSessionServant::sendStopSignal(IceHeader head, Axon::CommUtil::StopCa
     const bool proper = transport::isProper(its_head);
     if (!proper) transport::cutStrings(its_head);
     lane_.core.sendStopSignal(its_client, std::move(its_head), fromIce(cause));
+    if (!proper) peer_->disconnect({true, std::string(transport::kImproperHead)}, false);
+}
+void ClientSessionServant::sendStopSignals(IceHeader head, Axon::CommUtil::Entities entities,
+                                           Axon::CommUtil::StopCause cause, const Ice::Current& current) {
+    const auto& its_client = client(current);
+    auto its_head = fromIce(std::move(head));
+    const bool proper = transport::isProper(its_head);
+    if (!proper) transport::cutStrings(its_head);
+    lane_.core.sendStopSignals(its_client, std::move(its_head), entities, fromIce(cause));
     if (!proper) peer_->disconnect({true, std::string(transport::kImproperHead)}, false);
 }
 void ClientSessionServant::sendResetSignal(IceHeader head, const Ice::Current& current) {

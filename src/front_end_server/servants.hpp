@@ -52,6 +52,7 @@ class IceEntityTopic final : public EntityTopic {
     void clientRequest(const Header& head) override;
     void clientUpdate(const Header& head, ClientChange change) override;
     void stopSignal(const Header& head, StopCause cause) override;
+    void stopSignals(const Header& head, const std::vector<std::string>& entities, StopCause cause) override;
     void resetSignal(const Header& head) override;
     void clearSignal(const Header& head) override;
 
@@ -98,6 +99,8 @@ class ClientSessionServant final : public Axon::FrontEndComm::ClientSession {
                              const Ice::Current& current) override;
     void sendStopSignal(Axon::CommUtil::Header head, Axon::CommUtil::StopCause cause,
                         const Ice::Current& current) override;
+    void sendStopSignals(Axon::CommUtil::Header head, Axon::CommUtil::Entities entities,
+                         Axon::CommUtil::StopCause cause, const Ice::Current& current) override;
     void sendResetSignal(Axon::CommUtil::Header head, const Ice::Current& current) override;
     void sendClearSignal(Axon::CommUtil::Header head, const Ice::Current& current) override;
     void keepAlive(double sequence, const Ice::Current& current) override;

@@ -15,6 +15,7 @@ using namespace std::chrono_literals;
 
 constexpr const char* kFirst = "00000000-0000-4000-8000-000000000001";
 constexpr const char* kSecond = "00000000-0000-4000-8000-000000000002";
+constexpr const char* kThird = "00000000-0000-4000-8000-000000000003";
 
 server::ServerSettings onLoopback() {
     const auto any_port = loopbackAddress() + ":0";
@@ -146,6 +147,23 @@ TEST_F(Servers, RefuseWhatIsForNobody) {
     EXPECT_TRUE(waitUntil([&] { return client.log.has("refused 20 of 77"); }));
     client.stop(kFirst);
     EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 0"); }));
+}
+
+TEST_F(Servers, AStopOfSeveralIsOneMessageAndReachesNobodyElse) {
+    RawEntity first(entities(), kFirst, "First");
+    first.join();
+    RawEntity second(entities(), kSecond, "Second");
+    second.join();
+    RawEntity third(entities(), kThird, "Third");
+    third.join();
+    RawClient client(clients());
+    client.signalOneway()->sendStopSignals(transport::toIce(client.headTo(kSecond, 7)),
+                                           {kFirst, "nobody", kThird}, Axon::CommUtil::StopCause::Requested);
+    EXPECT_TRUE(waitUntil([&] { return first.log.has("signal stop requested client1@lab"); }));
+    EXPECT_TRUE(waitUntil([&] { return third.log.has("signal stop requested client1@lab"); }));
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("refused 20 of 7"); }));
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 2"); }));
+    EXPECT_FALSE(second.log.has("signal stop"));
 }
 
 TEST_F(Servers, StopOvertakesAFilledDataLane) {
