@@ -21,12 +21,12 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
                                                      std::shared_ptr<ServerCommunicators> ice,
                                                      CoreSettings settings, ServerAddress server,
                                                      const BackEndFactory& back_end, Clock& clock, RandomSource& random,
-                                                     Storage& storage, ResourceStore& resources) {
+                                                     Storage& storage, ResourceStore& resources, Journal* journal) {
     const std::shared_ptr<EntityManager> self(new EntityManager(std::move(executor), settings.application));
     self->back_end_ = back_end(self->strand_, self->gate_, *self);
     self->server_ = std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), std::move(server), self);
     self->core_ = std::make_unique<EntityManagerCore>(std::move(settings), clock, random, *self->back_end_.port, *self->server_,
-                                                      storage, resources, self->gate_);
+                                                      storage, resources, self->gate_, journal);
     return self;
 }
 

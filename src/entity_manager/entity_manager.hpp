@@ -42,7 +42,8 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     static std::shared_ptr<EntityManager> create(asio::any_io_executor executor,
                                                  std::shared_ptr<ServerCommunicators> ice, CoreSettings settings,
                                                  ServerAddress server, const BackEndFactory& back_end, Clock& clock,
-                                                 RandomSource& random, Storage& storage, ResourceStore& resources);
+                                                 RandomSource& random, Storage& storage, ResourceStore& resources,
+                                                 Journal* journal = nullptr);
     ~EntityManager() override;
 
     void start();

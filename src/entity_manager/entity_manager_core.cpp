@@ -9,9 +9,9 @@ namespace axon::entity_manager {
 
 EntityManagerCore::EntityManagerCore(CoreSettings settings, Clock& clock, RandomSource& random,
                                      BackEndPort& back_end, ServerPort& server, Storage& storage,
-                                     ResourceStore& resources, StopGate& stop_gate)
+                                     ResourceStore& resources, StopGate& stop_gate, Journal* journal)
     : machine_(std::make_unique<Machine>(std::move(settings), clock, random, back_end, server, storage,
-                                         resources, stop_gate)) {}
+                                         resources, stop_gate, journal)) {}
 
 EntityManagerCore::~EntityManagerCore() = default;
 

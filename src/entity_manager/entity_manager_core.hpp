@@ -26,6 +26,8 @@ struct CoreSettings {
     std::size_t task_queue_bound = 64;
     std::uint64_t resource_bytes_max = 1ULL << 30U;
     std::uint64_t resource_window = 512 * 1024;  ///< bytes a client may send ahead
+    Duration answer_within =
+        std::chrono::seconds{10};  ///< what the robot application is asked; then TIMED_OUT
 };
 
 /// What has been dropped without an answer, because there is nobody to answer or because the answer would be
@@ -37,6 +39,7 @@ struct CoreCounters {
     std::uint64_t undelivered =
         0;  ///< texts, raw data and samples that nobody held or watched the entity for
     std::uint64_t raw_refused = 0;  ///< raw data of somebody who may not send it
+    std::uint64_t unrecorded = 0;   ///< entries that the journal did not take, and refusals above its rate
 };
 
 /// The Entity Manager without its sockets: states, latch, profiler, lease, queue (architecture, sections 5
@@ -50,8 +53,10 @@ struct CoreCounters {
 /// bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
 class EntityManagerCore {
   public:
+    /// Without a journal a task id is known for this life only.
     EntityManagerCore(CoreSettings settings, Clock& clock, RandomSource& random, BackEndPort& back_end,
-                      ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate);
+                      ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate,
+                      Journal* journal = nullptr);
     ~EntityManagerCore();
     EntityManagerCore(const EntityManagerCore&) = delete;
     EntityManagerCore& operator=(const EntityManagerCore&) = delete;

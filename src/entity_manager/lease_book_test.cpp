@@ -3,7 +3,6 @@
 
 #include <gtest/gtest.h>
 
-#include "entity_manager/task_queue.hpp"
 #include "tests/support/core_rig.hpp"
 
 namespace axon::entity_manager {
@@ -52,23 +51,6 @@ TEST(LeaseBook, ADamagedStoreIsAMisconfigurationWithItsMend) {
     storage.save("lease", "garbage");
     SeededRandom random(1);
     EXPECT_THROW(LeaseBook(storage, random), std::runtime_error);
-}
-
-TEST(TaskQueue, RemembersTheLast4096Ids) {
-    TaskQueue queue(1);
-    SeededRandom random(1);
-    const auto push = [&](const Id128& id) {
-        Task task;
-        task.id = id;
-        queue.push(std::move(task));
-        queue.pop();
-    };
-    const auto first = Id128::random(random);
-    push(first);
-    for (std::size_t i = 1; i < TaskQueue::kRememberedIds; ++i) push(Id128::random(random));
-    EXPECT_EQ(queue.mayPush(first).code, RefusalCode::Duplicate);
-    push(Id128::random(random));
-    EXPECT_TRUE(queue.mayPush(first).ok());
 }
 
 }  // namespace

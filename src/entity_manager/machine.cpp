@@ -28,6 +28,11 @@ constexpr std::uint32_t kGenerationsReserved = 1000;
 constexpr const char* kGenerationKey = "stop_generation";
 constexpr std::size_t kReasonMax = 2000;
 
+const Refusal kTooLargeForLink{RefusalCode::TooLarge,
+                               "It is larger than the link to the robot application takes at once (1 MiB). "
+                               "Send it in parts, or upload a resource.",
+                               {}};
+
 std::string loadUuid(Storage& storage, RandomSource& random) {
     if (const auto stored = storage.load("uuid"))
         if (const auto id = Id128::parse(*stored)) return id->toString();
@@ -102,7 +107,7 @@ Event eventOf(const proto::ToEntity& message) {
 
 EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomSource& random,
                                     BackEndPort& back_end, ServerPort& server, Storage& storage,
-                                    ResourceStore& resources, StopGate& stop_gate)
+                                    ResourceStore& resources, StopGate& stop_gate, Journal* journal)
     : settings_(std::move(settings)),
       clock_(clock),
       back_end_(back_end),
@@ -110,6 +115,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomS
       storage_(storage),
       store_(resources),
       stop_gate_(stop_gate),
+      journal_(journal),
       uuid_(loadUuid(storage, random)),
       reason_("waiting for the robot application " + inQuotes(settings_.application)),
       server_watchdog_(settings_.server_watchdog_busy, settings_.server_watchdog_idle, clock.now()),
@@ -119,6 +125,56 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomS
       queue_(settings_.task_queue_bound),
       uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
     reserveGenerations();
+    replayJournal();
+}
+
+// -- the journal
+// ---------------------------------------------------------------------------------------------------
+
+/// Of what earlier lives dispatched: it is not dispatched again, and what has no end there has none any more.
+void EntityManagerCore::Machine::replayJournal() {
+    if (journal_ == nullptr) return;
+    journal_->replay([this](const JournalRecord& record) {
+        if (record.kind == JournalRecord::Kind::Dispatched) memory_.dispatched(record.task);
+        if (record.kind != JournalRecord::Kind::TaskEnded) return;
+        auto state = proto::TASK_UNKNOWN;  // of a later version, perhaps
+        proto::TaskState_Parse(record.code, &state);
+        memory_.ended(record.task, state);
+    });
+    note({.kind = JournalRecord::Kind::Started, .lease = lease_.last(), .text = "entity " + uuid_});
+    for (const auto& id : memory_.unfinished()) {
+        memory_.ended(id, proto::TASK_UNKNOWN);
+        note({.kind = JournalRecord::Kind::TaskEnded,
+              .task = id,
+              .code = proto::TaskState_Name(proto::TASK_UNKNOWN),
+              .text = "The Entity Manager ended while it ran."});
+    }
+}
+
+bool EntityManagerCore::Machine::note(JournalRecord record) {
+    if (journal_ == nullptr) return true;
+    if (record.lease == LeaseNumber{} && lease_.held()) record.lease = lease_.held()->number;
+    if (record.generation == 0) record.generation = generation_;
+    record.at_us = toMicroseconds(clock_.now());
+    const bool written = journal_->append(record);
+    if (!written) ++counters_.unrecorded;
+    return written;
+}
+
+void EntityManagerCore::Machine::noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) {
+    const bool ownership =
+        (refusal.code >= RefusalCode::NotHolder && refusal.code <= RefusalCode::HandOverRefused) ||
+        refusal.code == RefusalCode::PermissionDenied;
+    if (!ownership || journal_ == nullptr) return;
+    if (!refusals_noted_.admit(clock_.now())) {
+        ++counters_.unrecorded;
+        return;
+    }
+    note({.kind = JournalRecord::Kind::Refused,
+          .lease = under,
+          .who = named(who),
+          .code = std::string(refusalName(refusal.code)),
+          .text = refusal.message});
 }
 
 // -- rows
@@ -242,6 +298,7 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             break;
         case Action::Unlatch:
             latched_ = false;
+            note({.kind = JournalRecord::Kind::Rearmed, .who = named(incident.head->sender)});
             reply(incident.head->sender, incident.body->rearm().request_id(), {});
             break;
         case Action::Acknowledge:
@@ -632,6 +689,11 @@ void EntityManagerCore::Machine::stopApplication(Incident& incident) {
     back_end_.stop(incident.generation, incident.cause);
     handled(incident.generation, true, incident.event != Event::Reset);
     if (incident.event != Event::Reset) application_busy_ = false;
+    note({.kind = JournalRecord::Kind::Stopped,
+          .generation = incident.generation,
+          .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
+          .code = toString(incident.cause),
+          .text = incident.reason.message});
 }
 
 void EntityManagerCore::Machine::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
@@ -648,6 +710,11 @@ void EntityManagerCore::Machine::onStopSignal(const Header& head, StopCause caus
         incident.reason = {
             RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
         application_busy_ = false;
+        note({.kind = JournalRecord::Kind::Stopped,
+              .generation = generation,
+              .who = named(head.sender),
+              .code = toString(cause),
+              .text = incident.reason.message});
         fire(incident);
     }
     settle();
@@ -819,6 +886,7 @@ void EntityManagerCore::Machine::grantWhenStanding(const Sender& client, const s
         return;
     }
     lease_.grant(client, request_id);
+    note({.kind = JournalRecord::Kind::Granted, .who = named(client)});
     Incident granted{Event::CheckOutGranted};
     granted.phase = phase;
     fire(granted);
@@ -851,6 +919,7 @@ void EntityManagerCore::Machine::replyCheckOut(const Sender& to, const std::stri
     reply.set_stop_generation(generation_);
     reply.set_latched(latched_);
     tell(to, kMsgCheckOut, message);
+    noteRefusal(to, {}, refusal);
 }
 
 void EntityManagerCore::Machine::endLease(const Incident& incident) {
@@ -863,6 +932,10 @@ void EntityManagerCore::Machine::endLease(const Incident& incident) {
     ended.mutable_lease()->set_number(static_cast<std::uint32_t>(held.number.number));
     *ended.mutable_reason() = toProto(own_wish ? Refusal{RefusalCode::Ok, "Released.", {}} : incident.reason);
     tell(held.holder, kMsgRelease, message);
+    note({.kind = JournalRecord::Kind::LeaseEnded,
+          .who = named(held.holder),
+          .code = std::string(refusalName(own_wish ? RefusalCode::Ok : incident.reason.code)),
+          .text = own_wish ? "Released." : incident.reason.message});
     lease_.end(own_wish ? RefusalCode::NotHolder : RefusalCode::RevokedLease,
                own_wish ? "it was released." : incident.reason.message);
 }
@@ -963,6 +1036,7 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
         return;
     }
     const auto& to = incident.head->sender;
+    if (incident.event != Event::CheckOut) noteRefusal(to, incident.head->held, refusal);
     switch (incident.event) {
         case Event::CheckOut:
             replyCheckOut(to, incident.body->check_out().request_id(), incident.body->check_out().phase(),
@@ -977,8 +1051,9 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
             event.set_progress(-1);
             // Of a task that was accepted before, its sender must not think that this is its end.
             const auto id = Id128::fromBytes(incident.body->task().task_id());
-            const auto again = id ? queue_.mayPush(*id) : Refusal{};
-            *event.mutable_reason() = toProto(again.code == RefusalCode::Duplicate ? again : refusal);
+            const auto again = id ? memory_.whyNotAgain(*id) : std::nullopt;
+            *event.mutable_reason() = toProto(again ? *again : refusal);
+            if (again && again->code == RefusalCode::OutcomeUnknown) event.set_state(proto::TASK_UNKNOWN);
             tell(to, kMsgTask, message);
             return;
         }
@@ -1024,7 +1099,7 @@ void EntityManagerCore::Machine::passText(const Incident& incident) {
     proto::EmToEi message;
     message.mutable_text()->mutable_text()->swap(*incident.body->mutable_text()->mutable_text());
     message.mutable_text()->set_from(incident.head->sender.name);
-    back_end_.send(message);
+    if (!back_end_.send(message)) refuse(incident, kTooLargeForLink);
 }
 
 void EntityManagerCore::Machine::passRaw(const Incident& incident) {
@@ -1032,7 +1107,7 @@ void EntityManagerCore::Machine::passRaw(const Incident& incident) {
     raw.mutable_data()->Swap(incident.body->mutable_raw()->mutable_data());
     if (raw.from() != incident.head->sender.name) raw.set_from(incident.head->sender.name);
     raw.set_stop_generation(generation_);
-    back_end_.send(raw_to_link_);
+    if (!back_end_.send(raw_to_link_)) refuse(incident, kTooLargeForLink);
 }
 
 void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
@@ -1062,6 +1137,8 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
         task.set_state(proto::TASK_QUEUED);
         task.set_progress(-1);
     }
+    if (holder() != nullptr && holder()->id == incident.head->sender.id)
+        for (auto& ended : memory_.finals(lease_.held()->number)) status.add_ended()->Swap(&ended);
     tell(incident.head->sender, kMsgStatus, message);
 }
 
@@ -1142,6 +1219,7 @@ void EntityManagerCore::Machine::onTimer() {
              {}});
     }
     expireTasks();
+    expireAnswers();
     sendPosition();
     settle();
 }
@@ -1152,6 +1230,9 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     if (server_up_) next = std::min(next, server_watchdog_.deadline());
     if (lease_.reservation()) next = std::min(next, lease_.reservation()->until);
     if (const auto expiry = queue_.nextExpiry()) next = std::min(next, *expiry);
+    if (!questions_.empty()) next = std::min(next, questions_.begin()->second.until);
+    for (const auto& active : active_)
+        if (active.phase == Active::Phase::Dispatched) next = std::min(next, active.answer_until);
     if (position_waits_ && server_up_ && registration_)
         next = std::min(next, position_sent_ + kPositionPeriod);
     return next;

@@ -9,12 +9,14 @@
 #include <string>
 #include <vector>
 
+#include "common/rate_limit.hpp"
 #include "common/watchdog.hpp"
 #include "entity_manager/entity_manager_core.hpp"
 #include "entity_manager/lease_book.hpp"
 #include "entity_manager/service_profiler.hpp"
 #include "entity_manager/state_table.hpp"
 #include "entity_manager/stream_watches.hpp"
+#include "entity_manager/task_memory.hpp"
 #include "entity_manager/task_queue.hpp"
 #include "entity_manager/upload_desk.hpp"
 #include "messages/profile_reader.hpp"
@@ -27,7 +29,8 @@ namespace axon::entity_manager {
 class EntityManagerCore::Machine {
   public:
     Machine(CoreSettings settings, Clock& clock, RandomSource& random, BackEndPort& back_end,
-            ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate);
+            ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate,
+            Journal* journal);
 
     void onLinkUp();
     void onLinkDown(const std::string& reason);
@@ -66,7 +69,8 @@ class EntityManagerCore::Machine {
         enum class Phase : std::uint8_t { Dispatched, Running, Paused };
         Task task;
         Phase phase = Phase::Dispatched;
-        bool halted = false;  ///< by a reset: its end lets the queue go on
+        bool halted = false;       ///< by a reset: its end lets the queue go on
+        TimePoint answer_until{};  ///< while it has only been dispatched
     };
     /// A task whose end has been told to the client, and of which the robot application has not yet said that
     /// its handler has returned. Nothing that excludes it is dispatched before.
@@ -90,6 +94,7 @@ class EntityManagerCore::Machine {
         int resource = -1;  ///< of a resource, else -1
         std::string service_name, resource_name, path, sha256;
         std::uint64_t size = 0;
+        TimePoint until{};  ///< then it is TIMED_OUT
     };
     /// A granted check-out that waits until the robot has confirmed its last stop.
     struct WaitingGrant {
@@ -108,6 +113,13 @@ class EntityManagerCore::Machine {
     void perform(Action action, Incident& incident);
     Refusal guard(Event event, const Header& head) const;
     void settle();
+
+    // The journal.
+    void replayJournal();
+    /// Fills in what is empty and every entry has; false when it could not be written.
+    bool note(JournalRecord record);
+    /// Refusals of ownership are noted, at most so many a second; others are not.
+    void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal);
 
     // States, profiles, server.
     void considerProfiles();
@@ -158,6 +170,11 @@ class EntityManagerCore::Machine {
     Active* findActive(const Id128& id);
     bool anyRuns() const;
     void sendTask(const Task& task, proto::TaskState state, const Refusal& reason);
+    /// The one way in which an accepted task ends: noted, remembered, and told to the holder.
+    void concludeTask(const Task& task, proto::TaskEvent& event);
+    /// To a holder that was away: how the tasks of its lease have ended, again.
+    void tellFinals();
+    void expireAnswers();
 
     // Parameters and resources (machine_tasks.cpp).
     void askParameter(const Incident& incident);
@@ -192,6 +209,7 @@ class EntityManagerCore::Machine {
     Storage& storage_;
     ResourceStore& store_;
     StopGate& stop_gate_;
+    Journal* const journal_;  ///< null = none is kept
     std::string uuid_;
 
     EntityState state_ = EntityState::UNAV;
@@ -217,7 +235,8 @@ class EntityManagerCore::Machine {
     LeaseBook lease_;
     std::optional<WaitingGrant> waiting_grant_;
 
-    std::uint32_t reserved_ = 0;  ///< a next life begins here: no generation above it is told before it is raised
+    std::uint32_t reserved_ =
+        0;  ///< a next life begins here: no generation above it is told before it is raised
     std::uint32_t generation_;  ///< all stops up to this one have been handled here
     std::uint32_t required_;    ///< a command must have seen at least this one
     std::vector<std::uint32_t>
@@ -231,6 +250,7 @@ class EntityManagerCore::Machine {
     ServiceProfiler profiler_;
     std::map<std::string, bool, std::less<>> active_told_;  ///< by the application since its link is up
     TaskQueue queue_;
+    TaskMemory memory_;
     std::vector<Active> active_;
     std::vector<Lingering> lingering_;
     UploadDesk uploads_;
@@ -245,6 +265,7 @@ class EntityManagerCore::Machine {
     proto::EmToEi raw_to_link_;
     proto::ToClient data_to_client_;
     CoreCounters counters_;
+    RateLimit refusals_noted_{10};
 };
 
 }  // namespace axon::entity_manager

@@ -43,6 +43,10 @@ bool isFinal(proto::TaskState state) {
     return state >= proto::TASK_SUCCEEDED;
 }
 
+std::string named(const Sender& sender) {
+    return sender.name.empty() ? sender.id : sender.name;
+}
+
 }  // namespace
 
 // -- tasks
@@ -59,7 +63,11 @@ void EntityManagerCore::Machine::admitTask(const Incident& incident) {
         refuse(incident, {RefusalCode::Malformed, "not_after_s must be a number of seconds from 0 on.", {}});
         return;
     }
-    if (const auto refusal = queue_.mayPush(*id); !refusal.ok()) {
+    if (const auto again = memory_.whyNotAgain(*id)) {
+        refuse(incident, *again);
+        return;
+    }
+    if (const auto refusal = queue_.mayPush(); !refusal.ok()) {
         refuse(incident, refusal);
         return;
     }
@@ -82,6 +90,7 @@ void EntityManagerCore::Machine::admitTask(const Incident& incident) {
         refuse(incident, refusal);
         return;
     }
+    memory_.accept(task.id);
     queue_.push(std::move(task));
     dispatchNext();
     if (!queue_.empty() && queue_.waiting().back().id == *id)
@@ -117,6 +126,20 @@ void EntityManagerCore::Machine::dispatchNext() {
 }
 
 void EntityManagerCore::Machine::dispatch(Task task) {
+    // Before it is sent, or a next life might send it again.
+    if (!note({.kind = JournalRecord::Kind::Dispatched,
+               .who = named(*holder()),
+               .task = task.id,
+               .service = task.service})) {
+        sendTask(task, proto::TASK_REFUSED,
+                 {RefusalCode::Overloaded,
+                  "The Entity Manager cannot write its journal, so it starts no task. Is the robot's disk "
+                  "full? Make room, "
+                  "then send it again under a new id.",
+                  {}});
+        return;
+    }
+    memory_.dispatched(task.id);
     if (!busy_told_) {
         // Before the task, so that the short watchdog is running when the robot starts.
         busy_told_ = true;
@@ -124,7 +147,7 @@ void EntityManagerCore::Machine::dispatch(Task task) {
     }
     const auto message = dispatchOf(task);
     profiler_.setExecuting(task.order.service, true);
-    active_.push_back({std::move(task)});
+    active_.push_back({.task = std::move(task), .answer_until = clock_.now() + settings_.answer_within});
     back_end_.send(message);
     sendTask(active_.back().task, proto::TASK_DISPATCHED, {});
 }
@@ -222,11 +245,7 @@ void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskEvent event)
         *event.mutable_reason() = toProto(Refusal{RefusalCode::Failed, "The robot application gave no reason.", {}});
     active_.erase(active_.begin() + static_cast<std::ptrdiff_t>(at));
     leaveService(task, event.state() != proto::TASK_REFUSED);
-    event.set_task_id(task.id.bytes());
-    event.set_service(task.service);
-    proto::ToClient message;
-    message.mutable_task()->Swap(&event);
-    if (holder() != nullptr) tell(*holder(), kMsgTask, message);
+    concludeTask(task, event);
     const bool last = !anyRuns() && !application_busy_ && state_ == EntityState::BUSY;
     fire(last ? Event::LastTaskEnded : Event::TaskEnded);
 }
@@ -313,20 +332,94 @@ void EntityManagerCore::Machine::controlTask(const Incident& incident) {
         message.mutable_pause()->set_resume(resume);
         message.mutable_pause()->set_stop_generation(generation_);
     }
-    back_end_.send(message);
+    if (!back_end_.send(message)) {
+        refuse(incident, {RefusalCode::TooLarge,
+                          "The link to the robot application does not take it: it is too large.",
+                          {}});
+        return;
+    }
     reply(to, control.task_id(), {});
 }
 
 void EntityManagerCore::Machine::sendTask(const Task& task, proto::TaskState state, const Refusal& reason) {
-    if (holder() == nullptr || !server_up_) return;
-    proto::ToClient message;
-    auto& event = *message.mutable_task();
-    event.set_task_id(task.id.bytes());
-    event.set_service(task.service);
+    proto::TaskEvent event;
     event.set_state(state);
     event.set_progress(-1);
     if (!reason.ok()) *event.mutable_reason() = toProto(reason);
+    if (isFinal(state)) {
+        concludeTask(task, event);
+        return;
+    }
+    if (holder() == nullptr || !server_up_) return;
+    event.set_task_id(task.id.bytes());
+    event.set_service(task.service);
+    proto::ToClient message;
+    message.mutable_task()->Swap(&event);
     tell(*holder(), kMsgTask, message);
+}
+
+void EntityManagerCore::Machine::concludeTask(const Task& task, proto::TaskEvent& event) {
+    event.set_task_id(task.id.bytes());
+    event.set_service(task.service);
+    if (memory_.wasDispatched(task.id))
+        note({.kind = JournalRecord::Kind::TaskEnded,
+              .task = task.id,
+              .service = task.service,
+              .code = proto::TaskState_Name(event.state()),
+              .text = event.reason().message()});
+    memory_.ended(task.id, lease_.held() ? lease_.held()->number : LeaseNumber{}, event);
+    if (holder() == nullptr) return;
+    proto::ToClient message;
+    message.mutable_task()->Swap(&event);
+    tell(*holder(), kMsgTask, message);
+}
+
+void EntityManagerCore::Machine::tellFinals() {
+    if (holder() == nullptr) return;
+    proto::ToClient message;
+    for (auto& event : memory_.finals(lease_.held()->number)) {
+        message.mutable_task()->Swap(&event);
+        tell(*holder(), kMsgTask, message);
+    }
+}
+
+/// An application that does not answer must not leave its asker waiting for ever.
+void EntityManagerCore::Machine::expireAnswers() {
+    const auto now = clock_.now();
+    const std::string within =
+        std::to_string(
+            std::chrono::duration_cast<std::chrono::milliseconds>(settings_.answer_within).count()) +
+        " ms";
+    while (!questions_.empty() && questions_.begin()->second.until <= now) {
+        const auto question = std::move(questions_.begin()->second);
+        questions_.erase(questions_.begin());
+        if (question.resource >= 0) store_.remove(question.service_name, question.resource_name);
+        conclude(question, {RefusalCode::TimedOut,
+                            "The robot application has not answered within " + within +
+                                ". It may be hanging: look at it, then try again.",
+                            {}});
+    }
+    for (std::size_t i = 0; i < active_.size();) {
+        if (active_[i].phase != Active::Phase::Dispatched || active_[i].answer_until > now) {
+            ++i;
+            continue;
+        }
+        // It may still begin, so it is cancelled, and nothing that it excludes starts before it has ended
+        // there.
+        const Task task = std::move(active_[i].task);
+        active_.erase(active_.begin() + static_cast<std::ptrdiff_t>(i));
+        proto::EmToEi cancel;
+        cancel.mutable_cancel()->set_task_id(task.id.bytes());
+        back_end_.send(cancel);
+        lingering_.push_back({task.id, task.service, task.blocking});
+        leaveService(task, true);
+        sendTask(task, proto::TASK_UNKNOWN,
+                 {RefusalCode::TimedOut,
+                  "The robot application has neither granted nor denied it within " + within +
+                      ". It has been cancelled and may have begun: look at the robot.",
+                  {}});
+        fire(Event::TaskEnded);
+    }
 }
 
 // -- parameters and resources
@@ -363,6 +456,7 @@ void EntityManagerCore::Machine::askParameter(const Incident& incident) {
         refuse(incident, refusal);
         return;
     }
+    question.until = clock_.now() + settings_.answer_within;
     questions_.emplace(number, std::move(question));
     back_end_.send(message);
 }
@@ -489,6 +583,7 @@ void EntityManagerCore::Machine::uploadProgress(const std::string& transfer_id,
     ask.set_resource(question.resource_name);
     ask.set_path(question.path);
     ask.set_size(question.size);
+    question.until = clock_.now() + settings_.answer_within;
     questions_.emplace(number, std::move(question));
     back_end_.send(message);
 }

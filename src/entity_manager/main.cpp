@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <Ice/Ice.h>
+#include <spdlog/spdlog.h>
 
 #include <asio/thread_pool.hpp>
 #include <future>
@@ -7,6 +8,7 @@
 
 #include "entity_manager/daemon_options.hpp"
 #include "entity_manager/entity_manager.hpp"
+#include "entity_manager/file_journal.hpp"
 #include "entity_manager/file_storage.hpp"
 #include "entity_manager/server_communicators.hpp"
 #include "transport/logging.hpp"
@@ -27,11 +29,13 @@ int main(int argc, char** argv) {
         SystemRandom random;
         FileStorage storage(options.state_folder);
         FileResourceStore resources(options.state_folder);
+        FileJournal journal(options.state_folder);
         asio::thread_pool executor(1);
         const auto ice = std::make_shared<ServerCommunicators>(1, 1);
         const auto manager = EntityManager::create(executor.get_executor(), ice, options.core, options.server,
                                                    EntityManager::overTcp(options.back_end, random), clock, random, storage,
-                                                   resources);
+                                                   resources, &journal);
+        for (const auto& finding : journal.findings()) spdlog::warn("{}", finding);
 
         interrupts.setCallback([&](int) {
             if (!once.test_and_set()) ended.set_value();

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 #include <string_view>
 
 #include "common/result.hpp"
 #include "common/routed.hpp"
+#include "entity_manager/journal_record.hpp"
 
 namespace axon::proto {
 class BasicProfile;
@@ -58,6 +60,17 @@ class Storage {
     virtual ~Storage() = default;
     virtual std::optional<std::string> load(std::string_view key) = 0;
     virtual void save(std::string_view key, std::string_view value) = 0;
+};
+
+/// The record of what was decided, append-only and bounded: the oldest entries go first (ADR 0013).
+class Journal {
+  public:
+    virtual ~Journal() = default;
+    /// Returns when the entry would outlive a kill of this process; it does not wait for the disk. False: it
+    /// is not written, and what must not happen unrecorded may not happen.
+    virtual bool append(const JournalRecord& record) = 0;
+    /// All entries that are kept, oldest first. Called once, before the first append().
+    virtual void replay(const std::function<void(const JournalRecord&)>& each) = 0;
 };
 
 /// Where resources (files) arrive. Names have been checked before any of these is called.

@@ -6,11 +6,7 @@
 
 namespace axon::entity_manager {
 
-Refusal TaskQueue::mayPush(const Id128& id) const {
-    if (known_.contains(id))
-        return {RefusalCode::Duplicate,
-                "A task with this id has been accepted before and is not run twice. Make a new id.",
-                {}};
+Refusal TaskQueue::mayPush() const {
     if (waiting_.size() >= bound_)
         return {RefusalCode::QueueFull,
                 std::to_string(bound_) +
@@ -20,12 +16,6 @@ Refusal TaskQueue::mayPush(const Id128& id) const {
 }
 
 void TaskQueue::push(Task task) {
-    known_.insert(task.id);
-    known_order_.push_back(task.id);
-    if (known_order_.size() > kRememberedIds) {
-        known_.erase(known_order_.front());
-        known_order_.pop_front();
-    }
     waiting_.push_back(std::move(task));
 }
 

@@ -5,7 +5,6 @@
 #include <functional>
 #include <optional>
 #include <string>
-#include <unordered_set>
 #include <vector>
 
 #include "common/clock.hpp"
@@ -26,18 +25,15 @@ struct Task {
     std::optional<TimePoint> not_after;
 };
 
-/// The tasks that wait, in the order of their arrival, and the memory of all ids accepted lately.
+/// The tasks that wait, in the order of their arrival.
 ///
-/// Threads: the core's strand. Bounded: push() refuses with QUEUE_FULL; of the ids the last kRememberedIds
-/// are known, an older one would be accepted again.
+/// Threads: the core's strand. Bounded: mayPush() refuses with QUEUE_FULL.
 class TaskQueue {
   public:
-    static constexpr std::size_t kRememberedIds = 4096;
-
     explicit TaskQueue(std::size_t bound) : bound_(bound) {}
 
-    /// DUPLICATE and QUEUE_FULL, without taking anything.
-    Refusal mayPush(const Id128& id) const;
+    /// QUEUE_FULL, without taking anything.
+    Refusal mayPush() const;
     /// After mayPush().
     void push(Task task);
 
@@ -58,8 +54,6 @@ class TaskQueue {
   private:
     std::size_t bound_;
     std::deque<Task> waiting_;
-    std::unordered_set<Id128> known_;
-    std::deque<Id128> known_order_;
 };
 
 }  // namespace axon::entity_manager

@@ -81,6 +81,15 @@ void MemoryStorage::save(std::string_view key, std::string_view value) {
     values[std::string(key)] = value;
 }
 
+bool MemoryJournal::append(const entity_manager::JournalRecord& record) {
+    if (full) return false;
+    records.push_back(record);
+    return true;
+}
+void MemoryJournal::replay(const std::function<void(const entity_manager::JournalRecord&)>& each) {
+    for (const auto& record : records) each(record);
+}
+
 std::string MemoryResources::fakeHash(std::string_view content) {
     SeededRandom random(std::hash<std::string_view>{}(content));
     std::string hash(32, '\0');
@@ -133,7 +142,7 @@ CoreRig::CoreRig(std::uint64_t seed, entity_manager::CoreSettings settings)
 void CoreRig::restart() {
     core_.reset();
     core_ = std::make_unique<entity_manager::EntityManagerCore>(settings_, clock, random_, *this, *this,
-                                                                storage, resources, gate);
+                                                                storage, resources, gate, &journal);
 }
 
 void CoreRig::linkUp() {
@@ -391,6 +400,8 @@ std::string shown(const proto::ToClient& message) {
             if (!status.holder().empty()) text += " holder=" + status.holder();
             for (const auto& task : status.tasks())
                 text += ' ' + nameOf(task.task_id()) + '=' + proto::TaskState_Name(task.state());
+            for (const auto& task : status.ended())
+                text += " ended " + nameOf(task.task_id()) + '=' + proto::TaskState_Name(task.state());
             for (const auto& service : status.services()) text += " {" + shown(service) + '}';
             return text;
         }
@@ -467,6 +478,7 @@ std::string shown(const proto::EmToEi& message) {
 }  // namespace
 
 bool CoreRig::send(const proto::EmToEi& message) {
+    if (message.ByteSizeLong() > frame_max) return false;
     note("application: " + shown(message));
     to_application.push_back(message);
     if (on_application) on_application(message);

@@ -27,6 +27,15 @@ class MemoryStorage final : public entity_manager::Storage {
     std::map<std::string, std::string, std::less<>> values;
 };
 
+/// A journal in memory; outlives a core too.
+class MemoryJournal final : public entity_manager::Journal {
+  public:
+    bool append(const entity_manager::JournalRecord& record) override;
+    void replay(const std::function<void(const entity_manager::JournalRecord&)>& each) override;
+    std::vector<entity_manager::JournalRecord> records;
+    bool full = false;  ///< takes nothing more
+};
+
 /// Resources in memory. Its "SHA-256" is fakeHash().
 class MemoryResources final : public entity_manager::ResourceStore {
   public:
@@ -99,7 +108,9 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     ManualClock clock;
     MemoryStorage storage;
     MemoryResources resources;
+    MemoryJournal journal;
     entity_manager::StopGate gate;
+    std::size_t frame_max = 1U << 20U;  ///< what the link takes at once
 
     struct ToClientRecord {
         Lane lane;
