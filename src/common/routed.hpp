@@ -114,5 +114,12 @@ inline constexpr const char* kMsgReceipt = "RECEIPT";
 inline constexpr const char* kMsgStream = "STREAM";
 inline constexpr const char* kMsgService = "SERVICE";
 inline constexpr const char* kMsgPosition = "POSITION";
+// … and between an entity server and its Entity Managers: a drill of the server's own, and its answer once
+// the Entity Interfacer has acknowledged. Such a drill is answered to the server alone.
+inline constexpr const char* kMsgDrill = "DRILL";
+
+/// Sequence numbers from here on are those of stops that a server gives in the name of a client that is gone;
+/// a client's own are below. A stop is known by sender and number, so neither may look like the other.
+inline constexpr std::int64_t kServerSequences = std::int64_t{1} << 52U;
 
 }  // namespace axon

@@ -59,6 +59,28 @@ TEST_F(Held, StopVoidsAFullQueueAndTheQueueTakesNoMoreThanItsBound) {
     EXPECT_EQ(dispatches(rig), 1);
 }
 
+TEST_F(Held, ADrillOfTheServerIsAnsweredToItAloneAndItsEndHasItsOwnRoutingKey) {
+    rig.task("client1", "run", "Turning");
+    rig.grant("run");
+    rig.to_clients.clear();
+    auto head = rig.headOf("drill-1");
+    head.msg_type = kMsgDrill;
+    const auto raised = rig.gate.raise(head.sender.id, head.sequence);
+    rig.core().onStopSignal(head, StopCause::Drill, *raised);
+    rig.stopDone(*raised);
+    ASSERT_EQ(rig.to_clients.size(), 2U);
+    for (const auto& told : rig.to_clients) {
+        EXPECT_EQ(told.head.sender.id, "drill-1");
+        EXPECT_EQ(told.lane, Lane::Signal);
+    }
+    EXPECT_EQ(rig.to_clients[0].head.msg_type, kMsgReceipt);
+    EXPECT_EQ(rig.to_clients[1].head.msg_type, kMsgDrill);
+    EXPECT_EQ(endOf(rig, "run").second, 0);
+    // The holder has not heard of it, and may go on.
+    rig.task("client1", "next", "Turning");
+    EXPECT_EQ(refusalOf(rig, "next"), proto::OK);
+}
+
 TEST_F(Held, NothingIsDispatchedWhileAStopIsOnItsWayToTheStrand) {
     rig.task("client1", "t1", "Turning");
     rig.grant("t1");

@@ -754,7 +754,9 @@ void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
     auto& receipt = open.receipt;
     receipt = receiptOf(*incident.head, incident.cause, incident.generation);
     if (!incident.head->sender.id.empty()) open.to.push_back(incident.head->sender);
-    if (holder() != nullptr && holder()->id != incident.head->sender.id) open.to.push_back(*holder());
+    open.of_server = incident.cause == StopCause::Drill && incident.head->msg_type == kMsgDrill;
+    if (holder() != nullptr && holder()->id != incident.head->sender.id && !open.of_server)
+        open.to.push_back(*holder());
 
     proto::ToClient message;
     *message.mutable_receipt() = receipt;
@@ -789,7 +791,8 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
         *message.mutable_receipt() = open.receipt;
         message.mutable_receipt()->set_at_us(now);
         message.mutable_receipt()->set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
-        for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+        for (const auto& to : open.to)
+            tell(to, open.of_server ? kMsgDrill : kMsgReceipt, message, Lane::Signal);
     }
     while (!open_stops_.empty() && open_stops_.front().receipt.stage() >= proto::StopReceipt::STANDSTILL)
         open_stops_.pop_front();

@@ -83,6 +83,7 @@ class EntityManagerCore::Machine {
     struct OpenStop {
         proto::StopReceipt receipt;
         std::vector<Sender> to;
+        bool of_server = false;  ///< a drill of the entity server itself, which reads no payload
     };
     /// A question to the robot application: a parameter or a resource.
     struct Question {

@@ -2,7 +2,11 @@
 #include "entity_server/entity_server_core.hpp"
 
 #include <algorithm>
+#include <charconv>
 #include <utility>
+
+#include "common/life_signs.hpp"
+#include "common/utf8.hpp"
 
 namespace axon::entity_server {
 
@@ -27,7 +31,11 @@ class EntityServerCore::Session {
     std::atomic<bool> registered{false};
 
     RateLimit rate;
-    std::atomic<Duration::rep> heard{0};  // the last sign of life, on the clock; written without a lock
+    LifeSigns signs;  // written without a lock
+    // The drill that is out, 0 = none; when it was sent and how long it took, written without a lock.
+    std::atomic<std::uint64_t> drill{0};
+    std::atomic<Duration::rep> drill_sent{0};
+    std::atomic<Duration::rep> drill_took{0};
 
     // Guarded by the core's mutex.
     RecordRef record;
@@ -36,11 +44,13 @@ class EntityServerCore::Session {
     std::uint64_t revision = 0;  // of its entry in the due queue; older entries are void
     std::int64_t heartbeats = 0;
     TimePoint fed;  // the last sign of life that the watchdog was told
+    TimePoint warn_again;
+    std::int32_t stop_latency_us = 0;
     bool gone = false;
 
     /// Tells the watchdog of the signs of life since it was told last.
     void listen() {
-        const TimePoint last{Duration{heard.load(std::memory_order_relaxed)}};
+        const auto last = signs.last();
         if (last <= fed || !watchdog) return;
         fed = last;
         watchdog->feed(last);
@@ -58,9 +68,18 @@ Refusal refuse(RefusalCode code, std::string message) {
     return {code, std::move(message), {}};
 }
 
+constexpr auto kData = static_cast<std::size_t>(Lane::Data);
+constexpr auto kSignal = static_cast<std::size_t>(Lane::Signal);
+constexpr const char* kDataLaneOnly =
+    "registration and status belong on the data lane; send them on that session";
 constexpr int kHeartbeatMinMs = 10;
 constexpr int kHeartbeatMaxMs = 60'000;
 constexpr std::size_t kNameMax = 256;
+constexpr std::size_t kTextMax = 1024;
+
+void mend(std::string& text) {
+    text = cutUtf8(validUtf8(text), kTextMax);
+}
 
 Result<void> check(const Registration& registration, std::size_t profile_bytes,
                    std::size_t profile_bytes_max) {
@@ -68,6 +87,14 @@ Result<void> check(const Registration& registration, std::size_t profile_bytes,
         return refuse(RefusalCode::BadName,
                       "the entity's name must have 1 to 256 characters; mend <entity_name> in the "
                       "basic profile");
+    }
+    for (const auto* text :
+         {&registration.name, &registration.category, &registration.type, &registration.direct_endpoint}) {
+        if (text->size() > kTextMax || validUtf8(*text) != *text) {
+            return refuse(RefusalCode::Malformed,
+                          "a text of the registration is no UTF-8 or longer than 1024 bytes; mend the basic "
+                          "profile");
+        }
     }
     for (const int period : {registration.heartbeat_busy_ms, registration.heartbeat_idle_ms}) {
         if (period < kHeartbeatMinMs || period > kHeartbeatMaxMs) {
@@ -96,7 +123,9 @@ EntityServerCore::EntityServerCore(CoreSettings settings, const Clock& clock, Ra
       topic_(topic),
       note_(std::move(note)),
       wake_(std::move(wake)),
-      pending_(std::move(pending)) {}
+      pending_(std::move(pending)),
+      drill_(settings.drill_period > Duration{} ? "drill-" + Id128::random(random).toString() + "-"
+                                                : std::string()) {}
 
 EntityServerCore::~EntityServerCore() = default;
 
@@ -181,11 +210,12 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         session->watchdog = std::make_unique<Watchdog>(settings_.heartbeats_missed * busy_period,
                                                        settings_.heartbeats_missed * idle_period, now);
         session->watchdog->setBusy(busy, now);
+        session->signs.allow(session->watchdog->timeout(), now);
         session->fed = now;
         if (!session->registered) {
             session->registered = true;
             registered_.emplace(session->entity, session);
-            rebuildTables();
+            table_.put(session->entity, session);
             // Spread, so that many that joined together are not served all at once for ever.
             session->next_heartbeat = now + session->period() * static_cast<int>(session->number % 16) / 16;
         }
@@ -200,6 +230,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
 void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status) {
     if (!session->registered) return;
     status.entity = session->entity;
+    for (auto* text : {&status.holder.id, &status.holder.name, &status.reason}) mend(*text);
     bool became_busy = false;
     std::int64_t heartbeat = 0;
     std::string line;
@@ -216,6 +247,8 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         became_busy = busy && !session->watchdog->busy();
         session->listen();
         session->watchdog->setBusy(busy, now);
+        session->signs.allow(session->watchdog->timeout(), now);
+        status.stop_latency_us = session->stop_latency_us;
         auto record = std::make_shared<Record>(*session->record);
         record->status = std::move(status);
         session->record = std::move(record);
@@ -233,6 +266,13 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
     leaveToPublisher(session->entity);
     publishPending();
     if (!line.empty()) note_(line);
+}
+
+void EntityServerCore::refuseOnSignalLane(const SessionRef& session, const char* msg_type) {
+    Header head;
+    if (session->registered) head.entity = session->entity;
+    head.msg_type = msg_type;
+    session->data->newRefusalMsg(head, refuse(RefusalCode::WrongState, kDataLaneOnly));
 }
 
 bool EntityServerCore::flooded(const SessionRef& session) {
@@ -253,6 +293,7 @@ void EntityServerCore::sendSvcPrflRecord(const SessionRef& session, Header head,
 void EntityServerCore::sendToClient(const SessionRef& session, Lane lane, Header head,
                                     std::string_view message) {
     if (!session->registered || flooded(session)) return;
+    if (isDrill(head)) return drillAnswered(session, head);
     head.entity = session->entity;
     topic_.entityMsg(lane, head, message);
 }
@@ -266,9 +307,8 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 void EntityServerCore::sendToPeer(const SessionRef& session, Header head, std::string_view message) {
     if (!session->registered || flooded(session)) return;
     head.sender = {session->entity, session->name, Role::Operator};
-    const auto table = data_table_.load();
-    if (const auto peer = table->find(head.entity); peer != table->end()) {
-        peer->second->data->newClientMsg(head, message);
+    if (const auto peer = table_.find(head.entity, kData)) {
+        peer->data->newClientMsg(head, message);
     } else {
         session->data->newRefusalMsg(
             head,
@@ -277,7 +317,7 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Header head, std::s
 }
 
 void EntityServerCore::keepAlive(const SessionRef& session) {
-    session->heard.store(clock_.now().time_since_epoch().count(), std::memory_order_relaxed);
+    session->signs.heard(clock_.now());
 }
 
 void EntityServerCore::leave(const SessionRef& session, bool orderly, const std::string& why) {
@@ -288,7 +328,7 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
         tokens_.erase(session->token);
         if (session->registered) {
             registered_.erase(session->entity);
-            rebuildTables();
+            table_.erase(session->entity);
         }
     }
     session->data->disconnect(orderly, why);
@@ -298,14 +338,6 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
         pending_();
         note_(session->name + " left: " + why);
     }
-}
-
-void EntityServerCore::rebuildTables() {
-    auto table = std::make_shared<Table>();
-    table->reserve(registered_.size());
-    for (const auto& [entity, session] : registered_) table->emplace(session->entity, session);
-    data_table_.store(table);
-    signal_table_.store(std::move(table));
 }
 
 void EntityServerCore::refuseUnknown(Lane lane, const Header& head) {
@@ -328,20 +360,18 @@ bool EntityServerCore::refusedLately(const std::string& sender) {
 }
 
 void EntityServerCore::clientMsg(const Header& head, std::string_view message) {
-    const auto table = data_table_.load();
-    const auto entity = table->find(head.entity);
-    if (entity == table->end()) return refuseUnknown(Lane::Data, head);
-    entity->second->data->newClientMsg(head, message);
+    const auto entity = table_.find(head.entity, kData);
+    if (!entity) return refuseUnknown(Lane::Data, head);
+    entity->data->newClientMsg(head, message);
 }
 
 void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view data) {
-    const auto table = data_table_.load();
-    const auto entity = table->find(head.entity);
-    if (entity == table->end()) {
+    const auto entity = table_.find(head.entity, kData);
+    if (!entity) {
         if (!refusedLately(head.sender.id)) refuseUnknown(Lane::Data, head);
         return;
     }
-    entity->second->data->newClientMsgDataSeq(head, data);
+    entity->data->newClientMsgDataSeq(head, data);
 }
 
 void EntityServerCore::clientRequest(const Header& head) {
@@ -360,20 +390,17 @@ void EntityServerCore::clientRequest(const Header& head) {
 
 template <class Send>
 void EntityServerCore::toEntities(const Header& head, Send&& send) {
-    const auto table = signal_table_.load();
     if (head.entity.empty()) {
-        for (const auto& [entity, session] : *table) send(*session->signal);
+        table_.each([&](const SessionRef& session) { send(*session->signal); }, kSignal);
         return;
     }
-    const auto entity = table->find(head.entity);
-    if (entity == table->end()) return refuseUnknown(Lane::Signal, head);
-    send(*entity->second->signal);
+    const auto entity = table_.find(head.entity, kSignal);
+    if (!entity) return refuseUnknown(Lane::Signal, head);
+    send(*entity->signal);
 }
 
 void EntityServerCore::clientUpdate(const Header& head, ClientChange change) {
-    const auto table = signal_table_.load();
-    const auto entity = table->find(head.entity);
-    if (entity != table->end()) entity->second->signal->newClientUpdate(head, change);
+    if (const auto entity = table_.find(head.entity, kSignal)) entity->signal->newClientUpdate(head, change);
 }
 
 void EntityServerCore::stopSignal(const Header& head, StopCause cause) {
@@ -383,12 +410,10 @@ void EntityServerCore::stopSignal(const Header& head, StopCause cause) {
 // All that are there first: no entity's stop waits for the refusals of those that are not.
 void EntityServerCore::stopSignals(const Header& head, const std::vector<std::string>& entities,
                                    StopCause cause) {
-    const auto table = signal_table_.load();
     std::vector<const std::string*> unknown;
     for (const auto& entity : entities) {
-        const auto found = table->find(entity);
-        if (found != table->end()) {
-            found->second->signal->stopSignal(head, cause);
+        if (const auto found = table_.find(entity, kSignal)) {
+            found->signal->stopSignal(head, cause);
         } else {
             unknown.push_back(&entity);
         }
@@ -415,6 +440,7 @@ void EntityServerCore::schedule(const SessionRef& session, TimePoint at) {
 TimePoint EntityServerCore::onTimer() {
     std::vector<std::pair<SessionRef, std::int64_t>> heartbeats;
     std::vector<std::pair<SessionRef, Duration>> silent;
+    std::vector<std::string> warnings;
     TimePoint next;
     {
         const std::lock_guard lock(mutex_);
@@ -428,6 +454,12 @@ TimePoint EntityServerCore::onTimer() {
             if (session->watchdog->expired(now)) {
                 silent.emplace_back(session, session->watchdog->timeout());
                 continue;
+            }
+            if (now >= session->warn_again) {
+                if (const auto gap = session->signs.longest(now); gap.part() >= LifeSigns::kWarnFrom) {
+                    session->warn_again = now + LifeSigns::kWarnAgain;
+                    warnings.push_back(session->name + " is late: " + describe(gap));
+                }
             }
             if (session->next_heartbeat <= now) {
                 heartbeats.emplace_back(session, ++session->heartbeats);
@@ -446,7 +478,125 @@ TimePoint EntityServerCore::onTimer() {
                   std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count()) +
                   " ms");
     }
+    for (const auto& warning : warnings) note_(warning);
+    return drill_.empty() ? next : std::min(next, onDrillTimer());
+}
+
+// -- drills
+
+bool EntityServerCore::isDrill(const Header& head) const {
+    return !drill_.empty() && head.sender.id.starts_with(drill_);
+}
+
+// Of its receipts only the last has a routing key of its own: the Entity Interfacer has acknowledged. Without
+// the registry's lock, as this is the way of every stop's receipt.
+void EntityServerCore::drillAnswered(const SessionRef& session, const Header& head) {
+    if (head.msg_type != kMsgDrill) return;
+    std::uint64_t number = 0;
+    std::from_chars(head.sender.id.data() + drill_.size(), head.sender.id.data() + head.sender.id.size(),
+                    number);
+    if (number == 0 || number != session->drill || session->drill_took != 0) return;  // too late, or twice
+    const auto took = clock_.now().time_since_epoch().count() - session->drill_sent;
+    session->drill_took = std::max<Duration::rep>(took, 1);
+    wake_();
+}
+
+/// Under the registry's mutex: takes what was answered, and gives up what is late.
+void EntityServerCore::settleDrills(TimePoint now, std::vector<std::string>& changed,
+                                    std::vector<std::string>& lines) {
+    std::erase_if(drills_, [&](const Drill& drill) {
+        const auto session = drill.session.lock();
+        if (!session || session->gone) return true;
+        const Duration took{session->drill_took.load()};
+        if (took == Duration{} && now < drill.answer_by) return false;
+        session->drill = 0;
+        if (took == Duration{}) {
+            lines.push_back(
+                session->name + " has not answered a drill within " +
+                std::to_string(
+                    std::chrono::duration_cast<std::chrono::milliseconds>(settings_.drill_answer).count()) +
+                " ms: how long a stop takes there is unknown");
+        }
+        // 0 says unknown, so what took less than a microsecond took one.
+        const auto us = took == Duration{}
+                            ? 0
+                            : std::max<std::int64_t>(
+                                  std::chrono::duration_cast<std::chrono::microseconds>(took).count(), 1);
+        if (std::exchange(session->stop_latency_us, static_cast<std::int32_t>(us)) == us) return true;
+        auto record = std::make_shared<Record>(*session->record);
+        record->status.stop_latency_us = session->stop_latency_us;
+        session->record = std::move(record);
+        changed.push_back(session->entity);
+        return true;
+    });
+}
+
+/// Under the registry's mutex: whose turn it is, null where a drill would tell nothing or disturb.
+EntityServerCore::SessionRef EntityServerCore::nextDrill(TimePoint now) {
+    if (drill_round_.empty()) {
+        for (const auto& [entity, session] : registered_) drill_round_.push_back(session);
+        if (drill_round_.empty()) return nullptr;
+    }
+    auto session = drill_round_.front().lock();
+    drill_round_.pop_front();
+    if (!session || session->gone || session->drill != 0) return nullptr;
+    const auto& status = session->record->status;
+    if (status.latched || status.state == EntityState::UNAV || status.state == EntityState::INIT)
+        return nullptr;
+    session->drill_took = 0;
+    session->drill = ++drills_given_;
+    drills_.push_back({now + settings_.drill_answer, session});
+    return session;
+}
+
+TimePoint EntityServerCore::onDrillTimer() {
+    std::vector<std::string> changed;
+    std::vector<std::string> lines;
+    std::vector<SessionRef> orders;
+    TimePoint next;
+    {
+        const std::lock_guard lock(mutex_);
+        const auto now = clock_.now();
+        settleDrills(now, changed, lines);
+        const auto step =
+            settings_.drill_period / static_cast<int>(std::max<std::size_t>(registered_.size(), 1));
+        // After a pause one turn is enough; a burst would measure itself.
+        if (next_drill_ + settings_.drill_period <= now) next_drill_ = now + step;
+        for (; next_drill_ <= now; next_drill_ += std::max(step, Duration{1})) {
+            if (auto session = nextDrill(now)) orders.push_back(std::move(session));
+        }
+        next = next_drill_;
+        for (const auto& drill : drills_) next = std::min(next, drill.answer_by);
+    }
+    for (const auto& session : orders) {
+        Header head;
+        const auto number = session->drill.load();
+        head.sender = {drill_ + std::to_string(number), "the entity server", Role::Operator};
+        head.entity = session->entity;
+        head.msg_type = kMsgDrill;
+        head.sequence = static_cast<std::int64_t>(number);
+        const auto now = clock_.now();
+        head.sent_at_us = toMicroseconds(now);
+        session->drill_sent = now.time_since_epoch().count();
+        session->signal->stopSignal(head, StopCause::Drill);
+    }
+    for (const auto& line : lines) note_(line);
+    for (const auto& entity : changed) leaveToPublisher(entity);
+    if (!changed.empty()) pending_();
     return next;
+}
+
+std::vector<std::string> EntityServerCore::margins() const {
+    std::vector<std::string> lines;
+    const std::lock_guard lock(mutex_);
+    const auto now = clock_.now();
+    for (const auto& [entity, session] : registered_) {
+        lines.push_back(session->name + ": " + describe(session->signs.longest(now)) +
+                        (session->stop_latency_us > 0
+                             ? "; a stop takes " + std::to_string(session->stop_latency_us) + " us"
+                             : ""));
+    }
+    return lines;
 }
 
 std::size_t EntityServerCore::entities() const {

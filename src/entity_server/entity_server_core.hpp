@@ -16,7 +16,7 @@
 #include "common/rate_limit.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
-#include "common/snapshot.hpp"
+#include "common/snapshot_table.hpp"
 #include "common/watchdog.hpp"
 #include "entity_server/ports.hpp"
 
@@ -26,7 +26,9 @@ struct CoreSettings {
     int heartbeats_missed = 5;  ///< periods of its registration until an EM is given up
     std::size_t entities_max = 65536;
     std::size_t profile_bytes_max = 1024 * 1024;
-    std::uint32_t messages_per_second = 100'000;  ///< control messages of one EM; above is a flood
+    std::uint32_t messages_per_second = 100'000;      ///< control messages of one EM; above is a flood
+    Duration drill_period{};                          ///< each entity once in so long; zero: no drills
+    Duration drill_answer = std::chrono::seconds{1};  ///< later is no answer
 };
 
 /// The registry and router of all connected entities (thesis: EntityMonitor), without its sockets.
@@ -36,6 +38,12 @@ struct CoreSettings {
 /// ports before it returns, except that publications about one entity may be made by another thread that is
 /// publishing already, and those of an entity that leaves are made by publishPending(): it may leave on a
 /// thread of the signal lane or the heartbeats' timer, which must not be held up.
+///
+/// Drills: the core measures by itself how long a stop takes. In each `drill_period` every entity gets one
+/// stop of cause Drill on its signal lane, spread over the period, but for those that are latched or have no
+/// robot application. The Entity Interfacer acknowledges it without calling the application, and the time
+/// from the sending to that answer becomes the status' stop_latency_us; 0 where none came within
+/// `drill_answer`.
 ///
 /// States of a session: opened ─ attach() ► two lanes ─ sendBasicPrfl() ► registered ─ leave() ► gone.
 ///
@@ -63,7 +71,11 @@ class EntityServerCore {
     Result<SessionRef> attach(const std::string& token, std::shared_ptr<EntityOutbox> signal);
     Result<void> sendBasicPrfl(const SessionRef& session, Registration registration,
                                std::string_view profile);
+    /// Its texts are mended: cut at 1024 bytes, and UTF-8.
     void sendStatus(const SessionRef& session, EntityStatus status);
+    /// An operation that came on the signal lane and belongs on the other: two lanes would overtake each
+    /// other.
+    void refuseOnSignalLane(const SessionRef& session, const char* msg_type);
     void sendSvcPrflRecord(const SessionRef& session, Header head, std::int32_t record_id, std::int32_t count,
                            std::string_view record);
     void sendToClient(const SessionRef& session, Lane lane, Header head, std::string_view message);
@@ -91,6 +103,8 @@ class EntityServerCore {
     void publishPending();
 
     std::size_t entities() const;
+    /// For people, a line for each entity: how near its watchdog came to its end, and its stop latency.
+    std::vector<std::string> margins() const;
 
   private:
     /// What the front-end servers know of an entity, replaced whole.
@@ -101,8 +115,10 @@ class EntityServerCore {
         std::uint64_t session = 0;
     };
     using RecordRef = std::shared_ptr<const Record>;
-    /// Keys point into the sessions' own strings.
-    using Table = std::unordered_map<std::string_view, SessionRef>;
+    struct Drill {
+        TimePoint answer_by;
+        std::weak_ptr<Session> session;
+    };
     struct Due {
         TimePoint at;
         std::uint64_t revision;
@@ -115,9 +131,13 @@ class EntityServerCore {
     void refuseUnknown(Lane lane, const Header& head);
     bool refusedLately(const std::string& sender);
     bool flooded(const SessionRef& session);
-    void rebuildTables();
     void schedule(const SessionRef& session, TimePoint at);
     void leaveToPublisher(const std::string& entity);
+    bool isDrill(const Header& head) const;
+    void drillAnswered(const SessionRef& session, const Header& head);
+    void settleDrills(TimePoint now, std::vector<std::string>& changed, std::vector<std::string>& lines);
+    SessionRef nextDrill(TimePoint now);
+    TimePoint onDrillTimer();
     void publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now);
 
     const CoreSettings settings_;
@@ -128,8 +148,9 @@ class EntityServerCore {
     const std::function<void()> wake_;
     const std::function<void()> pending_;
 
-    Snapshot<Table> data_table_;
-    Snapshot<Table> signal_table_;  // the same tables, behind a lock of their own
+    const std::string drill_;  // what the sender ids of drills begin with; nobody else's do
+
+    SnapshotTable<SessionRef, 2> table_;  // by entity, for each lane
 
     std::mutex refused_mutex_;
     std::unordered_map<std::string, TimePoint> refused_;  // guarded by refused_mutex_: whose data, and when
@@ -144,6 +165,10 @@ class EntityServerCore {
     std::deque<std::string> to_publish_;  // each UUID at most once, so bounded by the number of entities
     std::unordered_map<std::string, bool> waiting_to_publish_;
     bool publishing_ = false;
+    TimePoint next_drill_;
+    std::deque<std::weak_ptr<Session>> drill_round_;  // those whose turn is still to come
+    std::vector<Drill> drills_;                       // unanswered; at most one for each entity
+    std::uint64_t drills_given_ = 0;
 };
 
 }  // namespace axon::entity_server

@@ -4,8 +4,25 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <cstdlib>
+#include <new>
 #include <string>
 #include <vector>
+
+// Counted, so that the cost of a join is known without a clock.
+static std::atomic<std::size_t> allocations{0};
+void* operator new(std::size_t size) {
+    ++allocations;
+    if (void* memory = std::malloc(size == 0 ? 1 : size)) return memory;
+    throw std::bad_alloc();
+}
+void operator delete(void* memory) noexcept {
+    std::free(memory);
+}
+void operator delete(void* memory, std::size_t) noexcept {
+    std::free(memory);
+}
 
 namespace axon::entity_server {
 namespace {
@@ -26,8 +43,9 @@ class FakeOutbox final : public EntityOutbox {
     void newClientMsgDataSeq(const Header&, std::string_view data) override {
         lines.push_back("data " + std::string(data));
     }
-    void stopSignal(const Header&, StopCause cause) override {
+    void stopSignal(const Header& head, StopCause cause) override {
         lines.push_back(std::string("stop ") + toString(cause));
+        last = head;
     }
     void resetSignal(const Header&) override { lines.emplace_back("reset"); }
     void clearSignal(const Header&) override { lines.emplace_back("clear"); }
@@ -41,6 +59,7 @@ class FakeOutbox final : public EntityOutbox {
     void disconnect(bool, const std::string& why) override { disconnected = why; }
 
     std::vector<std::string> lines;
+    Header last;  // of the last stop
     int heartbeats = 0;
     std::string disconnected;
 };
@@ -54,6 +73,7 @@ class FakeTopic final : public FrontEndTopic {
     }
     void entityUpdate(const EntityStatus& status) override {
         lines.push_back(std::string("status ") + toString(status.state));
+        last = status;
     }
     void entitySvcRecord(const Header&, std::int32_t, std::int32_t, std::string_view) override {
         lines.emplace_back("record");
@@ -70,6 +90,7 @@ class FakeTopic final : public FrontEndTopic {
     std::vector<std::string> take() { return std::exchange(lines, {}); }
 
     std::vector<std::string> lines;
+    EntityStatus last;
 };
 
 class EntityServerTest : public testing::Test {
@@ -361,6 +382,196 @@ TEST_F(EntityServerTest, PublishesEverythingAgainOnRequest) {
     request.msg_type = kMsgStatus;
     core.clientRequest(request);
     EXPECT_EQ(topic.take().size(), 4U);
+}
+
+TEST_F(EntityServerTest, FourThousandJoinsAreNotQuadratic) {
+    constexpr int kJoins = 4096;
+    char uuid[37];
+    std::vector<Peer> peers;
+    peers.reserve(kJoins);
+    const auto before = allocations.load();
+    for (int i = 0; i < kJoins; ++i) {
+        std::snprintf(uuid, sizeof uuid, "00000000-0000-4000-8000-%012d", i);
+        peers.push_back(join(uuid));
+    }
+    // A table that is copied whole costs 2048 allocations for each join on the average.
+    EXPECT_LT(allocations - before, kJoins * 200U);
+    EXPECT_EQ(core.entities(), static_cast<std::size_t>(kJoins));
+    core.stopSignal(head(""), StopCause::Requested);
+    for (const auto& peer : peers) EXPECT_EQ(peer.signal->lines.size(), 1U);
+}
+
+TEST_F(EntityServerTest, TheTextsOfAStatusAreMendedAndThoseOfARegistrationRefused) {
+    const auto peer = join(kFirst);
+    EntityStatus status;
+    status.reason = std::string(2000, 'x') + "\xff";
+    status.holder.name = "Zo\xc3";
+    core.sendStatus(peer.session, status);
+    EXPECT_EQ(topic.last.reason, std::string(1024, 'x'));
+    EXPECT_EQ(topic.last.holder.name, "Zo\xef\xbf\xbd");
+
+    const auto other = connect();
+    auto bad = registration(kSecond, "Zo\xc3");
+    EXPECT_EQ(core.sendBasicPrfl(other.session, bad, "").refusal().code, RefusalCode::Malformed);
+    bad = registration(kSecond);
+    bad.category = std::string(1025, 'x');
+    EXPECT_EQ(core.sendBasicPrfl(other.session, bad, "").refusal().code, RefusalCode::Malformed);
+    EXPECT_EQ(core.entities(), 1U);
+}
+
+TEST_F(EntityServerTest, AStatusOnTheSignalLaneIsRefused) {
+    const auto peer = join(kFirst);
+    core.refuseOnSignalLane(peer.session, kMsgStatus);
+    EXPECT_THAT(peer.data->lines, ElementsAre("refused WRONG_STATE"));
+}
+
+TEST_F(EntityServerTest, WarnsOnceAMinuteOfAnEntityThatIsNearlyLost) {
+    const auto peer = join(kFirst);
+    status(peer, EntityState::BUSY);
+    notes.clear();
+    const auto beat = [&](Duration period, int times) {
+        for (int i = 0; i < times; ++i) {
+            pass(period);
+            core.keepAlive(peer.session);
+        }
+    };
+    beat(100ms, 20);
+    EXPECT_THAT(notes, IsEmpty());
+    beat(160ms, 200);  // 32 s
+    ASSERT_EQ(notes.size(), 1U);
+    EXPECT_THAT(notes.front(), HasSubstr("Robot is late: 1"));
+    EXPECT_THAT(core.margins(), ElementsAre(HasSubstr("Robot: 160 ms of 250 ms")));
+    beat(160ms, 200);
+    EXPECT_EQ(notes.size(), 2U);
+}
+
+class DrillTest : public EntityServerTest {
+  protected:
+    /// The receipt of the drill that the peer was given last, as its Entity Manager sends it.
+    void answer(const Peer& peer, const char* msg_type = kMsgDrill) {
+        auto receipt = head("", peer.signal->last.sender.id);
+        receipt.msg_type = msg_type;
+        drilled.sendToClient(peer.session, Lane::Signal, receipt, "a receipt");
+    }
+    Peer ready(const std::string& uuid, EntityState state = EntityState::IDLE, bool latched = false) {
+        Peer peer;
+        peer.session = drilled.open(peer.data);
+        EXPECT_TRUE(drilled.attach(EntityServerCore::token(*peer.session), peer.signal).ok());
+        auto its = registration(uuid);
+        its.heartbeat_idle_ms = 60'000;
+        EXPECT_TRUE(drilled.sendBasicPrfl(peer.session, its, "profile").ok());
+        EntityStatus out;
+        out.state = state;
+        out.latched = latched;
+        drilled.sendStatus(peer.session, out);
+        return peer;
+    }
+    void let(Duration time) {
+        const auto end = clock.now() + time;
+        while (clock.now() < end) {
+            const auto next = drilled.onTimer();
+            clock.set(std::min(std::max(next, clock.now() + 1ms), end));
+        }
+        drilled.onTimer();
+    }
+    EntityServerCore drilled{[] {
+                                 CoreSettings its;
+                                 its.drill_period = 10s;
+                                 return its;
+                             }(),
+                             clock,
+                             random,
+                             topic,
+                             [this](const std::string& line) { notes.push_back(line); },
+                             [] {},
+                             [this] { drilled.publishPending(); }};
+};
+
+TEST_F(DrillTest, PublishesHowLongAStopTook) {
+    const auto peer = ready(kFirst);
+    let(9s);
+    EXPECT_THAT(peer.signal->lines, IsEmpty());
+    let(1s);
+    ASSERT_THAT(peer.signal->lines, ElementsAre("stop drill"));
+    EXPECT_EQ(peer.signal->last.msg_type, kMsgDrill);
+    EXPECT_GT(peer.signal->last.sequence, 0);
+    topic.take();
+    answer(peer, kMsgReceipt);  // the manager's stage: not yet
+    clock.advance(700us);
+    answer(peer);
+    clock.advance(1ms);
+    answer(peer);  // standstill
+    drilled.onTimer();
+    EXPECT_THAT(topic.take(), ElementsAre("status IDLE"));
+    EXPECT_EQ(topic.last.stop_latency_us, 700);
+    // The Entity Manager's own statuses do not say it.
+    EntityStatus own;
+    own.state = EntityState::BUSY;
+    own.stop_latency_us = 5;
+    drilled.sendStatus(peer.session, own);
+    EXPECT_EQ(topic.last.stop_latency_us, 700);
+    EXPECT_THAT(drilled.margins(), ElementsAre(HasSubstr("a stop takes 700 us")));
+}
+
+TEST_F(DrillTest, AnUnansweredOneIsLoggedAndUnknown) {
+    const auto peer = ready(kFirst);
+    let(10s);
+    answer(peer);
+    drilled.onTimer();
+    EXPECT_EQ(topic.last.stop_latency_us, 1);  // unmeasurably fast is not unknown
+    let(10s);
+    const auto late = peer.signal->last;
+    ASSERT_EQ(peer.signal->lines.size(), 2U);
+    notes.clear();
+    let(999ms);
+    EXPECT_THAT(notes, IsEmpty());
+    let(1ms);
+    ASSERT_EQ(notes.size(), 1U);
+    EXPECT_THAT(notes.front(), HasSubstr("Robot has not answered a drill within 1000 ms"));
+    EXPECT_EQ(topic.last.stop_latency_us, 0);
+    answer(peer);
+    drilled.onTimer();
+    EXPECT_EQ(topic.last.stop_latency_us, 0);
+    EXPECT_EQ(peer.signal->last.sender.id, late.sender.id);
+}
+
+TEST_F(DrillTest, IsSpreadOverThePeriodAndReachesEveryOneOnce) {
+    std::vector<Peer> peers;
+    char uuid[37];
+    for (int i = 0; i < 100; ++i) {
+        std::snprintf(uuid, sizeof uuid, "00000000-0000-4000-8000-%012d", i);
+        peers.push_back(ready(uuid));
+    }
+    let(100ms);
+    const auto given = [&] {
+        std::size_t all = 0;
+        for (const auto& peer : peers) all += peer.signal->lines.size();
+        return all;
+    };
+    EXPECT_EQ(given(), 1U);
+    let(5s);
+    EXPECT_EQ(given(), 51U);
+    let(4900ms);
+    for (const auto& peer : peers) EXPECT_EQ(peer.signal->lines.size(), 1U);
+}
+
+TEST_F(DrillTest, LeavesAloneWhoIsStoppedOrHasNoApplication) {
+    const auto latched = ready(kFirst, EntityState::REG, true);
+    const auto lost = ready(kSecond, EntityState::UNAV);
+    let(30s);
+    EXPECT_THAT(latched.signal->lines, IsEmpty());
+    EXPECT_THAT(lost.signal->lines, IsEmpty());
+    EXPECT_THAT(topic.lines, testing::Not(testing::Contains(HasSubstr("drill"))));
+}
+
+TEST_F(EntityServerTest, DrillsAreOffByDefault) {
+    const auto peer = join(kFirst);
+    status(peer, EntityState::IDLE);
+    for (int i = 0; i < 100; ++i) {
+        core.keepAlive(peer.session);
+        pass(1s);
+    }
+    EXPECT_THAT(peer.signal->lines, IsEmpty());
 }
 
 TEST(EntityServerFlood, DropsAnEntityThatFloods) {

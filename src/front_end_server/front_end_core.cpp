@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "common/life_signs.hpp"
 #include "common/utf8.hpp"
 
 namespace axon::front_end_server {
@@ -18,7 +19,9 @@ class FrontEndCore::Client {
           rate(settings.messages_per_second),
           watchdog(settings.watchdog_busy, settings.watchdog_idle, now),
           next_heartbeat(now + settings.heartbeat_idle),
-          fed(now) {}
+          fed(now) {
+        signs.allow(watchdog.timeout(), now);
+    }
 
     // Constant after construction.
     const Sender me;
@@ -27,24 +30,23 @@ class FrontEndCore::Client {
 
     RateLimit rate;
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
-    std::atomic<Duration::rep> heard{0};  // the last sign of life, on the clock; written without a lock
-    std::atomic<std::size_t> told{0};     // entities, when it joined
+    LifeSigns signs;                                 // written without a lock
+    std::atomic<std::size_t> told{0};                // entities, when it joined
 
     // Guarded by the core's mutex.
     Watchdog watchdog;
     TimePoint next_heartbeat;
     std::int64_t heartbeats = 0;
-    bool warned = false;
+    TimePoint warn_again;
     TimePoint fed;  // the last sign of life that the watchdog was told
     bool gone = false;
 
     /// Tells the watchdog of the signs of life since it was told last. Under the core's mutex.
     void listen() {
-        const TimePoint last{Duration{heard.load(std::memory_order_relaxed)}};
+        const auto last = signs.last();
         if (last <= fed) return;
         fed = last;
         watchdog.feed(last);
-        warned = false;
     }
     /// The signal lane, or the only one there is.
     std::shared_ptr<ClientOutbox> signalOutbox() const {
@@ -111,7 +113,7 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
                                           settings_, clock_.now());
         clients_.emplace(client->me.id, client);
         tokens_.emplace(client->token, client);
-        rebuildClients();
+        table_.put(client->me.id, client);
     }
     wake_();
     note_("client " + client->me.name + " joined (" + client->me.id + ")");
@@ -172,6 +174,20 @@ bool FrontEndCore::flooded(const ClientRef& client) {
     return true;
 }
 
+// Who did what, for those who ask afterwards. A forced take-over is inside a payload: the Entity Manager says
+// it.
+void FrontEndCore::audit(const char* what, const Sender& who,
+                         const std::vector<std::string>& entities) const {
+    constexpr std::size_t kNamed = 16;
+    std::string to;
+    for (std::size_t i = 0; i < std::min(entities.size(), kNamed); ++i)
+        to += (i == 0 ? "" : ", ") + entities[i].substr(0, 64);
+    if (entities.size() > kNamed) to += " and " + std::to_string(entities.size() - kNamed) + " more";
+    if (entities.size() == 1 && to.empty()) to = "all " + std::to_string(known_.size()) + " entities";
+    note_(std::string("audit: ") + what + " by " + who.name + " (" + toString(who.role) + ", " + who.id +
+          ") to " + to);
+}
+
 void FrontEndCore::sendRequest(const ClientRef& client, Header head) {
     if (flooded(client)) return;
     if (head.msg_type == kMsgStatus) {
@@ -187,6 +203,7 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
     if (flooded(client)) return;
     head.sender = client->me;
     topic_.clientMsg(head, message);
+    if (head.msg_type == kMsgRearm) audit("rearm", client->me, {head.entity});
 }
 
 void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data) {
@@ -195,20 +212,19 @@ void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std
 }
 
 std::size_t FrontEndCore::stopTargets(const std::string& entity) const {
-    const auto known = signal_known_.load();
-    return entity.empty() ? known->size() : known->count(entity);
+    if (entity.empty()) return known_.size();
+    return known_.find(entity) ? 1 : 0;
 }
 
 void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCause cause) {
     head.sender = client->me;
     // What only servers may say is not taken from a client.
     if (cause != StopCause::Drill) cause = StopCause::Requested;
+    if (head.sequence >= kServerSequences) head.sequence = 0;
     topic_.stopSignal(head, cause);
     const auto targets = stopTargets(head.entity);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
-    note_("stop by " + client->me.name + " to " +
-          (head.entity.empty() ? "all " + std::to_string(targets) + " entities"
-                               : "entity " + head.entity.substr(0, 64)));
+    audit(cause == StopCause::Drill ? "drill" : "stop", client->me, {head.entity});
     flooded(client);  // after the stop: also the last one of a flood is a stop
 }
 
@@ -217,35 +233,39 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     head.sender = client->me;
     head.entity.clear();
     if (cause != StopCause::Drill) cause = StopCause::Requested;
+    if (head.sequence >= kServerSequences) head.sequence = 0;
     topic_.stopSignals(head, entities, cause);
-    const auto known = signal_known_.load();
-    const auto targets = std::count_if(entities.begin(), entities.end(),
-                                       [&](const std::string& entity) { return known->contains(entity); });
+    const auto targets = std::count_if(entities.begin(), entities.end(), [&](const std::string& entity) {
+        return known_.find(entity) != nullptr;
+    });
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
-    note_("stop by " + client->me.name + " to " + std::to_string(targets) + " entities");
+    audit(cause == StopCause::Drill ? "drill" : "stop", client->me, entities);
     flooded(client);
 }
 
 void FrontEndCore::sendResetSignal(const ClientRef& client, Header head) {
     head.sender = client->me;
     topic_.resetSignal(head);
+    audit("reset", client->me, {head.entity});
     flooded(client);
 }
 
 void FrontEndCore::sendClearSignal(const ClientRef& client, Header head) {
     head.sender = client->me;
     topic_.clearSignal(head);
+    audit("clear", client->me, {head.entity});
     flooded(client);
 }
 
 void FrontEndCore::keepAlive(const ClientRef& client) {
-    client->heard.store(clock_.now().time_since_epoch().count(), std::memory_order_relaxed);
+    client->signs.heard(clock_.now());
 }
 
 // All stops before anything else is said: no entity's stop waits for another one's paperwork.
 void FrontEndCore::settle(const Sender& client, Ending ending, const std::map<std::string, bool>& held) {
     Header head;
     head.sender = client;
+    head.sequence = kServerSequences + ++own_stops_;
     head.sent_at_us = toMicroseconds(clock_.now());
     std::vector<std::string> stopped;
     for (const auto& [entity, busy] : held) {
@@ -278,7 +298,7 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
             gone_.erase(gone_order_.front());
             gone_order_.pop_front();
         }
-        rebuildClients();
+        table_.erase(client->me.id);
     }
     settle(client->me, ending, held);
     client->data->disconnect(ending == Ending::Ended, why);
@@ -292,24 +312,9 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
                : "; it held " + std::to_string(held.size()) + (held.size() == 1 ? " entity" : " entities")));
 }
 
-void FrontEndCore::rebuildClients() {
-    auto table = std::make_shared<Table>();
-    table->reserve(clients_.size());
-    for (const auto& [id, client] : clients_) table->emplace(client->me.id, client);
-    data_clients_.store(table);
-    signal_clients_.store(std::move(table));
-}
-
-void FrontEndCore::rebuildKnown() {
-    auto known = std::make_shared<Known>();
-    known->reserve(records_.size());
-    for (const auto& [entity, record] : records_) known->emplace(record->registration.entity, record);
-    signal_known_.store(std::move(known));
-}
-
 template <class Send>
 void FrontEndCore::toClients(Lane lane, const std::string& recipient, Send&& send) {
-    const auto table = (lane == Lane::Signal ? signal_clients_ : data_clients_).load();
+    const auto its_lane = static_cast<std::size_t>(lane);
     const auto to = [&](const ClientRef& client) {
         if (lane == Lane::Signal) {
             send(*client->signalOutbox());
@@ -318,9 +323,9 @@ void FrontEndCore::toClients(Lane lane, const std::string& recipient, Send&& sen
         }
     };
     if (recipient.empty()) {
-        for (const auto& [id, client] : *table) to(client);
-    } else if (const auto client = table->find(recipient); client != table->end()) {
-        to(client->second);
+        table_.each(to, its_lane);
+    } else if (const auto client = table_.find(recipient, its_lane)) {
+        to(client);
     }
 }
 
@@ -336,6 +341,7 @@ void FrontEndCore::updateHolding(const std::string& holder) {
     watched.listen();
     if (busy && !watched.watchdog.busy()) watched.next_heartbeat = now;
     watched.watchdog.setBusy(busy, now);
+    watched.signs.allow(watched.watchdog.timeout(), now);
 }
 
 void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registration,
@@ -350,7 +356,7 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
             record = found->second;
             const auto holder = record->status.holder.id;
             records_.erase(found);
-            rebuildKnown();
+            known_.erase(registration.entity);
             if (const auto held = holdings_.find(holder); held != holdings_.end()) {
                 held->second.erase(registration.entity);
                 if (held->second.empty()) holdings_.erase(held);
@@ -368,7 +374,7 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
             record = next;
             records_[record->registration.entity] = record;
             presence = known ? Presence::Changed : Presence::Joined;
-            if (!known) rebuildKnown();
+            if (!known) known_.put(record->registration.entity, record);
         }
     }
     if (!told) return;
@@ -448,10 +454,11 @@ TimePoint FrontEndCore::onTimer() {
                 silent.emplace_back(client, client->watchdog.timeout());
                 continue;
             }
-            if (client->watchdog.busy() && !client->warned && client->watchdog.margin(now) < 0.4) {
-                client->warned = true;
-                warnings.push_back("client " + client->me.name +
-                                   " is late with its heartbeat while a task of its runs");
+            if (now >= client->warn_again) {
+                if (const auto gap = client->signs.longest(now); gap.part() >= LifeSigns::kWarnFrom) {
+                    client->warn_again = now + LifeSigns::kWarnAgain;
+                    warnings.push_back("client " + client->me.name + " is late: " + describe(gap));
+                }
             }
             if (client->next_heartbeat <= now) {
                 heartbeats.emplace_back(client, ++client->heartbeats);
@@ -473,10 +480,18 @@ TimePoint FrontEndCore::onTimer() {
 }
 
 void FrontEndCore::shutDown() {
-    const auto table = data_clients_.load();
-    for (const auto& [id, client] : *table) {
+    table_.each([](const ClientRef& client) {
         client->data->newUpdateMsg(RefusalCode::Unavailable, "the server is shutting down");
-    }
+    });
+}
+
+std::vector<std::string> FrontEndCore::margins() const {
+    std::vector<std::string> lines;
+    const auto now = clock_.now();
+    table_.each([&](const ClientRef& client) {
+        lines.push_back("client " + client->me.name + ": " + describe(client->signs.longest(now)));
+    });
+    return lines;
 }
 
 std::size_t FrontEndCore::clients() const {

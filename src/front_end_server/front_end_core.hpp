@@ -18,6 +18,7 @@
 #include "common/result.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
+#include "common/snapshot_table.hpp"
 #include "common/watchdog.hpp"
 #include "front_end_server/ports.hpp"
 
@@ -103,6 +104,9 @@ class FrontEndCore {
     /// Tells every client that the server goes.
     void shutDown();
 
+    /// For people, a line for each client: how near its watchdog came to its end in the last minute.
+    std::vector<std::string> margins() const;
+
     std::size_t clients() const;
     std::size_t entities() const;
     const CoreSettings& settings() const { return settings_; }
@@ -115,8 +119,6 @@ class FrontEndCore {
     };
     using RecordRef = std::shared_ptr<const Record>;
     using Records = std::unordered_map<std::string, RecordRef>;
-    using Table = std::unordered_map<std::string_view, ClientRef>;
-    using Known = std::unordered_map<std::string_view, RecordRef>;
     struct Gone {
         Sender sender;
         Ending ending;
@@ -125,11 +127,10 @@ class FrontEndCore {
     template <class Send>
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     bool flooded(const ClientRef& client);
+    void audit(const char* what, const Sender& who, const std::vector<std::string>& entities) const;
     std::size_t pushAll(ClientOutbox& to);
     std::size_t stopTargets(const std::string& entity) const;
     void settle(const Sender& client, Ending ending, const std::map<std::string, bool>& held);
-    void rebuildClients();
-    void rebuildKnown();
     void updateHolding(const std::string& holder);
 
     const CoreSettings settings_;
@@ -139,9 +140,9 @@ class FrontEndCore {
     const Note note_;
     const std::function<void()> wake_;
 
-    Snapshot<Table> data_clients_;
-    Snapshot<Table> signal_clients_;  // the same tables, behind a lock of their own
-    Snapshot<Known> signal_known_;
+    SnapshotTable<ClientRef, 2> table_;  // by session, for each lane
+    SnapshotTable<RecordRef> known_;     // by entity, for stops
+    std::atomic<std::int64_t> own_stops_{0};
 
     mutable std::mutex mutex_;
     // Guarded by mutex_:

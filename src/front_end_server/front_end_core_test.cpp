@@ -4,15 +4,33 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <cstdlib>
+#include <new>
 #include <string>
 #include <utility>
 #include <vector>
+
+// Counted, so that the cost of a join is known without a clock.
+static std::atomic<std::size_t> allocations{0};
+void* operator new(std::size_t size) {
+    ++allocations;
+    if (void* memory = std::malloc(size == 0 ? 1 : size)) return memory;
+    throw std::bad_alloc();
+}
+void operator delete(void* memory) noexcept {
+    std::free(memory);
+}
+void operator delete(void* memory, std::size_t) noexcept {
+    std::free(memory);
+}
 
 namespace axon::front_end_server {
 namespace {
 
 using namespace std::chrono_literals;
 using testing::ElementsAre;
+using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::UnorderedElementsAre;
 
@@ -65,17 +83,20 @@ class FakeTopic final : public EntityTopic {
     void stopSignal(const Header& head, StopCause cause) override {
         lines.push_back(std::string("stop (") + toString(cause) + ") by " + head.sender.name + " to " +
                         head.entity);
+        numbers.push_back(head.sequence);
     }
     void stopSignals(const Header& head, const std::vector<std::string>& entities, StopCause cause) override {
         std::string line = std::string("stop (") + toString(cause) + ") by " + head.sender.name + " to";
         for (const auto& entity : entities) line += " " + entity;
         lines.push_back(line);
+        numbers.push_back(head.sequence);
     }
     void resetSignal(const Header& head) override { lines.push_back("reset to " + head.entity); }
     void clearSignal(const Header& head) override { lines.push_back("clear to " + head.entity); }
     std::vector<std::string> take() { return std::exchange(lines, {}); }
 
     std::vector<std::string> lines;
+    std::vector<std::int64_t> numbers;  // of stops
 };
 
 class FrontEndTest : public testing::Test {
@@ -123,8 +144,10 @@ class FrontEndTest : public testing::Test {
     ManualClock clock;
     SeededRandom random{1};
     FakeTopic topic;
+    std::vector<std::string> notes;
     CoreSettings settings;
-    FrontEndCore core{settings, clock, random, topic, [](const std::string&) {}, [] {}};
+    FrontEndCore core{
+        settings, clock, random, topic, [this](const std::string& line) { notes.push_back(line); }, [] {}};
 };
 
 TEST_F(FrontEndTest, TellsAClientWhoIsThereAndWhatChanges) {
@@ -347,6 +370,77 @@ TEST_F(FrontEndTest, SaysThatTheServerGoes) {
     const auto peer = join();
     core.shutDown();
     EXPECT_THAT(peer.data->take(), ElementsAre("update the server is shutting down"));
+}
+
+TEST_F(FrontEndTest, ItsOwnStopsHaveNumbersThatNoClientCanTake) {
+    entity("e1");
+    entity("e2");
+    const auto peer = join();
+    auto forged = to("e1");
+    forged.sequence = kServerSequences + 1;
+    core.sendStopSignal(peer.client, forged, StopCause::Requested);
+    EXPECT_EQ(topic.numbers.back(), 0);
+    status("e1", EntityState::REG, peer.id());
+    status("e2", EntityState::REG, peer.id());
+    core.leave(peer.client, Ending::Lost, "connection lost");
+    status("e1", EntityState::IDLE);
+    status("e1", EntityState::REG, peer.id());  // granted late: another stop
+    ASSERT_EQ(topic.numbers.size(), 3U);
+    EXPECT_GT(topic.numbers[1], kServerSequences);
+    EXPECT_GT(topic.numbers[2], topic.numbers[1]);
+}
+
+TEST_F(FrontEndTest, SaysForTheAuditWhoStoppedAndRearmed) {
+    entity("e1");
+    const auto peer = join();
+    notes.clear();
+    core.sendStopSignal(peer.client, to(""), StopCause::Requested);
+    auto rearm = to("e1");
+    rearm.msg_type = kMsgRearm;
+    core.sendToEntity(peer.client, rearm, "");
+    core.sendToEntity(peer.client, to("e1"), "a text");
+    EXPECT_THAT(notes, ElementsAre(HasSubstr("audit: stop by client1 (operator, " + peer.id() + ") to all 1"),
+                                   HasSubstr("audit: rearm by client1 (operator, " + peer.id() + ") to e1")));
+}
+
+TEST_F(FrontEndTest, WarnsOnceAMinuteOfAClientThatIsNearlyLost) {
+    entity("e1");
+    const auto peer = join();
+    status("e1", EntityState::BUSY, peer.id());
+    notes.clear();
+    const auto beat = [&](Duration period, int times) {
+        for (int i = 0; i < times; ++i) {
+            pass(period);
+            core.keepAlive(peer.client);
+        }
+    };
+    beat(140ms, 20);
+    EXPECT_THAT(notes, IsEmpty());
+    beat(160ms, 200);  // 32 s
+    ASSERT_EQ(notes.size(), 1U);
+    EXPECT_THAT(notes.front(), HasSubstr("client client1 is late: 1"));
+    EXPECT_THAT(core.margins(), ElementsAre(HasSubstr("client client1: 160 ms of 250 ms")));
+    beat(160ms, 200);
+    EXPECT_EQ(notes.size(), 2U);
+}
+
+TEST_F(FrontEndTest, FourThousandJoinsAreNotQuadratic) {
+    constexpr int kJoins = 4096;
+    const auto before = allocations.load();
+    for (int i = 0; i < kJoins; ++i) entity("e" + std::to_string(i));
+    // A table that is copied whole costs 2048 allocations for each join on the average.
+    EXPECT_LT(allocations - before, kJoins * 200U);
+    while (core.entities() > 0)
+        core.entityBasicPrflUpdate(Presence::Left, {"e" + std::to_string(core.entities() - 1)}, {});
+    std::vector<std::shared_ptr<FakeOutbox>> peers;
+    const auto between = allocations.load();
+    for (int i = 0; i < kJoins; ++i) {
+        peers.push_back(std::make_shared<FakeOutbox>());
+        ASSERT_TRUE(core.setCallback("client", Role::Operator, peers.back()).ok());
+    }
+    EXPECT_LT(allocations - between, kJoins * 200U);
+    core.entityMsgDataSeq({}, "to all");
+    for (const auto& peer : peers) EXPECT_EQ(peer->lines.size(), 1U);
 }
 
 TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
