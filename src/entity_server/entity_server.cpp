@@ -39,6 +39,7 @@ class EntityServer::Rim {
           data_topic(data->createObjectAdapter("")),
           signal_topic(signal->createObjectAdapter("")) {
         const auto gate = Ice::stringToIdentity("EntityGate");
+        data_lane.logins = settings.logins;
         data_lane.signal_host = transport::hostOf(*signal_adapter);
         data_lane.signal_port = transport::portOf(*signal_adapter);
         data_adapter->add(std::make_shared<EntityGateServant>(data_lane), gate);

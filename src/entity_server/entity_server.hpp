@@ -18,12 +18,18 @@ namespace Axon::FrontEndComm {
 class FrontEndToEntityCommPrx;
 }
 
+namespace axon::transport {
+class Logins;
+}
+
 namespace axon::entity_server {
 
 struct EntityServerSettings {
     CoreSettings core;
     std::string data_endpoint = "tcp -h 127.0.0.1 -p 10412";
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10413";
+    /// Who may come in. Outlives the communicators. Null: anybody.
+    transport::Logins* logins = nullptr;
 };
 
 /// The entity server on Ice: two adapters, EntityServer and EntityServerSignal, each with a communicator and

@@ -203,11 +203,17 @@ void EntitySessionServant::attachSignalLane(std::string token, std::shared_ptr<P
 
 void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registration, ByteRange profile,
                                          const Ice::Current& current) {
+    if (lane_.lane == Lane::Signal) {
+        session(current);
+        throw toIce(Refusal{RefusalCode::WrongState, "sendBasicPrfl belongs on the data lane's session", {}});
+    }
     transport::valueOrThrow(
         lane_.core.sendBasicPrfl(session(current), fromIce(std::move(registration)), toView(profile)));
 }
 void EntitySessionServant::sendStatus(Axon::CommUtil::EntityStatus status, const Ice::Current& current) {
-    lane_.core.sendStatus(session(current), fromIce(std::move(status)));
+    const auto& its_session = session(current);
+    if (lane_.lane == Lane::Signal) return lane_.core.refuseOnSignalLane(its_session, kMsgStatus);
+    lane_.core.sendStatus(its_session, fromIce(std::move(status)));
 }
 void EntitySessionServant::sendSvcPrflRecord(IceHeader head, int record_id, int count, ByteRange record,
                                              const Ice::Current& current) {
@@ -235,14 +241,15 @@ void EntitySessionServant::destroy(const Ice::Current& current) {
     peer_->disconnect({false, "it ended its session"}, true);
 }
 
-std::shared_ptr<Axon::EntityComm::EntitySessionPrx> EntityGateServant::open(std::string, std::string,
-                                                                            const Ice::Current& current) {
-    auto peer = std::make_shared<transport::PeerConnection>(current.con);
-    auto servant = std::make_shared<EntitySessionServant>(lane_, peer);
-    transport::valueOrThrow(lane_.sessions.add(peer->get(), servant));
-    auto proxy =
-        Ice::uncheckedCast<Axon::EntityComm::EntitySessionPrx>(current.adapter->addWithUUID(servant));
-    peer->onClosed([&lane = lane_, servant, peer, adapter = current.adapter,
+namespace {
+
+std::shared_ptr<Axon::EntityComm::EntitySessionPrx> admit(
+    EntityLane& lane, const std::shared_ptr<transport::PeerConnection>& peer,
+    const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+    auto servant = std::make_shared<EntitySessionServant>(lane, peer);
+    transport::valueOrThrow(lane.sessions.add(peer->get(), servant));
+    auto proxy = Ice::uncheckedCast<Axon::EntityComm::EntitySessionPrx>(adapter->addWithUUID(servant));
+    peer->onClosed([&lane, servant, peer, adapter,
                     id = proxy->ice_getIdentity()](const transport::CloseReason& reason) {
         lane.sessions.remove(peer->get());
         servant->end(false, reason.text);
@@ -252,6 +259,25 @@ std::shared_ptr<Axon::EntityComm::EntitySessionPrx> EntityGateServant::open(std:
         }
     });
     return proxy;
+}
+
+}  // namespace
+
+void EntityGateServant::openAsync(std::string user, std::string password, Opened opened, Refused refused,
+                                  const Ice::Current& current) {
+    auto peer = std::make_shared<transport::PeerConnection>(current.con);
+    transport::LoginRequest request{std::move(user), std::move(password), peer->peer(), peer->local()};
+    auto answer = [&lane = lane_, peer, adapter = current.adapter, opened = std::move(opened),
+                   refused = std::move(refused)](Result<transport::LoggedIn> who) {
+        try {
+            transport::valueOrThrow(std::move(who));
+            opened(admit(lane, peer, adapter));
+        } catch (...) {
+            refused(std::current_exception());
+        }
+    };
+    if (lane_.logins == nullptr) return answer(transport::LoggedIn{});
+    lane_.logins->entity(std::move(request), std::move(answer));
 }
 
 void FrontEndToEntityServant::clientMsg(IceHeader head, ByteRange message, const Ice::Current&) {

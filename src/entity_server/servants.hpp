@@ -11,6 +11,7 @@
 #include "entity_server/entity_server_core.hpp"
 #include "entity_server/ports.hpp"
 #include "transport/callback_sender.hpp"
+#include "transport/login.hpp"
 #include "transport/open_sessions.hpp"
 #include "transport/peer_connection.hpp"
 
@@ -68,6 +69,9 @@ struct EntityLane {
     std::string signal_host;  ///< of the signal lane's adapter; empty where it listens on all addresses
     int signal_port = 0;
     transport::OpenSessions<EntitySessionServant> sessions;
+    /// Of the data lane. Null on the signal lane: there the token of a session is the proof, and no stop
+    /// waits for a password.
+    transport::Logins* logins = nullptr;
 };
 
 /// One session of an Entity Manager on one lane (thesis: Session_Impl). States: opened, ready (setCallback or
@@ -118,8 +122,10 @@ class EntitySessionServant final : public Axon::EntityComm::EntitySession,
 class EntityGateServant final : public Axon::EntityComm::EntityGate {
   public:
     explicit EntityGateServant(EntityLane& lane) : lane_(lane) {}
-    std::shared_ptr<Axon::EntityComm::EntitySessionPrx> open(std::string user, std::string password,
-                                                             const Ice::Current& current) override;
+    using Opened = std::function<void(const std::shared_ptr<Axon::EntityComm::EntitySessionPrx>&)>;
+    using Refused = std::function<void(std::exception_ptr)>;
+    void openAsync(std::string user, std::string password, Opened opened, Refused refused,
+                   const Ice::Current& current) override;
 
   private:
     EntityLane& lane_;

@@ -35,6 +35,7 @@ class FrontEndServer::Rim {
           data_topic(data->createObjectAdapter("")),
           signal_topic(signal->createObjectAdapter("")) {
         const auto gate = Ice::stringToIdentity("ClientGate");
+        data_lane.logins = settings.logins;
         data_lane.signal_host = transport::hostOf(*signal_adapter);
         data_lane.signal_port = transport::portOf(*signal_adapter);
         data_adapter->add(std::make_shared<ClientGateServant>(data_lane), gate);

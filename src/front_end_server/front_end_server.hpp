@@ -17,12 +17,18 @@ namespace Axon::FrontEndComm {
 class FrontEndToEntityCommPrx;
 }
 
+namespace axon::transport {
+class Logins;
+}
+
 namespace axon::front_end_server {
 
 struct FrontEndServerSettings {
     CoreSettings core;
     std::string data_endpoint = "tcp -h 127.0.0.1 -p 10410";
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10411";
+    /// Who may come in. Outlives the communicators. Null: anybody, as operator.
+    transport::Logins* logins = nullptr;
 };
 
 /// The front-end server on Ice: two adapters, FrontEndServer and FrontEndServerSignal, each with a

@@ -272,16 +272,22 @@ void ClientSessionServant::destroy(const Ice::Current& current) {
     peer_->disconnect({false, "it ended its session"}, true);
 }
 
-std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> ClientGateServant::open(std::string, std::string,
-                                                                              std::string display_name,
-                                                                              const Ice::Current& current) {
-    auto peer = std::make_shared<transport::PeerConnection>(current.con);
-    // Without users (loopback only) whoever is on this machine may administer.
-    auto servant = std::make_shared<ClientSessionServant>(lane_, peer, std::move(display_name), Role::Admin);
-    transport::valueOrThrow(lane_.sessions.add(peer->get(), servant));
-    auto proxy =
-        Ice::uncheckedCast<Axon::FrontEndComm::ClientSessionPrx>(current.adapter->addWithUUID(servant));
-    peer->onClosed([&lane = lane_, servant, peer, adapter = current.adapter,
+namespace {
+
+/// "client1@host", where the user is who logged in and the rest is what the client says of itself.
+std::string nameOf(const transport::LoggedIn& who, const std::string& display_name) {
+    if (who.user.empty()) return display_name;
+    const auto host = display_name.substr(display_name.rfind('@') + 1);
+    return host.empty() || host == who.user ? who.user : who.user + "@" + host;
+}
+
+std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> admit(
+    ClientLane& lane, const std::shared_ptr<transport::PeerConnection>& peer,
+    const std::shared_ptr<Ice::ObjectAdapter>& adapter, std::string name, Role role) {
+    auto servant = std::make_shared<ClientSessionServant>(lane, peer, std::move(name), role);
+    transport::valueOrThrow(lane.sessions.add(peer->get(), servant));
+    auto proxy = Ice::uncheckedCast<Axon::FrontEndComm::ClientSessionPrx>(adapter->addWithUUID(servant));
+    peer->onClosed([&lane, servant, peer, adapter,
                     id = proxy->ice_getIdentity()](const transport::CloseReason& reason) {
         lane.sessions.remove(peer->get());
         servant->end(reason.improper ? Ending::Improper : Ending::Lost, reason.text);
@@ -291,6 +297,26 @@ std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> ClientGateServant::open(st
         }
     });
     return proxy;
+}
+
+}  // namespace
+
+void ClientGateServant::openAsync(std::string user, std::string password, std::string display_name,
+                                  Opened opened, Refused refused, const Ice::Current& current) {
+    auto peer = std::make_shared<transport::PeerConnection>(current.con);
+    transport::LoginRequest request{std::move(user), std::move(password), peer->peer(), peer->local()};
+    auto answer = [&lane = lane_, peer, adapter = current.adapter, display_name = std::move(display_name),
+                   opened = std::move(opened),
+                   refused = std::move(refused)](Result<transport::LoggedIn> who) {
+        try {
+            const auto its = transport::valueOrThrow(std::move(who));
+            opened(admit(lane, peer, adapter, nameOf(its, display_name), its.role));
+        } catch (...) {
+            refused(std::current_exception());
+        }
+    };
+    if (lane_.logins == nullptr) return answer(transport::LoggedIn{});
+    lane_.logins->client(std::move(request), std::move(answer));
 }
 
 void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence presence,

@@ -11,6 +11,7 @@
 #include "front_end_server/front_end_core.hpp"
 #include "front_end_server/ports.hpp"
 #include "transport/callback_sender.hpp"
+#include "transport/login.hpp"
 #include "transport/open_sessions.hpp"
 #include "transport/peer_connection.hpp"
 
@@ -71,6 +72,9 @@ struct ClientLane {
     std::string signal_host;  ///< of the signal lane's adapter; empty where it listens on all addresses
     int signal_port = 0;
     transport::OpenSessions<ClientSessionServant> sessions;
+    /// Of the data lane. Null on the signal lane: there the token of a session is the proof, and no stop
+    /// waits for a password.
+    transport::Logins* logins = nullptr;
 };
 
 /// One session of a client on one lane (thesis: Session_Impl). States: opened, ready (setCallback or
@@ -126,9 +130,10 @@ class ClientSessionServant final : public Axon::FrontEndComm::ClientSession {
 class ClientGateServant final : public Axon::FrontEndComm::ClientGate {
   public:
     explicit ClientGateServant(ClientLane& lane) : lane_(lane) {}
-    std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> open(std::string user, std::string password,
-                                                               std::string display_name,
-                                                               const Ice::Current& current) override;
+    using Opened = std::function<void(const std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx>&)>;
+    using Refused = std::function<void(std::exception_ptr)>;
+    void openAsync(std::string user, std::string password, std::string display_name, Opened opened,
+                   Refused refused, const Ice::Current& current) override;
 
   private:
     ClientLane& lane_;

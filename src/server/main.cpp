@@ -11,12 +11,11 @@
 #include "transport/logging.hpp"
 
 int main(int argc, char** argv) {
-    // Before any thread exists, so that all inherit it: the two signals are waited for below.
-    sigset_t ends;
-    sigemptyset(&ends);
-    sigaddset(&ends, SIGINT);
-    sigaddset(&ends, SIGTERM);
-    pthread_sigmask(SIG_BLOCK, &ends, nullptr);
+    // Before any thread exists, so that all inherit it: the three signals are waited for below.
+    sigset_t awaited;
+    sigemptyset(&awaited);
+    for (const int signal : {SIGINT, SIGTERM, SIGUSR1}) sigaddset(&awaited, signal);
+    pthread_sigmask(SIG_BLOCK, &awaited, nullptr);
     std::signal(SIGPIPE, SIG_IGN);
 
     try {
@@ -28,7 +27,9 @@ int main(int argc, char** argv) {
         std::fflush(stdout);
 
         int received = 0;
-        sigwait(&ends, &received);
+        while (sigwait(&awaited, &received) != 0 || received == SIGUSR1) {
+            for (const auto& line : server.margins()) spdlog::info("{}", line);
+        }
         spdlog::info("shutting down on {}", received == SIGINT ? "SIGINT" : "SIGTERM");
     } catch (const std::exception& error) {
         std::fprintf(stderr, "axon-server: %s\n", error.what());

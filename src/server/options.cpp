@@ -5,12 +5,14 @@
 #include <CLI/CLI.hpp>
 
 #include <charconv>
+#include <cstdio>
 #include <fstream>
 #include <functional>
 #include <map>
 #include <regex>
 #include <stdexcept>
 
+#include "server/users.hpp"
 #include "server/version.hpp"
 
 namespace axon::server {
@@ -32,6 +34,16 @@ long number(const std::string& where, const std::string& text, long least, long 
                                  " to " + std::to_string(most));
     }
     return value;
+}
+
+void addUser(const std::string& file, const std::string& name, const std::string& role) {
+    if (file.empty()) throw std::runtime_error("--add-user: expected the file to write to: add --users FILE");
+    const auto its_role = userRole(role);
+    if (!its_role)
+        throw std::runtime_error("--role '" + role + "': expected observer, operator, admin or entity");
+    writeUser(file, name, *its_role, readPassword());
+    std::fprintf(stderr, "%s: '%s' may log in as %s; restart axon-server to make it so\n", file.c_str(),
+                 name.c_str(), toString(*its_role));
 }
 
 }  // namespace
@@ -69,6 +81,11 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
          [&](const auto& where, const auto& text) {
              settings.entity.entities_max = static_cast<std::size_t>(number(where, text, 1, 1'000'000));
          }},
+        {"Axon.DrillPeriod",
+         [&](const auto& where, const auto& text) {
+             settings.entity.drill_period = std::chrono::seconds{number(where, text, 0, 86'400)};
+         }},
+        {"Server.Users", [&](const auto&, const auto& text) { settings.users_file = text; }},
         {"Server.DataThreads",
          [&](const auto& where, const auto& text) {
              settings.data_threads = static_cast<int>(number(where, text, 1, 256));
@@ -101,7 +118,9 @@ Parsed parseOptions(int argc, char** argv) {
     app.set_version_flag("--version", std::string("axon-server ") + kVersion);
     std::vector<std::string> files;
     std::string listen;
-    std::string role = "both";
+    std::string role;
+    std::string users;
+    std::string user_to_add;
     std::map<std::string, std::string> endpoints;
     Options options;
     app.add_option(
@@ -116,7 +135,16 @@ Parsed parseOptions(int argc, char** argv) {
                    "HOST:PORT for Entity Managers (127.0.0.1:10412)");
     app.add_option("--entity-signal-endpoint", endpoints["entity-signal"],
                    "HOST:PORT for Entity Managers' signal lane (127.0.0.1:10413)");
-    app.add_option("--role", role, "both (servers in separate processes are not in this version)");
+    app.add_option("--users", users,
+                   "users.cfg: who may log in; without it, on loopback only, no password is asked");
+    app.add_option(
+        "--add-user", user_to_add,
+        "Write this user into the file of --users, with the password that is asked for or the first "
+        "line of standard input, and end");
+    app.add_option(
+        "--role", role,
+        "Of --add-user: observer, operator, admin, or entity (for Entity Managers). Otherwise: both "
+        "(servers in separate processes are not in this version)");
     app.add_option("--log-level", options.log_level, "debug, info, warn or error")
         ->check(CLI::IsMember({"debug", "info", "warn", "error"}));
     try {
@@ -124,12 +152,17 @@ Parsed parseOptions(int argc, char** argv) {
     } catch (const CLI::ParseError& error) {
         return {std::nullopt, app.exit(error) == 0 ? 0 : 2};
     }
-    if (role != "both") {
+    auto& settings = options.settings;
+    for (const auto& file : files) readConfiguration(file, settings);
+    if (!users.empty()) settings.users_file = users;
+    if (!user_to_add.empty()) {
+        addUser(settings.users_file, user_to_add, role);
+        return {std::nullopt, 0};
+    }
+    if (!role.empty() && role != "both") {
         throw std::runtime_error("--role " + role +
                                  ": this version runs both servers in one process; leave --role out");
     }
-    auto& settings = options.settings;
-    for (const auto& file : files) readConfiguration(file, settings);
     for (const auto& [name, to] :
          std::map<std::string, std::string*>{{"client", &settings.client_endpoint},
                                              {"client-signal", &settings.client_signal_endpoint},
@@ -140,7 +173,7 @@ Parsed parseOptions(int argc, char** argv) {
         } else if (!listen.empty()) {
             *to = listen + to->substr(to->rfind(':'));
         }
-        checkLoopback(*to);
+        checkEndpoint(*to, !settings.users_file.empty());
     }
     return {std::move(options), 0};
 }

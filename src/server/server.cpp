@@ -5,17 +5,21 @@
 #include <arpa/inet.h>
 #include <spdlog/spdlog.h>
 
+#include <optional>
 #include <stdexcept>
+#include <utility>
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "entity_server/entity_server.hpp"
 #include "front_end_server/front_end_server.hpp"
+#include "server/login_desk.hpp"
+#include "server/socket_owner.hpp"
 #include "transport/communicator.hpp"
 
 namespace axon::server {
 
-void checkLoopback(const std::string& endpoint) {
+bool checkEndpoint(const std::string& endpoint, bool has_users) {
     try {
         transport::tcpEndpoint(endpoint);
     } catch (const std::invalid_argument& error) {
@@ -30,20 +34,36 @@ void checkLoopback(const std::string& endpoint) {
                                  "': expected an address of four numbers, such as 127.0.0.1:10410");
     }
     const bool loopback = host == "localhost" || (numeric && (ntohl(address.s_addr) >> 24U) == 127);
-    if (!loopback) {
+    if (!loopback && !has_users) {
         throw std::runtime_error(
             "'" + endpoint +
-            "' is reachable from other machines, and this version has no authentication: anybody there "
-            "could move the robots. Listen on 127.0.0.1, and let other machines in through an SSH "
-            "tunnel (ssh -L 10410:127.0.0.1:10410 -L 10411:127.0.0.1:10411 HOST)");
+            "' is reachable from other machines, and the server has no users: anybody there could move the "
+            "robots. Name who may log in (axon-server --users FILE --add-user NAME --role ROLE, then --users "
+            "FILE), or listen on 127.0.0.1 and let other machines in through an SSH tunnel (ssh -L "
+            "10410:127.0.0.1:10410 -L 10411:127.0.0.1:10411 HOST)");
     }
+    return !loopback;
 }
 
 namespace {
 
-std::string loopbackEndpoint(const std::string& endpoint) {
-    checkLoopback(endpoint);
-    return transport::tcpEndpoint(endpoint);
+void note(const std::string& line) {
+    spdlog::info("{}", line);
+}
+
+std::optional<Users> usersOf(const ServerSettings& settings) {
+    const bool has_users = !settings.users_file.empty();
+    bool open = false;
+    for (const auto* endpoint : {&settings.client_endpoint, &settings.client_signal_endpoint,
+                                 &settings.entity_endpoint, &settings.entity_signal_endpoint})
+        open = checkEndpoint(*endpoint, has_users) || open;
+    if (open) {
+        spdlog::warn(
+            "other machines can reach this server, and what they send, passwords included, is not encrypted: "
+            "use it in a network that you trust, or through an SSH tunnel");
+    }
+    if (!has_users) return std::nullopt;
+    return Users::read(settings.users_file);
 }
 
 transport::CommunicatorSettings communicatorSettings(const ServerSettings& settings, Lane lane) {
@@ -60,16 +80,16 @@ transport::CommunicatorSettings communicatorSettings(const ServerSettings& setti
 class Server::Parts {
   public:
     explicit Parts(const ServerSettings& settings)
-        : data(transport::makeCommunicator(communicatorSettings(settings, Lane::Data))),
+        : logins(usersOf(settings), clock, note,
+                 [](const std::string& peer, const std::string& local) { return socketOwner(peer, local); }),
+          data(transport::makeCommunicator(communicatorSettings(settings, Lane::Data))),
           signal(transport::makeCommunicator(communicatorSettings(settings, Lane::Signal))),
-          entity({settings.entity, loopbackEndpoint(settings.entity_endpoint),
-                  loopbackEndpoint(settings.entity_signal_endpoint)},
-                 data.communicator(), signal.communicator(), clock, random,
-                 [](const std::string& line) { spdlog::info("{}", line); }),
-          front_end({settings.front_end, loopbackEndpoint(settings.client_endpoint),
-                     loopbackEndpoint(settings.client_signal_endpoint)},
-                    data.communicator(), signal.communicator(), clock, random,
-                    [](const std::string& line) { spdlog::info("{}", line); }) {
+          entity({settings.entity, transport::tcpEndpoint(settings.entity_endpoint),
+                  transport::tcpEndpoint(settings.entity_signal_endpoint), &logins},
+                 data.communicator(), signal.communicator(), clock, random, note),
+          front_end({settings.front_end, transport::tcpEndpoint(settings.client_endpoint),
+                     transport::tcpEndpoint(settings.client_signal_endpoint), &logins},
+                    data.communicator(), signal.communicator(), clock, random, note) {
         entity.publishTo(front_end.subscriber(Lane::Data), front_end.subscriber(Lane::Signal));
         front_end.publishTo(entity.subscriber(Lane::Data), entity.subscriber(Lane::Signal));
         entity.activate();
@@ -78,6 +98,7 @@ class Server::Parts {
 
     ~Parts() {
         front_end.core().shutDown();
+        logins.close();  // a communicator waits for calls that are not answered
         // First the threads that call the cores, then the cores.
         data.communicator()->destroy();
         signal.communicator()->destroy();
@@ -85,6 +106,7 @@ class Server::Parts {
 
     SteadyClock clock;
     SystemRandom random;
+    LoginDesk logins;
     Ice::CommunicatorHolder data;
     Ice::CommunicatorHolder signal;
     entity_server::EntityServer entity;
@@ -105,6 +127,12 @@ std::string Server::entityAddress(Lane lane) const {
 std::string Server::readyLine() const {
     return "ready client=" + clientAddress(Lane::Data) + " client-signal=" + clientAddress(Lane::Signal) +
            " entity=" + entityAddress(Lane::Data) + " entity-signal=" + entityAddress(Lane::Signal);
+}
+
+std::vector<std::string> Server::margins() const {
+    auto lines = parts_->front_end.core().margins();
+    for (auto& line : parts_->entity.core().margins()) lines.push_back(std::move(line));
+    return lines;
 }
 
 entity_server::EntityServerCore& Server::entityCore() {

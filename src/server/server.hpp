@@ -3,6 +3,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "entity_server/entity_server_core.hpp"
 #include "front_end_server/front_end_core.hpp"
@@ -19,12 +20,14 @@ struct ServerSettings {
     int signal_threads = 1;  ///< of each adapter of the signal lane
     front_end_server::CoreSettings front_end;
     entity_server::CoreSettings entity;
+    std::string users_file;                             ///< users.cfg; empty: none, and loopback only
     std::map<std::string, std::string> ice_properties;  ///< win over the defaults
 };
 
-/// Throws std::runtime_error, with the mend, for an endpoint that is no HOST:PORT or not on loopback: without
-/// authentication nobody from outside may move a robot.
-void checkLoopback(const std::string& endpoint);
+/// Throws std::runtime_error, with the mend, for an endpoint that is no HOST:PORT, or not on loopback while
+/// the server has no users: nobody from outside may move a robot without a password. Returns whether others
+/// than this machine can reach it.
+bool checkEndpoint(const std::string& endpoint, bool has_users);
 
 /// Both servers in one process, the embedded default: each publishes to the other by collocated calls, which
 /// run in the caller's thread, one lane apart from the other. The only place that knows so.
@@ -43,6 +46,9 @@ class Server {
     std::string entityAddress(Lane lane) const;
     /// "ready client=… client-signal=… entity=… entity-signal=…".
     std::string readyLine() const;
+
+    /// For people: how near each watchdog came to its end in the last minute, and how long stops take.
+    std::vector<std::string> margins() const;
 
     entity_server::EntityServerCore& entityCore();
     front_end_server::FrontEndCore& frontEndCore();

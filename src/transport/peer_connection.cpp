@@ -80,6 +80,11 @@ std::string PeerConnection::peer() const {
     return ip ? ip->remoteAddress + ":" + std::to_string(ip->remotePort) : "an unknown address";
 }
 
+std::string PeerConnection::local() const {
+    const auto ip = ipOf(*connection_);
+    return ip ? ip->localAddress + ":" + std::to_string(ip->localPort) : std::string();
+}
+
 std::string PeerConnection::localAddress() const {
     const auto ip = ipOf(*connection_);
     return ip ? ip->localAddress : std::string();

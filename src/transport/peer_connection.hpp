@@ -45,6 +45,8 @@ class PeerConnection {
     std::string peer() const;
     /// The address of this side that the peer connected to; empty when not TCP.
     std::string localAddress() const;
+    /// This side with its port, as peer().
+    std::string local() const;
 
   private:
     struct Told {

@@ -112,9 +112,10 @@ class RawPeer {
 class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityComm::EntitySessionPrx,
                                  Axon::EntityComm::EntityCallbackPrx> {
   public:
-    explicit RawEntity(const std::string& address, std::string uuid, const std::string& name = "Robot") {
-        const auto open = [](const std::shared_ptr<Axon::EntityComm::EntityGatePrx>& gate) {
-            return gate->open("", "");
+    explicit RawEntity(const std::string& address, std::string uuid, const std::string& name = "Robot",
+                       const std::string& user = {}, const std::string& password = {}) {
+        const auto open = [&](const std::shared_ptr<Axon::EntityComm::EntityGatePrx>& gate) {
+            return gate->open(user, password);
         };
         const auto callback = openData("EntityGate:" + transport::tcpEndpoint(address), open,
                                        std::make_shared<Callback>(*this, "data"));
@@ -157,6 +158,7 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
     std::atomic<bool> stalled{false};
     std::atomic<std::uint64_t> data_received{0};
     std::atomic<std::uint64_t> messages_received{0};
+    std::atomic<Role> last_role{Role::Observer};  // of whoever sent a message last
 
   private:
     class Callback final : public Axon::EntityComm::EntityCallback {
@@ -165,6 +167,7 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
         void newClientMsg(Axon::CommUtil::Header head, ByteRange message, const Ice::Current&) override {
             wait();
             ++entity_.messages_received;
+            entity_.last_role = static_cast<Role>(head.sender.role);
             entity_.log.add("msg " + head.sender.name + " " + head.msgType + " " +
                             std::string(toView(message)));
         }
@@ -176,6 +179,13 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
         void stopSignal(Axon::CommUtil::Header head, Axon::CommUtil::StopCause cause,
                         const Ice::Current&) override {
             entity_.log.add(lane_ + " stop " + toString(transport::fromIce(cause)) + " " + head.sender.name);
+            if (head.msgType != kMsgDrill) return;
+            // As an Entity Manager whose Entity Interfacer acknowledges at once.
+            Header receipt;
+            receipt.sender.id = head.sender.id;
+            receipt.msg_type = kMsgDrill;
+            entity_.signalOneway()->sendToClientAsync(transport::toIce(receipt), toRange("receipt"), [] {},
+                                                      {}, {});
         }
         void resetSignal(Axon::CommUtil::Header, const Ice::Current&) override {
             entity_.log.add(lane_ + " reset");
@@ -188,8 +198,8 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
             const char* text[] = {"lost", "resumed", "ended"};
             entity_.log.add(lane_ + " client " + text[static_cast<int>(change)] + " " + head.sender.id);
         }
-        void newRefusalMsg(Axon::CommUtil::Header, int code, std::string, const Ice::Current&) override {
-            entity_.log.add("refused " + std::to_string(code));
+        void newRefusalMsg(Axon::CommUtil::Header head, int code, std::string, const Ice::Current&) override {
+            entity_.log.add("refused " + std::to_string(code) + " " + head.msgType);
         }
         void newHeartbeat(double, const Ice::Current&) override { entity_.log.add(lane_ + " heartbeat"); }
 
@@ -205,9 +215,10 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
                                  Axon::FrontEndComm::ClientCallbackPrx> {
   public:
     explicit RawClient(const std::string& address, const std::string& name = "client1@lab",
-                       bool with_signal_lane = true) {
+                       bool with_signal_lane = true, const std::string& user = {},
+                       const std::string& password = {}) {
         const auto open = [&](const std::shared_ptr<Axon::FrontEndComm::ClientGatePrx>& gate) {
-            return gate->open("", "", name);
+            return gate->open(user, password, name);
         };
         const auto callback = openData("ClientGate:" + transport::tcpEndpoint(address), open,
                                        std::make_shared<Callback>(*this, "data"));
@@ -255,6 +266,8 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
         void newStatusMsg(Axon::CommUtil::EntityStatus status, const Ice::Current&) override {
             client_.log.add("status " + status.entity + " " +
                             toString(static_cast<EntityState>(status.state)));
+            if (status.stopLatencyUs > 0)
+                client_.log.add("a stop takes " + std::to_string(status.stopLatencyUs));
         }
         void newSvcRecordMsg(Axon::CommUtil::Header, int id, int count, ByteRange,
                              const Ice::Current&) override {

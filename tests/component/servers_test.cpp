@@ -2,10 +2,17 @@
 // Both servers in one process over real sockets, with peers that speak the bare contracts.
 #include <gtest/gtest.h>
 
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <array>
 #include <chrono>
+#include <cstdlib>
+#include <filesystem>
 
 #include "component/raw_peers.hpp"
 #include "server/server.hpp"
+#include "server/users.hpp"
 #include "support/loopback.hpp"
 
 namespace axon::test {
@@ -46,12 +53,14 @@ TEST(ServerStart, RefusesToListenElsewhereThanOnLoopback) {
     EXPECT_THROW(server::Server{settings}, std::runtime_error);
     settings.client_endpoint = "no-port";
     EXPECT_THROW(server::Server{settings}, std::runtime_error);
-    EXPECT_NO_THROW(server::checkLoopback("localhost:10410"));
+    EXPECT_FALSE(server::checkEndpoint("localhost:10410", false));
+    EXPECT_TRUE(server::checkEndpoint("0.0.0.0:10410", true));
+    EXPECT_THROW(server::checkEndpoint("laboratory:10410", false), std::runtime_error);
 }
 
 TEST(ServerStart, SaysThatAnAddressHasFourNumbers) {
     try {
-        server::checkLoopback("127.1:10410");
+        server::checkEndpoint("127.1:10410", false);
         FAIL() << "expected a misconfiguration";
     } catch (const std::runtime_error& error) {
         EXPECT_NE(std::string(error.what()).find("four numbers"), std::string::npos) << error.what();
@@ -238,6 +247,169 @@ TEST_F(Servers, StopForAClientThatFallsSilentWhileItsTaskRuns) {
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop client lost"); }));
     EXPECT_GE(std::chrono::steady_clock::now() - start, 240ms);
     EXPECT_LT(std::chrono::steady_clock::now() - start, 2s);
+}
+
+TEST_F(Servers, RefuseOnTheSignalLaneWhatBelongsOnTheOther) {
+    RawClient client(clients());
+    RawEntity robot(entities(), kFirst);
+    try {
+        robot.signal()->sendBasicPrfl(transport::toIce(robot.registration), toRange("profile"));
+        FAIL() << "expected a refusal";
+    } catch (const Axon::CommUtil::RequestRefused& refused) {
+        EXPECT_EQ(refused.code, static_cast<int>(RefusalCode::WrongState));
+    }
+    robot.join();
+    EntityStatus status;
+    status.state = EntityState::BUSY;
+    robot.signal()->sendStatus(transport::toIce(status));
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("refused 60 STATUS"); }));
+    robot.status(EntityState::IDLE);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("status ") + kFirst + " IDLE"); }));
+    EXPECT_FALSE(client.log.has(std::string("status ") + kFirst + " BUSY"));
+}
+
+TEST(ServerDrill, PublishesEachEntitysStopLatencyToTheClients) {
+    auto settings = onLoopback();
+    settings.entity.drill_period = 50ms;
+    const server::Server server(settings);
+    RawClient client(server.clientAddress(Lane::Data));
+    RawEntity robot(server.entityAddress(Lane::Data), kFirst);
+    robot.join();
+    robot.status(EntityState::IDLE);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("a stop takes "); }));
+    EXPECT_TRUE(robot.log.has("signal stop drill the entity server"));
+    EXPECT_EQ(client.log.count("signal msg"), 0U);  // its receipts are the server's own
+    EXPECT_EQ(server.margins().size(), 2U);
+}
+
+/// A server whose users.cfg has three clients and a robot.
+class ServerUsers : public testing::Test {
+  protected:
+    ServerUsers() {
+        std::string name = std::filesystem::temp_directory_path() / "axon-server-XXXXXX";
+        folder = ::mkdtemp(name.data());
+        auto settings = onLoopback();
+        settings.users_file = folder + "/users.cfg";
+        using server::UserRole;
+        for (const auto& [user, role] :
+             {std::pair{"watcher", UserRole::Observer}, std::pair{"client1", UserRole::Operator},
+              std::pair{"boss", UserRole::Admin}, std::pair{"left", UserRole::Entity}})
+            server::writeUser(settings.users_file, user, role, std::string("password of ") + user);
+        server = std::make_unique<server::Server>(settings);
+    }
+    ~ServerUsers() override {
+        server.reset();
+        std::filesystem::remove_all(folder);
+    }
+    std::string clients() const { return server->clientAddress(Lane::Data); }
+    std::string entities() const { return server->entityAddress(Lane::Data); }
+    std::unique_ptr<RawClient> logIn(const std::string& user, const std::string& password) {
+        return std::make_unique<RawClient>(clients(), "somebody@desk3", true, user, password);
+    }
+
+    std::string folder;
+    std::unique_ptr<server::Server> server;
+};
+
+TEST_F(ServerUsers, TheRoleTravelsFromTheLogInToTheEntity) {
+    RawEntity robot(entities(), kFirst, "Robot", "left", "password of left");
+    robot.join();
+    for (const auto& [user, role] : {std::pair{"watcher", Role::Observer},
+                                     std::pair{"client1", Role::Operator}, std::pair{"boss", Role::Admin}}) {
+        const auto client = logIn(user, std::string("password of ") + user);
+        EXPECT_EQ(client->facts.me.name, std::string(user) + "@desk3");
+        EXPECT_EQ(static_cast<Role>(client->facts.me.role), role);
+        const auto before = robot.messages_received.load();
+        client->text(kFirst, "hello");  // its head says Admin
+        ASSERT_TRUE(waitUntil([&] { return robot.messages_received > before; }));
+        EXPECT_EQ(robot.last_role.load(), role);
+        client->stop(kFirst);
+        EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested " + std::string(user)); }));
+    }
+}
+
+TEST_F(ServerUsers, RefuseWhoHasNoPasswordOrTheWrongOneOrTheWrongDoor) {
+    const auto code = [](const auto& attempt) {
+        try {
+            attempt();
+        } catch (const Axon::CommUtil::RequestRefused& refused) {
+            EXPECT_FALSE(refused.reason.empty());
+            return static_cast<RefusalCode>(refused.code);
+        }
+        return RefusalCode::Ok;
+    };
+    EXPECT_EQ(code([&] { logIn("", ""); }), RefusalCode::PermissionDenied);
+    EXPECT_EQ(code([&] { logIn("boss", "password of client1"); }), RefusalCode::PermissionDenied);
+    EXPECT_EQ(code([&] { logIn("left", "password of left"); }), RefusalCode::PermissionDenied);
+    EXPECT_EQ(code([&] { RawEntity(entities(), kFirst); }), RefusalCode::PermissionDenied);
+    EXPECT_EQ(code([&] { RawEntity(entities(), kFirst, "Robot", "boss", "password of boss"); }),
+              RefusalCode::PermissionDenied);
+    EXPECT_EQ(code([&] { logIn("boss", "password of boss"); }), RefusalCode::Ok);
+    EXPECT_EQ(server->frontEndCore().clients(), 0U);
+}
+
+TEST_F(ServerUsers, ASessionOnTheSignalPortIsNothingWithoutAToken) {
+    RawEntity robot(entities(), kFirst, "Robot", "left", "password of left");
+    robot.join();
+    const auto communicator = transport::makeCommunicator({});
+    const auto gate =
+        Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(communicator.communicator()->stringToProxy(
+            "ClientGate:" + transport::tcpEndpoint(server->clientAddress(Lane::Signal))));
+    const auto opened = gate->open("", "", "eve");
+    const auto session = Ice::uncheckedCast<Axon::FrontEndComm::ClientSessionPrx>(
+        gate->ice_getCachedConnection()->createProxy(opened->ice_getIdentity()));
+    EXPECT_THROW(session->sendStopSignal({}, Axon::CommUtil::StopCause::Requested),
+                 Ice::ObjectNotExistException);
+    EXPECT_THROW(session->keepAlive(1), Ice::ObjectNotExistException);
+    EXPECT_FALSE(robot.log.has("signal stop"));
+}
+
+TEST_F(ServerUsers, GuessingHoldsUpNoStop) {
+    RawEntity robot(entities(), kFirst, "Robot", "left", "password of left");
+    robot.join();
+    const auto client = logIn("client1", "password of client1");
+    const auto communicator = transport::makeCommunicator({});
+    const auto gate = Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(
+        communicator.communicator()->stringToProxy("ClientGate:" + transport::tcpEndpoint(clients())));
+    std::atomic<int> refused{0};
+    for (int i = 0; i < 100; ++i) {
+        gate->openAsync(
+            "user" + std::to_string(i), "guess", "eve", [](const auto&) {},
+            [&](std::exception_ptr) { ++refused; });
+    }
+    client->stop(kFirst);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested"); }));
+    EXPECT_LT(refused, 100) << "the guesses were over before the stop: the test says nothing";
+    EXPECT_TRUE(waitUntil([&] { return refused == 100; }, 60s));
+}
+
+TEST(ServerWithoutUsers, OnlyItsOwnUserAndRootAreAdmin) {
+    const server::Server server(onLoopback());
+    const RawClient own(server.clientAddress(Lane::Data));
+    EXPECT_EQ(static_cast<Role>(own.facts.me.role), Role::Admin);
+    if (::geteuid() != 0) GTEST_SKIP() << "only root can try as somebody else";
+    const auto program = std::filesystem::read_symlink("/proc/self/exe").string();
+    const auto variable = "AXON_TEST_SERVER=" + server.clientAddress(Lane::Data);
+    std::array<char*, 2> environment{const_cast<char*>(variable.c_str()), nullptr};
+    const auto child = ::fork();
+    if (child == 0) {
+        if (::setgid(65534) != 0 || ::setuid(65534) != 0) ::_exit(3);
+        ::execle(program.c_str(), program.c_str(), "--gtest_filter=*AsSomebodyElse", nullptr,
+                 environment.data());
+        ::_exit(4);
+    }
+    int status = 0;
+    ASSERT_EQ(::waitpid(child, &status, 0), child);
+    EXPECT_TRUE(WIFEXITED(status));
+    if (WEXITSTATUS(status) == 4) GTEST_SKIP() << "somebody else may not read this program";
+    EXPECT_EQ(WEXITSTATUS(status), 0);
+}
+
+TEST(ServerWithoutUsers, AsSomebodyElse) {
+    const char* address = std::getenv("AXON_TEST_SERVER");
+    if (address == nullptr) GTEST_SKIP() << "started by the test before";
+    const RawClient other(address);
+    EXPECT_EQ(static_cast<Role>(other.facts.me.role), Role::Operator);
 }
 
 TEST_F(Servers, EndInOrderWithoutAStopWhereNothingRuns) {

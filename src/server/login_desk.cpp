@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "server/login_desk.hpp"
+
+#include <pthread.h>
+#include <sodium.h>
+#include <unistd.h>
+
+#include <stdexcept>
+#include <utility>
+
+namespace axon::server {
+
+using transport::LoggedIn;
+using transport::LoginRequest;
+
+namespace {
+
+constexpr std::size_t kWaitingMax = 1024;
+constexpr std::size_t kWaitingOfOneMax = 64;
+constexpr std::size_t kUserShown = 64;
+
+Refusal refuse(RefusalCode code, std::string message) {
+    return {code, std::move(message), {}};
+}
+
+}  // namespace
+
+LoginDesk::LoginDesk(std::optional<Users> users, const Clock& clock, Note note, OwnerOf owner_of)
+    : users_(std::move(users)), note_(std::move(note)), owner_of_(std::move(owner_of)), guard_(clock) {
+    if (sodium_init() < 0)
+        throw std::runtime_error("libsodium cannot be used: the kernel gives no random bytes");
+    randombytes_buf(key_.data(), key_.size());
+    thread_ = std::thread([this] {
+        pthread_setname_np(pthread_self(), "axon-login");
+        run();
+    });
+}
+
+LoginDesk::~LoginDesk() {
+    close();
+}
+
+void LoginDesk::close() {
+    {
+        const std::lock_guard lock(mutex_);
+        closed_ = true;
+    }
+    changed_.notify_all();
+    if (thread_.joinable()) thread_.join();
+}
+
+void LoginDesk::client(LoginRequest request, Answer answer) {
+    enqueue(Door::Client, std::move(request), std::move(answer));
+}
+
+void LoginDesk::entity(LoginRequest request, Answer answer) {
+    if (!users_) return answer(LoggedIn{});
+    enqueue(Door::Entity, std::move(request), std::move(answer));
+}
+
+void LoginDesk::enqueue(Door door, LoginRequest request, Answer answer) {
+    auto address = request.peer.substr(0, request.peer.rfind(':'));
+    std::optional<Refusal> refusal;
+    {
+        const std::lock_guard lock(mutex_);
+        auto& its = waiting_[address];
+        if (closed_) {
+            refusal = refuse(RefusalCode::Unavailable, "the server is shutting down");
+        } else if (jobs_.size() >= kWaitingMax || its >= kWaitingOfOneMax) {
+            refusal = refuse(RefusalCode::Overloaded, "too many wait to log in; try again in a moment");
+        } else {
+            ++its;
+            jobs_.push_back({door, std::move(request), std::move(address), std::move(answer)});
+        }
+        if (its == 0) waiting_.erase(address);
+    }
+    if (refusal) return answer(std::move(*refusal));
+    changed_.notify_one();
+}
+
+void LoginDesk::run() {
+    while (true) {
+        Job job;
+        bool closed = false;
+        {
+            std::unique_lock lock(mutex_);
+            changed_.wait(lock, [this] { return closed_ || !jobs_.empty(); });
+            if (jobs_.empty()) return;
+            job = std::move(jobs_.front());
+            jobs_.pop_front();
+            closed = closed_;
+            if (const auto its = waiting_.find(job.address); --its->second == 0) waiting_.erase(its);
+        }
+        auto who = closed ? Result<LoggedIn>(refuse(RefusalCode::Unavailable, "the server is shutting down"))
+                          : decide(job);
+        sodium_memzero(job.request.password.data(), job.request.password.size());
+        job.answer(std::move(who));
+    }
+}
+
+Result<LoggedIn> LoginDesk::decide(const Job& job) {
+    const auto& request = job.request;
+    if (!users_) {
+        const auto uid = owner_of_(request.peer, request.local);
+        return LoggedIn{{}, uid && (*uid == 0 || *uid == ::geteuid()) ? Role::Admin : Role::Operator};
+    }
+    const auto user = request.user.substr(0, kUserShown);
+    const auto failed = [&](const std::string& why) {
+        note_("audit: failed log-in of '" + user + "' from " + request.peer + " (" + why + ")");
+    };
+    if (const auto wait = guard_.mustWait(job.address, user); wait > Duration{}) {
+        failed("tried too early");
+        const auto seconds = std::chrono::ceil<std::chrono::seconds>(wait).count();
+        return refuse(RefusalCode::PermissionDenied, "too many wrong passwords for '" + user + "' from " +
+                                                         job.address + "; try again in " +
+                                                         std::to_string(seconds) + " s");
+    }
+    const auto role = verify(request.user, request.password);
+    if (!role) {
+        guard_.failed(job.address, user);
+        failed("wrong name or password");
+        return refuse(RefusalCode::PermissionDenied,
+                      user.empty() ? "this server asks for a user and a password; log in with those that its "
+                                     "administrator gave you"
+                                   : "wrong user or password; whoever runs the server can set it with "
+                                     "axon-server --add-user");
+    }
+    guard_.succeeded(job.address, user);
+    const bool is_entity = *role == UserRole::Entity;
+    if (is_entity != (job.door == Door::Entity)) {
+        failed(std::string("role ") + toString(*role) + " at the other door");
+        return refuse(RefusalCode::PermissionDenied,
+                      is_entity ? "user '" + user +
+                                      "' has the role entity, which is for Entity Managers; log in "
+                                      "as an observer, operator or admin"
+                                : "user '" + user + "' has the role " + toString(*role) +
+                                      "; an Entity Manager needs a user of the role entity (Axon.User)");
+    }
+    switch (*role) {
+        case UserRole::Observer:
+            return LoggedIn{user, Role::Observer};
+        case UserRole::Admin:
+            return LoggedIn{user, Role::Admin};
+        case UserRole::Operator:
+        case UserRole::Entity:
+            break;
+    }
+    return LoggedIn{user, Role::Operator};
+}
+
+LoginDesk::Digest LoginDesk::digestOf(const std::string& password) const {
+    Digest digest{};
+    crypto_generichash(digest.data(), digest.size(), reinterpret_cast<const unsigned char*>(password.data()),
+                       password.size(), key_.data(), key_.size());
+    return digest;
+}
+
+std::optional<UserRole> LoginDesk::verify(const std::string& user, const std::string& password) {
+    const auto digest = digestOf(password);
+    if (const auto found = known_.find(user);
+        found != known_.end() && sodium_memcmp(found->second.first.data(), digest.data(), digest.size()) == 0)
+        return found->second.second;
+    const auto role = users_->verify(user, password);
+    if (role) known_[user] = {digest, *role};
+    return role;
+}
+
+}  // namespace axon::server

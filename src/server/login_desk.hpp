@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <array>
+#include <condition_variable>
+#include <deque>
+#include <functional>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include "common/clock.hpp"
+#include "server/login_guard.hpp"
+#include "server/users.hpp"
+#include "transport/login.hpp"
+
+namespace axon::server {
+
+/// Who may open a session of this server, and as what.
+///
+/// With users: name and password must be in users.cfg; the role `entity` is for Entity Managers, the other
+/// three for clients. Without (the server listens on loopback only): whoever has the server's own uid, or
+/// root's, is admin, everybody else operator; where the uid cannot be found out, operator. An Entity Manager
+/// needs no name then.
+///
+/// Threads: one of its own does what takes time (verifying a password, reading /proc/net/tcp), so that Ice's
+/// threads never do; the answers are given on it. Bound: 1024 log-ins wait, of one address 64, then
+/// OVERLOADED. A password that was right once is known by a keyed digest, so that thousands that come back
+/// after a restart are not verified one by one. Life: close() before the gates' communicators are destroyed;
+/// it answers all that wait.
+class LoginDesk final : public transport::Logins {
+  public:
+    using Note = std::function<void(const std::string& line)>;
+    using OwnerOf =
+        std::function<std::optional<std::uint32_t>(const std::string& peer, const std::string& local)>;
+
+    /// `note` gets the lines of the audit; `owner_of` finds the uid of a connection's other end.
+    LoginDesk(std::optional<Users> users, const Clock& clock, Note note, OwnerOf owner_of);
+    ~LoginDesk() override;
+    LoginDesk(const LoginDesk&) = delete;
+    LoginDesk& operator=(const LoginDesk&) = delete;
+
+    void client(transport::LoginRequest request, Answer answer) override;
+    void entity(transport::LoginRequest request, Answer answer) override;
+    void close();
+
+  private:
+    enum class Door { Client, Entity };
+    struct Job {
+        Door door = Door::Client;
+        transport::LoginRequest request;
+        std::string address;  // of the peer, without its port
+        Answer answer;
+    };
+    using Digest = std::array<unsigned char, 32>;
+
+    void enqueue(Door door, transport::LoginRequest request, Answer answer);
+    void run();
+    Result<transport::LoggedIn> decide(const Job& job);
+    std::optional<UserRole> verify(const std::string& user, const std::string& password);
+    Digest digestOf(const std::string& password) const;
+
+    // Constant after construction.
+    const std::optional<Users> users_;
+    const Note note_;
+    const OwnerOf owner_of_;
+    Digest key_{};
+    // Of its thread only.
+    LoginGuard guard_;
+    std::map<std::string, std::pair<Digest, UserRole>> known_;
+
+    std::mutex mutex_;
+    std::condition_variable changed_;
+    std::deque<Job> jobs_;                        // guarded by mutex_
+    std::map<std::string, std::size_t> waiting_;  // guarded by mutex_: jobs of each address
+    bool closed_ = false;                         // guarded by mutex_
+    std::thread thread_;
+};
+
+}  // namespace axon::server

@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "server/login_desk.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <future>
+#include <vector>
+
+namespace axon::server {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::HasSubstr;
+using transport::LoggedIn;
+using transport::LoginRequest;
+
+const std::string kHash =
+    "$6$saltsalt$jCP90RmSIIja2o9FRs25ASQaR1lMN6uKHmNcHaoNCpAXgV3n5NfAlQdZQcvMVQO1BTCOFF0LzoHFZBt9E45NW0";
+
+class LoginDeskTest : public testing::Test {
+  protected:
+    LoginDesk& withUsers() {
+        return make(Users::parse("watcher observer " + kHash + "\nclient1 operator " + kHash +
+                                     "\nboss admin " + kHash + "\nleft entity " + kHash,
+                                 "users.cfg"));
+    }
+    LoginDesk& make(std::optional<Users> users) {
+        desk.emplace(
+            std::move(users), clock, [this](const std::string& line) { notes.push_back(line); },
+            [this](const std::string&, const std::string&) { return owner; });
+        return *desk;
+    }
+    Result<LoggedIn> client(const std::string& user, const std::string& password,
+                            const std::string& host = "10.0.0.1") {
+        std::promise<Result<LoggedIn>> promise;
+        desk->client({user, password, host + ":50122", "10.0.0.9:10410"},
+                     [&](Result<LoggedIn> who) { promise.set_value(std::move(who)); });
+        return promise.get_future().get();
+    }
+    Result<LoggedIn> entity(const std::string& user, const std::string& password) {
+        std::promise<Result<LoggedIn>> promise;
+        desk->entity({user, password, "10.0.0.2:50122", "10.0.0.9:10412"},
+                     [&](Result<LoggedIn> who) { promise.set_value(std::move(who)); });
+        return promise.get_future().get();
+    }
+
+    ManualClock clock;
+    std::optional<std::uint32_t> owner;
+    std::vector<std::string> notes;  // of the desk's thread, read after its answer
+    std::optional<LoginDesk> desk;
+};
+
+TEST_F(LoginDeskTest, TheRoleIsThatOfTheFile) {
+    withUsers();
+    EXPECT_EQ(client("watcher", "secret1").value().role, Role::Observer);
+    EXPECT_EQ(client("client1", "secret1").value().role, Role::Operator);
+    EXPECT_EQ(client("boss", "secret1").value().role, Role::Admin);
+    EXPECT_EQ(client("boss", "secret1").value().user, "boss");  // now by its digest
+    EXPECT_FALSE(client("boss", "secret2").ok());
+    EXPECT_TRUE(entity("left", "secret1").ok());
+}
+
+TEST_F(LoginDeskTest, SaysNoInASentenceAndNotesItForTheAudit) {
+    withUsers();
+    for (const auto& [user, password] : {std::pair{"client1", "guess"}, std::pair{"nobody", "secret1"}}) {
+        const auto answer = client(user, password);
+        ASSERT_FALSE(answer.ok());
+        EXPECT_EQ(answer.refusal().code, RefusalCode::PermissionDenied);
+        EXPECT_THAT(answer.refusal().message, HasSubstr("wrong user or password"));
+        EXPECT_THAT(notes.back(),
+                    HasSubstr(std::string("audit: failed log-in of '") + user + "' from 10.0.0.1:50122"));
+    }
+    EXPECT_THAT(client("", "").refusal().message, HasSubstr("asks for a user"));
+}
+
+TEST_F(LoginDeskTest, EachDoorIsForItsRoles) {
+    withUsers();
+    EXPECT_THAT(client("left", "secret1").refusal().message, HasSubstr("for Entity Managers"));
+    EXPECT_THAT(entity("boss", "secret1").refusal().message, HasSubstr("role entity (Axon.User)"));
+    EXPECT_EQ(entity("", "").refusal().code, RefusalCode::PermissionDenied);
+}
+
+TEST_F(LoginDeskTest, WhoGuessesWaitsAndNobodyElseDoes) {
+    withUsers();
+    for (int i = 0; i < 3; ++i)
+        EXPECT_THAT(client("boss", "guess").refusal().message, HasSubstr("wrong user"));
+    // Even the right password is not looked at before its time.
+    EXPECT_THAT(client("boss", "secret1").refusal().message, HasSubstr("try again in 1 s"));
+    EXPECT_TRUE(client("client1", "secret1").ok());
+    EXPECT_TRUE(client("boss", "secret1", "10.0.0.7").ok());
+    clock.advance(1s);
+    EXPECT_THAT(client("boss", "guess").refusal().message, HasSubstr("wrong user"));
+    clock.advance(1s);
+    EXPECT_THAT(client("boss", "guess").refusal().message, HasSubstr("try again in 1 s"));
+    clock.advance(1s);
+    EXPECT_TRUE(client("boss", "secret1").ok());
+    EXPECT_THAT(client("boss", "guess").refusal().message, HasSubstr("wrong user"));
+}
+
+TEST_F(LoginDeskTest, WithoutUsersTheServersOwnUserAndRootAreAdmin) {
+    make(std::nullopt);
+    const auto role = [&](std::optional<std::uint32_t> uid) {
+        owner = uid;
+        return client("", "").value().role;
+    };
+    EXPECT_EQ(role(::geteuid()), Role::Admin);
+    EXPECT_EQ(role(0), Role::Admin);
+    EXPECT_EQ(role(::geteuid() + 12345), Role::Operator);
+    EXPECT_EQ(role(std::nullopt), Role::Operator);
+    EXPECT_TRUE(entity("", "").ok());
+}
+
+TEST_F(LoginDeskTest, AnswersEverybodyWhenItClosesAndTakesNotTooMany) {
+    auto& its = withUsers();
+    std::atomic<int> answers{0};
+    std::atomic<int> overloaded{0};
+    for (int i = 0; i < 1000; ++i) {
+        its.client({"boss", "guess" + std::to_string(i), "10.0.0.1:1", "10.0.0.9:10410"},
+                   [&](const auto& who) {
+                       if (who.refusal().code == RefusalCode::Overloaded) ++overloaded;
+                       ++answers;
+                   });
+    }
+    its.close();
+    EXPECT_EQ(answers, 1000);
+    EXPECT_GT(overloaded, 800);
+    EXPECT_EQ(client("boss", "secret1").refusal().code, RefusalCode::Unavailable);
+}
+
+TEST(LoginGuard, DoublesUpToAMinuteAndForgetsWhoSucceeds) {
+    ManualClock clock;
+    LoginGuard guard(clock);
+    std::vector<int> waits;
+    for (int i = 0; i < 11; ++i) {
+        guard.failed("a", "client1");
+        waits.push_back(static_cast<int>(
+            std::chrono::ceil<std::chrono::seconds>(guard.mustWait("a", "client1")).count()));
+    }
+    EXPECT_THAT(waits, testing::ElementsAre(0, 0, 1, 2, 4, 8, 16, 32, 60, 60, 60));
+    guard.succeeded("a", "client1");
+    EXPECT_EQ(guard.mustWait("a", "client1"), Duration{});
+}
+
+TEST(LoginGuard, RemembersABoundedNumber) {
+    ManualClock clock;
+    LoginGuard guard(clock);
+    for (int i = 0; i < 3; ++i) guard.failed("a", "client1");
+    for (int i = 0; i < 100'000; ++i) guard.failed("b", std::to_string(i));
+    EXPECT_GT(guard.mustWait("a", "client1"), Duration{});  // those that do not wait go first
+}
+
+}  // namespace
+}  // namespace axon::server

@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "server/options.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+namespace axon::server {
+namespace {
+
+using testing::HasSubstr;
+
+Parsed parse(std::vector<std::string> words) {
+    words.insert(words.begin(), "axon-server");
+    std::vector<char*> arguments;
+    for (auto& word : words) arguments.push_back(word.data());
+    return parseOptions(static_cast<int>(arguments.size()), arguments.data());
+}
+
+std::string complaint(const std::vector<std::string>& words) {
+    try {
+        parse(words);
+    } catch (const std::runtime_error& error) {
+        return error.what();
+    }
+    return "accepted";
+}
+
+TEST(ServerOptions, ListensElsewhereOnlyWithUsers) {
+    EXPECT_THAT(complaint({"--listen", "0.0.0.0"}), HasSubstr("--add-user"));
+    EXPECT_EQ(parse({"--listen", "0.0.0.0", "--users", "users.cfg"}).options->settings.users_file,
+              "users.cfg");
+}
+
+TEST(ServerOptions, SaysWhatAddUserNeeds) {
+    EXPECT_THAT(complaint({"--add-user", "client1", "--role", "admin"}), HasSubstr("add --users FILE"));
+    EXPECT_THAT(complaint({"--add-user", "client1", "--users", "u"}),
+                HasSubstr("expected observer, operator"));
+    EXPECT_THAT(complaint({"--role", "admin"}), HasSubstr("leave --role out"));
+    EXPECT_EQ(complaint({"--role", "both"}), "accepted");
+}
+
+TEST(ServerOptions, ReadsUsersAndDrillPeriodFromTheFile) {
+    std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";
+    const std::string folder = ::mkdtemp(name.data());
+    const auto file = folder + "/server.cfg";
+    std::ofstream(file) << "Axon.DrillPeriod=30\nServer.Users=/etc/axon/users.cfg\n";
+    const auto settings = parse({"--config", file}).options->settings;
+    EXPECT_EQ(settings.entity.drill_period, std::chrono::seconds{30});
+    EXPECT_EQ(settings.users_file, "/etc/axon/users.cfg");
+    std::ofstream(file) << "Axon.DrillPeriod=soon\n";
+    EXPECT_THAT(complaint({"--config", file}), HasSubstr("expected a number from 0 to 86400"));
+    std::filesystem::remove_all(folder);
+}
+
+}  // namespace
+}  // namespace axon::server

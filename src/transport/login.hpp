@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <functional>
+#include <string>
+
+#include "common/result.hpp"
+#include "common/routed.hpp"
+
+namespace axon::transport {
+
+/// What somebody who opens a session says of himself, and the two ends of his connection as
+/// "127.0.0.1:50122".
+struct LoginRequest {
+    std::string user;
+    std::string password;
+    std::string peer;
+    std::string local;
+};
+
+/// Who it is. `user` is empty where the server runs without users.
+struct LoggedIn {
+    std::string user;
+    Role role = Role::Operator;
+};
+
+/// Decides who may open a session; the two gates ask it. A password takes its time to verify, so the answer
+/// may come on another thread: `answer` is called exactly once, perhaps before the call returns. Threads:
+/// any.
+class Logins {
+  public:
+    using Answer = std::function<void(Result<LoggedIn>)>;
+    virtual ~Logins() = default;
+    virtual void client(LoginRequest request, Answer answer) = 0;
+    /// An Entity Manager.
+    virtual void entity(LoginRequest request, Answer answer) = 0;
+};
+
+}  // namespace axon::transport
