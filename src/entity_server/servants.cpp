@@ -135,149 +135,74 @@ void IceFrontEndTopic::entityRefusal(Lane lane, const Header& head, const Refusa
     });
 }
 
-void EntitySessionServant::end(bool orderly, const std::string& why) {
-    EntityServerCore::SessionRef session;
-    {
-        const std::lock_guard lock(mutex_);
-        if (ended_) return;
-        ended_ = true;
-        why_ = why;
-        session = session_;
-    }
-    if (session) lane_.core.leave(session, orderly, why);
-}
-
-void EntitySessionServant::adopt(EntityServerCore::SessionRef session) {
-    bool ended = false;
-    std::string why;
-    {
-        const std::lock_guard lock(mutex_);
-        session_ = session;
-        ended = ended_;
-        why = why_;
-    }
-    ready_ = true;
-    if (ended)
-        lane_.core.leave(session, false, why);  // the connection ended while the session was being set up
-}
-
-const EntityServerCore::SessionRef& EntitySessionServant::session(const Ice::Current& current) const {
-    peer_->require(current);
-    if (!ready_)
-        throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
-    return session_;
-}
-
 Axon::EntityComm::SessionFacts EntitySessionServant::setCallback(std::shared_ptr<Prx> callback,
                                                                  const Ice::Current& current) {
-    peer_->require(current);
-    auto proxy = transport::callbackProxy(callback, current);
-    if (!proxy)
-        throw toIce(
-            Refusal{RefusalCode::Malformed, "the callback is null; give a proxy of an EntityCallback", {}});
-    if (lane_.lane != Lane::Data || ready_) {
-        throw toIce(
-            Refusal{RefusalCode::WrongState, "setCallback is for a new session on the data port, once", {}});
-    }
-    auto session = lane_.core.open(std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, peer_));
+    auto proxy = session_.newCallback(callback, lane_.lane == Lane::Data, current);
+    auto session =
+        lane_.core.open(std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer()));
     const auto token = EntityServerCore::token(*session);
-    adopt(std::move(session));
-    const auto host = lane_.signal_host.empty() ? peer_->localAddress() : lane_.signal_host;
-    return {token, host.empty() ? "" : "tcp -h " + host + " -p " + std::to_string(lane_.signal_port)};
+    session_.adopt(std::move(session));
+    return {token, lane_.signalEndpoint(*session_.peer())};
 }
 
 void EntitySessionServant::attachSignalLane(std::string token, std::shared_ptr<Prx> callback,
                                             const Ice::Current& current) {
-    peer_->require(current);
-    auto proxy = transport::callbackProxy(callback, current);
-    if (!proxy)
-        throw toIce(
-            Refusal{RefusalCode::Malformed, "the callback is null; give a proxy of an EntityCallback", {}});
-    if (lane_.lane != Lane::Signal || ready_) {
-        throw toIce(Refusal{
-            RefusalCode::WrongState, "attachSignalLane is for a new session on the signal port, once", {}});
-    }
-    adopt(transport::valueOrThrow(
-        lane_.core.attach(token, std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, peer_))));
+    auto proxy = session_.newCallback(callback, lane_.lane == Lane::Signal, current);
+    session_.adopt(transport::valueOrThrow(lane_.core.attach(
+        token, std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer()))));
 }
 
 void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registration, ByteRange profile,
                                          const Ice::Current& current) {
     if (lane_.lane == Lane::Signal) {
-        session(current);
+        session_.of(current);
         throw toIce(Refusal{RefusalCode::WrongState, "sendBasicPrfl belongs on the data lane's session", {}});
     }
     transport::valueOrThrow(
-        lane_.core.sendBasicPrfl(session(current), fromIce(std::move(registration)), toView(profile)));
+        lane_.core.sendBasicPrfl(session_.of(current), fromIce(std::move(registration)), toView(profile)));
 }
 void EntitySessionServant::sendStatus(Axon::CommUtil::EntityStatus status, const Ice::Current& current) {
-    const auto& its_session = session(current);
+    const auto& its_session = session_.of(current);
     if (lane_.lane == Lane::Signal) return lane_.core.refuseOnSignalLane(its_session, kMsgStatus);
     lane_.core.sendStatus(its_session, fromIce(std::move(status)));
 }
 void EntitySessionServant::sendSvcPrflRecord(IceHeader head, int record_id, int count, ByteRange record,
                                              const Ice::Current& current) {
-    lane_.core.sendSvcPrflRecord(session(current), peer_->properHead(std::move(head), current), record_id,
-                                 count, toView(record));
+    lane_.core.sendSvcPrflRecord(session_.of(current), proper(std::move(head), current), record_id, count,
+                                 toView(record));
 }
 void EntitySessionServant::sendToClient(IceHeader head, ByteRange message, const Ice::Current& current) {
-    lane_.core.sendToClient(session(current), lane_.lane, peer_->properHead(std::move(head), current),
+    lane_.core.sendToClient(session_.of(current), lane_.lane, proper(std::move(head), current),
                             toView(message));
 }
 void EntitySessionServant::sendToClientDataSeq(IceHeader head, ByteRange data, const Ice::Current& current) {
-    lane_.core.sendToClientDataSeq(session(current), peer_->properHead(std::move(head), current),
-                                   toView(data));
+    lane_.core.sendToClientDataSeq(session_.of(current), proper(std::move(head), current), toView(data));
 }
 void EntitySessionServant::sendToPeer(IceHeader head, ByteRange message, const Ice::Current& current) {
-    lane_.core.sendToPeer(session(current), peer_->properHead(std::move(head), current), toView(message));
+    lane_.core.sendToPeer(session_.of(current), proper(std::move(head), current), toView(message));
 }
 void EntitySessionServant::keepAlive(double, const Ice::Current& current) {
-    lane_.core.keepAlive(session(current));
+    lane_.core.keepAlive(session_.of(current));
 }
 
 void EntitySessionServant::destroy(const Ice::Current& current) {
-    peer_->require(current);
-    end(true, "it ended its session");
-    peer_->disconnect({false, "it ended its session"}, true);
+    session_.peer()->require(current);
+    session_.end({true, "it ended its session"});
+    session_.peer()->disconnect({false, "it ended its session"}, true);
 }
-
-namespace {
-
-std::shared_ptr<Axon::EntityComm::EntitySessionPrx> admit(
-    EntityLane& lane, const std::shared_ptr<transport::PeerConnection>& peer,
-    const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
-    auto servant = std::make_shared<EntitySessionServant>(lane, peer);
-    transport::valueOrThrow(lane.sessions.add(peer->get(), servant));
-    auto proxy = Ice::uncheckedCast<Axon::EntityComm::EntitySessionPrx>(adapter->addWithUUID(servant));
-    peer->onClosed([&lane, servant, peer, adapter,
-                    id = proxy->ice_getIdentity()](const transport::CloseReason& reason) {
-        lane.sessions.remove(peer->get());
-        servant->end(false, reason.text);
-        try {
-            adapter->remove(id);
-        } catch (const Ice::LocalException&) {  // the adapter is being destroyed, and its servants with it
-        }
-    });
-    return proxy;
-}
-
-}  // namespace
 
 void EntityGateServant::openAsync(std::string user, std::string password, Opened opened, Refused refused,
                                   const Ice::Current& current) {
-    auto peer = std::make_shared<transport::PeerConnection>(current.con);
-    transport::LoginRequest request{std::move(user), std::move(password), peer->peer(), peer->local()};
-    auto answer = [&lane = lane_, peer, adapter = current.adapter, opened = std::move(opened),
-                   refused = std::move(refused)](Result<transport::LoggedIn> who) {
-        try {
-            transport::valueOrThrow(std::move(who));
-            opened(admit(lane, peer, adapter));
-        } catch (...) {
-            refused(std::current_exception());
-        }
-    };
-    if (lane_.logins == nullptr) return answer(transport::LoggedIn{});
-    lane_.logins->entity(std::move(request), std::move(answer));
+    const auto peer = std::make_shared<transport::PeerConnection>(current.con);
+    transport::openSession(
+        lane_, peer, {std::move(user), std::move(password), {}, {}}, std::move(opened), std::move(refused),
+        current,
+        [&lane = lane_, peer](const transport::LoggedIn&) {
+            return std::make_shared<EntitySessionServant>(lane, peer);
+        },
+        [](transport::Logins& logins, transport::LoginRequest request, transport::Logins::Answer answer) {
+            logins.entity(std::move(request), std::move(answer));
+        });
 }
 
 void FrontEndToEntityServant::clientMsg(IceHeader head, ByteRange message, const Ice::Current&) {

@@ -3,17 +3,13 @@
 #include <axon/entitycomm.h>
 #include <axon/frontendcomm.h>
 
-#include <atomic>
 #include <memory>
-#include <mutex>
 #include <string>
 
 #include "entity_server/entity_server_core.hpp"
 #include "entity_server/ports.hpp"
 #include "transport/callback_sender.hpp"
-#include "transport/login.hpp"
-#include "transport/open_sessions.hpp"
-#include "transport/peer_connection.hpp"
+#include "transport/lane_session.hpp"
 
 // The rim of the entity server: Ice's calls in, EntityServerCore's effects out. No decisions are made here
 // but whether a call came over the right connection.
@@ -61,31 +57,20 @@ class IceFrontEndTopic final : public FrontEndTopic {
 
 class EntitySessionServant;
 
-/// What the servants of one lane share. Outlives them.
-struct EntityLane {
-    EntityServerCore& core;
-    Lane lane;
-    transport::OutboxLimits limits;
-    std::string signal_host;  ///< of the signal lane's adapter; empty where it listens on all addresses
-    int signal_port = 0;
-    transport::OpenSessions<EntitySessionServant> sessions;
-    /// Of the data lane. Null on the signal lane: there the token of a session is the proof, and no stop
-    /// waits for a password.
-    transport::Logins* logins = nullptr;
-};
+using EntityLane = transport::SessionLane<EntityServerCore, EntitySessionServant>;
 
 /// One session of an Entity Manager on one lane (thesis: Session_Impl). States: opened, ready (setCallback or
 /// attachSignalLane), closed. Answers only on the connection that opened it.
-class EntitySessionServant final : public Axon::EntityComm::EntitySession,
-                                   public std::enable_shared_from_this<EntitySessionServant> {
+class EntitySessionServant final : public Axon::EntityComm::EntitySession {
   public:
     EntitySessionServant(EntityLane& lane, std::shared_ptr<transport::PeerConnection> peer)
-        : lane_(lane), peer_(std::move(peer)) {}
+        : lane_(lane), session_(std::move(peer), [&lane](const auto& session, const Farewell& farewell) {
+              lane.core.leave(session, farewell.orderly, farewell.why);
+          }) {}
 
-    bool ready() const { return ready_; }
-    void disconnect(const std::string& why) { peer_->disconnect({false, why}, false); }
-    /// The session is over; idempotent.
-    void end(bool orderly, const std::string& why);
+    bool ready() const { return session_.ready(); }
+    void disconnect(const std::string& why) { session_.peer()->disconnect({false, why}, false); }
+    void closed(const transport::CloseReason& reason) { session_.end({false, reason.text}); }
 
     Axon::EntityComm::SessionFacts setCallback(std::shared_ptr<Axon::EntityComm::EntityCallbackPrx> callback,
                                                const Ice::Current& current) override;
@@ -106,16 +91,16 @@ class EntitySessionServant final : public Axon::EntityComm::EntitySession,
     void destroy(const Ice::Current& current) override;
 
   private:
-    const EntityServerCore::SessionRef& session(const Ice::Current& current) const;
-    void adopt(EntityServerCore::SessionRef session);
+    struct Farewell {
+        bool orderly = false;
+        std::string why;
+    };
+    Header proper(Axon::CommUtil::Header head, const Ice::Current& current) const {
+        return session_.peer()->properHead(std::move(head), current);
+    }
 
     EntityLane& lane_;
-    const std::shared_ptr<transport::PeerConnection> peer_;
-    std::mutex mutex_;
-    bool ended_ = false;                    // guarded by mutex_
-    std::string why_;                       // guarded by mutex_
-    EntityServerCore::SessionRef session_;  // written once, before ready_ is
-    std::atomic<bool> ready_{false};
+    transport::LaneSession<EntityServerCore::SessionRef, Farewell> session_;
 };
 
 /// Where Entity Managers without a router come in (thesis: SessionManager).

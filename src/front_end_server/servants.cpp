@@ -148,55 +148,11 @@ void IceEntityTopic::clearSignal(const Header& head) {
     publish([&] { signal_->clearSignal(toIce(head)); });
 }
 
-void ClientSessionServant::end(Ending ending, const std::string& why) {
-    FrontEndCore::ClientRef client;
-    {
-        const std::lock_guard lock(mutex_);
-        if (ended_) return;
-        ended_ = true;
-        ending_ = ending;
-        why_ = why;
-        client = client_;
-    }
-    if (client) lane_.core.leave(client, ending, why);
-}
-
-void ClientSessionServant::adopt(FrontEndCore::ClientRef client) {
-    bool ended = false;
-    Ending ending = Ending::Lost;
-    std::string why;
-    {
-        const std::lock_guard lock(mutex_);
-        client_ = client;
-        ended = ended_;
-        ending = ending_;
-        why = why_;
-    }
-    ready_ = true;
-    if (ended)
-        lane_.core.leave(client, ending, why);  // the connection ended while the session was being set up
-}
-
-const FrontEndCore::ClientRef& ClientSessionServant::client(const Ice::Current& current) const {
-    peer_->require(current);
-    if (!ready_)
-        throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
-    return client_;
-}
-
 Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_ptr<Prx> callback,
                                                                    const Ice::Current& current) {
-    peer_->require(current);
-    auto proxy = transport::callbackProxy(callback, current);
-    if (!proxy)
-        throw toIce(
-            Refusal{RefusalCode::Malformed, "the callback is null; give a proxy of a ClientCallback", {}});
-    if (lane_.lane != Lane::Data || ready_) {
-        throw toIce(
-            Refusal{RefusalCode::WrongState, "setCallback is for a new session on the data port, once", {}});
-    }
+    auto proxy = session_.newCallback(callback, lane_.lane == Lane::Data, current);
     auto client = transport::valueOrThrow(lane_.core.setCallback(
-        display_name_, role_, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, peer_)));
+        name_, role_, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer())));
     Axon::FrontEndComm::SessionFacts facts;
     facts.me = toIce(FrontEndCore::me(*client));
     facts.token = FrontEndCore::token(*client);
@@ -206,70 +162,60 @@ Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_p
     };
     facts.watchdogBusyMs = milliseconds(lane_.core.settings().watchdog_busy);
     facts.watchdogIdleMs = milliseconds(lane_.core.settings().watchdog_idle);
-    const auto host = lane_.signal_host.empty() ? peer_->localAddress() : lane_.signal_host;
-    if (!host.empty()) facts.signalEndpoint = "tcp -h " + host + " -p " + std::to_string(lane_.signal_port);
-    adopt(std::move(client));
+    facts.signalEndpoint = lane_.signalEndpoint(*session_.peer());
+    session_.adopt(std::move(client));
     return facts;
 }
 
 void ClientSessionServant::attachSignalLane(std::string token, std::shared_ptr<Prx> callback,
                                             const Ice::Current& current) {
-    peer_->require(current);
-    auto proxy = transport::callbackProxy(callback, current);
-    if (!proxy)
-        throw toIce(
-            Refusal{RefusalCode::Malformed, "the callback is null; give a proxy of a ClientCallback", {}});
-    if (lane_.lane != Lane::Signal || ready_) {
-        throw toIce(Refusal{
-            RefusalCode::WrongState, "attachSignalLane is for a new session on the signal port, once", {}});
-    }
-    adopt(transport::valueOrThrow(
-        lane_.core.attach(token, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, peer_))));
+    auto proxy = session_.newCallback(callback, lane_.lane == Lane::Signal, current);
+    session_.adopt(transport::valueOrThrow(lane_.core.attach(
+        token, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer()))));
 }
 
 void ClientSessionServant::sendRequest(IceHeader head, ByteRange, const Ice::Current& current) {
-    lane_.core.sendRequest(client(current), peer_->properHead(std::move(head), current));
+    lane_.core.sendRequest(session_.of(current), proper(std::move(head), current));
 }
 void ClientSessionServant::sendToEntity(IceHeader head, ByteRange message, const Ice::Current& current) {
-    lane_.core.sendToEntity(client(current), peer_->properHead(std::move(head), current), toView(message));
+    lane_.core.sendToEntity(session_.of(current), proper(std::move(head), current), toView(message));
 }
 void ClientSessionServant::sendToEntityDataSeq(IceHeader head, ByteRange data, const Ice::Current& current) {
-    lane_.core.sendToEntityDataSeq(client(current), peer_->properHead(std::move(head), current),
-                                   toView(data));
+    lane_.core.sendToEntityDataSeq(session_.of(current), proper(std::move(head), current), toView(data));
 }
 // Also of a peer that is dropped for its head a stop is a stop; what was cut names no entity.
 void ClientSessionServant::sendStopSignal(IceHeader head, Axon::CommUtil::StopCause cause,
                                           const Ice::Current& current) {
-    const auto& its_client = client(current);
+    const auto& its_client = session_.of(current);
     auto its_head = fromIce(std::move(head));
     const bool proper = transport::isProper(its_head);
     if (!proper) transport::cutStrings(its_head);
     lane_.core.sendStopSignal(its_client, std::move(its_head), fromIce(cause));
-    if (!proper) peer_->disconnect({true, std::string(transport::kImproperHead)}, false);
+    if (!proper) session_.peer()->disconnect({true, std::string(transport::kImproperHead)}, false);
 }
 void ClientSessionServant::sendStopSignals(IceHeader head, Axon::CommUtil::Entities entities,
                                            Axon::CommUtil::StopCause cause, const Ice::Current& current) {
-    const auto& its_client = client(current);
+    const auto& its_client = session_.of(current);
     auto its_head = fromIce(std::move(head));
     const bool proper = transport::isProper(its_head);
     if (!proper) transport::cutStrings(its_head);
     lane_.core.sendStopSignals(its_client, std::move(its_head), entities, fromIce(cause));
-    if (!proper) peer_->disconnect({true, std::string(transport::kImproperHead)}, false);
+    if (!proper) session_.peer()->disconnect({true, std::string(transport::kImproperHead)}, false);
 }
 void ClientSessionServant::sendResetSignal(IceHeader head, const Ice::Current& current) {
-    lane_.core.sendResetSignal(client(current), peer_->properHead(std::move(head), current));
+    lane_.core.sendResetSignal(session_.of(current), proper(std::move(head), current));
 }
 void ClientSessionServant::sendClearSignal(IceHeader head, const Ice::Current& current) {
-    lane_.core.sendClearSignal(client(current), peer_->properHead(std::move(head), current));
+    lane_.core.sendClearSignal(session_.of(current), proper(std::move(head), current));
 }
 void ClientSessionServant::keepAlive(double, const Ice::Current& current) {
-    lane_.core.keepAlive(client(current));
+    lane_.core.keepAlive(session_.of(current));
 }
 
 void ClientSessionServant::destroy(const Ice::Current& current) {
-    peer_->require(current);
-    end(Ending::Ended, "it ended its session");
-    peer_->disconnect({false, "it ended its session"}, true);
+    session_.peer()->require(current);
+    session_.end({Ending::Ended, "it ended its session"});
+    session_.peer()->disconnect({false, "it ended its session"}, true);
 }
 
 namespace {
@@ -281,42 +227,20 @@ std::string nameOf(const transport::LoggedIn& who, const std::string& display_na
     return host.empty() || host == who.user ? who.user : who.user + "@" + host;
 }
 
-std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> admit(
-    ClientLane& lane, const std::shared_ptr<transport::PeerConnection>& peer,
-    const std::shared_ptr<Ice::ObjectAdapter>& adapter, std::string name, Role role) {
-    auto servant = std::make_shared<ClientSessionServant>(lane, peer, std::move(name), role);
-    transport::valueOrThrow(lane.sessions.add(peer->get(), servant));
-    auto proxy = Ice::uncheckedCast<Axon::FrontEndComm::ClientSessionPrx>(adapter->addWithUUID(servant));
-    peer->onClosed([&lane, servant, peer, adapter,
-                    id = proxy->ice_getIdentity()](const transport::CloseReason& reason) {
-        lane.sessions.remove(peer->get());
-        servant->end(reason.improper ? Ending::Improper : Ending::Lost, reason.text);
-        try {
-            adapter->remove(id);
-        } catch (const Ice::LocalException&) {  // the adapter is being destroyed, and its servants with it
-        }
-    });
-    return proxy;
-}
-
 }  // namespace
 
 void ClientGateServant::openAsync(std::string user, std::string password, std::string display_name,
                                   Opened opened, Refused refused, const Ice::Current& current) {
-    auto peer = std::make_shared<transport::PeerConnection>(current.con);
-    transport::LoginRequest request{std::move(user), std::move(password), peer->peer(), peer->local()};
-    auto answer = [&lane = lane_, peer, adapter = current.adapter, display_name = std::move(display_name),
-                   opened = std::move(opened),
-                   refused = std::move(refused)](Result<transport::LoggedIn> who) {
-        try {
-            const auto its = transport::valueOrThrow(std::move(who));
-            opened(admit(lane, peer, adapter, nameOf(its, display_name), its.role));
-        } catch (...) {
-            refused(std::current_exception());
-        }
-    };
-    if (lane_.logins == nullptr) return answer(transport::LoggedIn{});
-    lane_.logins->client(std::move(request), std::move(answer));
+    const auto peer = std::make_shared<transport::PeerConnection>(current.con);
+    transport::openSession(
+        lane_, peer, {std::move(user), std::move(password), {}, {}}, std::move(opened), std::move(refused),
+        current,
+        [&lane = lane_, peer, display_name = std::move(display_name)](const transport::LoggedIn& who) {
+            return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who.role);
+        },
+        [](transport::Logins& logins, transport::LoginRequest request, transport::Logins::Answer answer) {
+            logins.client(std::move(request), std::move(answer));
+        });
 }
 
 void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence presence,

@@ -3,17 +3,13 @@
 #include <axon/entitycomm.h>
 #include <axon/frontendcomm.h>
 
-#include <atomic>
 #include <memory>
-#include <mutex>
 #include <string>
 
 #include "front_end_server/front_end_core.hpp"
 #include "front_end_server/ports.hpp"
 #include "transport/callback_sender.hpp"
-#include "transport/login.hpp"
-#include "transport/open_sessions.hpp"
-#include "transport/peer_connection.hpp"
+#include "transport/lane_session.hpp"
 
 // The rim of the front-end server: Ice's calls in, FrontEndCore's effects out. No decisions are made here but
 // whether a call came over the right connection.
@@ -64,18 +60,7 @@ class IceEntityTopic final : public EntityTopic {
 
 class ClientSessionServant;
 
-/// What the servants of one lane share. Outlives them.
-struct ClientLane {
-    FrontEndCore& core;
-    Lane lane;
-    transport::OutboxLimits limits;
-    std::string signal_host;  ///< of the signal lane's adapter; empty where it listens on all addresses
-    int signal_port = 0;
-    transport::OpenSessions<ClientSessionServant> sessions;
-    /// Of the data lane. Null on the signal lane: there the token of a session is the proof, and no stop
-    /// waits for a password.
-    transport::Logins* logins = nullptr;
-};
+using ClientLane = transport::SessionLane<FrontEndCore, ClientSessionServant>;
 
 /// One session of a client on one lane (thesis: Session_Impl). States: opened, ready (setCallback or
 /// attachSignalLane), closed. Answers only on the connection that opened it.
@@ -83,12 +68,18 @@ class ClientSessionServant final : public Axon::FrontEndComm::ClientSession {
   public:
     ClientSessionServant(ClientLane& lane, std::shared_ptr<transport::PeerConnection> peer,
                          std::string display_name, Role role)
-        : lane_(lane), peer_(std::move(peer)), display_name_(std::move(display_name)), role_(role) {}
+        : lane_(lane),
+          name_(std::move(display_name)),
+          role_(role),
+          session_(std::move(peer), [&lane](const auto& client, const Farewell& farewell) {
+              lane.core.leave(client, farewell.ending, farewell.why);
+          }) {}
 
-    bool ready() const { return ready_; }
-    void disconnect(const std::string& why) { peer_->disconnect({false, why}, false); }
-    /// The session is over; idempotent.
-    void end(Ending ending, const std::string& why);
+    bool ready() const { return session_.ready(); }
+    void disconnect(const std::string& why) { session_.peer()->disconnect({false, why}, false); }
+    void closed(const transport::CloseReason& reason) {
+        session_.end({reason.improper ? Ending::Improper : Ending::Lost, reason.text});
+    }
 
     Axon::FrontEndComm::SessionFacts setCallback(
         std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx> callback,
@@ -111,19 +102,18 @@ class ClientSessionServant final : public Axon::FrontEndComm::ClientSession {
     void destroy(const Ice::Current& current) override;
 
   private:
-    const FrontEndCore::ClientRef& client(const Ice::Current& current) const;
-    void adopt(FrontEndCore::ClientRef client);
+    struct Farewell {
+        Ending ending = Ending::Lost;
+        std::string why;
+    };
+    Header proper(Axon::CommUtil::Header head, const Ice::Current& current) const {
+        return session_.peer()->properHead(std::move(head), current);
+    }
 
     ClientLane& lane_;
-    const std::shared_ptr<transport::PeerConnection> peer_;
-    const std::string display_name_;
+    const std::string name_;
     const Role role_;
-    std::mutex mutex_;
-    bool ended_ = false;              // guarded by mutex_
-    Ending ending_ = Ending::Lost;    // guarded by mutex_
-    std::string why_;                 // guarded by mutex_
-    FrontEndCore::ClientRef client_;  // written once, before ready_ is
-    std::atomic<bool> ready_{false};
+    transport::LaneSession<FrontEndCore::ClientRef, Farewell> session_;
 };
 
 /// Where clients without a router come in (thesis: SessionManager).

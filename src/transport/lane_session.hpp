@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "transport/communicator.hpp"
+#include "transport/convert.hpp"
+#include "transport/login.hpp"
+#include "transport/open_sessions.hpp"
+#include "transport/outbox.hpp"
+#include "transport/peer_connection.hpp"
+
+// A session of two lanes, on the server's side: what a client's and an Entity Manager's have in common.
+namespace axon::transport {
+
+/// What the servants of one lane share. Outlives them.
+template <class Core, class Servant>
+struct SessionLane {
+    Core& core;
+    Lane lane;
+    OutboxLimits limits;
+    std::string signal_host;  ///< of the signal lane's adapter; empty where it listens on all addresses
+    int signal_port = 0;
+    OpenSessions<Servant> sessions;
+    /// Of the data lane. Null on the signal lane: there the token of a session is the proof, and no stop
+    /// waits for a password.
+    Logins* logins = nullptr;
+
+    /// Where this peer finds the signal lane.
+    std::string signalEndpoint(const PeerConnection& peer) const {
+        const auto host = signal_host.empty() ? peer.localAddress() : signal_host;
+        return host.empty() ? host : "tcp -h " + host + " -p " + std::to_string(signal_port);
+    }
+};
+
+/// What a servant keeps of its session on one lane. `Ref` is the core's reference to it, `End` says how it
+/// ended. States: opened ─ adopt() ► ready ─ end() ► ended; end() may come first, also while the core is
+/// being told of the session. Threads: any. The servant answers only on the connection that opened the
+/// session.
+template <class Ref, class End>
+class LaneSession {
+  public:
+    /// `leave` tells the core; it is called once, without a lock.
+    LaneSession(std::shared_ptr<PeerConnection> peer, std::function<void(const Ref&, const End&)> leave)
+        : peer_(std::move(peer)), leave_(std::move(leave)) {}
+
+    bool ready() const { return ready_; }
+    const std::shared_ptr<PeerConnection>& peer() const { return peer_; }
+
+    /// The first end counts.
+    void end(End how) {
+        Ref ref;
+        {
+            const std::lock_guard lock(mutex_);
+            if (end_) return;
+            end_ = how;
+            ref = ref_;
+        }
+        if (ref) leave_(ref, how);
+    }
+    void adopt(Ref ref) {
+        std::optional<End> ended;
+        {
+            const std::lock_guard lock(mutex_);
+            ref_ = ref;
+            ended = end_;
+        }
+        ready_ = true;
+        if (ended) leave_(ref, *ended);  // the connection ended while the session was being set up
+    }
+    /// Throws Ice::ObjectNotExistException when it is not ready, or the call came over another connection.
+    const Ref& of(const Ice::Current& current) const {
+        peer_->require(current);
+        if (!ready_)
+            throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet,
+                                               current.operation);
+        return ref_;
+    }
+    /// The callback of a new session, to send on; `fits`: this is the lane that the operation is for.
+    template <class Prx>
+    std::shared_ptr<Prx> newCallback(const std::shared_ptr<Prx>& given, bool fits,
+                                     const Ice::Current& current) const {
+        peer_->require(current);
+        auto proxy = callbackProxy(given, current);
+        if (!proxy)
+            throw toIce(
+                Refusal{RefusalCode::Malformed, "the callback is null; give the proxy of a callback", {}});
+        if (!fits || ready_)
+            throw toIce(Refusal{RefusalCode::WrongState,
+                                current.operation +
+                                    " is for a new session, once: setCallback on the data port, "
+                                    "attachSignalLane on the signal port",
+                                {}});
+        return proxy;
+    }
+
+  private:
+    const std::shared_ptr<PeerConnection> peer_;
+    const std::function<void(const Ref&, const End&)> leave_;
+    std::mutex mutex_;
+    std::optional<End> end_;  // guarded by mutex_
+    Ref ref_;                 // written once, before ready_ is
+    std::atomic<bool> ready_{false};
+};
+
+/// How a gate answers open(): when the log-in is decided, the servant that `make(who)` returns is put behind
+/// a session proxy, and ends with its connection (`closed(reason)`). For the data lane `ask(request, answer)`
+/// asks Logins.
+template <class SessionPrx, class Core, class Servant, class Make, class Ask>
+void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<PeerConnection>& peer,
+                 LoginRequest request, std::function<void(const std::shared_ptr<SessionPrx>&)> opened,
+                 std::function<void(std::exception_ptr)> refused, const Ice::Current& current, Make make,
+                 Ask ask) {
+    request.peer = peer->peer();
+    request.local = peer->local();
+    Logins::Answer answer = [&lane, peer, adapter = current.adapter, opened = std::move(opened),
+                             refused = std::move(refused), make = std::move(make)](Result<LoggedIn> who) {
+        try {
+            const std::shared_ptr<Servant> servant = make(valueOrThrow(std::move(who)));
+            valueOrThrow(lane.sessions.add(peer->get(), servant));
+            auto proxy = Ice::uncheckedCast<SessionPrx>(adapter->addWithUUID(servant));
+            peer->onClosed([&lane, servant, peer, adapter,
+                            id = proxy->ice_getIdentity()](const CloseReason& reason) {
+                lane.sessions.remove(peer->get());
+                servant->closed(reason);
+                try {
+                    adapter->remove(id);
+                } catch (const Ice::LocalException&) {  // the adapter is being destroyed, with its servants
+                }
+            });
+            opened(proxy);
+        } catch (...) {
+            refused(std::current_exception());
+        }
+    };
+    if (lane.logins == nullptr) return answer(LoggedIn{});
+    ask(*lane.logins, std::move(request), std::move(answer));
+}
+
+}  // namespace axon::transport
