@@ -15,7 +15,7 @@ from pathlib import Path
 CODE = (".cpp", ".hpp", ".h", ".c")
 SPDX_FILES = CODE + (".proto", ".ice", ".py", ".cmake", ".sh")
 SKIPPED_FOLDERS = {".git", ".cache", "build", "node_modules", "__pycache__", "LICENSES"}
-ROOTS = ("api", "bench", "cmake", "console", "examples", "lab", "python", "robots", "src", "tests", "tools", ".ci")
+ROOTS = ("api", "bench", "cmake", "console", "examples", "faults", "lab", "python", "robots", "src", "tests", "tools", ".ci")
 MIT = ("api/proto/*", "src/common/*", "src/messages/*", "src/entity_interfacer/*", "examples/*")
 
 SERVERS = ("src/front_end_server/*", "src/entity_server/*", "src/server/*")
@@ -42,6 +42,9 @@ CORES = (
     "src/client/stop_desk.*",
     "src/client/name_index.*",
     "src/entity_manager/inbox.*",
+    "src/radio/stop_*",
+    "faults/channel/channel.*",
+    "src/radio/endpoint.*",
     "src/*/state_table.*",
     "src/*/service_profiler.*",
     "src/*/task_queue.*",

@@ -6,6 +6,7 @@
 #include "client/send_queue.hpp"
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
+#include "transport/lane_socket.hpp"
 
 namespace axon::client {
 namespace {
@@ -183,6 +184,7 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
         connection->entities_ = facts.entities;
         const auto& endpoint = facts.signalEndpoint.empty() ? login.endpoint : facts.signalEndpoint;
         connection->signal_ = openLane(signal, signalLimits(), endpoint, login, events);
+        transport::prepareSignalLane(*connection->signal_.connection->get());
         connection->signal_.session->attachSignalLane(facts.token, connection->signal_.callback);
     } catch (...) {
         const auto refusal = transport::translate(std::current_exception());

@@ -119,6 +119,9 @@ auto Client::Session::withDesk(Use&& use) {
                         }
                     }
                 }
+                for (const auto& stop : stops)
+                    if (stop.lane == Lane::Signal)
+                        session.datagrams_.stop(stop.head.entity, stop.head.sequence, stop.head.stop_generation);
             }
             if (wake) session.stop_timer_.wake();
         }
@@ -366,6 +369,15 @@ void Client::Session::lost(std::uint64_t attempt, const std::string& reason) {
     }
 }
 
+/// The Entity Manager has the stop: its stage, by another way.
+void Client::Session::acknowledgedByDatagram(const radio::StopRepeater::Acknowledged& acknowledged) {
+    proto::StopReceipt receipt;
+    receipt.set_stop_id(acknowledged.sender.toString() + ':' + std::to_string(acknowledged.sequence));
+    receipt.set_stage(proto::StopReceipt::MANAGER);
+    receipt.set_stop_generation(acknowledged.generation);
+    withDesk([&](StopDesk& desk) { desk.onReceipt(acknowledged.entity, receipt); });
+}
+
 void Client::Session::tellConnection(bool connected, const std::string& reason) {
     std::function<void(bool, const std::string&)> tell;
     {
@@ -416,6 +428,7 @@ void Client::Session::close() {
         timer_.end();
         heartbeat_.end();
         stop_timer_.end();
+        datagrams_.close();
     });
 }
 
@@ -620,6 +633,10 @@ void Client::Session::onLost(const Held& held, const Refusal& why) {
     const std::lock_guard lock(check_out->mutex);
     check_out->lost_why = why;
     if (check_out->lost) post([tell = check_out->lost, why] { tell(why); }, false);
+}
+
+void Client::Session::onDatagrams(const Held& held, const std::string& endpoint, const std::string& key) {
+    datagrams_.admit(held.entity, held.lease, endpoint, key, core_.self().id);
 }
 
 void Client::Session::onSample(const Sample& sample) {

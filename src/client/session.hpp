@@ -17,6 +17,7 @@
 
 #include "axon/client.hpp"
 #include "client/callback_queue.hpp"
+#include "client/datagram_sender.hpp"
 #include "client/send_queue.hpp"
 #include "client/server_connection.hpp"
 #include "client/session_core.hpp"
@@ -127,6 +128,7 @@ class Client::Session final : public SessionObserver,
     void onRaw(const Held& held, const std::string& bytes) override;
     void onService(const Held& held, const Service& service) override;
     void onLost(const Held& held, const Refusal& why) override;
+    void onDatagrams(const Held& held, const std::string& endpoint, const std::string& key) override;
     void onSample(const Sample& sample) override;
     void onTransferCredit(const Id128& transfer, std::uint64_t offset, std::uint64_t limit) override;
     void onServerText(int code, const std::string& text) override;
@@ -196,6 +198,7 @@ class Client::Session final : public SessionObserver,
     void flush(std::uint64_t ticket);
     Result<void> establish();
     void lost(std::uint64_t attempt, const std::string& reason);
+    void acknowledgedByDatagram(const radio::StopRepeater::Acknowledged& acknowledged);
     void tellConnection(bool connected, const std::string& reason);
     TimePoint onTimer();
     TimePoint onHeartbeat();
@@ -255,6 +258,7 @@ class Client::Session final : public SessionObserver,
     Ice::CommunicatorHolder data_communicator_, signal_communicator_;
     LaneHome data_, signal_;
     Alarm sender_, timer_, heartbeat_, stop_timer_;
+    DatagramSender datagrams_{clock_, [this](const auto& acknowledged) { acknowledgedByDatagram(acknowledged); }};
 };
 
 }  // namespace axon::client

@@ -627,6 +627,7 @@ void SessionCore::grant(const std::string& entity, const proto::CheckOutReply& r
     facts.stop_generation = static_cast<std::int32_t>(reply.stop_generation());
     marks_.take(entity, facts.stop_generation);
     facts.latched = reply.latched();
+    observer_.onDatagrams({entity, numberOf(reply.lease())}, reply.datagram_endpoint(), reply.lease().key());
     countMoving(entity);
     pace();
 }
@@ -697,6 +698,7 @@ void SessionCore::endLease(std::string entity, const Refusal& why, bool tell) {
     if (found == leases_.end()) return;
     const Held held{entity, found->second.number};
     leases_.erase(found);
+    observer_.onDatagrams(held, {}, {});
     countMoving(entity);
     std::vector<std::pair<Ask, Id128>> keys;
     for (const auto& [key, pending] : pending_) {

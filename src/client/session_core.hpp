@@ -52,6 +52,8 @@ class SessionObserver {
     virtual void onService(const Held& held, const Service& service) = 0;
     /// Not called for a lease that this client released itself.
     virtual void onLost(const Held& held, const Refusal& why) = 0;
+    /// Stops of this lease may be sent to `endpoint` as datagrams, keyed by `key`; empty = not (any more).
+    virtual void onDatagrams(const Held& /*held*/, const std::string& /*endpoint*/, const std::string& /*key*/) {}
     /// `sample.json` is left empty: rendering it is the owner's affair, outside any lock.
     virtual void onSample(const Sample& sample) = 0;
     /// Send of the resource from `offset` up to `limit`.

@@ -18,7 +18,8 @@ namespace fs = std::filesystem;
 
 const std::set<std::string> kKeys{"Axon.Application", "Axon.Instance",      "Axon.Server",       "Axon.User",
                                   "Axon.Password",    "Axon.Ports",         "Axon.PortsFile",    "Axon.State",
-                                  "Axon.LogLevel",    "Axon.WatchdogBusyMs", "Axon.WatchdogIdleMs", "Axon.Address"};
+                                  "Axon.LogLevel",    "Axon.WatchdogBusyMs", "Axon.WatchdogIdleMs", "Axon.Address",
+                                  "Axon.Datagrams"};
 
 fs::path defaultStateFolder(const std::string& application, const std::string& instance) {
     const char* state = std::getenv("XDG_STATE_HOME");
@@ -45,6 +46,26 @@ template <class T>
 T accepted(Result<T> result) {
     if (!result) throw std::runtime_error(result.refusal().message);
     return std::move(result).value();
+}
+
+/// "on", "off", an address, a port, or both.
+DatagramSettings datagramsOf(const std::string& text) {
+    DatagramSettings settings;
+    if (text == "off") return settings;
+    settings.offered = true;
+    if (text == "on") return settings;
+    if (const auto both = radio::Endpoint::parse(text)) {
+        settings.address = text.substr(0, text.rfind(':'));
+        settings.port = both->port;
+    } else if (radio::parseAddress(text)) {
+        settings.address = text;
+    } else if (const auto port = radio::Endpoint::parse("0.0.0.0:" + text)) {
+        settings.port = port->port;
+    } else {
+        throw std::runtime_error("Axon.Datagrams: expected on, off, an address of four numbers, a port, or ADDRESS:PORT, as "
+                                 "192.168.0.7:10420, not '" + text + "'");
+    }
+    return settings;
 }
 
 /// Ice property syntax, as the thesis' configuration files: Name=value, # comments.
@@ -125,6 +146,7 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         std::chrono::milliseconds(integerBetween("Axon.WatchdogBusyMs", chosen("", "Axon.WatchdogBusyMs", "250"), 50, 2000));
     options.core.server_watchdog_idle =
         std::chrono::milliseconds(integerBetween("Axon.WatchdogIdleMs", chosen("", "Axon.WatchdogIdleMs", "10000"), 250, 60000));
+    options.datagrams = datagramsOf(chosen("", "Axon.Datagrams", "on"));
     options.log_level = chosen(log_level, "Axon.LogLevel", "info");
     static const std::set<std::string> kLevels{"trace", "debug", "info", "warning", "error", "critical", "off"};
     if (!kLevels.contains(options.log_level))

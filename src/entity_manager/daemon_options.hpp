@@ -5,6 +5,7 @@
 #include <string>
 
 #include "entity_manager/back_end_interface.hpp"
+#include "entity_manager/datagram_desk.hpp"
 #include "entity_manager/entity_communicator.hpp"
 #include "entity_manager/entity_manager_core.hpp"
 
@@ -16,6 +17,7 @@ struct DaemonOptions {
     CoreSettings core;
     ServerAddress server;
     BackEndSettings back_end;
+    DatagramSettings datagrams;
     std::filesystem::path state_folder;
     std::string log_level = "info";
     /// Set when there is nothing to run: --help, --version, or a wrong command line (which has been explained).

@@ -14,6 +14,8 @@
 #include "entity_manager/server_communicators.hpp"
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
+#include "transport/lane_socket.hpp"
+#include "transport/peer_connection.hpp"
 
 namespace axon::entity_manager {
 
@@ -157,6 +159,10 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         });
     }
 
+    std::string localAddress() const {
+        return data_connection_ ? transport::PeerConnection(data_connection_).localAddress() : std::string();
+    }
+
     std::uint64_t dropped() const { return dropped_; }
 
   private:
@@ -274,6 +280,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         const auto gate = gateTo(ice_->signal(), facts.signalEndpoint);
         open(attempt, gate, [attempt, gate, token = facts.token](Connection& self, const auto& session) {
             self.signal_connection_ = self.adopt(attempt, gate, self.ice_->signalAdapter());
+            transport::prepareSignalLane(*self.signal_connection_);
             self.signal_session_ = self.over(self.signal_connection_, session);
             self.signal_callback_ = self.callback(self.ice_->signalAdapter());
             self.signal_session_->attachSignalLaneAsync(
@@ -410,6 +417,7 @@ void EntityCommunicator::sendToClient(Lane lane, const Header& head, const proto
 void EntityCommunicator::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
     connection_->sendToClientDataSeq(head, message);
 }
+std::string EntityCommunicator::localAddress() const { return connection_->localAddress(); }
 std::uint64_t EntityCommunicator::droppedData() const { return connection_->dropped(); }
 
 }  // namespace axon::entity_manager

@@ -58,6 +58,9 @@ class EntityCommunicator final : public ServerPort {
     void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) override;
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override;
 
+    /// The address of this machine at which the way to the server begins; empty while there is no session. On the
+    /// strand.
+    std::string localAddress() const;
     std::uint64_t droppedData() const;
 
   private:

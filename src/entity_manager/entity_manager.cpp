@@ -40,6 +40,12 @@ EntityManager::BackEndFactory EntityManager::overTcp(BackEndSettings settings, R
     };
 }
 
+void EntityManager::receiveDatagrams(const DatagramSettings& settings, const Clock& clock) {
+    datagrams_ = std::make_unique<DatagramDesk>(settings, clock, gate_, uuid(), [this](Header head, StopCause cause) {
+        stopSignal(std::move(head), cause);
+    });
+}
+
 void EntityManager::start() {
     asio::post(strand_, [self = shared_from_this()] {
         self->back_end_.start();
@@ -53,6 +59,7 @@ void EntityManager::stop() {
         if (!std::exchange(stopped_, true)) {
             core_->shutDown();
             server_->wantConnection(false);
+            if (datagrams_) datagrams_->close();
             back_end_.close();
             timer_.cancel();
         }
@@ -64,6 +71,7 @@ void EntityManager::stop() {
 // -- from the server ------------------------------------------------------------------------------------------------
 
 void EntityManager::stopSignal(Header head, StopCause cause) {
+    const std::lock_guard in_order(stop_mutex_);
     const bool drill = cause == StopCause::Drill;
     // A generation that the strand never hears of would make every command an old one, so a drill that would be
     // dropped raises none.
@@ -117,6 +125,7 @@ void EntityManager::undeliverable(const Header& head, int code, const std::strin
 
 void EntityManager::serverUp() {
     server_up_ = true;
+    if (datagrams_) core_->offerDatagrams(datagrams_->open(server_->localAddress()));
     core_->onServerUp();
     afterEvents();
 }
@@ -206,6 +215,7 @@ void EntityManager::afterEvents() {
     }
     if (const bool latched = core_->latched(); std::exchange(latched_, latched) != latched)
         spdlog::info("{}: {}", name_, latched ? "stopped and latched" : "rearmed");
+    if (datagrams_) datagrams_->hold(core_->held());
     armTimer();
 }
 

@@ -6,11 +6,13 @@
 #include <atomic>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <string>
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "entity_manager/back_end_interface.hpp"
+#include "entity_manager/datagram_desk.hpp"
 #include "entity_manager/entity_communicator.hpp"
 #include "entity_manager/entity_manager_core.hpp"
 #include "entity_manager/inbox.hpp"
@@ -45,6 +47,11 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
                                                  RandomSource& random, Storage& storage, ResourceStore& resources,
                                                  Journal* journal = nullptr);
     ~EntityManager() override;
+
+    /// Before start(): stops may arrive as datagrams too, once there is a session with the server. Costs a thread.
+    void receiveDatagrams(const DatagramSettings& settings, const Clock& clock);
+    /// Null when they are not received.
+    const DatagramDesk* datagrams() const { return datagrams_.get(); }
 
     void start();
     /// Stops the robot, leaves the server, closes the link. Blocks until the strand has done so (below a second).
@@ -84,6 +91,7 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     Strand strand_;
     const std::string name_;
     Inbox inbox_;
+    std::mutex stop_mutex_;  // of the two signal threads: stops reach robot and strand in the order of their generations
     StopGate gate_;
     BackEnd back_end_;
     std::unique_ptr<EntityCommunicator> server_;
@@ -96,6 +104,7 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     bool server_up_ = false;
     bool latched_ = false;
     bool stopped_ = false;
+    std::unique_ptr<DatagramDesk> datagrams_;  // last, so that its thread ends first
 };
 
 }  // namespace axon::entity_manager

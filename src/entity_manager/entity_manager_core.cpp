@@ -61,6 +61,9 @@ void EntityManagerCore::onTimer() {
 TimePoint EntityManagerCore::nextDeadline() const {
     return machine_->nextDeadline();
 }
+void EntityManagerCore::offerDatagrams(std::string endpoint) {
+    machine_->offerDatagrams(std::move(endpoint));
+}
 void EntityManagerCore::shutDown() {
     machine_->shutDown();
 }
@@ -72,6 +75,9 @@ bool EntityManagerCore::latched() const {
 }
 const std::string& EntityManagerCore::uuid() const {
     return machine_->uuid();
+}
+const LeaseBook::Held* EntityManagerCore::held() const {
+    return machine_->held();
 }
 EntityStatus EntityManagerCore::status() const {
     return machine_->status();

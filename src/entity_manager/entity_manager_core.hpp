@@ -9,6 +9,7 @@
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "common/routed.hpp"
+#include "entity_manager/lease_book.hpp"
 #include "entity_manager/ports.hpp"
 #include "entity_manager/stop_gate.hpp"
 
@@ -86,12 +87,17 @@ class EntityManagerCore {
     void onTimer();
     TimePoint nextDeadline() const;
 
+    /// Where the holder may send stops as datagrams (docs/reference/datagrams.md); told with each grant from now on.
+    void offerDatagrams(std::string endpoint);
+
     /// The operator of the daemon wants it to end: stop, tell the server, leave.
     void shutDown();
 
     EntityState state() const;
     bool latched() const;
     const std::string& uuid() const;
+    /// The present lease; null when nobody holds the entity.
+    const LeaseBook::Held* held() const;
     EntityStatus status() const;
     const CoreCounters& counters() const;
 

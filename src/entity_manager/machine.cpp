@@ -907,6 +907,7 @@ void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
     reply.mutable_lease()->set_key(held.key.bytes());
     reply.set_stop_generation(generation_);
     reply.set_latched(latched_);
+    reply.set_datagram_endpoint(datagram_endpoint_);
     *reply.mutable_services() = profiler_.profile();
     tell(held.holder, kMsgCheckOut, message);
     if (streams_off_) switchStreams({{"", true}});

@@ -50,6 +50,8 @@ class EntityManagerCore::Machine {
     EntityState state() const { return state_; }
     bool latched() const { return latched_; }
     const std::string& uuid() const { return uuid_; }
+    void offerDatagrams(std::string endpoint) { datagram_endpoint_ = std::move(endpoint); }
+    const LeaseBook::Held* held() const { return lease_.held() ? &*lease_.held() : nullptr; }
     EntityStatus status() const;
     const CoreCounters& counters() const { return counters_; }
 
@@ -234,6 +236,7 @@ class EntityManagerCore::Machine {
     std::optional<EntityStatus> status_told_;
 
     LeaseBook lease_;
+    std::string datagram_endpoint_;  ///< told with a grant
     std::optional<WaitingGrant> waiting_grant_;
 
     std::uint32_t reserved_ =

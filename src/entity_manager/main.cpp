@@ -40,6 +40,7 @@ int main(int argc, char** argv) {
         interrupts.setCallback([&](int) {
             if (!once.test_and_set()) ended.set_value();
         });
+        manager->receiveDatagrams(options.datagrams, clock);
         manager->start();
         std::cout << "ready application=" << options.core.application << " entity=" << manager->uuid()
                   << " server=" << options.server.host << ':' << options.server.port << std::endl;

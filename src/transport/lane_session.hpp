@@ -12,6 +12,7 @@
 
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
+#include "transport/lane_socket.hpp"
 #include "transport/login.hpp"
 #include "transport/open_sessions.hpp"
 #include "transport/outbox.hpp"
@@ -125,6 +126,7 @@ void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<PeerCon
         try {
             const std::shared_ptr<Servant> servant = make(valueOrThrow(std::move(who)));
             valueOrThrow(lane.sessions.add(peer->get(), servant));
+            if (lane.lane == Lane::Signal) prepareSignalLane(*peer->get());
             auto proxy = Ice::uncheckedCast<SessionPrx>(adapter->addWithUUID(servant));
             peer->onClosed([&lane, servant, peer, adapter,
                             id = proxy->ice_getIdentity()](const CloseReason& reason) {

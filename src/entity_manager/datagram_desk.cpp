@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/datagram_desk.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <system_error>
+
+namespace axon::entity_manager {
+
+DatagramDesk::DatagramDesk(DatagramSettings settings, const Clock& clock, StopGate& gate, std::string entity,
+                           Stop stop)
+    : settings_(std::move(settings)),
+      clock_(clock),
+      gate_(gate),
+      entity_(std::move(entity)),
+      stop_(std::move(stop)) {}
+
+std::string DatagramDesk::open(const std::string& way_to_server) {
+    if (!settings_.offered) return {};
+    const auto address = radio::parseAddress(settings_.address.empty() ? way_to_server : settings_.address);
+    if (!address) return {};
+    const radio::Endpoint wanted{*address, settings_.port};
+    if (lane_ && bound_ == wanted) return lane_->local().toString();
+    lane_.reset();
+    try {
+        lane_ = std::make_unique<radio::DatagramLane>(
+            "axon-datagrams", wanted, clock_,
+            [this](const radio::DatagramLane& lane, const radio::Endpoint& from, std::string_view bytes) {
+                return received(lane, from, bytes);
+            },
+            nullptr);
+    } catch (const std::system_error& error) {
+        spdlog::warn(
+            "stops are not received as datagrams: {} (expected an address of this machine and a free port; "
+            "see "
+            "Axon.Datagrams)",
+            error.what());
+        return {};
+    }
+    bound_ = wanted;
+    return lane_->local().toString();
+}
+
+void DatagramDesk::hold(const LeaseBook::Held* held) {
+    const auto number = held != nullptr ? held->number : LeaseNumber{};
+    if (number == held_ && (held == nullptr || held->holder.id == holder_)) return;
+    held_ = number;
+    if (held == nullptr) {
+        sentry_.end();
+        return;
+    }
+    holder_ = held->holder.id;
+    sentry_.hold(number, held->key.bytes(), held->holder);
+}
+
+void DatagramDesk::close() {
+    lane_.reset();
+}
+
+bool DatagramDesk::received(const radio::DatagramLane& lane, const radio::Endpoint& from,
+                            std::string_view bytes) {
+    const auto judged = sentry_.judge(bytes);
+    if (judged.verdict == radio::StopSentry::Verdict::Refused) return false;
+    const auto& datagram = judged.datagram;
+    if (judged.verdict == radio::StopSentry::Verdict::New) {
+        Header head;
+        head.sender = judged.sender;
+        head.entity = entity_;
+        head.held = datagram.lease;
+        head.stop_generation = static_cast<std::int32_t>(datagram.generation);
+        head.sequence = datagram.sequence;
+        head.sent_at_us = datagram.sent_at_us;
+        stop_(std::move(head), datagram.cause);
+    }
+    auto answer = datagram;
+    answer.kind = radio::StopDatagram::Kind::Ack;
+    answer.generation = gate_.raisedBy(judged.sender.id, datagram.sequence).value_or(0);
+    const auto encoded = radio::encode(answer, judged.key);
+    lane.send(from, {encoded.data(), encoded.size()});
+    return true;
+}
+
+}  // namespace axon::entity_manager

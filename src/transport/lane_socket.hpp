@@ -1,0 +1,16 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+namespace axon::transport {
+
+/// The descriptor of the socket under a TCP connection of Ice, which does not give it away: the one of this
+/// process whose two addresses are the connection's. -1 where there is none (closed meanwhile, or not TCP).
+int socketOf(const Ice::Connection& connection);
+
+/// Sets the signal lane's socket options (radio/signal_socket.hpp) on this connection, once, at its set-up.
+/// What the kernel does not have is said once in the log and done without. False when the socket was not
+/// found. Any thread.
+bool prepareSignalLane(const Ice::Connection& connection);
+
+}  // namespace axon::transport

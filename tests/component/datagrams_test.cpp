@@ -1,0 +1,351 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// Stops as datagrams: the client's sender and the real Entity Manager, with a relay between them that drops,
+// duplicates and reorders, while nothing passes over TCP; and the whole client library, where both ways are
+// open.
+#include <axon/link.pb.h>
+#include <axon/messages.pb.h>
+#include <gtest/gtest.h>
+
+#include <asio/post.hpp>
+#include <asio/thread_pool.hpp>
+#include <axon/client.hpp>
+#include <map>
+
+#include "client/datagram_sender.hpp"
+#include "component/raw_peers.hpp"
+#include "entity_manager/entity_manager.hpp"
+#include "entity_manager/server_communicators.hpp"
+#include "server/server.hpp"
+#include "support/loopback.hpp"
+
+namespace axon {
+namespace {
+
+using namespace std::chrono_literals;
+using client::DatagramSender;
+using entity_manager::BackEndEvents;
+using entity_manager::EntityManager;
+using radio::DatagramLane;
+using radio::Endpoint;
+using test::RawClient;
+using test::waitUntil;
+
+class MemoryStorage final : public entity_manager::Storage, public entity_manager::ResourceStore {
+  public:
+    std::optional<std::string> load(std::string_view key) override {
+        const auto found = values_.find(std::string(key));
+        return found == values_.end() ? std::nullopt : std::optional(found->second);
+    }
+    void save(std::string_view key, std::string_view value) override { values_[std::string(key)] = value; }
+    Result<std::uint64_t> begin(const proto::ResourceOffer&) override { return std::uint64_t{0}; }
+    Result<void> write(std::string_view, std::uint64_t, std::string_view) override { return {}; }
+    Result<std::string> finish(std::string_view) override { return std::string(); }
+    void suspend(std::string_view) override {}
+    void remove(std::string_view, std::string_view) override {}
+    std::optional<std::string> find(std::string_view, std::string_view) override { return std::nullopt; }
+
+  private:
+    std::map<std::string, std::string> values_;
+};
+
+/// A robot application in memory, which stands still at once.
+class Application final : public entity_manager::BackEndPort {
+  public:
+    Application(EntityManager::Strand strand, BackEndEvents& events, std::atomic<int>& stops)
+        : strand_(std::move(strand)), events_(events), stops_(stops) {}
+    void start() {
+        events_.onLinkUp();
+        profile(false, R"(<BasicProfile name="PeopleBot" category="ROBOT" type="MOBILE" descr="a robot"/>)");
+        profile(
+            true,
+            R"(<ServiceProfile count="1"><Service name="Drive" global_id="drive" type="SMPL"/></ServiceProfile>)");
+    }
+    bool send(const proto::EmToEi&) override { return true; }
+    void stop(std::uint32_t generation, StopCause cause) override {
+        if (cause == StopCause::Requested) ++stops_;
+        asio::post(strand_, [this, generation] {
+            proto::EiToEm done;
+            done.mutable_stop_done()->set_stop_generation(generation);
+            done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+            events_.onLinkMessage(done);
+        });
+    }
+    void setBusy(bool) override {}
+
+  private:
+    void profile(bool services, const std::string& xml) {
+        proto::EiToEm message;
+        message.mutable_profile()->set_services(services);
+        message.mutable_profile()->set_file_name("profile.xml");
+        message.mutable_profile()->set_xml(xml);
+        events_.onLinkMessage(message);
+    }
+    EntityManager::Strand strand_;
+    BackEndEvents& events_;
+    std::atomic<int>& stops_;
+};
+
+/// Between client and Entity Manager: loses, doubles and holds back datagrams of either direction, from a
+/// seed.
+class Relay {
+  public:
+    Relay(Endpoint manager, std::uint32_t address, unsigned loss_percent)
+        : manager_(manager),
+          loss_percent_(loss_percent),
+          back_(
+              "relay-back", {address, 0}, clock_,
+              [this](const DatagramLane&, const Endpoint&, std::string_view bytes) {
+                  const std::lock_guard lock(mutex_);
+                  pass(bytes, false);
+                  return true;
+              },
+              nullptr),
+          front_(
+              "relay-front", {address, 0}, clock_,
+              [this](const DatagramLane&, const Endpoint& from, std::string_view bytes) {
+                  const std::lock_guard lock(mutex_);
+                  client_ = from;
+                  recorded_.emplace_back(bytes);
+                  pass(bytes, true);
+                  return true;
+              },
+              nullptr) {}
+    const Endpoint& endpoint() const { return front_.local(); }
+    std::vector<std::string> recorded() {
+        const std::lock_guard lock(mutex_);
+        return recorded_;
+    }
+    /// As somebody who has listened would.
+    void inject(std::string_view bytes) { back_.send(manager_, bytes); }
+
+  private:
+    void pass(std::string_view bytes, bool to_manager) {
+        if (random_.next() % 100 < loss_percent_) return;
+        held_.emplace_back(bytes, to_manager);
+        if (random_.next() % 3 == 0) return;  // behind what comes next
+        while (!held_.empty()) {
+            const auto [its_bytes, its_way] = held_.back();  // the newest first
+            held_.pop_back();
+            for (int copies = random_.next() % 4 == 0 ? 2 : 1; copies > 0; --copies)
+                its_way ? back_.send(manager_, its_bytes) : front_.send(client_, its_bytes);
+        }
+    }
+    const SteadyClock clock_;
+    const Endpoint manager_;
+    const unsigned loss_percent_;
+    std::mutex mutex_;
+    SeededRandom random_{11};
+    Endpoint client_;
+    std::vector<std::string> recorded_;
+    std::vector<std::pair<std::string, bool>> held_;
+    DatagramLane back_, front_;
+};
+
+class DatagramsTest : public ::testing::Test {
+  protected:
+    void SetUp() override {
+        const auto any_port = test::loopbackAddress() + ":0";
+        server::ServerSettings settings;
+        settings.client_endpoint = settings.client_signal_endpoint = any_port;
+        settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
+        server_ = std::make_unique<server::Server>(settings);
+        const auto at = server_->entityAddress(Lane::Data);
+        entity_manager::CoreSettings core;
+        core.application = "peoplebot";
+        manager_ = EntityManager::create(
+            executor_.get_executor(), std::make_shared<entity_manager::ServerCommunicators>(1, 1), core,
+            {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
+             "", ""},
+            [&](const EntityManager::Strand& strand, const entity_manager::StopGate&, BackEndEvents& events) {
+                auto application = std::make_unique<Application>(strand, events, stops_);
+                auto* const its = application.get();
+                return EntityManager::BackEnd{std::move(application), [its] { its->start(); }, [] {}};
+            },
+            clock_, random_, storage_, storage_);
+        manager_->receiveDatagrams({true, "", 0}, clock_);
+        manager_->start();
+        ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::IDLE; }));
+    }
+    void TearDown() override {
+        if (manager_) manager_->stop();
+        executor_.join();
+        manager_.reset();
+    }
+    /// What the check-out by a client without our library is granted.
+    proto::CheckOutReply take(RawClient& client) {
+        proto::ToEntity body;
+        body.mutable_check_out()->set_request_id(Id128::random(random_).bytes());
+        body.mutable_check_out()->set_phase(proto::TAKE);
+        auto head = client.headTo(manager_->uuid());
+        head.msg_type = kMsgCheckOut;
+        const auto bytes = body.SerializeAsString();
+        client.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
+        const auto beginning = "data msg " + manager_->uuid() + " ";
+        proto::ToClient message;
+        EXPECT_TRUE(waitUntil([&] {
+            for (const auto& line : client.log.lines())
+                if (line.starts_with(beginning) && message.ParseFromString(line.substr(beginning.size())) &&
+                    message.has_check_out() && message.check_out().has_lease())
+                    return true;
+            return false;
+        }));
+        return message.check_out();
+    }
+    static LeaseNumber numberOf(const proto::CheckOutReply& reply) {
+        return {static_cast<std::int32_t>(reply.lease().epoch()),
+                static_cast<std::int32_t>(reply.lease().number())};
+    }
+    radio::StopSentry::Counters counters() const { return manager_->datagrams()->counters(); }
+
+    SteadyClock clock_;
+    SystemRandom random_;
+    MemoryStorage storage_;
+    std::atomic<int> stops_{0};
+    std::unique_ptr<server::Server> server_;
+    asio::thread_pool executor_{1};
+    std::shared_ptr<EntityManager> manager_;
+};
+
+TEST_F(DatagramsTest, AStopArrivesByDatagramAloneThoughHalfOfThemAreLost) {
+    RawClient raw(server_->clientAddress(Lane::Data));
+    const auto granted = take(raw);
+    const auto to = Endpoint::parse(granted.datagram_endpoint());
+    ASSERT_TRUE(to) << granted.datagram_endpoint();
+    EXPECT_EQ(to->address, radio::parseAddress("127.0.0.1")) << "the way to the server begins there";
+    Relay relay(*to, to->address, 50);
+    std::atomic<int> acknowledged{0};
+    std::atomic<std::uint32_t> generation{0};
+    DatagramSender sender(clock_, [&](const radio::StopRepeater::Acknowledged& its) {
+        generation = its.generation;
+        ++acknowledged;
+    });
+    sender.admit(manager_->uuid(), numberOf(granted), relay.endpoint().toString(), granted.lease().key(),
+                 raw.facts.me.id);
+
+    constexpr int kStops = 40;
+    for (int i = 1; i <= kStops; ++i) {
+        // Sent anew when a row of copies has ended, as StopDesk does.
+        EXPECT_TRUE(waitUntil([&] {
+            sender.stop(manager_->uuid(), i, 0);
+            return acknowledged == i;
+        }));
+        EXPECT_EQ(stops_, i) << "each once, however many copies there are";
+    }
+    EXPECT_EQ(counters().accepted, static_cast<std::uint64_t>(kStops));
+    EXPECT_GT(counters().again, 0U);
+    EXPECT_EQ(counters().foreign + counters().unreadable + counters().old, 0U);
+    EXPECT_GT(generation, granted.stop_generation());
+    // The receipts of the ordinary way name the same stop.
+    EXPECT_TRUE(waitUntil([&] { return raw.log.count("signal msg " + manager_->uuid()) >= kStops; }));
+}
+
+TEST_F(DatagramsTest, ReplayedForgedAndForeignDatagramsAreNotExecuted) {
+    RawClient raw(server_->clientAddress(Lane::Data));
+    const auto granted = take(raw);
+    const auto to = Endpoint::parse(granted.datagram_endpoint()).value();
+    Relay relay(to, to.address, 0);
+    std::atomic<int> acknowledged{0};
+    DatagramSender sender(clock_, [&](const radio::StopRepeater::Acknowledged&) { ++acknowledged; });
+    sender.admit(manager_->uuid(), numberOf(granted), relay.endpoint().toString(), granted.lease().key(),
+                 raw.facts.me.id);
+    constexpr int kStops = 70;  // more than a StopGate remembers, and than the sentry's window
+    for (int i = 1; i <= kStops; ++i) {
+        EXPECT_TRUE(waitUntil([&] {
+            sender.stop(manager_->uuid(), i, 0);
+            return acknowledged == i;
+        }));
+    }
+    ASSERT_EQ(stops_, kStops);
+
+    const auto recorded = relay.recorded();
+    const auto before = counters();
+    const auto refused = [&] {
+        const auto now = counters();
+        return now.again + now.foreign + now.unreadable + now.old - before.again;
+    };
+    std::uint64_t injected = 0;
+    const auto give = [&](std::string_view bytes) {
+        relay.inject(bytes);
+        if (++injected % 16 != 0) return;  // never more than the socket holds
+        EXPECT_TRUE(waitUntil([&] { return refused() == injected; })) << refused() << " of " << injected;
+    };
+    for (const auto& bytes : recorded) give(bytes);  // replayed
+    for (std::size_t i = 0; i < 600; ++i) {          // forged: a bit turned
+        auto forged = recorded[i % recorded.size()];
+        forged[i % forged.size()] ^= static_cast<char>(1U << i % 8);
+        give(forged);
+    }
+    radio::StopDatagram foreign;  // of another lease, and of this one under another key or sender
+    foreign.lease = numberOf(granted);
+    foreign.sequence = kStops + 1;
+    foreign.sender = Id128::uuid(random_);
+    const auto inject = [&](const radio::StopDatagram& datagram, const std::string& key) {
+        const auto bytes = radio::encode(datagram, key);
+        give({bytes.data(), bytes.size()});
+    };
+    inject(foreign, granted.lease().key());
+    foreign.sender = Id128::parse(raw.facts.me.id).value();
+    inject(foreign, Id128::random(random_).bytes());
+    ++foreign.lease.number;
+    inject(foreign, granted.lease().key());
+    EXPECT_TRUE(waitUntil([&] { return refused() == injected; })) << refused() << " of " << injected;
+    EXPECT_EQ(stops_, kStops);
+    EXPECT_EQ(counters().accepted, before.accepted);
+
+    // And the holder is still heard.
+    sender.stop(manager_->uuid(), kStops + 1, 0);
+    EXPECT_TRUE(waitUntil([&] { return stops_ == kStops + 1; }));
+}
+
+TEST_F(DatagramsTest, TheEndOfTheLeaseEndsItsDatagrams) {
+    RawClient raw(server_->clientAddress(Lane::Data));
+    const auto granted = take(raw);
+    const auto to = Endpoint::parse(granted.datagram_endpoint()).value();
+    proto::ToEntity body;
+    body.mutable_release();
+    auto head = raw.headTo(manager_->uuid(), 2);
+    head.msg_type = kMsgRelease;
+    head.held = numberOf(granted);
+    const auto bytes = body.SerializeAsString();
+    raw.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
+    ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::IDLE; }));
+
+    DatagramLane lane(
+        "test", {to.address, 0}, clock_,
+        [](const DatagramLane&, const Endpoint&, std::string_view) { return true; }, nullptr);
+    radio::StopDatagram stop;
+    stop.lease = numberOf(granted);
+    stop.sequence = 1;
+    stop.sender = Id128::parse(raw.facts.me.id).value();
+    const auto datagram = radio::encode(stop, granted.lease().key());
+    const auto refused = counters().foreign;
+    lane.send(to, {datagram.data(), datagram.size()});
+    EXPECT_TRUE(waitUntil([&] { return counters().foreign > refused; }));
+    EXPECT_EQ(counters().accepted, 0U);
+    EXPECT_EQ(stops_, 0);
+}
+
+TEST_F(DatagramsTest, TheClientLibrarySendsBothWaysAndTheRobotIsStoppedOnce) {
+    client::Options options;
+    options.server = server_->clientAddress(Lane::Data);
+    options.display_name = "client1@lab";
+    auto connected = client::Client::connect(options);
+    ASSERT_TRUE(connected.ok()) << connected.refusal().message;
+    auto& client = *connected.value();
+    ASSERT_TRUE(client.waitFor("PeopleBot", client::Seconds{5}).ok());
+    const auto held = client.checkOut("PeopleBot");
+    ASSERT_TRUE(held.ok()) << held.refusal().message;
+    for (int i = 1; i <= 20; ++i) {
+        const auto receipts = i % 2 == 0 ? client.stop({"PeopleBot"}) : client.stop({});
+        ASSERT_TRUE(receipts.ok()) << receipts.refusal().message;
+        ASSERT_EQ(receipts.value().size(), 1U);
+        EXPECT_TRUE(receipts.value().front().confirmed());
+        EXPECT_TRUE(receipts.value().front().manager);
+        EXPECT_EQ(stops_, i);
+    }
+    EXPECT_TRUE(waitUntil([&] { return counters().accepted == 20; })) << counters().accepted;
+    EXPECT_EQ(stops_, 20);
+}
+
+}  // namespace
+}  // namespace axon
