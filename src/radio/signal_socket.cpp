@@ -36,6 +36,9 @@ constexpr std::array kMarks{
     Option{"IP_TOS", IPPROTO_IP, IP_TOS, kExpeditedForwarding},
     Option{"SO_PRIORITY", SOL_SOCKET, SO_PRIORITY, kInteractive},
 };
+// The one that every Linux permits. With BBR a connection never counts as thin, and every time-out doubles
+// the next.
+constexpr char kCongestion[] = "reno";
 constexpr Option kBuffer{"SO_RCVBUF", SOL_SOCKET, SO_RCVBUF, 32 * 1024};  // the kernel doubles it
 
 template <class Options>
@@ -50,6 +53,8 @@ void set(int fd, const Options& options, std::vector<std::string>& missing) {
 std::vector<std::string> prepareSignalSocket(int fd) {
     std::vector<std::string> missing;
     set(fd, kTcp, missing);
+    if (::setsockopt(fd, IPPROTO_TCP, TCP_CONGESTION, kCongestion, sizeof kCongestion - 1) != 0)
+        missing.emplace_back("TCP_CONGESTION");
     set(fd, kMarks, missing);
     return missing;
 }
