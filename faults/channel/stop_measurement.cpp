@@ -32,6 +32,7 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr std::size_t kStopBytes = 8;  // number of the flow, number of the stop
+constexpr std::uint32_t kNoStop = 0xffffffff;  // a heartbeat
 constexpr auto kSetUp = 60s;
 
 [[noreturn]] void fail(const std::string& what) {
@@ -186,7 +187,7 @@ class TcpReceiver {
                     std::uint32_t numbers[2];
                     std::memcpy(numbers, pending[i].data(), sizeof numbers);
                     pending[i].erase(0, kStopBytes);
-                    ledger_.arrived(numbers[0], numbers[1], now);
+                    if (numbers[0] != kNoStop) ledger_.arrived(numbers[0], numbers[1], now);
                 }
             }
         }
@@ -286,6 +287,13 @@ Figures measureStops(const TwoSides& sides, const Way& way, const Workload& work
     const TcpReceiver receiver(connections.right, ledger);
     std::unique_ptr<Datagrams> datagrams;
     if (way.datagrams) datagrams = std::make_unique<Datagrams>(sides, workload.flows, ledger, random);
+
+    for (std::size_t i = 0; i < workload.heartbeats; ++i) {
+        const std::uint32_t nobodys[2] = {kNoStop, kNoStop};
+        for (const auto& socket : connections.left)
+            (void)!::send(socket.get(), nobodys, sizeof nobodys, MSG_NOSIGNAL | MSG_DONTWAIT);
+        std::this_thread::sleep_for(workload.heartbeat);
+    }
 
     struct Due {
         Duration at;

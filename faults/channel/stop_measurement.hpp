@@ -20,10 +20,13 @@ struct Way {
 struct Workload {
     std::size_t stops = 2000;
     std::size_t flows = 100;  ///< connections, each with isolated stops of its own
-    Duration pause =
-        std::chrono::seconds{1};  ///< between two of a flow, from half to one and a half times this
-    Duration patience =
-        std::chrono::seconds{20};  ///< after the last one; what has not come then never arrives
+    /// Small messages ahead of the first stop, as heartbeats are: the kernel needs them to find its time-outs.
+    std::size_t heartbeats = 40;
+    Duration heartbeat = std::chrono::milliseconds{50};
+    /// Between two stops of a flow, from half to one and a half times this.
+    Duration pause = std::chrono::seconds{1};
+    /// After the last stop; what has not come then never arrives.
+    Duration patience = std::chrono::seconds{20};
 };
 
 struct Figures {
