@@ -23,7 +23,8 @@ class EntityServer::Rim {
         const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
         EntityServerCore::Note note)
         : core(
-              settings.core, clock, random, topic, std::move(note), [this] { wake(); },
+              settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
+              [this] { wake(); },
               [this] {
                   if (auto* thread = publisher_ready.load()) thread->wake();
               }),
@@ -68,6 +69,13 @@ class EntityServer::Rim {
         publisher->wake();  // for what was left before it could be woken
     }
 
+    void end() {
+        timer_ready = nullptr;
+        timer.reset();
+        publisher_ready = nullptr;
+        publisher.reset();
+    }
+
     void wake() {
         if (auto* thread = timer_ready.load()) thread->wake();
     }
@@ -107,6 +115,10 @@ void EntityServer::publishTo(std::shared_ptr<Axon::EntityComm::EntityToFrontEndC
 void EntityServer::activate() {
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
+}
+
+void EntityServer::end() {
+    rim_->end();
 }
 
 std::string EntityServer::address(Lane lane) const {

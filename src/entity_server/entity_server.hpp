@@ -30,12 +30,16 @@ struct EntityServerSettings {
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10413";
     /// Who may come in. Outlives the communicators. Null: anybody.
     transport::Logins* logins = nullptr;
+    /// The front-end server in this process, called in the caller's thread. Outlives the communicators and
+    /// end(). Null: publishTo() says where.
+    FrontEndTopic* here = nullptr;
 };
 
 /// The entity server on Ice: two adapters, EntityServer and EntityServerSignal, each with a communicator and
 /// threads of its own; the registry behind them; a timer thread and a publisher. Thesis: EntityServer.
 ///
-/// Life: construct, publishTo(), activate(), and before it is destroyed, destroy both communicators.
+/// Life: construct, publishTo() where there is nobody `here`, activate(); before it is destroyed, destroy
+/// both communicators, then end().
 class EntityServer {
   public:
     /// Throws std::runtime_error where it cannot listen (misconfiguration).
@@ -44,12 +48,14 @@ class EntityServer {
                  EntityServerCore::Note note);
     ~EntityServer();
 
-    /// Where front-end servers in this process reach it; with IceStorm, what subscribes to the topic.
+    /// Where front-end servers of other processes reach it: what subscribes to the topic.
     std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> subscriber(Lane lane) const;
-    /// Where it publishes to: collocated proxies, or IceStorm's publishers.
+    /// Where it publishes to: IceStorm's publishers, or the other's subscribers themselves.
     void publishTo(std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> data,
                    std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> signal);
     void activate();
+    /// Joins its own threads: nothing is published any more.
+    void end();
     /// "127.0.0.1:10412", with the port that was taken where 0 was asked for.
     std::string address(Lane lane) const;
     EntityServerCore& core();

@@ -35,7 +35,7 @@ class IceEntityOutbox final : public EntityOutbox {
     const transport::CallbackSender<Axon::EntityComm::EntityCallbackPrx> sender_;
 };
 
-/// FrontEndTopic over two publishers, one for each lane: collocated proxies, or IceStorm's.
+/// FrontEndTopic over two publishers, one for each lane: IceStorm's, or of the other server itself.
 class IceFrontEndTopic final : public FrontEndTopic {
   public:
     using Prx = std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx>;

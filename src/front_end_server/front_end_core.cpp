@@ -406,8 +406,11 @@ void FrontEndCore::entityUpdate(EntityStatus status) {
         }
         if (!holder.empty()) {
             if (clients_.contains(holder)) {
-                holdings_[holder][entity] = busy;
-                updateHolding(holder);
+                const auto [held, is_new] = holdings_[holder].try_emplace(entity, busy);
+                if (is_new || held->second != busy) {
+                    held->second = busy;
+                    updateHolding(holder);
+                }
             } else if (before != holder) {
                 // Granted to a client that was gone before the grant was known here.
                 if (const auto gone = gone_.find(holder); gone != gone_.end()) late = gone->second;

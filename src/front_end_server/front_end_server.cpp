@@ -22,7 +22,8 @@ class FrontEndServer::Rim {
     Rim(FrontEndServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
         const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
         FrontEndCore::Note note)
-        : core(settings.core, clock, random, topic, std::move(note), [this] { wake(); }),
+        : core(settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
+               [this] { wake(); }),
           data_lane{core, Lane::Data, {}, {}, 0, transport::OpenSessions<ClientSessionServant>(clock)},
           signal_lane{core,
                       Lane::Signal,
@@ -55,6 +56,11 @@ class FrontEndServer::Rim {
                 return std::min({core.onTimer(), data_lane.sessions.expire(), signal_lane.sessions.expire()});
             });
         timer_ready = timer.get();
+    }
+
+    void end() {
+        timer_ready = nullptr;
+        timer.reset();
     }
 
     void wake() {
@@ -95,6 +101,10 @@ void FrontEndServer::publishTo(std::shared_ptr<Axon::FrontEndComm::FrontEndToEnt
 void FrontEndServer::activate() {
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
+}
+
+void FrontEndServer::end() {
+    rim_->end();
 }
 
 std::string FrontEndServer::address(Lane lane) const {

@@ -29,12 +29,16 @@ struct FrontEndServerSettings {
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10411";
     /// Who may come in. Outlives the communicators. Null: anybody, as operator.
     transport::Logins* logins = nullptr;
+    /// The entity server in this process, called in the caller's thread. Outlives the communicators and
+    /// end(). Null: publishTo() says where.
+    EntityTopic* here = nullptr;
 };
 
 /// The front-end server on Ice: two adapters, FrontEndServer and FrontEndServerSignal, each with a
 /// communicator and threads of its own; the clients behind them; one timer thread. Thesis: FrontEndServer.
 ///
-/// Life: construct, publishTo(), activate(), and before it is destroyed, destroy both communicators.
+/// Life: construct, publishTo() where there is nobody `here`, activate(); before it is destroyed, destroy
+/// both communicators, then end().
 class FrontEndServer {
   public:
     /// Throws std::runtime_error where it cannot listen (misconfiguration).
@@ -43,12 +47,14 @@ class FrontEndServer {
                    FrontEndCore::Note note);
     ~FrontEndServer();
 
-    /// Where entity servers in this process reach it; with IceStorm, what subscribes to the topic.
+    /// Where entity servers of other processes reach it: what subscribes to the topic.
     std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> subscriber(Lane lane) const;
-    /// Where it publishes to: collocated proxies, or IceStorm's publishers.
+    /// Where it publishes to: IceStorm's publishers, or the other's subscribers themselves.
     void publishTo(std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> data,
                    std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> signal);
     void activate();
+    /// Joins its own threads: nothing is published any more.
+    void end();
     /// "127.0.0.1:10410", with the port that was taken where 0 was asked for.
     std::string address(Lane lane) const;
     FrontEndCore& core();

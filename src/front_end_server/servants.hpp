@@ -38,7 +38,7 @@ class IceClientOutbox final : public ClientOutbox {
     const transport::CallbackSender<Axon::FrontEndComm::ClientCallbackPrx> sender_;
 };
 
-/// EntityTopic over two publishers, one for each lane: collocated proxies, or IceStorm's.
+/// EntityTopic over two publishers, one for each lane: IceStorm's, or of the other server itself.
 class IceEntityTopic final : public EntityTopic {
   public:
     using Prx = std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx>;

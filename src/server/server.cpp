@@ -66,14 +66,75 @@ std::optional<Users> usersOf(const ServerSettings& settings) {
     return Users::read(settings.users_file);
 }
 
-transport::CommunicatorSettings communicatorSettings(const ServerSettings& settings, Lane lane) {
+transport::CommunicatorSettings communicatorSettings(const ServerSettings& settings, Lane lane,
+                                                     std::initializer_list<const char*> adapters) {
     transport::CommunicatorSettings its;
     its.lane = lane;
     its.name = lane == Lane::Signal ? "axon-signal" : "axon-data";
-    its.server_threads = lane == Lane::Signal ? settings.signal_threads : settings.data_threads;
-    its.properties = settings.ice_properties;
+    const int threads = lane == Lane::Signal ? settings.signal_threads : settings.data_threads;
+    // A pool for each adapter: what comes from clients does not wait for what comes from entities.
+    for (const std::string adapter : adapters) {
+        its.properties[adapter + ".ThreadPool.Size"] = std::to_string(threads);
+        its.properties[adapter + ".ThreadPool.Serialize"] = threads > 1 ? "1" : "0";
+    }
+    for (const auto& [key, value] : settings.ice_properties) its.properties[key] = value;
     return its;
 }
+
+/// What comes from the entities' signal lane are receipts and signs of life, which give way to stops.
+transport::CommunicatorSettings receiptSettings(const ServerSettings& settings) {
+    auto its = communicatorSettings(settings, Lane::Signal, {"EntityServerSignal"});
+    its.name = "axon-receipts";
+    its.priority = transport::kReceiptPriority;
+    return its;
+}
+
+/// The entity server as the front-end server of this process sees it, and the reverse: plain calls.
+class EntitiesHere final : public front_end_server::EntityTopic {
+  public:
+    void set(entity_server::EntityServerCore& core) { core_ = &core; }
+    void clientMsg(const Header& head, std::string_view message) override { core_->clientMsg(head, message); }
+    void clientMsgDataSeq(const Header& head, std::string_view data) override {
+        core_->clientMsgDataSeq(head, data);
+    }
+    void clientRequest(const Header& head) override { core_->clientRequest(head); }
+    void clientUpdate(const Header& head, ClientChange change) override { core_->clientUpdate(head, change); }
+    void stopSignal(const Header& head, StopCause cause) override { core_->stopSignal(head, cause); }
+    void stopSignals(const Header& head, const std::vector<std::string>& entities, StopCause cause) override {
+        core_->stopSignals(head, entities, cause);
+    }
+    void resetSignal(const Header& head) override { core_->resetSignal(head); }
+    void clearSignal(const Header& head) override { core_->clearSignal(head); }
+
+  private:
+    entity_server::EntityServerCore* core_ = nullptr;
+};
+
+class ClientsHere final : public entity_server::FrontEndTopic {
+  public:
+    void set(front_end_server::FrontEndCore& core) { core_ = &core; }
+    void entityBasicPrflUpdate(Presence presence, const Registration& registration,
+                               std::string_view profile) override {
+        core_->entityBasicPrflUpdate(presence, registration, profile);
+    }
+    void entityUpdate(const EntityStatus& status) override { core_->entityUpdate(status); }
+    void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
+                         std::string_view record) override {
+        core_->entitySvcRecord(head, record_id, count, record);
+    }
+    void entityMsg(Lane lane, const Header& head, std::string_view message) override {
+        core_->entityMsg(lane, head, message);
+    }
+    void entityMsgDataSeq(const Header& head, std::string_view data) override {
+        core_->entityMsgDataSeq(head, data);
+    }
+    void entityRefusal(Lane lane, const Header& head, const Refusal& refusal) override {
+        core_->entityRefusal(lane, head, refusal);
+    }
+
+  private:
+    front_end_server::FrontEndCore* core_ = nullptr;
+};
 
 }  // namespace
 
@@ -82,14 +143,21 @@ class Server::Parts {
     explicit Parts(const ServerSettings& settings)
         : logins(usersOf(settings), clock, note,
                  [](const std::string& peer, const std::string& local) { return socketOwner(peer, local); }),
-          data(transport::makeCommunicator(communicatorSettings(settings, Lane::Data))),
-          signal(transport::makeCommunicator(communicatorSettings(settings, Lane::Signal))),
+          data(transport::makeCommunicator(
+              communicatorSettings(settings, Lane::Data, {"FrontEndServer", "EntityServer"}))),
+          signal(transport::makeCommunicator(
+              communicatorSettings(settings, Lane::Signal, {"FrontEndServerSignal"}))),
+          receipts(transport::makeCommunicator(receiptSettings(settings))),
           entity({settings.entity, transport::tcpEndpoint(settings.entity_endpoint),
-                  transport::tcpEndpoint(settings.entity_signal_endpoint), &logins},
-                 data.communicator(), signal.communicator(), clock, random, note),
+                  transport::tcpEndpoint(settings.entity_signal_endpoint), &logins,
+                  settings.joined_by_proxies ? nullptr : &clients_here},
+                 data.communicator(), receipts.communicator(), clock, random, note),
           front_end({settings.front_end, transport::tcpEndpoint(settings.client_endpoint),
-                     transport::tcpEndpoint(settings.client_signal_endpoint), &logins},
+                     transport::tcpEndpoint(settings.client_signal_endpoint), &logins,
+                     settings.joined_by_proxies ? nullptr : &entities_here},
                     data.communicator(), signal.communicator(), clock, random, note) {
+        clients_here.set(front_end.core());
+        entities_here.set(entity.core());
         entity.publishTo(front_end.subscriber(Lane::Data), front_end.subscriber(Lane::Signal));
         front_end.publishTo(entity.subscriber(Lane::Data), entity.subscriber(Lane::Signal));
         entity.activate();
@@ -102,6 +170,9 @@ class Server::Parts {
         // First the threads that call the cores, then the cores.
         data.communicator()->destroy();
         signal.communicator()->destroy();
+        receipts.communicator()->destroy();
+        entity.end();
+        front_end.end();
     }
 
     SteadyClock clock;
@@ -109,6 +180,9 @@ class Server::Parts {
     LoginDesk logins;
     Ice::CommunicatorHolder data;
     Ice::CommunicatorHolder signal;
+    Ice::CommunicatorHolder receipts;
+    ClientsHere clients_here;
+    EntitiesHere entities_here;
     entity_server::EntityServer entity;
     front_end_server::FrontEndServer front_end;
 };

@@ -16,12 +16,16 @@ struct ServerSettings {
     std::string client_signal_endpoint = "127.0.0.1:10411";
     std::string entity_endpoint = "127.0.0.1:10412";
     std::string entity_signal_endpoint = "127.0.0.1:10413";
-    int data_threads = 2;    ///< of each adapter of the data lane
+    int data_threads = 1;    ///< of each adapter of the data lane
     int signal_threads = 1;  ///< of each adapter of the signal lane
     front_end_server::CoreSettings front_end;
     entity_server::CoreSettings entity;
     std::string users_file;                             ///< users.cfg; empty: none, and loopback only
     std::map<std::string, std::string> ice_properties;  ///< win over the defaults
+    bool lock_memory = true;                            ///< of the process of axon-server, where permitted
+    /// The two servers call each other through proxies of the topics, as they would in processes of their
+    /// own.
+    bool joined_by_proxies = false;
 };
 
 /// Throws std::runtime_error, with the mend, for an endpoint that is no HOST:PORT, or not on loopback while
@@ -29,8 +33,8 @@ struct ServerSettings {
 /// than this machine can reach it.
 bool checkEndpoint(const std::string& endpoint, bool has_users);
 
-/// Both servers in one process, the embedded default: each publishes to the other by collocated calls, which
-/// run in the caller's thread, one lane apart from the other. The only place that knows so.
+/// Both servers in one process, the embedded default: each publishes to the other by plain calls, which run
+/// in the caller's thread, one lane apart from the other. The only place that knows so.
 ///
 /// The constructor returns when both listen. The destructor tells the clients, closes their sessions and
 /// joins all threads. Throws std::runtime_error for misconfiguration.

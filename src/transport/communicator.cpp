@@ -14,11 +14,9 @@
 namespace axon::transport {
 namespace {
 
-constexpr int kSignalPriority = 10;  // above ordinary threads, below the kernel's own interrupt threads (50)
-
-void requestRealTime(std::atomic<bool>& said) {
+void requestRealTime(int priority, std::atomic<bool>& said) {
     sched_param parameters{};
-    parameters.sched_priority = kSignalPriority;
+    parameters.sched_priority = priority;
     const int error = pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
     if (error != 0 && !said.exchange(true)) {
         // The client library has a logger of its own; standard output is its program's.
@@ -60,9 +58,10 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
 
     // Ice runs the hook in each thread that it starts for this communicator.
     auto said = std::make_shared<std::atomic<bool>>(false);
-    init.threadStart = [name = settings.name.substr(0, 15), lane = settings.lane, said] {
+    init.threadStart = [name = settings.name.substr(0, 15), lane = settings.lane,
+                        priority = settings.priority, said] {
         pthread_setname_np(pthread_self(), name.c_str());
-        if (lane == Lane::Signal) requestRealTime(*said);
+        if (lane == Lane::Signal) requestRealTime(priority, *said);
     };
     try {
         return Ice::CommunicatorHolder(init);

@@ -16,6 +16,11 @@ namespace axon::transport {
 /// one is disconnected by the receiver.
 inline constexpr int kMessageSizeMaxKib = 4096;
 
+/// SCHED_RR priorities of signal lanes: above ordinary threads, below the kernel's own interrupt threads
+/// (50). Receipts give way to stops.
+inline constexpr int kStopPriority = 10;
+inline constexpr int kReceiptPriority = 5;
+
 /// What differs between the project's communicators; all else is decided in makeCommunicator, in one place.
 struct CommunicatorSettings {
     std::string name = "axon";  ///< of its threads; up to 15 characters are shown by ps and gdb
@@ -24,6 +29,7 @@ struct CommunicatorSettings {
     int client_threads = 1;     ///< dispatches callbacks that arrive over outgoing connections
     /// Ice properties that win over the defaults: those of a configuration file.
     std::map<std::string, std::string> properties;
+    int priority = kStopPriority;  ///< of the signal lane's threads, where permitted
 };
 
 /// An Ice communicator with the project's defaults: bounded message size, no retries (a new connection has no

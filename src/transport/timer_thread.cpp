@@ -4,6 +4,8 @@
 #include <pthread.h>
 #include <sched.h>
 
+#include "transport/communicator.hpp"
+
 namespace axon::transport {
 
 TimerThread::TimerThread(std::string name, Lane lane, Duration pause, const Clock& clock,
@@ -36,7 +38,7 @@ void TimerThread::run() {
     pthread_setname_np(pthread_self(), name_.c_str());
     if (lane_ == Lane::Signal) {
         sched_param parameters{};
-        parameters.sched_priority = 10;
+        parameters.sched_priority = kStopPriority;
         // Refused where not permitted; the signal lane's communicator says so for both.
         pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
     }
