@@ -4,9 +4,12 @@
 #include <axon/link.pb.h>
 #include <spdlog/spdlog.h>
 
+#include <asio/dispatch.hpp>
 #include <asio/post.hpp>
 #include <future>
 #include <utility>
+
+#include "entity_manager/caller_first.hpp"
 
 namespace axon::entity_manager {
 
@@ -15,7 +18,7 @@ constexpr int kEventsPerTurn = 128;  // then other strands of the executor get a
 }
 
 EntityManager::EntityManager(asio::any_io_executor executor, std::string name)
-    : strand_(asio::make_strand(std::move(executor))), name_(std::move(name)), timer_(strand_) {}
+    : strand_(asio::make_strand(asio::any_io_executor(CallerFirst::over(std::move(executor))))), name_(std::move(name)), timer_(strand_) {}
 
 std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor executor,
                                                      std::shared_ptr<ServerCommunicators> ice,
@@ -111,12 +114,14 @@ void EntityManager::serverHeartbeat() {
 
 void EntityManager::clientMsg(Header head, std::string bytes) {
     const auto size = bytes.size();
-    wake(inbox_.pushControl([this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }, size));
+    wake(inbox_.pushControl([this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }, size),
+         Turn::Here);
 }
 
 void EntityManager::clientMsgDataSeq(Header head, std::string bytes) {
     const auto size = bytes.size();
-    wake(inbox_.pushData([this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }, size));
+    wake(inbox_.pushData([this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }, size),
+         Turn::Here);
 }
 
 void EntityManager::undeliverable(const Header& head, int code, const std::string& reason) {
@@ -160,14 +165,19 @@ void EntityManager::onLinkMessage(const proto::EiToEm& message) {
 
 // -- the strand -----------------------------------------------------------------------------------------------------
 
-void EntityManager::wake(Inbox::Verdict verdict) {
+void EntityManager::wake(Inbox::Verdict verdict, Turn turn) {
+    const auto come = [weak = weak_from_this()] {
+        if (const auto self = weak.lock()) self->drain();
+    };
     switch (verdict) {
         case Inbox::Verdict::AlreadyScheduled:
         case Inbox::Verdict::Dropped: return;
         case Inbox::Verdict::Scheduled:
-            asio::post(strand_, [weak = weak_from_this()] {
-                if (const auto self = weak.lock()) self->drain();
-            });
+            if (turn == Turn::Here) {
+                asio::dispatch(strand_, come);
+            } else {
+                asio::post(strand_, come);
+            }
             return;
         case Inbox::Verdict::Overflow:
             // Control may not be lost, so the peer that sends faster than it is handled is dropped; the loss of the

@@ -23,7 +23,8 @@ namespace axon::entity_manager {
 /// server (thesis: EntityManager). The daemon has one; a benchmark has thousands on one executor and one pair of
 /// communicators.
 ///
-/// Threads: everything is confined to the strand but the way of a stop: the signal thread writes it to the Entity
+/// Threads: everything is confined to the strand, which a thread that brings data or control messages takes itself
+/// when it is free; but the way of a stop: the signal thread writes it to the Entity
 /// Interfacer, raises the generation, and only then tells the strand (architecture, section 7.1). Nothing that the
 /// server pushes on the signal lane takes a lock that data holds.
 /// Ownership: a shared object, because pushes of the server may be under way while it ends. stop() before the last
@@ -82,7 +83,10 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     void onLinkMessage(const proto::EiToEm& message) override;
     void onLinkRefused(const Refusal& refusal) override;
 
-    void wake(Inbox::Verdict verdict);
+    /// Where the strand's turn is taken: at once in this thread if the strand is free, or by the executor. Signal
+    /// threads never do the strand's work.
+    enum class Turn : std::uint8_t { Here, Executor };
+    void wake(Inbox::Verdict verdict, Turn turn = Turn::Executor);
     void drain();
     void hearServer();
     void afterEvents();
