@@ -1,7 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "client/content.hpp"
 
+#include <axon/messages.pb.h>
+#include <google/protobuf/io/coded_stream.h>
 #include <google/protobuf/util/json_util.h>
+#include <google/protobuf/wire_format_lite.h>
+
+#include <array>
+#include <cstdint>
 
 #include "messages/values.hpp"
 
@@ -144,6 +150,27 @@ Result<std::vector<proto::Param>> toParams(const proto::Service& service,
         params.push_back(std::move(accepted).value());
     }
     return params;
+}
+
+std::string rawMessage(std::string_view bytes) {
+    using google::protobuf::internal::WireFormatLite;
+    using google::protobuf::io::CodedOutputStream;
+    constexpr auto kBytes = WireFormatLite::WIRETYPE_LENGTH_DELIMITED;
+    const auto tag = [](int field) { return WireFormatLite::MakeTag(field, kBytes); };
+    const auto size = static_cast<std::uint32_t>(bytes.size());
+    const auto block = tag(proto::ByteStream::kDataFieldNumber);
+    const auto inner = CodedOutputStream::VarintSize32(block) + CodedOutputStream::VarintSize32(size) + size;
+
+    std::array<std::uint8_t, 20> before{};  // four numbers of at most five bytes
+    auto* end = CodedOutputStream::WriteTagToArray(tag(proto::ToEntity::kRawFieldNumber), before.data());
+    end = CodedOutputStream::WriteVarint32ToArray(static_cast<std::uint32_t>(inner), end);
+    end = CodedOutputStream::WriteTagToArray(block, end);
+    end = CodedOutputStream::WriteVarint32ToArray(size, end);
+    std::string message;
+    message.reserve(static_cast<std::size_t>(end - before.data()) + bytes.size());
+    message.append(reinterpret_cast<const char*>(before.data()),
+                   static_cast<std::size_t>(end - before.data()));
+    return message.append(bytes);
 }
 
 std::string sampleToJson(std::string_view raw) {

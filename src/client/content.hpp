@@ -27,6 +27,10 @@ std::optional<TaskState> taskStateFromProto(proto::TaskState state);
 Result<std::vector<proto::Param>> toParams(const proto::Service& service,
                                            const std::vector<Argument>& arguments);
 
+/// A serialized axon.proto.ToEntity with one block of raw data: the bytes that protobuf would write, copied
+/// once.
+std::string rawMessage(std::string_view bytes);
+
 /// A serialized axon.proto.StreamSample as JSON with the field names of the .proto; "{}" when it is not one.
 std::string sampleToJson(std::string_view raw);
 

@@ -128,6 +128,37 @@ void post(transport::Outbox& outbox, Traffic traffic, Send send) {
 
 }  // namespace
 
+void ServerConnection::Backlog::add(std::size_t its_bytes) {
+    ++messages;
+    bytes += its_bytes;
+}
+
+// Who waits counts itself before it looks, and who removes counts down before it looks for one: one of the
+// two sees the other. At half, not at each message, so that sender and socket do not wake each other by
+// turns.
+void ServerConnection::Backlog::remove(std::size_t its_bytes) {
+    --messages;
+    bytes -= its_bytes;
+    if (waiting_ == 0 || !little(2)) return;
+    { const std::lock_guard lock(mutex_); }
+    changed_.notify_all();
+}
+
+/// Enough to keep the socket full; more would only fill memory, which comes back cold.
+bool ServerConnection::Backlog::little(std::size_t parts) const {
+    constexpr std::size_t kMessages = 32;
+    constexpr std::size_t kBytes = 2 * 1024 * 1024;
+    return messages <= kMessages / parts && bytes <= kBytes / parts;
+}
+
+void ServerConnection::Backlog::awaitLittle(Duration wait) {
+    if (little(1)) return;
+    std::unique_lock lock(mutex_);
+    ++waiting_;
+    changed_.wait_for(lock, std::chrono::nanoseconds(wait), [this] { return little(2); });
+    --waiting_;
+}
+
 ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, transport::OutboxLimits limits,
                                                      const std::string& endpoint, const Login& login,
                                                      const std::shared_ptr<ConnectionEvents>& events) {
@@ -203,8 +234,9 @@ void ServerConnection::send(const LaneEnd& lane, Traffic traffic, const Header& 
         [&](SendCallbacks&& callbacks) { call(*oneway, operation, head, bytes, std::move(callbacks)); },
         [&] {
             const auto size = bytes.size() + kHeaderBytes;
-            *waiting_bytes_ += size;
-            std::shared_ptr<void> waits(nullptr, [count = waiting_bytes_, size](void*) { *count -= size; });
+            backlog_->add(size);
+            std::shared_ptr<void> waits(nullptr,
+                                        [backlog = backlog_, size](void*) { backlog->remove(size); });
             return transport::Outbox::Parcel([oneway, operation, head, owned = std::move(bytes),
                                               waits = std::move(waits)](SendCallbacks&& callbacks) {
                 call(*oneway, operation, head, owned, std::move(callbacks));

@@ -4,8 +4,10 @@
 #include <axon/frontendcomm.h>
 
 #include <atomic>
+#include <condition_variable>
 #include <cstdint>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -79,7 +81,8 @@ class ServerConnection {
     void keepAlive(std::int64_t sequence) const;
     /// Messages of the data lane that wait for the server to read, and their bytes.
     std::size_t waiting() const { return data_.outbox->counts().waiting; }
-    std::size_t waitingBytes() const { return *waiting_bytes_; }
+    std::size_t waitingBytes() const { return backlog_->bytes; }
+    void awaitRoom(Duration wait) const { backlog_->awaitLittle(wait); }
 
     /// Orderly: the server releases what is held. Waits for its answer, at most a second.
     void leave() const;
@@ -100,9 +103,21 @@ class ServerConnection {
               int operation) const;
 
     LaneEnd data_, signal_;
-    // Shared with the messages that wait: each takes its own bytes off, sent or dropped.
-    const std::shared_ptr<std::atomic<std::size_t>> waiting_bytes_ =
-        std::make_shared<std::atomic<std::size_t>>(0);
+    /// What waits for the server on the data lane, and the threads that wait for it to become less.
+    struct Backlog {
+        std::atomic<std::size_t> messages{0}, bytes{0};
+        void add(std::size_t its_bytes);
+        void remove(std::size_t its_bytes);
+        bool little(std::size_t parts) const;
+        void awaitLittle(Duration wait);
+
+      private:
+        std::atomic<int> waiting_{0};
+        std::mutex mutex_;
+        std::condition_variable changed_;
+    };
+    // Shared with the messages that wait: each takes itself off, sent or dropped.
+    const std::shared_ptr<Backlog> backlog_ = std::make_shared<Backlog>();
     Sender me_;
     int entities_ = 0;
     std::uint64_t attempt_ = 0;

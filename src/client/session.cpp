@@ -225,6 +225,10 @@ Refusal Client::Session::admit(std::size_t bytes) const {
     return admission(waiting.messages, waiting.bytes, bytes);
 }
 
+void Client::Session::awaitRoom(Seconds wait) const {
+    if (const auto connection = connection_.load()) connection->awaitRoom(toDuration(wait));
+}
+
 void Client::Session::Alarm::start(const char* name, Lane lane, const Clock& clock,
                                    std::function<TimePoint()> tick) {
     const std::lock_guard lock(mutex_);
@@ -253,7 +257,8 @@ Result<void> Client::Session::connect() {
         const std::map<std::string, std::string> properties = {
             {"Ice.Override.ConnectTimeout", std::to_string(milliseconds)}};
         data_communicator_ = transport::makeCommunicator({"axon-client", Lane::Data, 1, 1, properties});
-        signal_communicator_ = transport::makeCommunicator({"axon-signal", Lane::Signal, 1, 1, properties});
+        signal_communicator_ = transport::makeCommunicator(
+            {"axon-signal", Lane::Signal, 1, 1, properties, transport::kReceiptPriority});
         for (auto [home, holder] :
              {std::pair{&data_, &data_communicator_}, {&signal_, &signal_communicator_}}) {
             home->communicator = holder->communicator();
@@ -1073,10 +1078,11 @@ Result<void> CheckOut::sendText(std::string_view text) const {
     });
 }
 
-Result<void> CheckOut::sendRaw(std::string_view bytes) const {
+Result<void> CheckOut::sendRaw(std::string_view bytes, Seconds wait) const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
     // Asked once before the lock, so that who tries again and again does not wear it out.
+    if (wait > Seconds{0}) session->awaitRoom(wait);
     if (auto refusal = session->admit(bytes.size()); !refusal.ok()) return refusal;
     return session->withCore([&](SessionCore& core) -> Result<void> {
         if (auto refusal = session->admit(bytes.size()); !refusal.ok()) return refusal;

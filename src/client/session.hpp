@@ -113,6 +113,8 @@ class Client::Session final : public SessionObserver,
     /// OVERLOADED while the server does not read, TOO_LARGE for what no message holds. Binding under
     /// core_mutex_, in one with the sending, so that several threads do not share the last place.
     Refusal admit(std::size_t bytes) const;
+    /// Until little waits for the server, or the connection ends, or `wait` is over.
+    void awaitRoom(Seconds wait) const;
 
     void setOnEntity(std::function<void(Presence, const Entity&)> callback);
     void setOnConnection(std::function<void(bool, const std::string&)> callback);

@@ -773,9 +773,7 @@ Result<void> SessionCore::sendText(const Held& held, std::string_view text) {
 Result<void> SessionCore::sendRaw(const Held& held, std::string_view bytes) {
     const auto refusal = ready(held);
     if (!refusal.ok()) return refusal;
-    proto::ToEntity body;
-    body.mutable_raw()->add_data(std::string(bytes));
-    link_.sendToEntityDataSeq(header(held.entity, kMsgRaw, held.lease), body.SerializeAsString());
+    link_.sendToEntityDataSeq(header(held.entity, kMsgRaw, held.lease), rawMessage(bytes));
     return {};
 }
 

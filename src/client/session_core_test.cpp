@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "client/session_core.hpp"
 
+#include <axon/messages.pb.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "client/content.hpp"
 #include "client/test_environment.hpp"
 
 namespace axon::client::test {
@@ -611,6 +613,15 @@ TEST_F(SessionCoreTest, OnlyUtf8IsAText) {
     const auto held = take("Cyton");
     EXPECT_EQ(core.sendText(held, "\xff").refusal().code, RefusalCode::Malformed);
     EXPECT_TRUE(core.sendRaw(held, "\xff").ok());
+}
+
+TEST(RawMessageTest, IsWhatProtobufWouldWrite) {
+    for (const std::size_t size : {0U, 1U, 123U, 127U, 128U, 16380U, 16384U, 3'000'000U}) {
+        const std::string bytes(size, '\xff');
+        proto::ToEntity message;
+        message.mutable_raw()->add_data(bytes);
+        EXPECT_EQ(rawMessage(bytes), message.SerializeAsString()) << size << " bytes";
+    }
 }
 
 TEST(SignalMarksTest, AnEntityManagerThatBeganAnewIsAskedInItsOwnGenerations) {

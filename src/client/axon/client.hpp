@@ -178,7 +178,9 @@ class CheckOut {
              Seconds not_after = Seconds{0}) const;
 
     Result<void> sendText(std::string_view text) const;
-    Result<void> sendRaw(std::string_view bytes) const;
+    /// OVERLOADED when more waits for the server than may. With `wait` it waits before it sends, at most so
+    /// long, until little waits: for who sends much and does not want to be refused.
+    Result<void> sendRaw(std::string_view bytes, Seconds wait = Seconds{0}) const;
     void onText(std::function<void(const std::string&)> callback) const;
     void onRaw(std::function<void(const std::string&)> callback) const;
     void onServiceChanged(std::function<void(const Service&)> callback) const;
