@@ -15,6 +15,7 @@
 #include "board.hpp"
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/server_communicators.hpp"
+#include "transport/memory_lock.hpp"
 
 namespace axon::bench {
 
@@ -48,10 +49,10 @@ class MemoryLink final : public BackEndPort {
     }
     bool send(const proto::EmToEi& message) override {
         if (!message.has_raw()) return true;
+        slot_.data_at = nowNs();  // before the content is checked, as with the other's receivers
         for (const auto& block : message.raw().data()) {
             if (!batchIntact(block.data(), block.size())) ++slot_.corrupt;
         }
-        slot_.data_at = nowNs();
         ++slot_.data;
         return true;
     }
@@ -98,6 +99,7 @@ class MemoryStorage final : public Storage, public ResourceStore {
 
 int runCrowd(const std::string& board_file, std::size_t entities, const std::string& entity_server) {
     spdlog::set_level(spdlog::level::err);
+    transport::lockMemory();  // as the daemon does
     Board board(board_file, entities, false);
     SteadyClock clock;
     asio::thread_pool executor(1);

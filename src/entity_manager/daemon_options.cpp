@@ -19,7 +19,7 @@ namespace fs = std::filesystem;
 const std::set<std::string> kKeys{"Axon.Application", "Axon.Instance",      "Axon.Server",       "Axon.User",
                                   "Axon.Password",    "Axon.Ports",         "Axon.PortsFile",    "Axon.State",
                                   "Axon.LogLevel",    "Axon.WatchdogBusyMs", "Axon.WatchdogIdleMs", "Axon.Address",
-                                  "Axon.Datagrams"};
+                                  "Axon.Datagrams",   "Axon.LockMemory"};
 
 fs::path defaultStateFolder(const std::string& application, const std::string& instance) {
     const char* state = std::getenv("XDG_STATE_HOME");
@@ -147,6 +147,7 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     options.core.server_watchdog_idle =
         std::chrono::milliseconds(integerBetween("Axon.WatchdogIdleMs", chosen("", "Axon.WatchdogIdleMs", "10000"), 250, 60000));
     options.datagrams = datagramsOf(chosen("", "Axon.Datagrams", "on"));
+    options.lock_memory = integerBetween("Axon.LockMemory", chosen("", "Axon.LockMemory", "1"), 0, 1) != 0;
     options.log_level = chosen(log_level, "Axon.LogLevel", "info");
     static const std::set<std::string> kLevels{"trace", "debug", "info", "warning", "error", "critical", "off"};
     if (!kLevels.contains(options.log_level))

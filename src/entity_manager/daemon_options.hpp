@@ -20,6 +20,7 @@ struct DaemonOptions {
     DatagramSettings datagrams;
     std::filesystem::path state_folder;
     std::string log_level = "info";
+    bool lock_memory = true;  ///< where permitted
     /// Set when there is nothing to run: --help, --version, or a wrong command line (which has been explained).
     std::optional<int> exit_code;
 };

@@ -12,6 +12,7 @@
 #include "entity_manager/file_storage.hpp"
 #include "entity_manager/server_communicators.hpp"
 #include "transport/logging.hpp"
+#include "transport/memory_lock.hpp"
 
 int main(int argc, char** argv) {
     using namespace axon;
@@ -24,6 +25,7 @@ int main(int argc, char** argv) {
         const auto options = readDaemonOptions(argc, argv);
         if (options.exit_code) return *options.exit_code;
         transport::logToStderr(options.log_level);
+        if (options.lock_memory) transport::lockMemory();
 
         SteadyClock clock;
         SystemRandom random;

@@ -9,6 +9,7 @@
 #include "server/options.hpp"
 #include "server/server.hpp"
 #include "transport/logging.hpp"
+#include "transport/memory_lock.hpp"
 
 int main(int argc, char** argv) {
     // Before any thread exists, so that all inherit it: the three signals are waited for below.
@@ -22,6 +23,7 @@ int main(int argc, char** argv) {
         auto parsed = axon::server::parseOptions(argc, argv);
         if (!parsed.options) return parsed.exit_code;
         axon::transport::logToStderr(parsed.options->log_level);
+        if (parsed.options->settings.lock_memory) axon::transport::lockMemory();
         const axon::server::Server server(std::move(parsed.options->settings));
         std::printf("%s\n", server.readyLine().c_str());
         std::fflush(stdout);

@@ -90,6 +90,8 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
          [&](const auto& where, const auto& text) {
              settings.data_threads = static_cast<int>(number(where, text, 1, 256));
          }},
+        {"Server.LockMemory",
+         [&](const auto& where, const auto& text) { settings.lock_memory = number(where, text, 0, 1) != 0; }},
         {"Server.SignalThreads",
          [&](const auto& where, const auto& text) {
              settings.signal_threads = static_cast<int>(number(where, text, 1, 256));
