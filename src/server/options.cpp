@@ -14,6 +14,7 @@
 
 #include "server/users.hpp"
 #include "server/version.hpp"
+#include "transport/communicator.hpp"
 
 namespace axon::server {
 namespace {
@@ -66,11 +67,22 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
     const auto endpoint = [](std::string& to) {
         return [&to](const std::string&, const std::string& text) { to = hostAndPort(text); };
     };
+    const auto published = [&](const std::string& adapter) {
+        return [&settings, key = adapter + ".PublishedEndpoints"](const std::string& where, const std::string& text) {
+            try {
+                settings.ice_properties[key] = transport::tcpEndpoint(hostAndPort(text));
+            } catch (const std::invalid_argument& error) {
+                throw std::runtime_error(where + ": " + error.what());
+            }
+        };
+    };
     const std::map<std::string, std::function<void(const std::string&, const std::string&)>> keys = {
         {"FrontEndServer.Endpoints", endpoint(settings.client_endpoint)},
         {"FrontEndServerSignal.Endpoints", endpoint(settings.client_signal_endpoint)},
+        {"FrontEndServerSignal.PublishedEndpoints", published("FrontEndServerSignal")},
         {"EntityServer.Endpoints", endpoint(settings.entity_endpoint)},
         {"EntityServerSignal.Endpoints", endpoint(settings.entity_signal_endpoint)},
+        {"EntityServerSignal.PublishedEndpoints", published("EntityServerSignal")},
         {"FrontEndServer.WatchdogBusyMs", milliseconds(settings.front_end.watchdog_busy, 2000)},
         {"FrontEndServer.WatchdogIdleMs", milliseconds(settings.front_end.watchdog_idle, 600'000)},
         {"FrontEndServer.ClientsMax",

@@ -6,13 +6,24 @@
 namespace axon::transport {
 namespace {
 
-std::shared_ptr<Ice::IPEndpointInfo> endpointOf(const Ice::ObjectAdapter& adapter) {
-    for (const auto& endpoint : adapter.getEndpoints()) {
+std::shared_ptr<Ice::IPEndpointInfo> firstOf(const Ice::EndpointSeq& endpoints) {
+    for (const auto& endpoint : endpoints) {
         for (auto info = endpoint->getInfo(); info; info = info->underlying) {
             if (auto ip = std::dynamic_pointer_cast<Ice::IPEndpointInfo>(info)) return ip;
         }
     }
     throw std::logic_error("an adapter that listens has an endpoint");
+}
+
+std::shared_ptr<Ice::IPEndpointInfo> endpointOf(const Ice::ObjectAdapter& adapter) {
+    return firstOf(adapter.getEndpoints());
+}
+
+/// Only where one was configured: Ice publishes every address of the machine for an adapter that listens on all.
+std::shared_ptr<Ice::IPEndpointInfo> publishedOf(const Ice::ObjectAdapter& adapter) {
+    const auto properties = adapter.getCommunicator()->getProperties();
+    if (properties->getProperty(adapter.getName() + ".PublishedEndpoints").empty()) return endpointOf(adapter);
+    return firstOf(adapter.getPublishedEndpoints());
 }
 
 }  // namespace
@@ -38,11 +49,11 @@ std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, cons
 }
 
 int portOf(const Ice::ObjectAdapter& adapter) {
-    return endpointOf(adapter)->port;
+    return publishedOf(adapter)->port;
 }
 
 std::string hostOf(const Ice::ObjectAdapter& adapter) {
-    const auto host = endpointOf(adapter)->host;
+    const auto host = publishedOf(adapter)->host;
     return host == "0.0.0.0" || host == "*" || host == "::" ? std::string() : host;
 }
 

@@ -7,10 +7,13 @@
 
 #include <array>
 #include <chrono>
+#include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 
 #include "component/raw_peers.hpp"
+#include "server/options.hpp"
 #include "server/server.hpp"
 #include "server/users.hpp"
 #include "support/loopback.hpp"
@@ -78,6 +81,19 @@ TEST(ServerStart, TellsTheSignalLanesOwnAddress) {
         << client.facts.signalEndpoint;
     client.stop(kFirst);
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested"); }));
+}
+
+TEST(ServerStart, TellsThePublishedAddressOfTheSignalLaneWhereOneIsConfigured) {
+    auto settings = onLoopback();
+    const auto file = testing::TempDir() + "published-" + loopbackAddress() + ".cfg";
+    std::ofstream(file) << "FrontEndServerSignal.PublishedEndpoints=127.251.0.2:10499\n";
+    server::readConfiguration(file, settings);
+    const server::Server server(settings);
+    const RawClient client(server.clientAddress(Lane::Data), "client1@lab", false);
+    EXPECT_EQ(client.facts.signalEndpoint, "tcp -h 127.251.0.2 -p 10499");
+    std::ofstream(file) << "EntityServerSignal.PublishedEndpoints=nowhere\n";
+    EXPECT_THROW(server::readConfiguration(file, settings), std::runtime_error) << "no port";
+    std::remove(file.c_str());
 }
 
 TEST(ServerStart, SaysThatAPortIsTaken) {

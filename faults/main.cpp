@@ -1,0 +1,184 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <iostream>
+
+#include "kinds.hpp"
+#include "operator.hpp"
+#include "robots.hpp"
+
+namespace {
+
+using namespace axon::faults;
+namespace fs = std::filesystem;
+
+void list() {
+    std::printf("%-19s %-5s  %s\n", "kind", "trial", "what is done; what is promised");
+    for (const auto& kind : kinds())
+        std::printf("%-19s %5s  %s\n%27s%s\n", kind.name.c_str(),
+                    kind.trial == kNoTrial ? "" : std::to_string(kind.trial).c_str(), kind.what.c_str(), "",
+                    kind.promise.text.c_str());
+    std::printf("%-19s %5s  %s\n", "all", "", "each of them, in one laboratory with the relay in every hop");
+}
+
+/// The progress line is for a person at a terminal, and for nobody else.
+void showProgress(const std::string& kind, std::size_t done, std::size_t of) {
+    static const bool terminal = ::isatty(2) == 1;
+    if (!terminal) return;
+    if (kind.empty())
+        std::fputs("\r\033[K", stderr);
+    else
+        std::fprintf(stderr, "\r%s: %zu of %zu \033[K", kind.c_str(), done, of);
+}
+
+Report carryOut(const Kind& kind, Laboratory& lab, const Wishes& wishes, std::size_t trials, double seconds) {
+    Report report;
+    report.kind = kind.name;
+    report.promise = kind.promise;
+    report.measured = kind.measured;
+    report.trials_wanted = trials;
+    report.busy = wishes.busy;
+    const auto begin = nowNs();
+    const auto stalls = lab.probe().stalls().size();
+    Run run{
+        lab,    report,  axon::SeededRandom(wishes.seed),
+        trials, seconds, [&kind](std::size_t done, std::size_t of) { showProgress(kind.name, done, of); }};
+    kind.run(run);
+    showProgress("", 0, 0);
+    report.seconds = static_cast<double>(nowNs() - begin) / 1e9;
+    const auto all = lab.probe().stalls();
+    report.host_stalls = all.size() - stalls;
+    for (auto i = stalls; i < all.size(); ++i)
+        report.longest_stall_ms =
+            std::max(report.longest_stall_ms, static_cast<double>(all[i].end - all[i].begin) / 1e6);
+    report.partial = interrupted();
+    return report;
+}
+
+int runKinds(const std::string& name, const Wishes& wishes, std::size_t trials, double seconds,
+             const std::string& json_file) {
+    const bool every = name == "all";
+    const auto* one = findKind(name);
+    if (!every && !one) {
+        std::string known;
+        for (const auto& kind : kinds()) known += " " + kind.name;
+        std::cerr << "axon-faults: no kind '" << name << "'; expected all, or one of" << known << "\n";
+        return 2;
+    }
+    catchInterrupts();
+    // Children are killed with the thread that made them: this one, which outlives them.
+    std::vector<Report> reports;
+    const Needs in_every_hop{true, true, true, true};
+    Laboratory lab(wishes, every ? in_every_hop : one->needs);
+    for (const auto& kind : kinds()) {
+        if (interrupted() || (!every && &kind != one)) continue;
+        const auto count = trials == 0 ? kind.usual_trials : every ? trials * kind.short_factor : trials;
+        reports.push_back(
+            carryOut(kind, lab, wishes, count, seconds > 0 ? seconds : static_cast<double>(count)));
+        std::printf("%s", toText(reports.back()).c_str());
+        std::fflush(stdout);
+        if (!reports.back().broken().empty()) lab.keepLogs();
+    }
+    if (!json_file.empty()) {
+        std::ofstream out(json_file);
+        out << "{\"machine\": " << machineJson() << ", \"seed\": " << wishes.seed
+            << ", \"entities\": " << wishes.entities
+            << ", \"partial\": " << (interrupted() ? "true" : "false") << ", \"results\": [";
+        for (std::size_t i = 0; i < reports.size(); ++i) out << (i ? ",\n" : "\n") << toJson(reports[i]);
+        out << "\n]}\n";
+        if (!out.flush()) {
+            std::cerr << "axon-faults: " << json_file
+                      << " cannot be written; choose another file for --json\n";
+            return 2;
+        }
+    }
+    const bool kept = std::all_of(reports.begin(), reports.end(),
+                                  [](const Report& report) { return report.broken().empty(); });
+    if (interrupted()) std::printf("interrupted; this is what there was\n");
+    return kept && !interrupted() ? 0 : 1;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    CLI::App app{
+        "Injects faults into and between real Axon processes, and measures whether the robots stop as "
+        "promised\n"
+        "(docs/explanation/safety.md).\n\n"
+        "  axon-faults --list\n"
+        "  axon-faults kill-client --trials 100 --entities 8\n"
+        "  axon-faults cut-manager --trials 300 --entities 8 --seed 7 --json result.json\n"
+        "  axon-faults steady --entities 64 --seconds 60 --busy\n"
+        "  axon-faults all --trials 2 --entities 4\n\n"
+        "Exit status: 0 every promise was kept, 1 one was broken or the run was interrupted, 2 it could not "
+        "be run.\n"};
+    std::string name, json_file, programs;
+    Wishes wishes;
+    std::size_t trials = 0;
+    double seconds = 0;
+    bool show_list = false;
+    app.add_option("kind", name, "What to do; all = everything");
+    app.add_flag("--list", show_list, "Every kind with its promise, and end");
+    app.add_option("--trials", trials, "How many faults, commands or sequences [of the kind]")
+        ->check(CLI::Range(1, 10'000'000));
+    app.add_option("--entities", wishes.entities, "How many robots")
+        ->check(CLI::Range(1, 2000))
+        ->capture_default_str();
+    app.add_option("--seed", wishes.seed, "Chooses moments and victims")->capture_default_str();
+    app.add_option("--seconds", seconds, "How long `steady` lasts [as many as trials]")
+        ->check(CLI::Range(1, 1'000'000));
+    app.add_flag("--busy", wishes.busy, "Saturate every core meanwhile, at ordinary priority");
+    app.add_flag("--keep-logs", wishes.keep_logs,
+                 "Leave the logs of all processes in the folder that is named at the end");
+    app.add_option("--json", json_file, "Write the results, with machine and seed, to this file");
+    app.add_option("--programs", programs,
+                   "Where axon-server and axon-entity-manager lie [beside this program]");
+
+    RobotsPlan plan;
+    std::string client_server;
+    const auto robots = [&](const char* role) {
+        auto* sub = app.add_subcommand(role, "(internal)")->group("");
+        sub->add_option("board", plan.board)->required();
+        sub->add_option("folder", plan.folder)->required();
+        sub->add_option("entities", plan.entities)->required();
+        sub->add_option("address", plan.address)->required();
+        sub->add_option("server", plan.server)->required();
+        return sub;
+    };
+    const auto* application = robots("application");
+    const auto* managers = robots("managers");
+    auto* client = app.add_subcommand("operator", "(internal)")->group("");
+    client->add_option("board", plan.board)->required();
+    client->add_option("entities", plan.entities)->required();
+    client->add_option("server", plan.server)->required();
+    try {
+        app.parse(argc, argv);
+    } catch (const CLI::ParseError& problem) {
+        return app.exit(problem) == 0 ? 0 : 2;
+    }
+
+    try {
+        if (application->parsed()) return runApplication(plan);
+        if (managers->parsed()) return runManagers(plan);
+        if (client->parsed()) return runOperator(plan.board, plan.entities, plan.server);
+        if (show_list) {
+            list();
+            return 0;
+        }
+        if (name.empty()) {
+            std::cerr << "axon-faults: expected a kind; axon-faults --list shows them\n";
+            return 2;
+        }
+        wishes.programs =
+            programs.empty() ? fs::canonical("/proc/self/exe").parent_path() : fs::path(programs);
+        return runKinds(name, wishes, trials, seconds, json_file);
+    } catch (const std::exception& problem) {
+        std::cerr << "axon-faults: " << problem.what() << "\n";
+        return 2;
+    }
+}

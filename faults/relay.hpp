@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+namespace axon::faults {
+
+/// Which cable a connection goes through.
+enum class Hop : std::size_t { Client, Manager, Link };
+inline constexpr std::size_t kHops = 3;
+
+/// Stands in the middle of TCP connections and spoils them, one cable (hop) at a time.
+///
+/// | state of a hop | bytes | ends of connections |
+/// |---|---|---|
+/// | passing | go on, after the delay | are passed on |
+/// | cut | are swallowed, both ways | are hidden: neither FIN nor RST reaches the other side |
+/// | stalled | wait, both ways, and go on when the stall is over | wait too |
+///
+/// Where in the flow: between any two peers whose address was replaced by the relay's. Threads: one of its
+/// own for all connections; every member may be called from any thread. Failure: std::system_error where it
+/// cannot listen; a connection whose target refuses is reset.
+class Relay {
+  public:
+    Relay();
+    ~Relay();
+    Relay(const Relay&) = delete;
+    Relay& operator=(const Relay&) = delete;
+
+    /// Passes what arrives at address:port on to target:port. Port 0 takes a free one; the one taken.
+    std::uint16_t open(Hop hop, const std::string& address, std::uint16_t port, const std::string& target,
+                       std::uint16_t target_port);
+    void cut(Hop hop);
+    void stall(Hop hop);
+    /// Ends what was cut (it has lost bytes) with RST to both sides, lets go what was stalled, and passes
+    /// again.
+    void heal(Hop hop);
+    /// RST to both sides of every connection there is.
+    void reset(Hop hop);
+    /// Each piece arrives so much later.
+    void delay(Hop hop, std::chrono::milliseconds by);
+    std::size_t connections(Hop hop) const;
+
+  private:
+    class Pump;
+    std::unique_ptr<Pump> pump_;
+};
+
+}  // namespace axon::faults

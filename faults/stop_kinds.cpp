@@ -1,0 +1,305 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <algorithm>
+#include <numeric>
+#include <set>
+#include <stdexcept>
+#include <thread>
+
+#include "entity_interfacer/axon/entity_interfacer.hpp"
+#include "kinds.hpp"
+
+namespace axon::faults {
+
+namespace {
+
+using namespace std::chrono_literals;
+using Robots = std::vector<std::size_t>;
+
+constexpr double kNever_ms = 3000;     // this long after the bound, what has not come will not come
+constexpr double kKill_ms = 20;        // p99 of what the kernel tells at once
+constexpr double kServerHop_ms = 350;  // watchdog of client and server hops, 250 ms, + 100 ms
+constexpr double kLinkHop_ms = 200;    // watchdog of the link to the application, 100 ms, + 100 ms
+constexpr int kPreparesMax = 20;
+
+/// How a fault is brought about and taken back.
+struct Fault {
+    std::function<void(Run&, const Robots& victims)> inject;
+    std::function<void(Run&, const Robots& victims)> heal;
+    bool one_victim = false;  ///< each trial strikes one robot; else all of them
+    bool told = false;        ///< measured is when the client was told, for the application is struck itself
+    std::chrono::milliseconds thaw{0};  ///< so long after healing nothing may move
+};
+
+std::string causeName(std::uint32_t cause) {
+    return toString(static_cast<StopSignal::Cause>(cause));
+}
+
+/// Whether every robot still moves; those that do not have stopped before the fault.
+std::size_t standing(Board& board) {
+    std::size_t count = 0;
+    for (std::size_t i = 0; i < board.size(); ++i) count += board[i].moving == 0 ? 1 : 0;
+    return count;
+}
+
+/// Every robot moves, and the short watchdogs have been running for a while that differs from trial to trial,
+/// so that faults fall on every phase of the heartbeats.
+bool ready(Run& run) {
+    for (int i = 0; i < kPreparesMax && !interrupted(); ++i) {
+        if (!run.lab.prepare()) return false;
+        std::this_thread::sleep_for(std::chrono::microseconds(run.among(60'000, 160'000)));
+        const auto stood = standing(run.lab.board());
+        if (stood == 0) return true;
+        run.report.stopped_before += stood;
+    }
+    return false;
+}
+
+void trial(Run& run, const Fault& fault) {
+    auto& board = run.lab.board();
+    Robots victims(board.size());
+    std::iota(victims.begin(), victims.end(), 0);
+    if (fault.one_victim) victims = {static_cast<std::size_t>(run.among(0, board.size() - 1))};
+    std::vector<std::uint32_t> stops(board.size()), starts(board.size());
+    for (std::size_t i = 0; i < board.size(); ++i) {
+        stops[i] = board[i].stops;
+        starts[i] = board[i].starts;
+        board[i].gone_at = 0;
+    }
+
+    const auto begin = nowNs();
+    fault.inject(run, victims);
+    const auto arrived = [&](std::size_t i) -> std::int64_t {
+        if (fault.told) return board[i].gone_at;
+        const auto* stop = board[i].firstStop(stops[i], begin);
+        return stop ? stop->at.load() : 0;
+    };
+    const auto patience =
+        std::chrono::milliseconds(static_cast<int>(run.report.promise.bound_ms + kNever_ms));
+    waitUntil(
+        [&] {
+            return std::all_of(victims.begin(), victims.end(),
+                               [&](std::size_t i) { return arrived(i) != 0; });
+        },
+        patience);
+    std::this_thread::sleep_for(std::chrono::milliseconds(run.among(20, 60)));
+    const auto end = nowNs();
+
+    const auto stalled = run.lab.probe().overlap(begin, end);
+    if (stalled > 0) ++run.report.trials_beside_stall;
+    for (const auto i : victims) {
+        const auto at = arrived(i);
+        if (at == 0) {
+            run.report.latency.addNever();
+            run.lab.keepLogs();
+            continue;
+        }
+        const double ms = static_cast<double>(at - begin) / 1e6;
+        run.report.latency.add(ms);
+        if (!fault.told) ++run.report.causes[causeName(board[i].firstStop(stops[i], begin)->cause)];
+        if (ms <= run.report.promise.bound_ms) continue;
+        ++run.report.late;
+        if (ms - static_cast<double>(run.lab.probe().overlap(begin, at)) / 1e6 <= run.report.promise.bound_ms)
+            ++run.report.late_beside_stall;
+        else
+            run.lab.keepLogs();
+    }
+
+    fault.heal(run, victims);
+    std::this_thread::sleep_for(fault.thaw);
+    const std::set<std::size_t> struck(victims.begin(), victims.end());
+    std::size_t others = 0;
+    for (std::size_t i = 0; i < board.size(); ++i) {
+        run.report.moved_after_stop += board[i].starts - starts[i];
+        if (!struck.contains(i) && board[i].stops != stops[i]) ++others;
+    }
+    if (others > 0) run.report.counts["robots stopped that the fault had not struck"] += others;
+    ++run.report.trials;
+}
+
+void carryOut(Run& run, const Fault& fault) {
+    while (run.goOn()) {
+        if (!ready(run)) {
+            if (interrupted()) return;
+            run.lab.keepLogs();
+            if (run.report.trials == 0)
+                throw std::runtime_error("the robots did not begin to move; the logs are in " +
+                                         run.lab.folder().string());
+            ++run.report.not_recovered;
+            run.lab.startAnew();
+            if (!ready(run))
+                throw std::runtime_error("nor after everything was started anew; the logs are in " +
+                                         run.lab.folder().string());
+        }
+        trial(run, fault);
+    }
+}
+
+/// Cables whose delay changes ten times a second.
+void shake(Run& run) {
+    for (const auto hop : {Hop::Client, Hop::Manager})
+        run.lab.relay().delay(hop, std::chrono::milliseconds(run.among(0, 40)));
+    run.lab.relay().delay(Hop::Link, std::chrono::milliseconds(run.among(0, 15)));
+}
+
+/// Nobody is struck; who stops, stops without a reason.
+void watchForFalseTrips(Run& run, bool slow) {
+    auto& board = run.lab.board();
+    if (!ready(run))
+        throw std::runtime_error("the robots did not begin to move; the logs are in " +
+                                 run.lab.folder().string());
+    run.report.stopped_before = 0;
+    const auto begin = nowNs();
+    const auto end = begin + static_cast<std::int64_t>(run.seconds * 1e9);
+    std::vector<std::uint32_t> seen(board.size());
+    for (std::size_t i = 0; i < board.size(); ++i) seen[i] = board[i].stops;
+    while (!interrupted() && nowNs() < end) {
+        std::this_thread::sleep_for(100ms);
+        if (slow) shake(run);
+        run.report.trials = static_cast<std::size_t>((nowNs() - begin) / 1'000'000'000);
+        run.progress(run.report.trials, static_cast<std::size_t>(run.seconds));
+        bool tripped = false;
+        for (std::size_t i = 0; i < board.size(); ++i) {
+            if (board[i].stops == seen[i]) continue;
+            const auto* stop = board[i].firstStop(seen[i], begin);
+            const auto at = stop ? stop->at.load() : nowNs();
+            const auto cause = stop ? causeName(stop->cause) : "unknown";
+            ++run.report.causes[cause];
+            tripped = true;
+            // The longest watchdog of a busy robot: a stall within it may be the reason.
+            if (run.lab.probe().overlap(at - 350'000'000, at) > 0)
+                ++run.report.counts["false trips beside a host stall"];
+            else
+                run.report.violation(robotName(i) + " stopped at " +
+                                     std::to_string((at - begin) / 1'000'000) + " ms by " + cause);
+            seen[i] = board[i].stops;
+        }
+        if (!tripped) continue;
+        run.lab.keepLogs();
+        if (!run.lab.prepare()) {
+            ++run.report.not_recovered;
+            return;
+        }
+        for (std::size_t i = 0; i < board.size(); ++i) seen[i] = board[i].stops;
+    }
+    for (const auto hop : {Hop::Client, Hop::Manager, Hop::Link}) run.lab.relay().delay(hop, 0ms);
+    run.report.counts["robot seconds"] = run.report.trials * board.size();
+}
+
+}  // namespace
+
+std::vector<Kind> stopKinds() {
+    std::vector<Kind> all;
+    const auto nothing = [](Run&, const Robots&) {};
+    const auto add = [&all](std::string name, int trial_number, std::string what, Promise promise,
+                            Needs needs, Fault fault) {
+        all.push_back({std::move(name), trial_number, std::move(what), std::move(promise), needs,
+                       fault.told ? "notices to the client" : "stops", 20, 1,
+                       [fault = std::move(fault)](Run& run) { carryOut(run, fault); }});
+    };
+    const Promise server_hop{kServerHop_ms, 0, "every robot stops within 350 ms (watchdog + 100 ms)"};
+    const Promise server_hop_told{kServerHop_ms, kKill_ms,
+                                  "p99 within 20 ms, every robot stops within 350 ms"};
+    const Promise link_hop{kLinkHop_ms, 0, "the robot stops within 200 ms (watchdog + 100 ms)"};
+    const Promise link_hop_told{kLinkHop_ms, kKill_ms, "p99 within 20 ms, the robot stops within 200 ms"};
+    const Promise client_told{
+        kLinkHop_ms, 0, "the Entity Manager is UNAV and the client told within 200 ms (watchdog + 100 ms)"};
+
+    // Trial 1: the cable of each hop.
+    struct Cable {
+        const char* name;
+        const char* what;
+        Hop hop;
+        Needs needs;
+        Promise silent, told;
+    };
+    const std::vector<Cable> cables = {
+        {"client",
+         "between client and server",
+         Hop::Client,
+         {.relay_clients = true},
+         server_hop,
+         server_hop_told},
+        {"manager",
+         "between server and Entity Manager",
+         Hop::Manager,
+         {.relay_managers = true},
+         server_hop,
+         server_hop_told},
+        {"link",
+         "between Entity Manager and application",
+         Hop::Link,
+         {.relay_links = true},
+         link_hop,
+         link_hop_told},
+    };
+    for (const auto& cable : cables) {
+        const auto hop = cable.hop;
+        const auto heal = [hop](Run& run, const Robots&) { run.lab.relay().heal(hop); };
+        add(std::string("cut-") + cable.name, 1,
+            std::string("the cable ") + cable.what + " is cut: bytes vanish, neither FIN nor RST",
+            cable.silent, cable.needs,
+            {[hop](Run& run, const Robots&) { run.lab.relay().cut(hop); }, heal, false, false, 100ms});
+        add(std::string("stall-") + cable.name, 1,
+            std::string("the cable ") + cable.what + " holds everything back, and lets it go later",
+            cable.silent, cable.needs,
+            {[hop](Run& run, const Robots&) { run.lab.relay().stall(hop); }, heal, false, false, 150ms});
+        add(std::string("reset-") + cable.name, 1,
+            std::string("every connection ") + cable.what + " is reset", cable.told, cable.needs,
+            {[hop](Run& run, const Robots&) { run.lab.relay().reset(hop); }, nothing});
+    }
+
+    // Trial 2: the client.
+    add("kill-client", 2, "kill -9 of the client", server_hop_told, {},
+        {[](Run& run, const Robots&) { run.lab.client().kill(); },
+         [](Run& run, const Robots&) { run.lab.client().reap(); }});
+    add("freeze-client", 2, "SIGSTOP of the client", server_hop, {},
+        {[](Run& run, const Robots&) { run.lab.client().freeze(); },
+         [](Run& run, const Robots&) { run.lab.client().thaw(); }, false, false, 150ms});
+    add("wedge-client", 2, "the client's event loop hangs: keep_running says no, or does not return",
+        server_hop, {},
+        {[](Run& run, const Robots&) {
+             run.lab.board().desk().wedged = 1 + static_cast<std::uint32_t>(run.among(0, 1));
+         },
+         [](Run& run, const Robots&) { run.lab.board().desk().wedged = 0; }, false, false, 100ms});
+
+    // Trial 3: the server.
+    add("kill-server", 3, "kill -9 of the server", server_hop_told, {},
+        {[](Run& run, const Robots&) { run.lab.server().kill(); },
+         [](Run& run, const Robots&) { run.lab.server().reap(); }});
+    add("freeze-server", 3, "SIGSTOP of the server", server_hop, {},
+        {[](Run& run, const Robots&) { run.lab.server().freeze(); },
+         [](Run& run, const Robots&) { run.lab.server().thaw(); }, false, false, 150ms});
+
+    // Trial 4: Entity Manager and application.
+    add("kill-manager", 4, "kill -9 of one Entity Manager", link_hop_told, {.daemons = true},
+        {[](Run& run, const Robots& victims) { run.lab.manager(victims[0]).kill(); },
+         [](Run& run, const Robots& victims) { run.lab.manager(victims[0]).reap(); }, true});
+    add("freeze-manager", 4, "SIGSTOP of one Entity Manager", link_hop, {.daemons = true},
+        {[](Run& run, const Robots& victims) { run.lab.manager(victims[0]).freeze(); },
+         [](Run& run, const Robots& victims) { run.lab.manager(victims[0]).thaw(); }, true, false, 150ms});
+    add("kill-application", 4, "kill -9 of the application of all robots", client_told, {},
+        {[](Run& run, const Robots&) { run.lab.application().kill(); },
+         [](Run& run, const Robots&) { run.lab.application().reap(); }, false, true});
+    add("freeze-application", 4, "SIGSTOP of the application of all robots", client_told, {},
+        {[](Run& run, const Robots&) { run.lab.application().freeze(); },
+         [](Run& run, const Robots&) { run.lab.application().thaw(); }, false, true, 150ms});
+
+    const std::string what =
+        "nothing is struck: for --seconds every robot moves, and whatever stops is a false trip";
+    all.push_back({"steady", kNoTrial, what, {0, 0, "no robot stops"}, {}, "", 10, 2, [](Run& run) {
+                       watchForFalseTrips(run, false);
+                   }});
+    all.push_back(
+        {"steady-slow",
+         kNoTrial,
+         what + "; every cable delays, by up to 40 ms (to the application 15 ms), and changes its mind",
+         {0, 0, "no robot stops"},
+         {.relay_clients = true, .relay_managers = true, .relay_links = true},
+         "",
+         10,
+         2,
+         [](Run& run) { watchForFalseTrips(run, true); }});
+    return all;
+}
+
+}  // namespace axon::faults
