@@ -199,7 +199,8 @@ class Latch : private Hardship {
             const auto back = robot(*first_, r);
             ++run_.report.counts["Entity Managers killed"];
             if (const auto now = back.empty() ? std::nullopt : first_->status(back); now && !now->latched())
-                ++run_.report.counts["latch forgotten by a restarted Entity Manager"];
+                run_.report.violation(robotName(r) +
+                                      " is not latched any more after its Entity Manager was killed");
             return "Entity Manager restarted";
         }
         if (choice < 5) {

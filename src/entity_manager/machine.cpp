@@ -54,6 +54,12 @@ std::uint32_t firstGeneration(Storage& storage, StopGate& gate) {
     return gate.generation();
 }
 
+/// Of the causes that the journal names: those after which a person must say that the robot may move again.
+bool latches(std::string_view cause) {
+    return cause == toString(StopCause::Requested) || cause == toString(StopCause::ClientLost) ||
+           cause == toString(StopCause::Improper);
+}
+
 std::string named(const Sender& sender) {
     return sender.name.empty() ? sender.id : sender.name;
 }
@@ -131,10 +137,14 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomS
 // -- the journal
 // ---------------------------------------------------------------------------------------------------
 
-/// Of what earlier lives dispatched: it is not dispatched again, and what has no end there has none any more.
+/// Of what earlier lives dispatched: it is not dispatched again, and what has no end there has none any more. A stop
+/// that was not followed by a rearm latches this life too.
 void EntityManagerCore::Machine::replayJournal() {
     if (journal_ == nullptr) return;
     journal_->replay([this](const JournalRecord& record) {
+        // A person stopped the robot, and that this process was killed since is no word of a person.
+        if (record.kind == JournalRecord::Kind::Stopped && latches(record.code)) latched_ = true;
+        if (record.kind == JournalRecord::Kind::Rearmed) latched_ = false;
         if (record.kind == JournalRecord::Kind::Dispatched) memory_.dispatched(record.task);
         if (record.kind != JournalRecord::Kind::TaskEnded) return;
         auto state = proto::TASK_UNKNOWN;  // of a later version, perhaps

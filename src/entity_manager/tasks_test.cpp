@@ -94,6 +94,29 @@ TEST_F(Tasks, TheJournalTellsTheStory) {
     EXPECT_EQ(records[8].code, "OK");
 }
 
+TEST_F(Tasks, ALatchOutlivesTheManagerUntilARearm) {
+    rig.stop("client2");
+    rig.restart();
+    rig.makeIdle();
+    EXPECT_TRUE(rig.core().latched());
+    rig.take("client1", "r2");
+    rig.task("client1", "t1", "Turning");
+    EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::LATCHED);
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+    rig.rearm("client1", "rearm");
+    rig.restart();
+    EXPECT_FALSE(rig.core().latched());
+}
+
+TEST_F(Tasks, AStopThatDoesNotLatchDoesNotLatchTheNextLife) {
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    rig.stop("client2", StopCause::Drill);
+    rig.restart();
+    EXPECT_FALSE(rig.core().latched());
+}
+
 TEST_F(Tasks, ATaskIdIsInTheJournalBeforeTheApplicationHasIt) {
     bool noted = false;
     rig.on_application = [&](const proto::EmToEi& message) {
