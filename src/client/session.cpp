@@ -25,6 +25,8 @@ constexpr Duration kLongestSleep = 1h;
 constexpr std::size_t kChunkBytes = 64 * 1024;
 constexpr std::size_t kMessageBytesMax = (transport::kMessageSizeMaxKib - 64) * 1024ULL;
 constexpr Duration kReleaseTime = 1s;
+/// A drill that has not come back by then never arrived.
+constexpr Duration kDrillTime = 1s;
 
 Duration toDuration(Seconds seconds) {
     // Up to a day: what is longer would overflow sums with the clock.
@@ -34,6 +36,7 @@ Duration toDuration(Seconds seconds) {
 CoreSettings settingsOf(const Options& options) {
     CoreSettings settings;
     settings.timeout = std::max<Duration>(toDuration(options.timeout), 1ms);
+    settings.resume = options.resume && options.reconnect;
     return settings;
 }
 
@@ -414,7 +417,7 @@ void Client::Session::close() {
         withCore([&](SessionCore& core) {
             listening_ = 0;
             was_up = std::exchange(up_, false);
-            core.onDisconnected("this client was closed");
+            core.onDisconnected("this client was closed", true);
         });
         withDesk([](StopDesk& desk) {
             desk.onDisconnected();
@@ -644,6 +647,20 @@ void Client::Session::onDatagrams(const Held& held, const std::string& endpoint,
     datagrams_.admit(held.entity, held.lease, endpoint, key, core_.self().id);
 }
 
+void Client::Session::onResumed(const Held& held) {
+    const auto check_out = shared(held);
+    if (!check_out) return;
+    const std::lock_guard lock(check_out->mutex);
+    if (check_out->resumed) post(check_out->resumed, false);
+}
+
+void Client::Session::onHandOver(const Held& held, const HandOverRequest& request) {
+    const auto check_out = shared(held);
+    if (!check_out) return;
+    const std::lock_guard lock(check_out->mutex);
+    if (check_out->hand_over) post([tell = check_out->hand_over, request] { tell(request); }, false);
+}
+
 void Client::Session::onSample(const Sample& sample) {
     for (const auto& [id, watching] : watches_) {
         if (watching.entity != sample.entity) continue;
@@ -681,12 +698,22 @@ void Client::Session::setOnConnection(std::function<void(bool, const std::string
 
 // ---- what the user wants
 
-Result<std::vector<CheckOut>> Client::Session::checkOut(const std::vector<std::string>& names) {
+Result<std::vector<CheckOut>> Client::Session::checkOut(const CheckOutOptions& options,
+                                                        const BeginCheckOut& begin) {
+    mayWait();
     // The handles are made under the core's lock, so that nothing the entities say from now on is missed.
     using Shared = std::vector<std::shared_ptr<CheckOut::Shared>>;
-    auto answer = ask<Result<Shared>>([&](SessionCore& core, auto done) {
-        core.checkOut(names, [this, &core, done](Result<std::vector<Held>> granted) {
-            if (!granted) return done(granted.refusal());
+    auto promise = std::make_shared<std::promise<Result<Shared>>>();
+    auto future = promise->get_future();
+    auto for_core = options;
+    if (options.on_waiting) {
+        for_core.on_waiting = [this, tell = options.on_waiting](const Waiting& waiting) {
+            post([tell, waiting] { tell(waiting); }, true);
+        };
+    }
+    const auto order = withCore([&](SessionCore& core) {
+        return begin(core, for_core, [this, &core, promise](Result<std::vector<Held>> granted) {
+            if (!granted) return promise->set_value(granted.refusal());
             Shared made;
             for (const auto& held : granted.value()) {
                 const auto entity = core.entity(held.entity);
@@ -695,9 +722,12 @@ Result<std::vector<CheckOut>> Client::Session::checkOut(const std::vector<std::s
                                                                entity ? entity.value() : Entity{held.entity});
                 made.push_back(check_out);
             }
-            done(made);
+            promise->set_value(std::move(made));
         });
     });
+    const std::stop_callback cancel(
+        options.give_up, [this, order] { withCore([order](SessionCore& core) { core.giveUp(order); }); });
+    auto answer = future.get();
     if (!answer) return answer.refusal();
     std::vector<CheckOut> all;
     for (auto& made : answer.value()) all.emplace_back(std::move(made));
@@ -803,6 +833,40 @@ Result<std::vector<Receipt>> Client::Session::stop(const std::vector<std::string
     });
     mayWait();  // after the stop has left: misuse is no reason not to stop
     return future.get();
+}
+
+Result<std::vector<DrillReport>> Client::Session::drill(const std::vector<std::string>& names, int count,
+                                                        Seconds period, const std::stop_token& give_up) {
+    mayWait();
+    std::map<std::string, DrillReport> reports;
+    std::mutex mutex;
+    std::condition_variable_any pause;
+    for (int i = 0; i < count && !give_up.stop_requested(); ++i) {
+        const auto next = std::chrono::steady_clock::now() + toDuration(period);
+        using Answer = Result<std::vector<Receipt>>;
+        const auto promise = std::make_shared<std::promise<Answer>>();
+        auto future = promise->get_future();
+        withDesk([&](StopDesk& desk) {
+            desk.drill(names, kDrillTime,
+                       [promise](Answer answer) { promise->set_value(std::move(answer)); });
+        });
+        const auto receipts = future.get();
+        if (!receipts) return receipts.refusal();
+        for (const auto& receipt : receipts.value()) {
+            auto& report = reports[receipt.entity];
+            report.entity = receipt.entity;
+            report.name = receipt.name;
+            report.no_application = receipt.no_application;
+            report.manager.push_back(receipt.manager);
+            report.callback.push_back(receipt.callback_returned);
+        }
+        if (i + 1 == count) break;
+        std::unique_lock lock(mutex);
+        pause.wait_until(lock, give_up, next, [] { return false; });
+    }
+    std::vector<DrillReport> all;
+    for (auto& [entity, report] : reports) all.push_back(std::move(report));
+    return all;
 }
 
 Result<Entity> Client::Session::waitFor(std::string_view name, Seconds time) const {
@@ -912,12 +976,37 @@ void Client::onConnection(std::function<void(bool, const std::string&)> callback
     session_->setOnConnection(std::move(callback));
 }
 
-Result<std::vector<CheckOut>> Client::checkOut(const std::vector<std::string>& names) {
-    return session_->checkOut(names);
+Result<std::vector<CheckOut>> Client::checkOut(const std::vector<std::string>& names,
+                                               const CheckOutOptions& options) {
+    return session_->checkOut(
+        options, [&](SessionCore& core, const CheckOutOptions& with, SessionCore::CheckOutDone done) {
+            return core.checkOut(names, with, std::move(done));
+        });
 }
 
-Result<CheckOut> Client::checkOut(std::string_view name) {
-    auto all = session_->checkOut({std::string(name)});
+Result<CheckOut> Client::checkOut(std::string_view name, const CheckOutOptions& options) {
+    auto all = checkOut(std::vector{std::string(name)}, options);
+    if (!all) return all.refusal();
+    return all->front();
+}
+
+Result<std::vector<CheckOut>> Client::checkOutQuery(std::string_view query, const CheckOutOptions& options) {
+    const auto parsed = parseQuery(query);
+    if (!parsed) return parsed.refusal();
+    return session_->checkOut(
+        options, [&](SessionCore& core, const CheckOutOptions& with, SessionCore::CheckOutDone done) {
+            return core.checkOut(parsed.value(), with, std::move(done));
+        });
+}
+
+Result<CheckOut> Client::resume(std::string_view ticket) {
+    const auto parsed = LeaseTicket::parse(ticket);
+    if (!parsed) return parsed.refusal();
+    auto all = session_->checkOut(
+        {}, [&](SessionCore& core, const CheckOutOptions&, SessionCore::CheckOutDone done) {
+            core.resume(parsed.value(), std::move(done));
+            return Id128{};
+        });
     if (!all) return all.refusal();
     return all->front();
 }
@@ -944,6 +1033,19 @@ Result<std::vector<Service>> Client::services(std::string_view name) const {
         if (!entity) return done(entity.refusal());
         core.fetchServices(entity->id, done);
     });
+}
+
+Result<Details> Client::details(std::string_view name) const {
+    return session_->ask<Result<Details>>([&](SessionCore& core, auto done) {
+        const auto entity = core.find(name);
+        if (!entity) return done(entity.refusal());
+        core.fetchDetails(entity->id, done);
+    });
+}
+
+Result<std::vector<DrillReport>> Client::drill(const std::vector<std::string>& names, int count,
+                                               Seconds period, std::stop_token give_up) {
+    return session_->drill(names, count, period, give_up);
 }
 
 Result<std::shared_ptr<void>> Client::watch(std::string_view name, const std::vector<std::string>& streams,
@@ -1112,6 +1214,55 @@ void CheckOut::onLost(std::function<void(const Refusal&)> callback) const {
         session->post([callback, why = *shared_->lost_why] { callback(why); }, false);
     }
     shared_->lost = std::move(callback);
+}
+
+void CheckOut::onResumed(std::function<void()> callback) const {
+    const std::lock_guard lock(shared_->mutex);
+    shared_->resumed = std::move(callback);
+}
+
+bool CheckOut::orphaned() const {
+    const auto session = shared_->session.lock();
+    return session && session->look([this](const SessionCore& core) { return core.orphaned(shared_->held); });
+}
+
+void CheckOut::onHandOverRequest(std::function<void(const HandOverRequest&)> callback) const {
+    const auto session = shared_->session.lock();
+    if (!session) return;
+    // Under the core's lock, so that no request comes between the look and the callback's being there.
+    session->look([&](const SessionCore& core) {
+        const auto open = core.question(shared_->held);
+        const std::lock_guard lock(shared_->mutex);
+        if (open && callback) session->post([callback, open] { callback(*open); }, false);
+        shared_->hand_over = std::move(callback);
+    });
+}
+
+std::optional<HandOverRequest> CheckOut::handOverRequest() const {
+    const auto session = shared_->session.lock();
+    if (!session) return std::nullopt;
+    return session->look([this](const SessionCore& core) { return core.question(shared_->held); });
+}
+
+Result<void> CheckOut::answerHandOver(bool accept, std::string_view reason) const {
+    const auto session = shared_->session.lock();
+    if (!session) return gone();
+    return session->withCore(
+        [&](SessionCore& core) { return core.answerHandOver(shared_->held, accept, reason); });
+}
+
+Result<void> CheckOut::setHandOverPolicy(const HandOverPolicy& policy) const {
+    const auto session = shared_->session.lock();
+    if (!session) return gone();
+    return session->withCore(
+        [&](SessionCore& core) { return core.setHandOverPolicy(shared_->held, policy); });
+}
+
+std::string CheckOut::ticket() const {
+    const auto session = shared_->session.lock();
+    if (!session) return {};
+    const auto ticket = session->look([this](const SessionCore& core) { return core.ticket(shared_->held); });
+    return ticket ? ticket->toText() : std::string();
 }
 
 Result<void> CheckOut::reset() const {

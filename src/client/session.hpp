@@ -58,6 +58,8 @@ struct CheckOut::Shared {
     std::function<void(const std::string&)> text, raw;
     std::function<void(const Service&)> service;
     std::function<void(const Refusal&)> lost;
+    std::function<void()> resumed;
+    std::function<void(const HandOverRequest&)> hand_over;
     std::optional<Refusal> lost_why;
 };
 
@@ -96,7 +98,10 @@ class Client::Session final : public SessionObserver,
         return use(core_);
     }
 
-    Result<std::vector<CheckOut>> checkOut(const std::vector<std::string>& names);
+    /// `begin` gives the core an order to check out, and returns its number.
+    using BeginCheckOut =
+        std::function<Id128(SessionCore&, const CheckOutOptions&, SessionCore::CheckOutDone)>;
+    Result<std::vector<CheckOut>> checkOut(const CheckOutOptions& options, const BeginCheckOut& begin);
     std::vector<CheckOut> held() const;
     Task run(const Held& held, std::string_view service, const std::vector<Argument>& arguments,
              Seconds not_after);
@@ -106,6 +111,8 @@ class Client::Session final : public SessionObserver,
                         const std::stop_token& give_up);
     Result<void> release(const Held& held);
     Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline);
+    Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names, int count, Seconds period,
+                                           const std::stop_token& give_up);
     Result<Entity> waitFor(std::string_view name, Seconds time) const;
     Result<std::shared_ptr<void>> watch(std::string_view name, const std::vector<std::string>& streams,
                                         std::function<void(const Sample&)> callback);
@@ -131,6 +138,8 @@ class Client::Session final : public SessionObserver,
     void onService(const Held& held, const Service& service) override;
     void onLost(const Held& held, const Refusal& why) override;
     void onDatagrams(const Held& held, const std::string& endpoint, const std::string& key) override;
+    void onResumed(const Held& held) override;
+    void onHandOver(const Held& held, const HandOverRequest& request) override;
     void onSample(const Sample& sample) override;
     void onTransferCredit(const Id128& transfer, std::uint64_t offset, std::uint64_t limit) override;
     void onServerText(int code, const std::string& text) override;

@@ -91,8 +91,15 @@ Refusal SessionCore::notHolder(const Held& held) const {
 }
 
 Refusal SessionCore::ready(const Held& held) const {
+    const auto* mine = lease(held);
     if (!connected_) return notConnected();
-    if (lease(held) == nullptr) return notHolder(held);
+    if (mine == nullptr) return notHolder(held);
+    if (mine->orphaned) {
+        return {RefusalCode::NotConnected,
+                "The connection was lost, and the check-out of " + mine->name +
+                    " is not resumed yet. Try again in a moment.",
+                {}};
+    }
     return {};
 }
 
@@ -108,34 +115,68 @@ const SessionCore::Lease* SessionCore::lease(const Held& held) const {
 
 // ---- requests that wait for an answer
 
-void SessionCore::await(Ask ask, const Id128& id, Pending pending) {
+void SessionCore::await(Ask ask, Id128 id, Pending pending) {
     pending.ask = ask;
-    pending.deadline = clock_.now() + settings_.timeout;
+    if (pending.deadline == TimePoint{}) pending.deadline = clock_.now() + settings_.timeout;
     deadlines_.insert({pending.deadline, {ask, id}});
+    if (pending.sequence != 0) by_sequence_[pending.sequence] = {ask, id};
+    of_entity_[pending.entity].insert({ask, id});
     pending_.emplace(std::pair{ask, id}, std::move(pending));
 }
 
-bool SessionCore::answer(Ask ask, const Id128& id, const Result<void>& result) {
+SessionCore::Pending SessionCore::take(Pendings::iterator found) {
+    const auto key = found->first;
+    auto pending = std::move(found->second);
+    pending_.erase(found);
+    deadlines_.erase({pending.deadline, key});
+    by_sequence_.erase(pending.sequence);
+    if (const auto of = of_entity_.find(pending.entity); of != of_entity_.end()) {
+        of->second.erase(key);
+        if (of->second.empty()) of_entity_.erase(of);
+    }
+    return pending;
+}
+
+void SessionCore::postpone(Pendings::iterator found, TimePoint deadline) {
+    deadlines_.erase({found->second.deadline, found->first});
+    found->second.deadline = deadline;
+    deadlines_.insert({deadline, found->first});
+}
+
+bool SessionCore::answer(Ask ask, Id128 id, const Result<void>& result) {
     const auto found = pending_.find({ask, id});
     if (found == pending_.end()) return false;
-    const Pending pending = std::move(found->second);
-    deadlines_.erase({pending.deadline, {ask, id}});
-    pending_.erase(found);
+    const auto pending = take(found);
     if (ask == Ask::Upload) transfers_.erase(id);
     if (pending.done) pending.done(result);
-    if (pending.services_done) pending.services_done(result.refusal());
+    if (pending.details_done) pending.details_done(result.refusal());
     if (!result) noteRefusal(pending.entity, pending.lease, result.refusal());
     return true;
 }
 
+std::vector<SessionCore::Key> SessionCore::pendingOf(const std::string& entity) const {
+    std::vector<Key> keys;
+    if (const auto of = of_entity_.find(entity); of != of_entity_.end())
+        keys.assign(of->second.begin(), of->second.end());
+    return keys;
+}
+
 void SessionCore::answerAll(const std::string& entity, const Refusal& why) {
-    std::vector<std::pair<Ask, Id128>> keys;
-    for (const auto& [key, pending] : pending_) {
-        if (pending.entity != entity || key.first == Ask::Task) continue;
-        keys.push_back(key);
+    for (const auto& [ask, id] : pendingOf(entity)) {
+        if (ask == Ask::CheckOut) {
+            failCheckOut(id, why);
+        } else if (ask != Ask::Task && ask != Ask::Resume) {
+            answer(ask, id, ask == Ask::Release ? Result<void>{} : Result<void>{why});
+        }
     }
-    for (const auto& [ask, id] : keys)
-        answer(ask, id, ask == Ask::Release ? Result<void>{} : Result<void>{why});
+}
+
+void SessionCore::endReleases(const std::string& entity, const std::function<bool(LeaseNumber)>& which) {
+    for (const auto& [ask, id] : pendingOf(entity)) {
+        if (ask != Ask::Release) continue;
+        const auto found = pending_.find({ask, id});
+        if (found != pending_.end() && which(found->second.lease)) answer(ask, id, {});
+    }
 }
 
 void SessionCore::noteRefusal(const std::string& entity, LeaseNumber under, const Refusal& refusal) {
@@ -152,6 +193,11 @@ void SessionCore::onConnected(const Sender& self, int entities) {
     promised_ = entities;
     server_.feed(clock_.now());
     next_heartbeat_ = clock_.now();
+    for (const auto& [entity, mine] : leases_) {
+        if (const auto known = entities_.find(entity); known != entities_.end() && known->second.announced) {
+            sendResume(entity);
+        }
+    }
     for (const auto& [entity, streams] : watches_) {
         if (const auto known = entities_.find(entity); known != entities_.end() && known->second.announced) {
             sendWatches(entity);
@@ -159,8 +205,8 @@ void SessionCore::onConnected(const Sender& self, int entities) {
     }
 }
 
-void SessionCore::onDisconnected(const std::string& reason) {
-    connected_ = false;
+void SessionCore::onDisconnected(const std::string& reason, bool for_good) {
+    const bool was_connected = std::exchange(connected_, false);
     next_heartbeat_ = TimePoint::max();
     const Refusal lost{RefusalCode::NotConnected, "The connection to the server was lost: " + reason, {}};
     const Refusal unknown{RefusalCode::OutcomeUnknown,
@@ -169,19 +215,28 @@ void SessionCore::onDisconnected(const std::string& reason) {
 
     std::vector<Id128> check_outs;
     for (const auto& [id, order] : check_outs_) check_outs.push_back(id);
-    for (const auto& id : check_outs) failCheckOut(id, lost);
-    while (!leases_.empty()) endLease(leases_.begin()->first, lost, true);
+    for (const auto id : check_outs) failCheckOut(id, lost);
+    for (const auto& held : this->held()) {
+        const auto& mine = leases_.at(held.entity);
+        if (for_good || !settings_.resume || mine.grace <= Duration{}) {
+            endLease(held.entity, lost, true);
+        } else if (was_connected) {
+            orphan(held.entity, false);
+        }
+    }
 
-    std::vector<std::pair<Ask, Id128>> keys;
-    for (const auto& [key, pending] : pending_) keys.push_back(key);
+    std::vector<Key> keys;
+    for (const auto& [key, pending] : pending_) {
+        if (key.first != Ask::Resume) keys.push_back(key);
+    }
     for (const auto& [ask, id] : keys)
         answer(ask, id, ask == Ask::Release ? Result<void>{} : Result<void>{unknown});
-    // Tasks without a lease: those that outlived it.
+    // Those of a lease that may be resumed are asked after then; the others nobody can ask after.
     std::vector<Id128> tasks;
-    for (const auto& [id, record] : tasks_) {
-        if (!isFinal(record.report.state)) tasks.push_back(id);
+    for (const auto& [held, open] : open_tasks_) {
+        if (lease(held) == nullptr) tasks.insert(tasks.end(), open.begin(), open.end());
     }
-    for (const auto& id : tasks) finishTask(id, TaskState::Unknown, unknown);
+    for (const auto id : tasks) finishTask(id, TaskState::Unknown, unknown);
 
     auto gone = std::move(entities_);
     entities_.clear();
@@ -192,6 +247,8 @@ void SessionCore::onDisconnected(const std::string& reason) {
         marks_.forget(id);
         if (known.announced) observer_.onEntity(Presence::Left, known.facts);
     }
+    moving_.clear();
+    busy_.clear();
     server_.setBusy(false, clock_.now());
 }
 
@@ -214,20 +271,24 @@ void SessionCore::onProfile(Presence presence, const Registration& registration,
         const Refusal why{RefusalCode::Unavailable,
                           label(id) + " has left: its Entity Manager is no longer connected to the server.",
                           {}};
-        endLease(id, why, true);
-        answerAll(id, why);
-        std::vector<Id128> waiting;
-        for (auto& [order_id, order] : check_outs_) {
-            for (const auto& party : order.parties) {
-                if (party.entity == id) waiting.push_back(order_id);
-            }
+        // Its Entity Manager may only have lost the server for a moment, or the server may be about to end.
+        if (const auto mine = leases_.find(id);
+            mine != leases_.end() && settings_.resume && mine->second.grace > Duration{}) {
+            orphan(id, true);
+        } else {
+            endLease(id, why, true);
         }
-        for (const auto& order_id : waiting) failCheckOut(order_id, why);
+        answerAll(id, why);
+        for (const auto& order_id : std::vector(parked_.begin(), parked_.end())) {
+            const auto& wanted = check_outs_.at(order_id).wanted;
+            if (std::find(wanted.begin(), wanted.end(), id) != wanted.end()) failCheckOut(order_id, why);
+        }
         const Entity facts = std::move(known->second.facts);
         const bool announced = known->second.announced;
         entities_.erase(known);
         names_.remove(id);
         marks_.forget(id);
+        countMoving(id);
         if (announced) observer_.onEntity(Presence::Left, facts);
         return;
     }
@@ -249,7 +310,10 @@ void SessionCore::onProfile(Presence presence, const Registration& registration,
     names_.put(id, registration.name);
     if (joined) ++announced_;
     observer_.onEntity(joined ? Presence::Joined : Presence::Changed, facts);
-    if (joined && connected_) sendWatches(id);
+    if (joined && connected_) {
+        sendResume(id);
+        sendWatches(id);
+    }
 }
 
 void SessionCore::onStatus(const EntityStatus& status) {
@@ -263,6 +327,10 @@ void SessionCore::onStatus(const EntityStatus& status) {
     facts.stop_generation = std::max(facts.stop_generation, status.stop_generation);
     facts.holder = status.holder;
     facts.reason = status.reason;
+    facts.orphaned = status.orphaned;
+    facts.waiting = status.waiting;
+    facts.stop_latency.reset();
+    if (status.stop_latency_us > 0) facts.stop_latency = std::chrono::microseconds(status.stop_latency_us);
     countMoving(status.entity);
 
     if (const auto mine = leases_.find(status.entity); mine != leases_.end()) {
@@ -271,7 +339,7 @@ void SessionCore::onStatus(const EntityStatus& status) {
                      {RefusalCode::RevokedLease,
                       label(status.entity) + " was given to " + status.holder.name + ".", status.holder.name},
                      true);
-        } else if (status.holder.id.empty() && withoutLease(status.state)) {
+        } else if (!mine->second.orphaned && status.holder.id.empty() && withoutLease(status.state)) {
             endLease(status.entity,
                      {RefusalCode::Unavailable,
                       label(status.entity) + " is " + toString(status.state) +
@@ -281,15 +349,9 @@ void SessionCore::onStatus(const EntityStatus& status) {
         }
     }
     if (status.holder.id != self_.id) {
-        std::vector<Id128> released;
-        for (const auto& [key, pending] : pending_) {
-            if (key.first == Ask::Release && pending.entity == status.entity &&
-                status.held >= pending.lease) {
-                released.push_back(key.second);
-            }
-        }
-        for (const auto& id : released) answer(Ask::Release, id, {});
+        endReleases(status.entity, [&](LeaseNumber number) { return status.held >= number; });
     }
+    wakeParked();
     pace();
     if (known.announced) observer_.onEntity(Presence::Changed, facts);
 }
@@ -358,13 +420,7 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes) {
             break;
         case proto::ToClient::kLeaseEnded: {
             const auto number = numberOf(message.lease_ended().lease());
-            std::vector<Id128> released;
-            for (const auto& [key, pending] : pending_) {
-                if (key.first == Ask::Release && pending.entity == entity && pending.lease == number) {
-                    released.push_back(key.second);
-                }
-            }
-            for (const auto& id : released) answer(Ask::Release, id, {});
+            endReleases(entity, [&](LeaseNumber ended) { return ended == number; });
             if (mine == leases_.end() || mine->second.number != number) break;
             auto why = toRefusal(message.lease_ended().reason());
             if (why.ok())
@@ -389,9 +445,7 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes) {
             if (!id) break;
             const auto found = pending_.find({Ask::Upload, *id});
             if (found == pending_.end()) break;
-            deadlines_.erase({found->second.deadline, found->first});
-            found->second.deadline = clock_.now() + settings_.timeout;
-            deadlines_.insert({found->second.deadline, found->first});
+            postpone(found, clock_.now() + settings_.timeout);
             observer_.onTransferCredit(*id, credit.offset(), credit.offset() + credit.window());
             break;
         }
@@ -427,6 +481,8 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes) {
             break;
         }
         case proto::ToClient::kHandOver:
+            onHandOver(entity, message.hand_over());
+            break;
         case proto::ToClient::BODY_NOT_SET:
             ++malformed_;  // or a message of a newer version: nothing this one could do with it
             break;
@@ -466,22 +522,24 @@ void SessionCore::onReply(const Header& head, const proto::Reply& reply) {
 
 void SessionCore::onRefusal(const Header& head, const Refusal& refusal) {
     server_.feed(clock_.now());
-    for (const auto& [key, pending] : pending_) {
-        if (pending.sequence != head.sequence || pending.entity != head.entity) continue;
-        const auto [ask, id] = key;
-        if (ask == Ask::Task) {
-            finishTask(id, TaskState::Refused, refusal);
-        } else {
-            answer(ask, id, ask == Ask::Release ? Result<void>{} : Result<void>{refusal});
+    const auto sent = by_sequence_.find(head.sequence);
+    if (sent != by_sequence_.end()) {
+        const auto [ask, id] = sent->second;
+        const auto pending = pending_.find({ask, id});
+        if (ask == Ask::CheckOut) {
+            onPartyRefused(id, head.entity, refusal);
+            return;
         }
-        return;
-    }
-    for (auto& [id, order] : check_outs_) {
-        for (const auto& party : order.parties) {
-            if (party.sequence == head.sequence && party.entity == head.entity) {
-                failCheckOut(id, refusal);
-                return;
+        if (pending != pending_.end() && pending->second.entity == head.entity) {
+            if (ask == Ask::Task) {
+                finishTask(id, TaskState::Refused, refusal);
+            } else if (ask == Ask::Resume) {
+                // Not there (yet): asked again when it joins.
+                postpone(pending, leases_.at(head.entity).expires);
+            } else {
+                answer(ask, id, ask == Ask::Release ? Result<void>{} : Result<void>{refusal});
             }
+            return;
         }
     }
     const auto mine = leases_.find(head.entity);
@@ -499,6 +557,8 @@ void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& sta
         facts.stop_generation =
             std::max(facts.stop_generation, static_cast<std::int32_t>(status.stop_generation()));
         facts.reason = status.reason();
+        facts.orphaned = status.orphaned();
+        facts.waiting = static_cast<int>(status.waiting());
         countMoving(head.entity);
         if (known->second.announced) observer_.onEntity(Presence::Changed, facts);
     }
@@ -506,17 +566,35 @@ void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& sta
     pace();
 
     const auto asked = Id128::fromBytes(status.request_id());
-    const auto found = asked ? pending_.find({Ask::Services, *asked}) : pending_.end();
+    if (!asked) return;
+    if (const auto found = pending_.find({Ask::Tasks, *asked}); found != pending_.end()) {
+        const auto pending = take(found);
+        std::set<Id128> alive;
+        for (const auto& event : status.tasks()) {
+            if (const auto id = Id128::fromBytes(event.task_id())) alive.insert(*id);
+        }
+        for (const auto id : pending.tasks) {
+            if (alive.count(id) == 0) {
+                finishTask(id, TaskState::Unknown,
+                           {RefusalCode::OutcomeUnknown,
+                            label(head.entity) + " does not know (any more) what became of it.",
+                            {}});
+            }
+        }
+        return;
+    }
+    const auto found = pending_.find({Ask::Services, *asked});
     if (found == pending_.end()) return;
-    std::vector<Service> services;
-    for (const auto& service : status.services()) services.push_back(fromProto(service));
-    const auto done = std::move(found->second.services_done);
-    deadlines_.erase({found->second.deadline, found->first});
-    pending_.erase(found);
-    done(std::move(services));
+    Details details;
+    for (const auto& service : status.services()) details.services.push_back(fromProto(service));
+    for (const auto& margin : status.watchdogs()) {
+        details.watchdogs.push_back({margin.hop(), std::chrono::milliseconds(margin.timeout_ms()),
+                                     std::chrono::milliseconds(margin.longest_gap_ms())});
+    }
+    take(found).details_done(std::move(details));
 }
 
-// ---- check-outs
+// ---- leases
 
 std::vector<Held> SessionCore::held() const {
     std::vector<Held> all;
@@ -528,147 +606,6 @@ bool SessionCore::holds(const Held& held) const {
     return lease(held) != nullptr;
 }
 
-void SessionCore::checkOut(const std::vector<std::string>& names, CheckOutDone done) {
-    if (!connected_) return done(notConnected());
-    CheckOutOrder order;
-    for (const auto& name : names) {
-        const auto id = names_.resolve(name);
-        if (!id) return done(id.refusal());
-        if (leases_.count(id.value()) != 0) {
-            return done(Refusal{RefusalCode::AlreadyHeld,
-                                "This client holds " + label(id.value()) + " already.", self_.name});
-        }
-        for (const auto& party : order.parties) {
-            if (party.entity == id.value()) {
-                return done(Refusal{RefusalCode::Duplicate,
-                                    label(id.value()) + " is named twice. Name each entity once.",
-                                    {}});
-            }
-        }
-        order.parties.emplace_back().entity = id.value();
-    }
-    if (order.parties.empty()) {
-        return done(
-            Refusal{RefusalCode::UnknownEntity, "No entity is named. Name at least one to check out.", {}});
-    }
-    order.several = order.parties.size() > 1;
-    order.deadline = clock_.now() + settings_.timeout;
-    order.done = std::move(done);
-    const auto id = Id128::random(random_);
-    deadlines_.insert({order.deadline, {Ask::CheckOut, id}});
-    auto& parties = check_outs_.emplace(id, std::move(order)).first->second.parties;
-    for (auto& party : parties) sendCheckOut(id, party, parties.size() > 1 ? proto::RESERVE : proto::TAKE);
-}
-
-void SessionCore::sendCheckOut(const Id128& id, CheckOutParty& party, int phase) {
-    proto::ToEntity body;
-    auto& request = *body.mutable_check_out();
-    request.set_request_id(id.bytes());
-    request.set_phase(static_cast<proto::CheckOutPhase>(phase));
-    // As long as this client may wait for the last of the others.
-    if (phase == proto::RESERVE) request.set_reserve_s(Seconds(settings_.timeout).count());
-    party.answered = false;
-    party.sequence = send(party.entity, kMsgCheckOut, {}, body);
-}
-
-void SessionCore::onCheckOutReply(const Header& head, const proto::CheckOutReply& reply) {
-    const auto id = Id128::fromBytes(reply.request_id());
-    const auto refusal = toRefusal(reply.refusal());
-    const auto number = numberOf(reply.lease());
-    const bool grants =
-        refusal.ok() && reply.has_lease() && (reply.phase() == proto::TAKE || reply.phase() == proto::COMMIT);
-    marks_.raise(head.entity, static_cast<std::int32_t>(reply.stop_generation()));
-
-    const auto order = id ? check_outs_.find(*id) : check_outs_.end();
-    CheckOutParty* party = nullptr;
-    if (order != check_outs_.end()) {
-        for (auto& p : order->second.parties) {
-            if (p.entity == head.entity) party = &p;
-        }
-    }
-    if (party == nullptr) {
-        // Granted too late: nobody waits for it any more, and nobody else could have it.
-        const auto mine = leases_.find(head.entity);
-        const bool known = mine != leases_.end() && mine->second.number == number;
-        if (grants && !known) sendRelease({head.entity, number});
-        return;
-    }
-    auto& waiting = order->second;
-    const auto expected = !waiting.several     ? proto::TAKE
-                          : waiting.committing ? proto::COMMIT
-                                               : proto::RESERVE;
-    if (party->answered || (reply.phase() != expected && reply.phase() != proto::CHECK_OUT_UNSPECIFIED))
-        return;
-    party->answered = true;
-    if (!refusal.ok()) {
-        party->refused = true;
-        auto why = refusal;
-        if (waiting.several) why.message = label(head.entity) + ": " + why.message;
-        failCheckOut(*id, why);
-        return;
-    }
-    if (expected != proto::RESERVE) {
-        if (!grants) {
-            failCheckOut(
-                *id,
-                {RefusalCode::Internal, label(head.entity) + " granted a check-out without a lease.", {}});
-            return;
-        }
-        party->granted = true;
-        party->lease = number;
-        grant(head.entity, reply);
-    }
-    advanceCheckOut(*id);
-}
-
-void SessionCore::grant(const std::string& entity, const proto::CheckOutReply& reply) {
-    leases_[entity] = {numberOf(reply.lease()), reply.lease().key(), reply.services()};
-    auto& facts = entities_[entity].facts;
-    facts.stop_generation = static_cast<std::int32_t>(reply.stop_generation());
-    marks_.take(entity, facts.stop_generation);
-    facts.latched = reply.latched();
-    observer_.onDatagrams({entity, numberOf(reply.lease())}, reply.datagram_endpoint(), reply.lease().key());
-    countMoving(entity);
-    pace();
-}
-
-void SessionCore::advanceCheckOut(const Id128& id) {
-    auto& order = check_outs_.at(id);
-    const bool all = std::all_of(order.parties.begin(), order.parties.end(),
-                                 [](const CheckOutParty& party) { return party.answered; });
-    if (!all) return;
-    deadlines_.erase({order.deadline, {Ask::CheckOut, id}});
-    if (order.several && !order.committing) {
-        order.committing = true;
-        order.deadline = clock_.now() + settings_.timeout;
-        deadlines_.insert({order.deadline, {Ask::CheckOut, id}});
-        for (auto& party : order.parties) sendCheckOut(id, party, proto::COMMIT);
-        return;
-    }
-    std::vector<Held> granted;
-    for (const auto& party : order.parties) granted.push_back({party.entity, party.lease});
-    const auto done = std::move(order.done);
-    check_outs_.erase(id);
-    done(std::move(granted));
-}
-
-void SessionCore::failCheckOut(Id128 id, Refusal why) {
-    const auto found = check_outs_.find(id);
-    if (found == check_outs_.end()) return;
-    auto order = std::move(found->second);
-    check_outs_.erase(found);
-    deadlines_.erase({order.deadline, {Ask::CheckOut, id}});
-    for (auto& party : order.parties) {
-        if (party.granted) {
-            endLease(party.entity, why, false);
-            if (connected_) sendRelease({party.entity, party.lease});
-        } else if (order.several && !party.refused && connected_) {
-            sendCheckOut(id, party, proto::ABORT);
-        }
-    }
-    order.done(why);
-}
-
 void SessionCore::sendRelease(const Held& held) {
     proto::ToEntity body;
     body.mutable_release();
@@ -676,6 +613,17 @@ void SessionCore::sendRelease(const Held& held) {
 }
 
 void SessionCore::release(const Held& held, Done done) {
+    if (orphaned(held)) {
+        // Nobody can be told; the Entity Manager ends it when its time is up.
+        endLease(held.entity, {RefusalCode::NotHolder, "It was released.", {}}, false);
+        for (const auto id : openTasks(held)) {
+            finishTask(id, TaskState::Unknown,
+                       {RefusalCode::OutcomeUnknown,
+                        "Its check-out was released while the connection was lost.",
+                        {}});
+        }
+        return done({});
+    }
     const auto refusal = ready(held);
     if (!refusal.ok()) return done(refusal);
     proto::ToEntity body;
@@ -687,9 +635,7 @@ void SessionCore::release(const Held& held, Done done) {
     pending.sequence = send(held.entity, kMsgRelease, held.lease, body);
     endLease(held.entity, {RefusalCode::NotHolder, label(held.entity) + " was released.", {}}, false);
     // The entity stops what runs and says so in events of the tasks; without them they become Unknown.
-    for (const auto& [task, record] : tasks_) {
-        if (record.held == held && !isFinal(record.report.state)) awaitTask(task, record);
-    }
+    for (const auto id : openTasks(held)) awaitTask(id, tasks_.at(id));
     await(Ask::Release, Id128::random(random_), std::move(pending));
 }
 
@@ -700,20 +646,15 @@ void SessionCore::endLease(std::string entity, const Refusal& why, bool tell) {
     leases_.erase(found);
     observer_.onDatagrams(held, {}, {});
     countMoving(entity);
-    std::vector<std::pair<Ask, Id128>> keys;
-    for (const auto& [key, pending] : pending_) {
-        const bool mine = pending.entity == entity && pending.lease == held.lease;
-        if (mine && key.first != Ask::Release && key.first != Ask::Task) keys.push_back(key);
+    for (const auto& [ask, id] : pendingOf(entity)) {
+        if (ask == Ask::Release || ask == Ask::Task || ask == Ask::CheckOut) continue;
+        const auto pending = pending_.find({ask, id});
+        if (pending != pending_.end() && pending->second.lease == held.lease) answer(ask, id, why);
     }
-    for (const auto& [ask, id] : keys) answer(ask, id, why);
     if (tell) {
-        std::vector<Id128> open;
-        for (const auto& [id, record] : tasks_) {
-            if (record.held == held && !isFinal(record.report.state)) open.push_back(id);
-        }
         const Refusal unknown{RefusalCode::OutcomeUnknown,
                               "The lease ended while it was under way: " + why.message, why.holder};
-        for (const auto& id : open) finishTask(id, TaskState::Unknown, unknown);
+        for (const auto id : openTasks(held)) finishTask(id, TaskState::Unknown, unknown);
         observer_.onLost(held, why);
     }
     pace();
@@ -815,7 +756,7 @@ void SessionCore::rearm(const std::string& entity, Done done) {
     await(Ask::Rearm, id, std::move(pending));
 }
 
-void SessionCore::fetchServices(const std::string& entity, ServicesDone done) {
+void SessionCore::fetchDetails(const std::string& entity, DetailsDone done) {
     if (!connected_) return done(notConnected());
     const auto known = this->entity(entity);
     if (!known) return done(known.refusal());
@@ -825,9 +766,16 @@ void SessionCore::fetchServices(const std::string& entity, ServicesDone done) {
     body.mutable_status_request()->set_with_services(true);
     Pending pending;
     pending.entity = entity;
-    pending.services_done = std::move(done);
+    pending.details_done = std::move(done);
     pending.sequence = send(entity, kMsgStatus, {}, body);
     await(Ask::Services, id, std::move(pending));
+}
+
+void SessionCore::fetchServices(const std::string& entity, ServicesDone done) {
+    fetchDetails(entity, [done = std::move(done)](Result<Details> details) {
+        if (!details) return done(details.refusal());
+        done(std::move(details->services));
+    });
 }
 
 // ---- streams
@@ -956,6 +904,7 @@ Id128 SessionCore::run(const Held& held, std::string_view service, const std::ve
     record.report.id = id.toString();
     record.report.entity = held.entity;
     record.report.service = std::string(service);
+    open_tasks_[held].insert(id);
 
     const auto refusal = ready(held);
     if (!refusal.ok()) {
@@ -1022,20 +971,22 @@ void SessionCore::onTaskEvent(const std::string& entity, const proto::TaskEvent&
         for (const auto& value : param.values()) values.push_back(fromProto(value));
     }
     report.reason = toRefusal(event.reason());
-    if (isFinal(report.state)) {
+    // Copies: what follows may end other tasks, and the oldest that is over is forgotten.
+    const auto told = report;
+    const auto under = record.held.lease;
+    if (isFinal(told.state)) {
         noteFinal(*id);
     } else if (lease(record.held) == nullptr) {
         awaitTask(*id, record);
     }
     // The report first: whoever waited for the pause finds the task paused.
-    observer_.onTask(report);
-    settleControls(*id, report);
-    if (*state == TaskState::Refused)
-        noteRefusal(entity, found->second.held.lease, toRefusal(event.reason()));
+    observer_.onTask(told);
+    settleControls(*id, told);
+    if (*state == TaskState::Refused) noteRefusal(entity, under, told.reason);
     pace();
 }
 
-void SessionCore::awaitTask(const Id128& id, const TaskRecord& record) {
+void SessionCore::awaitTask(Id128 id, const TaskRecord& record) {
     if (pending_.count({Ask::Task, id}) != 0) return;
     Pending pending;
     pending.entity = record.held.entity;
@@ -1043,21 +994,32 @@ void SessionCore::awaitTask(const Id128& id, const TaskRecord& record) {
     await(Ask::Task, id, std::move(pending));
 }
 
-void SessionCore::finishTask(const Id128& id, TaskState state, const Refusal& why) {
+void SessionCore::finishTask(Id128 id, TaskState state, const Refusal& why) {
     const auto found = tasks_.find(id);
     if (found == tasks_.end() || isFinal(found->second.report.state)) return;
     answer(Ask::Task, id, {});
-    auto& report = found->second.report;
-    report.state = state;
-    report.reason = why;
+    found->second.report.state = state;
+    found->second.report.reason = why;
+    // A copy: what follows may end other tasks, and the oldest that is over is forgotten.
+    const auto report = found->second.report;
     noteFinal(id);
     observer_.onTask(report);
     settleControls(id, report);
     pace();
 }
 
-void SessionCore::noteFinal(const Id128& id) {
+std::vector<Id128> SessionCore::openTasks(const Held& held) const {
+    const auto open = open_tasks_.find(held);
+    return open == open_tasks_.end() ? std::vector<Id128>{}
+                                     : std::vector(open->second.begin(), open->second.end());
+}
+
+void SessionCore::noteFinal(Id128 id) {
     --running_tasks_;
+    if (const auto open = open_tasks_.find(tasks_.at(id).held); open != open_tasks_.end()) {
+        open->second.erase(id);
+        if (open->second.empty()) open_tasks_.erase(open);
+    }
     finished_tasks_.push_back(id);
     while (finished_tasks_.size() > std::max<std::size_t>(settings_.tasks_kept, 1)) {
         tasks_.erase(finished_tasks_.front());
@@ -1065,7 +1027,7 @@ void SessionCore::noteFinal(const Id128& id) {
     }
 }
 
-void SessionCore::settleControls(const Id128& id, const TaskReport& report) {
+void SessionCore::settleControls(Id128 id, const TaskReport& report) {
     const auto found = pending_.find({Ask::Control, id});
     if (found == pending_.end()) return;
     const auto action = found->second.action;
@@ -1162,25 +1124,29 @@ void SessionCore::onTimer() {
             "No answer within " + std::to_string(Seconds(settings_.timeout).count()).substr(0, 4) + " s.",
             {}};
         if (ask == Ask::CheckOut) {
-            auto why = late;
-            std::string silent;
-            for (const auto& party : check_outs_.at(id).parties) {
-                if (!party.answered) silent += (silent.empty() ? "" : ", ") + label(party.entity);
+            onCheckOutDue(id);
+        } else if (ask == Ask::Resume) {
+            onResumeDue(id);
+        } else if (ask == Ask::Tasks) {
+            const auto pending = take(pending_.find({ask, id}));
+            for (const auto task : pending.tasks) {
+                finishTask(task, TaskState::Unknown,
+                           {RefusalCode::OutcomeUnknown,
+                            label(pending.entity) + " has not said in time what became of it.",
+                            {}});
             }
-            why.message = "No answer from " + silent + " to the check-out in time; nothing was checked out.";
-            failCheckOut(id, why);
         } else if (ask == Ask::Task) {
             // It may or may not run: say so, and make an end of it if it does.
-            const auto& record = tasks_.at(id);
-            if (lease(record.held) != nullptr) {
+            const auto held = tasks_.at(id).held;
+            if (ready(held).ok()) {
                 proto::ToEntity body;
                 body.mutable_task_control()->set_task_id(id.bytes());
                 body.mutable_task_control()->set_action(proto::CANCEL);
-                send(record.held.entity, kMsgTaskControl, record.held.lease, body);
+                send(held.entity, kMsgTaskControl, held.lease, body);
             }
             finishTask(id, TaskState::Unknown,
                        {RefusalCode::OutcomeUnknown,
-                        label(record.held.entity) + " has not answered the request in time.",
+                        label(held.entity) + " has not answered the request in time.",
                         {}});
         } else {
             answer(ask, id, late);

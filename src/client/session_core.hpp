@@ -7,6 +7,7 @@
 #include <deque>
 #include <functional>
 #include <map>
+#include <optional>
 #include <set>
 #include <string>
 #include <string_view>
@@ -15,6 +16,7 @@
 #include <vector>
 
 #include "axon/client.hpp"
+#include "client/entity_query.hpp"
 #include "client/name_index.hpp"
 #include "client/server_link.hpp"
 #include "client/signal_marks.hpp"
@@ -25,6 +27,7 @@
 namespace axon::proto {
 class CheckOutReply;
 class EntityStatus;
+class HandOverRequest;
 class Reply;
 class ToClient;
 class ToEntity;
@@ -54,6 +57,10 @@ class SessionObserver {
     virtual void onLost(const Held& held, const Refusal& why) = 0;
     /// Stops of this lease may be sent to `endpoint` as datagrams, keyed by `key`; empty = not (any more).
     virtual void onDatagrams(const Held& /*held*/, const std::string& /*endpoint*/, const std::string& /*key*/) {}
+    /// The connection is lost and the lease is not (yet): onResumed or onLost will follow.
+    virtual void onOrphaned(const Held&) {}
+    virtual void onResumed(const Held&) {}
+    virtual void onHandOver(const Held&, const HandOverRequest&) {}
     /// `sample.json` is left empty: rendering it is the owner's affair, outside any lock.
     virtual void onSample(const Sample& sample) = 0;
     /// Send of the resource from `offset` up to `limit`.
@@ -70,6 +77,24 @@ struct CoreSettings {
     Duration server_silence_busy = std::chrono::seconds{1};  ///< 20 heartbeats missed
     Duration server_silence_idle = std::chrono::seconds{10};
     std::size_t tasks_kept = 1024;  ///< finished tasks whose reports can still be asked for
+    bool resume = true;             ///< leases outlive the connection for their grace
+    /// How long after this client a server may notice that the connection is gone; the grace begins then.
+    Duration loss_notice = std::chrono::seconds{10};
+    /// A place in a wait list is asked for again this often; it is given up after three times as long.
+    Duration wait_refresh = std::chrono::seconds{5};
+    /// Several that were free and then were not: when to try again, at least; at most twice as long.
+    Duration retry = std::chrono::milliseconds{200};
+};
+
+/// What proves that a lease is ours.
+struct LeaseTicket {
+    std::string entity;
+    LeaseNumber lease;
+    std::string key;  ///< 16 bytes
+
+    std::string toText() const;
+    /// MALFORMED for what toText() has not written.
+    static Result<LeaseTicket> parse(std::string_view text);
 };
 
 /// A client's session without its connections: entities, leases, tasks, requests (architecture, sections 6
@@ -81,8 +106,12 @@ struct CoreSettings {
 /// answered exactly once: granted, refused, TIMED_OUT, or NOT_CONNECTED and OUTCOME_UNKNOWN when the
 /// connection is lost. `done` must not call back into the core.
 ///
-/// States: connected or not; each entity held or not. On a lost connection leases are gone (onLost), tasks
-/// that are not final become Unknown, entities are forgotten until the server tells of them again.
+/// States: connected or not; each entity held, orphaned or neither. On a lost connection entities are
+/// forgotten until the server tells of them again, requests are answered, and leases become orphaned: each is
+/// resumed with its key as soon as its entity is there again (onResumed), and its tasks are asked after. It
+/// is lost (onLost, tasks Unknown) when its Entity Manager refuses, its time is up, or it has no grace. A
+/// check-out of one entity is asked for, perhaps queued, then granted; of several (or by a query) reserved,
+/// then committed, or parked until what is wanted is free again.
 ///
 /// Threads: none of its own, not thread-safe; the owner confines it. Failure: refusals. Malformed bytes are
 /// counted and dropped.
@@ -91,13 +120,15 @@ class SessionCore {
     using Done = std::function<void(Result<void>)>;
     using CheckOutDone = std::function<void(Result<std::vector<Held>>)>;
     using ServicesDone = std::function<void(Result<std::vector<Service>>)>;
+    using DetailsDone = std::function<void(Result<Details>)>;
 
     SessionCore(CoreSettings settings, const Clock& clock, RandomSource& random, ServerLink& link,
                 SessionObserver& observer, SignalMarks& marks);
 
     // From the server. Profiles may come before onConnected: the handshake's reply can be overtaken by them.
     void onConnected(const Sender& self, int entities);
-    void onDisconnected(const std::string& reason);
+    /// `for_good`: there will be no other connection, so nothing is kept.
+    void onDisconnected(const std::string& reason, bool for_good = false);
     void onProfile(Presence presence, const Registration& registration, std::string_view profile);
     void onStatus(const EntityStatus& status);
     /// A record of a services profile, to be kept for a lease that is held.
@@ -130,6 +161,10 @@ class SessionCore {
     Result<Entity> entity(const std::string& id) const;
     std::vector<Held> held() const;
     bool holds(const Held& held) const;
+    /// Held, and waiting for the connection or the Entity Manager's word that it still is.
+    bool orphaned(const Held& held) const;
+    std::optional<HandOverRequest> question(const Held& held) const;
+    Result<LeaseTicket> ticket(const Held& held) const;
     Result<std::vector<Service>> services(const Held& held) const;
     Result<Service> service(const Held& held, std::string_view name_or_global_id) const;
     /// Nothing for a task that is not known (any more).
@@ -140,7 +175,18 @@ class SessionCore {
     std::size_t pendingRequests() const { return pending_.size(); }
 
     // What the user wants.
-    void checkOut(const std::vector<std::string>& names, CheckOutDone done);
+    void checkOut(const std::vector<std::string>& names, CheckOutDone done) {
+        checkOut(names, {}, std::move(done));
+    }
+    /// The number is for giveUp(). `options.give_up` is the owner's affair; `options.on_waiting` must not
+    /// call back into the core.
+    Id128 checkOut(const std::vector<std::string>& names, const CheckOutOptions& options, CheckOutDone done);
+    Id128 checkOut(const EntityQuery& query, const CheckOutOptions& options, CheckOutDone done);
+    void giveUp(Id128 check_out);
+    /// A lease of another session of the same user, by its key.
+    void resume(const LeaseTicket& ticket, CheckOutDone done);
+    Result<void> answerHandOver(const Held& held, bool accept, std::string_view reason);
+    Result<void> setHandOverPolicy(const Held& held, const HandOverPolicy& policy);
     /// The lease is given up at once, whatever the answer.
     void release(const Held& held, Done done);
     void set(const Held& held, std::string_view service, const Argument& argument, Done done);
@@ -156,6 +202,7 @@ class SessionCore {
     Result<void> clear(const Held& held);
     void rearm(const std::string& entity, Done done);
     /// Asks the entity itself; no lease needed.
+    void fetchDetails(const std::string& entity, DetailsDone done);
     void fetchServices(const std::string& entity, ServicesDone done);
     /// Each watch() needs one unwatch() of the same streams; what is watched is asked for again when the
     /// entity comes back.
@@ -176,13 +223,34 @@ class SessionCore {
     struct Lease {
         LeaseNumber number;
         std::string key;
+        std::string name;  // the entity's, for when it is not known
         proto::ServicesProfile services;
+        Duration grace{};
+        HandOverPolicy policy;
+        std::string asked_by;  // request id of `question`
+        std::optional<HandOverRequest> question;
+        bool orphaned = false;
+        bool left = false;  // orphaned because the entity is gone, not the connection
+        TimePoint expires;  // while orphaned
+        Id128 resume;       // of the Ask::Resume in pending_, while orphaned
     };
     struct TaskRecord {
         Held held;
         TaskReport report;
     };
-    enum class Ask : std::uint8_t { CheckOut, Release, Set, Control, Rearm, Services, Upload, Task };
+    enum class Ask : std::uint8_t {
+        CheckOut,
+        Release,
+        Set,
+        Control,
+        Rearm,
+        Services,
+        Upload,
+        Task,
+        Resume,  // of an orphaned lease; outlives the connection
+        Tasks,   // what became of those of a lease that was resumed
+    };
+    using Key = std::pair<Ask, Id128>;
     struct Pending {
         Ask ask = Ask::Set;
         std::string entity;
@@ -191,7 +259,8 @@ class SessionCore {
         TimePoint deadline;
         proto::TaskAction action = proto::TASK_ACTION_UNSPECIFIED;
         Done done;
-        ServicesDone services_done;
+        DetailsDone details_done;
+        std::vector<Id128> tasks;  // of Ask::Tasks
     };
     /// One check-out of one or more entities, on its way.
     struct CheckOutParty {
@@ -202,14 +271,34 @@ class SessionCore {
         bool granted = false;
         LeaseNumber lease;
     };
+    enum class Stage : std::uint8_t {
+        Looking,     // for what the candidates of a query can do
+        Asked,       // TAKE, RESERVE or RESUME_LEASE is under way
+        Queued,      // in a wait list, or the holder is being asked
+        Parked,      // several: until all are free
+        Committing,  // several: COMMIT is under way
+    };
     struct CheckOutOrder {
+        CheckOutOptions options;
+        std::vector<std::string> wanted;   // UUIDs …
+        std::optional<EntityQuery> query;  // … or this
+        std::optional<LeaseTicket> resume;
+        Stage stage = Stage::Asked;
+        Id128 request;  // of the present attempt; the entities know it by this
         bool several = false;
-        bool committing = false;
-        std::vector<CheckOutParty> parties;
-        TimePoint deadline;
+        std::vector<CheckOutParty> parties;                   // of the present attempt
+        TimePoint due = TimePoint::max();                     // in deadlines_
+        TimePoint until = TimePoint::max();                   // it waits no longer
+        std::set<std::string> passed_over;                    // of a query: refused in this round
+        std::map<std::string, std::set<std::string>> offers;  // of a query: names of services
+        std::size_t looking = 0;
+        Refusal last;
+        int place = -1;
+        std::string told;
         CheckOutDone done;
     };
-    using Pendings = std::map<std::pair<Ask, Id128>, Pending>;
+    using CheckOutOrders = std::map<Id128, CheckOutOrder>;
+    using Pendings = std::map<Key, Pending>;
 
     Header header(const std::string& entity, const char* msg_type, LeaseNumber lease = {});
     std::int64_t send(const std::string& entity, const char* msg_type, LeaseNumber lease,
@@ -221,27 +310,61 @@ class SessionCore {
     const Lease* lease(const Held& held) const;
     std::string label(const std::string& entity) const { return names_.label(entity); }
 
-    void await(Ask ask, const Id128& id, Pending pending);
-    bool answer(Ask ask, const Id128& id, const Result<void>& result);
+    // Ids by value throughout: callers may name them by the very key that goes away.
+    void await(Ask ask, Id128 id, Pending pending);
+    /// Takes it out of everything that knows it.
+    Pending take(Pendings::iterator found);
+    bool answer(Ask ask, Id128 id, const Result<void>& result);
     void answerAll(const std::string& entity, const Refusal& why);
+    std::vector<Key> pendingOf(const std::string& entity) const;
+    void postpone(Pendings::iterator found, TimePoint deadline);
+    void endReleases(const std::string& entity, const std::function<bool(LeaseNumber)>& which);
 
     void onCheckOutReply(const Header& head, const proto::CheckOutReply& reply);
     void onTaskEvent(const std::string& entity, const proto::TaskEvent& event);
     void onReply(const Header& head, const proto::Reply& reply);
     void onStatusMsg(const Header& head, const proto::EntityStatus& status);
     void onService(const std::string& entity, const proto::Service& service);
-    void advanceCheckOut(const Id128& id);
+    void onHandOver(const std::string& entity, const proto::HandOverRequest& request);
+
+    Id128 begin(CheckOutOrder order, CheckOutDone done);
+    /// Asks for what is wanted, or for what of the query is there now.
+    void attempt(Id128 id);
+    /// Asks candidates of a query for their services. False when nothing is left to be asked.
+    bool look(Id128 id);
+    Assignment choose(const CheckOutOrder& order, bool optimistic, std::vector<std::string>& chosen) const;
+    bool wantedAreFree(const CheckOutOrder& order) const;
+    Refusal lacking(const CheckOutOrder& order, const Assignment& assignment) const;
+    void park(Id128 id, const Refusal& why, bool soon);
+    void wakeParked();
+    void schedule(Id128 id, TimePoint due);
+    void onCheckOutDue(Id128 id);
+    void onPartyRefused(Id128 id, const std::string& entity, const Refusal& why);
+    void onWaiting(Id128 id, int place);
+    void tellWaiting(CheckOutOrder& order, Waiting waiting);
+    void advanceCheckOut(Id128 id);
     void failCheckOut(Id128 id, Refusal why);
-    void sendCheckOut(const Id128& id, CheckOutParty& party, int phase);
+    /// Takes back what the present attempt has asked for.
+    void endAttempt(CheckOutOrder& order, const Refusal& why);
+    void forgetAttempt(CheckOutOrder& order);
+    CheckOutOrder takeOrder(CheckOutOrders::iterator found);
+    void sendCheckOut(CheckOutOrder& order, CheckOutParty& party, int phase);
+    void orphan(const std::string& entity, bool left);
+    void sendResume(const std::string& entity);
+    /// Whether it was the answer to one of sendResume().
+    bool onResumeReply(const std::string& entity, Id128 id, const proto::CheckOutReply& reply);
+    void onResumeDue(Id128 id);
+    void askAfterTasks(const Held& held);
     void sendRelease(const Held& held);
-    void grant(const std::string& entity, const proto::CheckOutReply& reply);
+    void grant(const std::string& entity, const proto::CheckOutReply& reply, const HandOverPolicy& policy);
     /// The entity by value: callers name it by its key in leases_, which goes away here.
     void endLease(std::string entity, const Refusal& why, bool tell);
     /// Until it is final, or the time is up and it becomes Unknown.
-    void awaitTask(const Id128& id, const TaskRecord& record);
-    void finishTask(const Id128& id, TaskState state, const Refusal& why);
-    void settleControls(const Id128& id, const TaskReport& report);
-    void noteFinal(const Id128& id);
+    void awaitTask(Id128 id, const TaskRecord& record);
+    void finishTask(Id128 id, TaskState state, const Refusal& why);
+    void settleControls(Id128 id, const TaskReport& report);
+    void noteFinal(Id128 id);
+    std::vector<Id128> openTasks(const Held& held) const;
     /// A refusal that says that the lease is no longer ours.
     void noteRefusal(const std::string& entity, LeaseNumber under, const Refusal& refusal);
     void sendWatches(const std::string& entity);
@@ -274,10 +397,16 @@ class SessionCore {
     std::unordered_map<Id128, TaskRecord> tasks_;
     std::size_t running_tasks_ = 0;
     std::deque<Id128> finished_tasks_;
-    std::map<Id128, CheckOutOrder> check_outs_;
+    std::map<Held, std::set<Id128>> open_tasks_;  // those of tasks_ that are not final
+    CheckOutOrders check_outs_;
+    std::unordered_map<Id128, Id128> attempts_;  // request → of which of check_outs_
+    std::set<Id128> parked_;                     // those of check_outs_ that wait for entities to be free
     std::unordered_map<Id128, Held> transfers_;
     Pendings pending_;
-    std::set<std::pair<TimePoint, std::pair<Ask, Id128>>> deadlines_;  // of pending_ and check_outs_
+    // Of pending_ and check_outs_:
+    std::set<std::pair<TimePoint, Key>> deadlines_;
+    std::unordered_map<std::int64_t, Key> by_sequence_;
+    std::unordered_map<std::string, std::set<Key>> of_entity_;
     std::map<std::string, std::map<std::string, int>> watches_;  // entity → stream → how many; "" = all
 };
 

@@ -11,9 +11,9 @@ namespace {
 using namespace std::chrono_literals;
 
 /// A client that asks at random, of servers and entities that answer, refuse, repeat, delay, forget and
-/// vanish at random. What must hold: every request is answered exactly once within its time, a task's report
-/// never goes back from a final state, every text of an entity arrives, and after the connection is lost
-/// nothing is open.
+/// vanish at random; and leases that are lost, resumed, waited for and given up. What must hold: every
+/// request is answered exactly once within its time, a task's report never goes back from a final state,
+/// every text of an entity arrives, and after the connection is lost nothing is open.
 class Chaos : public CoreWorld {
   public:
     explicit Chaos(std::uint64_t seed) : dice_(seed) {}
@@ -21,16 +21,15 @@ class Chaos : public CoreWorld {
     void run(int steps) {
         connect();
         for (int i = 0; i < steps; ++i) step();
-        clock.advance(20s);
-        core.onTimer();
-        core.onTimer();
+        // Longer than any wait, any grace and their answers' time-outs, one after the other.
+        for (int i = 0; i < 60; ++i) advance(1s);
         for (const auto& [id, count] : answers_) {
-            ASSERT_EQ(count, 1) << "request " << id;
+            ASSERT_EQ(count, 1) << "request " << id << " of step " << step_of_[id];
         }
         EXPECT_EQ(core.pendingRequests(), 0U);
         EXPECT_EQ(core.nextDeadline(), TimePoint::max());
         EXPECT_EQ(observer.texts.size(), texts_expected_);
-        core.onDisconnected("end");
+        core.onDisconnected("end", true);
         for (const auto& task : tasks_) {
             const auto report = core.task(task);
             EXPECT_TRUE(!report || isFinal(report->state));
@@ -54,19 +53,30 @@ class Chaos : public CoreWorld {
     std::function<void(Result<T>)> once() {
         const int id = next_++;
         answers_[id] = 0;
+        step_of_[id] = chosen_;
         return [this, id](const Result<T>&) { ++answers_[id]; };
     }
 
     void step() {
         for (auto& message : link.take()) letters_.push_back(std::move(message));
         const auto held = core.held();
-        switch (roll(16)) {
+        chosen_ = static_cast<int>(roll(17));
+        switch (chosen_) {
             case 0:
-                core.checkOut({"Cyton"}, once<std::vector<Held>>());
+                core.checkOut({"Cyton"}, options(), once<std::vector<Held>>());
                 break;
             case 1:
-                core.checkOut({"PeopleBot#1", "PeopleBot#2", "Cyton"}, once<std::vector<Held>>());
+                orders_.push_back(core.checkOut({"PeopleBot#1", "PeopleBot#2", "Cyton"}, options(),
+                                                once<std::vector<Held>>()));
                 break;
+            case 16: {
+                static const char* const kQueries[] = {"1 ROBOT", "2 MOBILE", "1 ROBOT with Driving",
+                                                       "1 ROBOT + 2 ROBOT/MOBILE", "1 MACHINE"};
+                orders_.push_back(core.checkOut(parseQuery(kQueries[roll(5)]).value(), options(),
+                                                once<std::vector<Held>>()));
+                if (roll(4) == 0) core.giveUp(orders_[roll(orders_.size())]);
+                break;
+            }
             case 2:
                 if (!held.empty())
                     core.set(held[roll(held.size())], "Driving", {"Distance", {std::int64_t{5}}},
@@ -116,6 +126,14 @@ class Chaos : public CoreWorld {
         }
     }
 
+    CheckOutOptions options() {
+        CheckOutOptions options;
+        if (roll(3) == 0) options.wait = Seconds(static_cast<double>(roll(15)));
+        options.ask = options.wait && roll(6) == 0;  // without a time to wait a question is open for minutes
+        options.force = roll(6) == 0;
+        return options;
+    }
+
     void disturb() {
         const int number = static_cast<int>(1 + roll(3));
         switch (roll(5)) {
@@ -125,8 +143,9 @@ class Chaos : public CoreWorld {
                 break;
             case 1:
                 if (roll(3) == 0) {
-                    core.onDisconnected("chaos");
+                    core.onDisconnected("chaos", roll(4) == 0);
                     letters_.clear();
+                    if (roll(2) == 0) advance(std::chrono::milliseconds(roll(4000)));
                     connect();
                 }
                 break;
@@ -167,7 +186,15 @@ class Chaos : public CoreWorld {
         }
         switch (letter.body.body_case()) {
             case proto::ToEntity::kCheckOut:
-                if (letter.body.check_out().phase() != proto::ABORT) answerCheckOut(letter, code, ++lease_);
+                if (letter.body.check_out().phase() == proto::ABORT) break;
+                if (letter.body.check_out().phase() == proto::RESUME_LEASE && roll(2) == 0) {
+                    answerCheckOut(letter, code, static_cast<int>(letter.body.check_out().resume().number()),
+                                   grace());
+                } else if (letter.body.check_out().phase() == proto::TAKE && roll(3) == 0) {
+                    answerPlace(letter, static_cast<int>(roll(3)));
+                } else {
+                    answerCheckOut(letter, code, ++lease_, grace());
+                }
                 break;
             case proto::ToEntity::kSetParam:
                 reply(number, letter.body.set_param().request_id(), code);
@@ -191,6 +218,13 @@ class Chaos : public CoreWorld {
                 proto::ToClient message;
                 message.mutable_status()->set_request_id(letter.body.status_request().request_id());
                 message.mutable_status()->set_state(proto::REG);
+                for (std::size_t i = tasks_.size() - std::min<std::size_t>(tasks_.size(), roll(4));
+                     i < tasks_.size(); ++i) {
+                    auto& event = *message.mutable_status()->add_tasks();
+                    event.set_task_id(tasks_[i].bytes());
+                    event.set_state(static_cast<proto::TaskState>(1 + roll(10)));
+                }
+                message.mutable_status()->add_services()->set_name("Driving");
                 fromEntity(number, message);
                 break;
             }
@@ -214,12 +248,15 @@ class Chaos : public CoreWorld {
         }
     }
 
+    std::chrono::milliseconds grace() { return std::chrono::milliseconds(roll(2) * 5000); }
+
     SeededRandom dice_;
-    std::map<int, int> answers_;
+    std::map<int, int> answers_, step_of_;
+    int chosen_ = 0;  // what the present step does
     int next_ = 0;
     int lease_ = 0;
     std::size_t texts_expected_ = 0;
-    std::vector<Id128> tasks_;
+    std::vector<Id128> tasks_, orders_;
     std::vector<SentMessage> letters_;
 };
 

@@ -26,7 +26,10 @@ std::int64_t sequenceOf(std::string_view stop_id) {
 void StopDesk::onConnected(const Sender& self) {
     connected_ = true;
     self_ = self;
-    for (auto& order : orders_) order.resend = clock_.now();  // the entities come with the next profiles
+    // The entities come with the next profiles.
+    for (auto& [sequence, order] : orders_) {
+        if (order.cause != StopCause::Drill) schedule(order, clock_.now());
+    }
 }
 
 void StopDesk::onDisconnected() {
@@ -39,9 +42,7 @@ void StopDesk::onEntity(Presence presence, const std::string& id, const std::str
         names_.remove(id);
     } else {
         names_.put(id, name);
-        for (auto& order : orders_) {
-            if (order.everything) add(order, id);
-        }
+        for (const auto sequence : everything_) add(orders_.at(sequence), id);
     }
 }
 
@@ -59,7 +60,7 @@ Header StopDesk::header(const Order& order, const std::string& entity) const {
 void StopDesk::send(const Order& order, Lane lane, bool only_unconfirmed) {
     if (order.everything) {
         // One request, fanned out by the servers; also the way to resend, whoever is missing.
-        link_.sendStopSignal(lane, header(order, {}), StopCause::Requested);
+        link_.sendStopSignal(lane, header(order, {}), order.cause);
         return;
     }
     std::vector<std::string> ids;
@@ -67,9 +68,9 @@ void StopDesk::send(const Order& order, Lane lane, bool only_unconfirmed) {
         if (!only_unconfirmed || !receipt.confirmed()) ids.push_back(id);
     }
     if (ids.size() == 1) {
-        link_.sendStopSignal(lane, header(order, ids.front()), StopCause::Requested);
+        link_.sendStopSignal(lane, header(order, ids.front()), order.cause);
     } else if (!ids.empty()) {
-        link_.sendStopSignals(lane, header(order, {}), std::move(ids), StopCause::Requested);
+        link_.sendStopSignals(lane, header(order, {}), std::move(ids), order.cause);
     }
 }
 
@@ -82,11 +83,24 @@ void StopDesk::stop(const std::vector<std::string>& names, Duration deadline, Do
         return;
     }
     Order order;
-    order.sequence = marks_.nextSequence();
     order.everything = names.empty();
+    give(std::move(order), names, deadline, std::move(done));
+}
+
+void StopDesk::drill(const std::vector<std::string>& names, Duration deadline, Done done) {
+    if (!connected_) {
+        done(Refusal{RefusalCode::NotConnected, "There is no connection to the server.", {}});
+        return;
+    }
+    Order order;
+    order.cause = StopCause::Drill;
+    give(std::move(order), names.empty() ? names_.ids() : names, deadline, std::move(done));
+}
+
+void StopDesk::give(Order order, const std::vector<std::string>& names, Duration deadline, Done done) {
+    order.sequence = marks_.nextSequence();
     order.given = clock_.now();
     order.deadline = order.given + deadline;
-    order.resend = order.given + kStopFirstResend;
     order.done = std::move(done);
 
     std::vector<std::string> ids;
@@ -103,10 +117,16 @@ void StopDesk::stop(const std::vector<std::string>& names, Duration deadline, Do
         }
     }
     for (const auto& id : ids) add(order, id);
-    if (!order.unknown.ok() && !order.receipts.empty()) order.unknown.message += " The others were stopped.";
-    orders_.push_back(std::move(order));
-    send(orders_.back(), Lane::Signal, false);
-    finishIfSettled(orders_.back());
+    if (!order.unknown.ok() && !order.receipts.empty()) {
+        order.unknown.message +=
+            order.cause == StopCause::Drill ? " The others were drilled." : " The others were stopped.";
+    }
+    const auto sequence = order.sequence;
+    auto& given = orders_.emplace(sequence, std::move(order)).first->second;
+    if (given.everything) everything_.insert(sequence);
+    schedule(given, given.cause == StopCause::Drill ? TimePoint::max() : given.given + kStopFirstResend);
+    send(given, Lane::Signal, false);
+    finishIfSettled(given);
 }
 
 Receipt& StopDesk::add(Order& order, const std::string& entity) const {
@@ -128,15 +148,29 @@ bool StopDesk::settled(const Order& order) {
            (order.reached && order.receipts.size() >= static_cast<std::size_t>(*order.reached));
 }
 
-void StopDesk::finishIfSettled(Order& order) {
-    if (!settled(order)) return;
-    finish(std::find_if(orders_.begin(), orders_.end(), [&](const Order& one) { return &one == &order; }));
+void StopDesk::schedule(Order& order, TimePoint resend) {
+    due_.erase({order.due, order.sequence});
+    order.resend = resend;
+    order.due = std::min(order.deadline, resend);
+    due_.insert({order.due, order.sequence});
+}
+
+StopDesk::Order StopDesk::take(std::int64_t sequence) {
+    const auto found = orders_.find(sequence);
+    auto order = std::move(found->second);
+    orders_.erase(found);
+    everything_.erase(sequence);
+    due_.erase({order.due, sequence});
+    return order;
+}
+
+void StopDesk::finishIfSettled(const Order& order) {
+    if (settled(order)) finish(order.sequence);
 }
 
 StopDesk::Order* StopDesk::find(std::int64_t sequence) {
-    const auto found = std::find_if(orders_.begin(), orders_.end(),
-                                    [&](const Order& order) { return order.sequence == sequence; });
-    return found == orders_.end() ? nullptr : &*found;
+    const auto found = orders_.find(sequence);
+    return found == orders_.end() ? nullptr : &found->second;
 }
 
 void StopDesk::onStopAccepted(std::int64_t sequence, const std::string& entity, int entities) {
@@ -212,19 +246,15 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
 }
 
 void StopDesk::onRefusal(std::int64_t sequence, const std::string& entity, const Refusal& refusal) {
-    const auto order =
-        std::find_if(orders_.begin(), orders_.end(), [&](const Order& o) { return o.sequence == sequence; });
-    if (order == orders_.end()) return;
+    const Order* order = find(sequence);
+    if (order == nullptr) return;
     // With several entities the others may still answer: the one that is gone stays without times.
     if (order->receipts.size() > 1 && !entity.empty()) return;
-    auto done = std::move(order->done);
-    orders_.erase(order);
-    done(refusal);
+    take(sequence).done(refusal);
 }
 
-void StopDesk::finish(std::list<Order>::iterator order) {
-    const auto ended = std::move(*order);
-    orders_.erase(order);
+void StopDesk::finish(std::int64_t sequence) {
+    const auto ended = take(sequence);
     if (!ended.unknown.ok()) {
         ended.done(ended.unknown);
         return;
@@ -243,27 +273,25 @@ void StopDesk::finish(std::list<Order>::iterator order) {
 
 void StopDesk::onTimer() {
     const auto now = clock_.now();
-    for (auto order = orders_.begin(); order != orders_.end();) {
-        const auto current = order++;
-        if (now >= current->deadline) {
-            finish(current);
-        } else if (now >= current->resend) {
-            current->resend = now + kStopResendPeriod;
-            if (!connected_) continue;
-            send(*current, Lane::Signal, true);
-            send(*current, Lane::Data, true);
+    while (!due_.empty() && due_.begin()->first <= now) {
+        auto& order = orders_.at(due_.begin()->second);
+        if (now >= order.deadline) {
+            finish(order.sequence);
+            continue;
         }
+        schedule(order, now + kStopResendPeriod);
+        if (!connected_) continue;
+        send(order, Lane::Signal, true);
+        send(order, Lane::Data, true);
     }
 }
 
 void StopDesk::endOrders() {
-    while (!orders_.empty()) finish(orders_.begin());
+    while (!orders_.empty()) finish(orders_.begin()->first);
 }
 
 TimePoint StopDesk::nextDeadline() const {
-    auto next = TimePoint::max();
-    for (const auto& order : orders_) next = std::min({next, order.deadline, order.resend});
-    return next;
+    return due_.empty() ? TimePoint::max() : due_.begin()->first;
 }
 
 }  // namespace axon::client

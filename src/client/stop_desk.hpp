@@ -2,11 +2,12 @@
 #pragma once
 #include <cstdint>
 #include <functional>
-#include <list>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "axon/client.hpp"
@@ -57,6 +58,9 @@ class StopDesk {
     /// done). A stop of everything needs no names: it is done when the servers have said how many entities it
     /// reached and as many have answered, known here or not; those that have not are receipts without a name.
     void stop(const std::vector<std::string>& names, Duration deadline, Done done);
+    /// Likewise, a drill: acknowledged and nothing else. It is sent once, so that its times are those of one
+    /// message. No names = every entity that is known.
+    void drill(const std::vector<std::string>& names, Duration deadline, Done done);
 
     void onTimer();
     TimePoint nextDeadline() const;
@@ -67,8 +71,10 @@ class StopDesk {
   private:
     struct Order {
         std::int64_t sequence = 0;
+        StopCause cause = StopCause::Requested;
         bool everything = false;
         TimePoint given, deadline, resend;
+        TimePoint due;                            // the earlier of the two, in due_
         std::map<std::string, Receipt> receipts;  // by UUID
         std::size_t unconfirmed = 0;              // of the receipts
         std::optional<int> reached;               // entities, of a stop of everything that was accepted
@@ -76,12 +82,16 @@ class StopDesk {
         Refusal unknown;                          // of a name that was not found
         Done done;
     };
+    void give(Order order, const std::vector<std::string>& names, Duration deadline, Done done);
     void send(const Order& order, Lane lane, bool only_unconfirmed);
     Header header(const Order& order, const std::string& entity) const;
     Receipt& add(Order& order, const std::string& entity) const;
     static bool settled(const Order& order);
-    void finishIfSettled(Order& order);
-    void finish(std::list<Order>::iterator order);
+    void schedule(Order& order, TimePoint resend);
+    /// Takes it out of everything that knows it.
+    Order take(std::int64_t sequence);
+    void finishIfSettled(const Order& order);
+    void finish(std::int64_t sequence);
     Order* find(std::int64_t sequence);
 
     const Clock& clock_;
@@ -90,7 +100,9 @@ class StopDesk {
     bool connected_ = false;
     Sender self_;
     NameIndex names_;
-    std::list<Order> orders_;
+    std::map<std::int64_t, Order> orders_;              // by sequence
+    std::set<std::int64_t> everything_;                 // those of orders_ that are of everything
+    std::set<std::pair<TimePoint, std::int64_t>> due_;  // of orders_
 };
 
 }  // namespace axon::client

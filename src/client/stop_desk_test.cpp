@@ -18,14 +18,17 @@ struct GivenStop {
     Lane lane;
     Header head;
     std::vector<std::string> entities = {};
+    StopCause cause = StopCause::Requested;
 };
 
 class RecordingStopLink final : public StopLink {
   public:
-    void sendStopSignal(Lane lane, const Header& head, StopCause) override { sent.push_back({lane, head}); }
+    void sendStopSignal(Lane lane, const Header& head, StopCause cause) override {
+        sent.push_back({lane, head, {}, cause});
+    }
     void sendStopSignals(Lane lane, const Header& head, std::vector<std::string> entities,
-                         StopCause) override {
-        sent.push_back({lane, head, std::move(entities)});
+                         StopCause cause) override {
+        sent.push_back({lane, head, std::move(entities), cause});
     }
     std::vector<GivenStop> sent;
 };
@@ -272,6 +275,54 @@ TEST_F(StopDeskTest, ClosingAnswersEveryOrder) {
     stop({});
     desk.endOrders();
     EXPECT_EQ(answers, 2);
+}
+
+TEST_F(StopDeskTest, ADrillIsSentOnceAndSaysWhatNeverArrived) {
+    desk.drill({"Cyton"}, 1s, [this](Result<std::vector<Receipt>> result) {
+        ++answers;
+        receipts = std::move(result).value();
+    });
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].cause, StopCause::Drill);
+    receipt(3, proto::StopReceipt::MANAGER);
+    advance(500ms);
+    desk.onConnected(kMe);
+    advance(499ms);
+    EXPECT_THAT(link.sent, SizeIs(1)) << "a second one would hide that the first was lost";
+    EXPECT_EQ(answers, 0);
+    advance(1ms);
+    EXPECT_EQ(answers, 1);
+    EXPECT_TRUE(receipts.at(0).manager);
+    EXPECT_FALSE(receipts.at(0).callback_returned);
+    EXPECT_EQ(desk.nextDeadline(), TimePoint::max());
+}
+
+TEST_F(StopDeskTest, ADrillOfEverythingNamesWhatIsKnown) {
+    desk.drill({}, 1s, [this](Result<std::vector<Receipt>> result) {
+        ++answers;
+        receipts = std::move(result).value();
+    });
+    ASSERT_THAT(link.sent, SizeIs(1)) << "one message";
+    for (int i = 1; i <= 3; ++i) receipt(i, proto::StopReceipt::CALLBACK_RETURNED);
+    EXPECT_EQ(answers, 1);
+    EXPECT_THAT(receipts, SizeIs(3));
+}
+
+TEST_F(StopDeskTest, ManyOrdersHaveEachTheirOwnTimes) {
+    int answered = 0;
+    for (int i = 0; i < 20; ++i) {
+        desk.stop({"Cyton"}, std::chrono::milliseconds(100 * (20 - i)),
+                  [&](const Result<std::vector<Receipt>>&) { ++answered; });
+    }
+    EXPECT_EQ(desk.nextDeadline(), clock.now() + 100ms);
+    advance(1s);
+    EXPECT_EQ(answered, 10);
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED, 3);
+    EXPECT_EQ(answered, 11);
+    EXPECT_EQ(desk.openOrders(), 9U);
+    desk.endOrders();
+    EXPECT_EQ(answered, 20);
+    EXPECT_EQ(desk.nextDeadline(), TimePoint::max());
 }
 
 }  // namespace

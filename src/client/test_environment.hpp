@@ -52,6 +52,9 @@ class RecordingObserver final : public SessionObserver {
     void onRaw(const Held&, const std::string& bytes) override { raws.push_back(bytes); }
     void onService(const Held&, const Service& service) override { services.push_back(service); }
     void onLost(const Held& held, const Refusal& why) override { lost.emplace_back(held, why); }
+    void onOrphaned(const Held& held) override { orphaned.push_back(held); }
+    void onResumed(const Held& held) override { resumed.push_back(held); }
+    void onHandOver(const Held&, const HandOverRequest& request) override { hand_overs.push_back(request); }
     void onSample(const Sample& sample) override { samples.push_back(sample); }
     void onTransferCredit(const Id128&, std::uint64_t offset, std::uint64_t limit) override {
         credits.emplace_back(offset, limit);
@@ -63,6 +66,8 @@ class RecordingObserver final : public SessionObserver {
     std::vector<std::string> texts, raws;
     std::vector<Service> services;
     std::vector<std::pair<Held, Refusal>> lost;
+    std::vector<Held> orphaned, resumed;
+    std::vector<HandOverRequest> hand_overs;
     std::vector<Sample> samples;
     std::vector<std::pair<std::uint64_t, std::uint64_t>> credits;
     std::vector<std::pair<int, std::string>> server_texts;
@@ -87,11 +92,10 @@ class CoreWorld {
         join(2, "PeopleBot");
         join(3, "Cyton");
     }
-    void join(int number, const std::string& name) {
+    void join(int number, const std::string& name, const char* type = "MOBILE") {
         proto::BasicProfile profile;
         profile.set_descr("a robot");
-        core.onProfile(Presence::Joined, {uuid(number), name, "ROBOT", "MOBILE"},
-                       profile.SerializeAsString());
+        core.onProfile(Presence::Joined, {uuid(number), name, "ROBOT", type}, profile.SerializeAsString());
     }
     void status(int number, EntityState state, const Sender& holder = {}, LeaseNumber held = {},
                 std::int32_t generation = 0) {
@@ -103,7 +107,8 @@ class CoreWorld {
         core.onEntityMsg(head, message.SerializeAsString());
     }
     /// The entity's answer to a check-out message that was sent.
-    void answerCheckOut(const SentMessage& asked, RefusalCode code = RefusalCode::Ok, int lease = 1) {
+    void answerCheckOut(const SentMessage& asked, RefusalCode code = RefusalCode::Ok, int lease = 1,
+                        std::chrono::milliseconds grace = {}) {
         proto::ToClient message;
         auto& reply = *message.mutable_check_out();
         reply.set_request_id(asked.body.check_out().request_id());
@@ -115,6 +120,8 @@ class CoreWorld {
         } else if (asked.body.check_out().phase() != proto::RESERVE) {
             reply.mutable_lease()->set_epoch(1);
             reply.mutable_lease()->set_number(static_cast<std::uint32_t>(lease));
+            reply.mutable_lease()->set_key("0123456789abcdef");
+            reply.set_grace_ms(static_cast<std::uint32_t>(grace.count()));
             auto& service = *reply.mutable_services()->add_services();
             service.set_name("Driving");
             service.set_is_active(true);
@@ -130,12 +137,23 @@ class CoreWorld {
         head.entity = asked.head.entity;
         core.onEntityMsg(head, message.SerializeAsString());
     }
-    Held take(const std::string& name, int lease = 1) {
+    /// The entity's answer to who waits for it, or has it asked for.
+    void answerPlace(const SentMessage& asked, int place) {
+        proto::ToClient message;
+        auto& reply = *message.mutable_check_out();
+        reply.set_request_id(asked.body.check_out().request_id());
+        reply.set_phase(proto::TAKE);
+        reply.set_place(static_cast<std::uint32_t>(place));
+        Header head;
+        head.entity = asked.head.entity;
+        core.onEntityMsg(head, message.SerializeAsString());
+    }
+    Held take(const std::string& name, int lease = 1, std::chrono::milliseconds grace = {}) {
         Held held;
         core.checkOut({name}, [&](const Result<std::vector<Held>>& granted) {
             if (granted) held = granted.value().front();
         });
-        answerCheckOut(link.sent.back(), RefusalCode::Ok, lease);
+        answerCheckOut(link.sent.back(), RefusalCode::Ok, lease, grace);
         link.sent.clear();
         return held;
     }

@@ -69,6 +69,22 @@ struct Entity {
     std::int32_t stop_generation = 0;
     Sender holder;  ///< id empty when free
     std::string reason;
+    bool orphaned = false;                ///< the holder is lost, and may still come back
+    int waiting = 0;                      ///< how many wait for it
+    std::optional<Seconds> stop_latency;  ///< of the servers' own last drill: to the application and back
+};
+
+/// How near a dead-man came to its end.
+struct WatchdogMargin {
+    std::string hop;         ///< who watches whom
+    Seconds timeout{0};      ///< the robot is stopped after so long a silence
+    Seconds longest_gap{0};  ///< the longest silence of the last minute
+};
+
+/// What an entity tells of itself when it is asked.
+struct Details {
+    std::vector<Service> services;
+    std::vector<WatchdogMargin> watchdogs;
 };
 
 enum class TaskState : std::uint8_t {
@@ -110,6 +126,54 @@ struct Receipt {
     bool confirmed() const { return manager && (callback_returned || no_application); }
 };
 
+/// What a drill measured of one entity: one entry for each try, in order; no time = it never arrived.
+struct DrillReport {
+    std::string entity, name;
+    std::vector<std::optional<Seconds>> manager;  ///< the Entity Manager's answer, back at this client
+    std::vector<std::optional<Seconds>>
+        callback;                 ///< the Entity Interfacer's, where its stop callback begins
+    bool no_application = false;  ///< in the last try there was no robot application to answer
+};
+
+/// What becomes of the wishes of others for an entity that this client holds.
+struct HandOverPolicy {
+    Seconds answer_within{30};  ///< at most 600
+    bool yield = false;         ///< silence hands over; otherwise it refuses
+    bool refuse = false;        ///< nobody is asked: the library refuses at once, in this client's name
+};
+
+/// Somebody asks for an entity that this client holds.
+struct HandOverRequest {
+    std::string by, reason;
+    Seconds answer_within{0};
+    bool yield = false;      ///< what silence means
+    bool withdrawn = false;  ///< who asked has gone, or the time was up: nothing is left to answer
+};
+
+/// How a check-out that cannot be had at once is coming along.
+struct Waiting {
+    std::string entity;   ///< UUID; empty where several are waited for
+    int place = 0;        ///< in the Entity Manager's wait list, 1 = next; 0 where there is none
+    std::string message;  ///< for people
+};
+
+/// How to check out. As it is: now or not at all.
+struct CheckOutOptions {
+    /// Wait so long for what is held by others; without a value do not wait. One entity: in the Entity
+    /// Manager's wait list, first come, first served. Several, or a query: until all are free at once. With
+    /// `ask`: no longer for the holder's answer than this.
+    std::optional<Seconds> wait;
+    /// Each change while it waits. On the library's callback thread.
+    std::function<void(const Waiting&)> on_waiting;
+    /// Ask the holder to hand it over (one entity, by name). Ends with the grant or HAND_OVER_REFUSED.
+    bool ask = false;
+    /// Take what is held from its holder: admins only. The robot is stopped first, and the holder told.
+    bool force = false;
+    std::string reason;        ///< for the holder, with `ask` and `force`
+    HandOverPolicy hand_over;  ///< of the lease that this makes
+    std::stop_token give_up;   ///< ends the wait with CANCELLED
+};
+
 /// One sample of a stream. `json` is the sample's content as JSON text; `raw` the serialized
 /// axon.proto.StreamSample.
 struct Sample {
@@ -124,6 +188,9 @@ struct Options {
     std::string display_name;  ///< empty = user@host
     Seconds timeout{5};        ///< of every request that waits for an answer; never infinite
     bool reconnect = true;
+    /// After a lost connection the leases are kept for the time that their Entity Managers grant (5 s unless
+    /// they are set otherwise) and resumed when this client is back in time. false = they are lost with it.
+    bool resume = true;
     /// connect() returns when this client has been told of every entity there is, or the timeout has passed;
     /// false = as soon as both lanes stand, which is all that a stop of everything needs.
     bool await_entities = true;
@@ -158,6 +225,10 @@ class Task {
 /// An entity that this client holds. Copies refer to the same lease; release() ends it for all of them. The
 /// lease also ends when the client is destroyed; it does not end when a CheckOut is dropped. Every call is
 /// refused with NOT_HOLDER once the lease is gone, and onLost has said why.
+///
+/// States: held; orphaned (the connection was lost: the robot stands still and is latched, calls answer
+/// NOT_CONNECTED, the lease waits for this client to come back); gone. From orphaned it goes back to held
+/// (onResumed, the same lease) or is gone (onLost).
 class CheckOut {
   public:
     Entity entity() const;
@@ -185,6 +256,21 @@ class CheckOut {
     void onRaw(std::function<void(const std::string&)> callback) const;
     void onServiceChanged(std::function<void(const Service&)> callback) const;
     void onLost(std::function<void(const Refusal&)> callback) const;
+    /// The lease is valid again after a lost connection. Tasks have been asked after: those that ended
+    /// meanwhile are told as they ended, and are Unknown only where nobody knows.
+    void onResumed(std::function<void()> callback) const;
+    bool orphaned() const;
+
+    /// Somebody asks for this entity, or has withdrawn. An open request is told at once. Without an answer
+    /// the policy decides.
+    void onHandOverRequest(std::function<void(const HandOverRequest&)> callback) const;
+    std::optional<HandOverRequest> handOverRequest() const;
+    /// WRONG_STATE when nobody asks. Accepting stops the robot; then the lease ends (onLost).
+    Result<void> answerHandOver(bool accept, std::string_view reason = {}) const;
+    Result<void> setHandOverPolicy(const HandOverPolicy& policy) const;
+    /// What Client::resume needs to take this lease over in another process. Whoever has it has the lease:
+    /// keep it like a password.
+    std::string ticket() const;
 
     /// Stops the running task and goes on with the next of the queue; does not latch (thesis: reset command).
     Result<void> reset() const;
@@ -202,7 +288,8 @@ class CheckOut {
 /// A connection to an Axon server, with its own signal lane, heartbeats and reconnection.
 ///
 /// Where in the flow: the first station (architecture, section 3).
-/// States: connected; lost (reconnecting with backoff, calls answer NOT_CONNECTED); closed.
+/// States: connected; lost (reconnecting with backoff, calls answer NOT_CONNECTED, leases are orphaned);
+/// closed.
 /// Threads: every member may be called from any thread. Callbacks run on one thread of the library, in order;
 /// they may call anything except what waits (Task::wait, checkOut, …). Ownership: closing or destroying it
 /// releases what it holds, in an orderly way. Failure: refusals as Result; nothing throws but misuse
@@ -229,18 +316,33 @@ class Client {
     void onEntity(std::function<void(Presence, const Entity&)> callback);
     void onConnection(std::function<void(bool connected, const std::string& reason)> callback);
 
-    /// All of them or none (reserve, then commit or abort). ALREADY_HELD names the holder.
-    Result<std::vector<CheckOut>> checkOut(const std::vector<std::string>& names);
-    Result<CheckOut> checkOut(std::string_view name);
+    /// All of them or none (reserve, then commit or abort). ALREADY_HELD names the holder. TIMED_OUT when the
+    /// time to wait is up, CANCELLED when it was given up.
+    Result<std::vector<CheckOut>> checkOut(const std::vector<std::string>& names,
+                                           const CheckOutOptions& options = {});
+    Result<CheckOut> checkOut(std::string_view name, const CheckOutOptions& options = {});
+    /// What the query says, chosen among those that are free and ready: "2 ROBOT/MOBILE + 1
+    /// ROBOT/STATIONARY", "ROBOT with Driving". The refusal says what is missing, and of whom.
+    Result<std::vector<CheckOut>> checkOutQuery(std::string_view query, const CheckOutOptions& options = {});
+    /// The lease of a CheckOut::ticket() of another process (or of this one before it was restarted), within
+    /// its grace. The robot is stopped if the other one still lives.
+    Result<CheckOut> resume(std::string_view ticket);
     /// What this client holds now.
     std::vector<CheckOut> held() const;
 
     /// Stops entities, held or not; none named = every entity there is. Waits for the receipts up to the
     /// deadline.
     Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline = Seconds{1});
+    /// Measures the way of a stop without stopping anything: the Entity Interfacer acknowledges without
+    /// calling the application, nothing latches and no task ends. `count` tries, one each `period` (each may
+    /// take a second, then it counts as never arrived). None named = every entity there is.
+    Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names, int count = 1,
+                                           Seconds period = Seconds{0.1}, std::stop_token give_up = {});
     Result<void> rearm(std::string_view name);
     /// Services and parameters of any entity, held or not.
     Result<std::vector<Service>> services(std::string_view name) const;
+    /// Likewise, and how near its dead-men came to their end.
+    Result<Details> details(std::string_view name) const;
 
     /// Samples of an entity's streams, held or not; no stream named = all. The handle ends the watch when
     /// dropped.
