@@ -267,12 +267,12 @@ TEST_F(Invoked, NoServerHasAnExitStatusAndAMendOfItsOwn) {
 
 TEST_F(Invoked, ACommandHoldsWhileItRunsAndGivesItsExitStatus) {
     const auto script = "test -S \"$AXON_AGENT\" && test \"$(stat -c %a \"$AXON_AGENT\")\" = 600 && exit 7";
-    EXPECT_EQ(invoker.holdWhile(Json({"Cyton"}), {"sh", "-c", script}, seen), 7);
+    EXPECT_EQ(invoker.holdWhile({{"entity", {"Cyton"}}}, {"sh", "-c", script}, seen), 7);
     EXPECT_EQ(station->journalNow(), (std::vector<std::string>{"checkOut", "release"}));
     ::unsetenv("AXON_AGENT");
-    EXPECT_EQ(invoker.holdWhile(Json({"Cyton"}), {"/no/such/command"}, seen), 127);
+    EXPECT_EQ(invoker.holdWhile({{"entity", {"Cyton"}}}, {"/no/such/command"}, seen), 127);
     ::unsetenv("AXON_AGENT");
-    EXPECT_EQ(invoker.holdWhile(Json({"Cyton"}), {"sh", "-c", "kill -TERM $$"}, seen), 128 + SIGTERM);
+    EXPECT_EQ(invoker.holdWhile({{"entity", {"Cyton"}}}, {"sh", "-c", "kill -TERM $$"}, seen), 128 + SIGTERM);
     ::unsetenv("AXON_AGENT");
     EXPECT_TRUE(station->held().empty());
     EXPECT_TRUE(std::filesystem::is_empty(base / "axon"));
@@ -316,7 +316,8 @@ TEST_F(Invoked, AnAgentServesAtItsPlaceAndReleasesWhenItEnds) {
 
 TEST_F(Invoked, AnInterruptDuringTheCheckOutRunsNoCommand) {
     station->on_check_out = [this] { invoker.interrupt(SIGINT); };
-    EXPECT_EQ(invoker.holdWhile(Json({"Cyton"}), {"touch", (base / "ran").string()}, seen), kInterrupted);
+    EXPECT_EQ(invoker.holdWhile({{"entity", {"Cyton"}}}, {"touch", (base / "ran").string()}, seen),
+              kInterrupted);
     EXPECT_FALSE(std::filesystem::exists(base / "ran"));
     EXPECT_TRUE(station->held().empty());
 }
@@ -347,6 +348,6 @@ TEST_F(Invoked, OnlyAStopOfEverythingDoesNotWaitForTheEntities) {
 
 TEST_F(Invoked, ARefusedCheckOutRunsNoCommand) {
     station->check_out_refusal = {RefusalCode::AlreadyHeld, "held", "cl2@lab"};
-    EXPECT_EQ(invoker.holdWhile(Json({"Cyton"}), {"touch", (base / "ran").string()}, seen), kRefused);
+    EXPECT_EQ(invoker.holdWhile({{"entity", {"Cyton"}}}, {"touch", (base / "ran").string()}, seen), kRefused);
     EXPECT_FALSE(std::filesystem::exists(base / "ran"));
 }

@@ -16,7 +16,16 @@ using client::Task;
 /// Check-outs and tasks by name, and one callback of the library spread to those who listen.
 class ClientStation final : public Station {
   public:
-    explicit ClientStation(std::unique_ptr<Client> client) : client_(std::move(client)) {}
+    explicit ClientStation(std::unique_ptr<Client> client) : client_(std::move(client)) {
+        client_->onConnection([this](bool connected, const std::string& reason) {
+            if (connected) return;
+            for (const auto& entity : client_->held()) {
+                tell(entity.entity().id, [&](const Listener& listener) {
+                    if (listener.orphaned) listener.orphaned(reason);
+                });
+            }
+        });
+    }
 
     Sender self() const override { return client_->self(); }
     std::string server() const override { return client_->server(); }
@@ -26,10 +35,14 @@ class ClientStation final : public Station {
     Result<std::vector<Service>> services(const std::string& entity) const override {
         return client_->services(entity);
     }
+    Result<Details> details(const std::string& entity) const override { return client_->details(entity); }
     Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline) override {
         return client_->stop(names, deadline);
     }
     Result<void> rearm(const std::string& entity) override { return client_->rearm(entity); }
+    Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names) override {
+        return client_->drill(names);
+    }
 
     std::vector<Entity> held() const override {
         std::vector<Entity> entities;
@@ -46,38 +59,29 @@ class ClientStation final : public Station {
         return list;
     }
 
-    Result<void> checkOut(const std::vector<std::string>& entities) override {
-        auto granted = client_->checkOut(entities);
-        if (!granted) return granted.refusal();
-        for (const auto& check_out : granted.value()) {
-            const auto entity = check_out.entity();
-            const auto& id = entity.id;
-            {
-                const std::lock_guard lock(mutex_);
-                rooms_[id].entity = entity;
-                rooms_[id].lost.reset();
-            }
-            check_out.onText([this, id](const std::string& text) {
-                tell(id, [&](const Listener& listener) {
-                    if (listener.text) listener.text(text);
-                });
-            });
-            check_out.onRaw([this, id](const std::string& bytes) {
-                tell(id, [&](const Listener& listener) {
-                    if (listener.raw) listener.raw(bytes);
-                });
-            });
-            check_out.onLost([this, id](const Refusal& refusal) {
-                {
-                    const std::lock_guard lock(mutex_);
-                    rooms_[id].lost = refusal;
-                }
-                tell(id, [&](const Listener& listener) {
-                    if (listener.lost) listener.lost(refusal);
-                });
-            });
+    Result<std::vector<Entity>> checkOut(const std::vector<std::string>& entities,
+                                         const CheckOutOptions& options) override {
+        return keep(client_->checkOut(entities, options));
+    }
+    Result<std::vector<Entity>> checkOutQuery(const std::string& query,
+                                              const CheckOutOptions& options) override {
+        return keep(client_->checkOutQuery(query, options));
+    }
+
+    std::vector<Question> questions() const override {
+        std::vector<Question> open;
+        for (const auto& check_out : client_->held()) {
+            if (auto request = check_out.handOverRequest())
+                open.push_back({check_out.entity(), std::move(*request)});
         }
-        return {};
+        return open;
+    }
+    Result<void> answerHandOver(const std::string& entity, bool accept, const std::string& reason) override {
+        return with(entity, [&](const CheckOut& held) { return held.answerHandOver(accept, reason); });
+    }
+    bool orphaned(const std::string& entity) const override {
+        const auto held = heldBy(entity);
+        return held && held->orphaned();
     }
 
     Result<void> release(const std::string& entity) override {
@@ -174,6 +178,52 @@ class ClientStation final : public Station {
         std::optional<Refusal> lost;
         std::vector<std::weak_ptr<const Listener>> listeners;
     };
+
+    /// Spreads what the check-outs say to those who listen.
+    Result<std::vector<Entity>> keep(const Result<std::vector<CheckOut>>& granted) {
+        if (!granted) return granted.refusal();
+        std::vector<Entity> entities;
+        for (const auto& check_out : granted.value()) {
+            const auto entity = check_out.entity();
+            const auto id = entity.id;
+            entities.push_back(entity);
+            {
+                const std::lock_guard lock(mutex_);
+                rooms_[id].entity = entity;
+                rooms_[id].lost.reset();
+            }
+            check_out.onText([this, id](const std::string& text) {
+                tell(id, [&](const Listener& listener) {
+                    if (listener.text) listener.text(text);
+                });
+            });
+            check_out.onRaw([this, id](const std::string& bytes) {
+                tell(id, [&](const Listener& listener) {
+                    if (listener.raw) listener.raw(bytes);
+                });
+            });
+            check_out.onResumed([this, id] {
+                tell(id, [](const Listener& listener) {
+                    if (listener.resumed) listener.resumed();
+                });
+            });
+            check_out.onHandOverRequest([this, id](const HandOverRequest& request) {
+                tell(id, [&](const Listener& listener) {
+                    if (listener.hand_over) listener.hand_over(request);
+                });
+            });
+            check_out.onLost([this, id](const Refusal& refusal) {
+                {
+                    const std::lock_guard lock(mutex_);
+                    rooms_[id].lost = refusal;
+                }
+                tell(id, [&](const Listener& listener) {
+                    if (listener.lost) listener.lost(refusal);
+                });
+            });
+        }
+        return entities;
+    }
 
     std::optional<CheckOut> heldBy(const std::string& entity) const {
         for (auto& check_out : client_->held()) {

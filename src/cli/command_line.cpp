@@ -3,8 +3,10 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <cstdlib>
 #include <sstream>
 
+#include "cli/password.hpp"
 #include "messages/text.hpp"
 
 namespace axon::cli {
@@ -17,6 +19,7 @@ constexpr const char* kRootFooter =
     "  axon run PeopleBot Driving Distance=1000   do it\n"
     "  axon stop PeopleBot                        stop it, at any time, whoever holds it\n"
     "  axon checkout PeopleBot                    keep it for yourself\n"
+    "  axon checkout --query '1 ROBOT/MOBILE'     whichever is free\n"
     "axon VERB --help shows more. Exit status: 0 done, 1 refused or failed, 2 usage, 3 no server,\n"
     "4 not confirmed, 5 stopped or cancelled, 130 interrupted.";
 
@@ -83,6 +86,25 @@ void declare(CLI::App& app, const Verb& verb, Json& args) {
                     ->check(CLI::Range(0.0, 1e9).description(""))
                     ->type_name("SECONDS");
                 break;
+            case Takes::Count:
+                app.add_option_function<int>(
+                       name, [&args, &option](int count) { args[option.name] = count; }, option.help)
+                    ->check(CLI::Range(1, 1'000'000).description(""))
+                    ->type_name("N");
+                break;
+            case Takes::MaybeDuration:
+                // A flag, so that the word after it is not taken for its number; see readMaybeDurations.
+                app.add_flag(name, option.help)->type_name("[=SECONDS]");
+                break;
+            case Takes::Choice:
+                app.add_option_function<std::string>(
+                       name, [&args, &option](const std::string& word) { args[option.name] = word; },
+                       option.help)
+                    ->check(
+                        CLI::IsMember(std::vector<std::string>(option.choices.begin(), option.choices.end()))
+                            .description(""))
+                    ->type_name("CHOICE");
+                break;
             default:
                 app.add_option_function<std::string>(
                        name, [&args, &option](const std::string& word) { args[option.name] = word; },
@@ -90,6 +112,27 @@ void declare(CLI::App& app, const Verb& verb, Json& args) {
                     ->type_name(option.takes == Takes::File ? "FILE" : "TEXT");
         }
     }
+}
+
+/// What is wrong with one of them, or an empty text.
+std::string readMaybeDurations(const CLI::App& app, const Verb& verb, Json& args) {
+    for (const auto& option : verb.options) {
+        if (option.takes != Takes::MaybeDuration) continue;
+        const auto name = std::string("--") + option.name;
+        const auto* given = app.get_option(name);
+        if (given->count() == 0) continue;
+        const auto text = given->results().back();
+        if (text == "true") {
+            args[option.name] = true;
+            continue;
+        }
+        char* end = nullptr;
+        const double seconds = std::strtod(text.c_str(), &end);
+        if (text.empty() || *end != '\0' || !(seconds >= 0) || seconds > 1e9)
+            return "expected " + name + " or " + name + "=SECONDS, found " + inQuotes(text);
+        args[option.name] = seconds;
+    }
+    return {};
 }
 
 bool isVerb(const std::string& word) {
@@ -135,6 +178,7 @@ Parsed parseCommandLine(std::vector<std::string> words,
     from("AXON_SERVER", line.settings.server);
     from("AXON_USER", line.settings.user);
     from("AXON_PASSWORD", line.settings.password);
+    from("AXON_PASSWORD_FILE", line.settings.password_file);
 
     // The words of somebody else's half-written line: nothing of them is an option of ours.
     if (!words.empty() && words.front() == "__complete") {
@@ -162,8 +206,12 @@ Parsed parseCommandLine(std::vector<std::string> words,
         ->check(CLI::Range(0.01, 3600.0).description(""))
         ->type_name("SECONDS");
     app.add_option("--user", line.settings.user,
-                   "Who you are to the server (AXON_USER; the password: AXON_PASSWORD)")
+                   "Who you are to the server (AXON_USER); the password is AXON_PASSWORD, or in a file, or "
+                   "asked for")
         ->type_name("USER");
+    app.add_option("--password-file", line.settings.password_file,
+                   "A file of mode 0600 with your password (AXON_PASSWORD_FILE)")
+        ->type_name("FILE");
     app.add_option("--name", line.settings.name, "What others see as the holder (user@host)")
         ->type_name("NAME");
     app.set_version_flag("--version", std::string("axon ") + AXON_VERSION);
@@ -198,6 +246,23 @@ Parsed parseCommandLine(std::vector<std::string> words,
         return parsed;
     }
     line.verb = findVerb(app.get_subcommands().front()->get_name());
+    const auto* sub = app.get_subcommands().front();
+    auto wrong_option = readMaybeDurations(*sub, *line.verb, line.args);
+    const bool connects = line.verb->runs != Runs::Local || std::string_view(line.verb->name) == "doctor";
+    if (wrong_option.empty() && connects && line.settings.password.empty() &&
+        !line.settings.password_file.empty()) {
+        auto password = readPassword(line.settings.password_file);
+        if (password) {
+            line.settings.password = std::move(password).value();
+        } else {
+            wrong_option = password.refusal().message;
+        }
+    }
+    if (!wrong_option.empty()) {
+        parsed.err = "axon: " + wrong_option + "\nmend: " + usageOf(*line.verb) + "\n";
+        parsed.exit = kUsage;
+        return parsed;
+    }
     const auto colon = line.settings.server.rfind(':');
     if (colon == std::string::npos || colon == 0 || colon + 1 == line.settings.server.size() ||
         line.settings.server.find_first_not_of("0123456789", colon + 1) != std::string::npos) {

@@ -74,6 +74,7 @@ class FakeStation : public Station {
         return Refusal{RefusalCode::AmbiguousEntity, "several entities are called \"" + name + "\"", {}};
     }
     Result<std::vector<Service>> services(const std::string&) const override { return services_; }
+    Result<Details> details(const std::string&) const override { return Details{services_, watchdogs}; }
     Result<std::vector<Receipt>> stop(const std::vector<std::string>& entities, Seconds) override {
         stopped = entities;
         std::vector<Receipt> list;
@@ -92,6 +93,17 @@ class FakeStation : public Station {
             list.push_back(receipt);
         }
         return list;
+    }
+    Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names) override {
+        ++drills;
+        std::vector<DrillReport> reports;
+        for (const auto& one : entities_) {
+            if (!names.empty() && std::find(names.begin(), names.end(), one.name) == names.end()) continue;
+            DrillReport report{one.id, one.name, {Seconds(0.0005)}, {Seconds(0.001)}, false};
+            if (drills == lost_drill) report.callback = {std::nullopt};
+            reports.push_back(std::move(report));
+        }
+        return reports;
     }
     Result<void> rearm(const std::string& id) override {
         rearmed.push_back(id);
@@ -114,14 +126,47 @@ class FakeStation : public Station {
         }
         return list;
     }
-    Result<void> checkOut(const std::vector<std::string>& ids) override {
+    Result<std::vector<Entity>> checkOut(const std::vector<std::string>& ids,
+                                         const CheckOutOptions& options = {}) override {
+        asked = options;
         if (!check_out_refusal.ok()) return check_out_refusal;
         if (on_check_out) on_check_out();
+        if (waits_for_ever) {
+            options.on_waiting({entities_[2].id, 2, "Place 2 in the wait list of Cyton."});
+            options.on_waiting({entities_[2].id, 1, "Place 1 in the wait list of Cyton."});
+            std::mutex mutex;
+            std::condition_variable_any ended;
+            std::unique_lock lock(mutex);
+            ended.wait(lock, options.give_up, [] { return false; });
+            return Refusal{RefusalCode::Cancelled, "given up", {}};
+        }
         const std::lock_guard lock(mutex_);
         held_.insert(held_.end(), ids.begin(), ids.end());
         journal.push_back("checkOut");
+        std::vector<Entity> granted;
+        for (const auto& one : entities_) {
+            if (std::find(ids.begin(), ids.end(), one.id) != ids.end()) granted.push_back(one);
+        }
+        return granted;
+    }
+    Result<std::vector<Entity>> checkOutQuery(const std::string& query,
+                                              const CheckOutOptions& options) override {
+        queried = query;
+        if (query == "nonsense") return Refusal{RefusalCode::Malformed, "Expected ROBOT", {}};
+        return checkOut({entities_[2].id}, options);
+    }
+    std::vector<Question> questions() const override {
+        std::vector<Question> open;
+        if (!asks.empty()) open.push_back({entities_[2], {asks, "a demonstration", Seconds(30)}});
+        return open;
+    }
+    Result<void> answerHandOver(const std::string&, bool accept, const std::string& reason) override {
+        if (asks.empty()) return Refusal{RefusalCode::WrongState, "nobody asks for Cyton", {}};
+        asks.clear();
+        sent = (accept ? "accept " : "refuse ") + reason;
         return {};
     }
+    bool orphaned(const std::string&) const override { return !is_connected; }
     Result<void> release(const std::string& id) override {
         const std::lock_guard lock(mutex_);
         held_.erase(std::remove(held_.begin(), held_.end(), id), held_.end());
@@ -206,6 +251,7 @@ class FakeStation : public Station {
     }
     std::shared_ptr<void> listen(const std::string&, Listener listener) override {
         if (listener.text && !says.empty()) listener.text(says);
+        if (listener.hand_over && !asks.empty()) listener.hand_over({asks, "a demonstration", Seconds(30)});
         return std::make_shared<int>(0);
     }
 
@@ -237,6 +283,10 @@ class FakeStation : public Station {
     std::vector<std::pair<std::uint64_t, std::string>> samples;
     Refusal check_out_refusal;
     std::string lost_id, says;
+    std::string asks;  ///< who wants the arm
+    std::vector<client::WatchdogMargin> watchdogs;
+    bool waits_for_ever = false;
+    int lost_drill = 0;  ///< the one that never arrives
     std::atomic<bool> is_connected{true};
     bool stop_is_confirmed = true;
     bool cancel_is_heard = true;
@@ -245,7 +295,9 @@ class FakeStation : public Station {
     // … and looks at.
     std::vector<std::string> stopped, rearmed, watched, journal;
     std::vector<Argument> run_arguments, set_arguments;
-    std::string sent;
+    std::string sent, queried;
+    CheckOutOptions asked;
+    int drills = 0;
     std::atomic<bool> upload_was_given_up{false};
 
   private:

@@ -102,6 +102,11 @@ std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<St
     }
     Session session{work.args, work.events, work.mailbox, station, settings, true};
     session.end_agent = end;
+    // Who holds something should learn that somebody asks for it, whatever they came for; a stop has no time.
+    if (work.verb != "stop" && work.verb != "handover") {
+        for (const auto& question : station->questions())
+            work.events.emit(toJson(question.request, callName(question.entity, station->entities())));
+    }
     return verb->perform(session);
 }
 
@@ -163,8 +168,15 @@ std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place
                                        O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW, 0600);
     const SpawnAttributes attributes(POSIX_SPAWN_SETSID);
     pid_t child = 0;
-    const int failed =
-        ::posix_spawn(&child, "/proc/self/exe", &actions, attributes.get(), pointers.data(), environ);
+    // Only this user may read the environment of a process; of its command line that is not so.
+    std::vector<std::string> variables;
+    for (char** variable = environ; *variable != nullptr; ++variable) {
+        if (std::string_view(*variable).rfind("AXON_PASSWORD", 0) != 0) variables.emplace_back(*variable);
+    }
+    if (!settings.password.empty()) variables.push_back("AXON_PASSWORD=" + settings.password);
+    auto environment = pointersTo(variables);
+    const int failed = ::posix_spawn(&child, "/proc/self/exe", &actions, attributes.get(), pointers.data(),
+                                     environment.data());
     ::posix_spawn_file_actions_destroy(&actions);
     if (failed != 0) return usageEvent(std::string("cannot start the agent: ") + std::strerror(failed));
     writing = Descriptor();
@@ -185,8 +197,13 @@ std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place
 
 }  // namespace
 
-Invoker::Invoker(Settings settings, Connect connect)
-    : settings_(std::move(settings)), connect_(std::move(connect)) {}
+Invoker::Invoker(Settings settings, Connect connect, AskPassword ask_password)
+    : settings_(std::move(settings)), connect_(std::move(connect)), ask_password_(std::move(ask_password)) {}
+
+void Invoker::needPassword() {
+    if (settings_.user.empty() || !settings_.password.empty() || !ask_password_ || !may_ask_) return;
+    settings_.password = ask_password_(settings_).value_or("");
+}
 
 void Invoker::onInterrupt(std::function<void(int)> what) {
     const std::lock_guard lock(mutex_);
@@ -215,6 +232,8 @@ bool Invoker::takeInterrupt() {
 int Invoker::perform(const Verb& verb, Json args, Events& events) {
     if (verb.runs == Runs::Local) {
         const auto mailbox = std::make_shared<Mailbox>();
+        may_ask_ = !verb.hidden;
+        if (std::string_view(verb.name) == "doctor") needPassword();
         Session session{std::move(args), events, mailbox, nullptr, settings_};
         session.connect = connect_;
         session.perform = [this](const std::string& name, const Json& other_args, Events& sink) {
@@ -275,6 +294,7 @@ int Invoker::perform(const Verb& verb, Json args, Events& events) {
 }
 
 int Invoker::direct(const Verb& verb, Json args, Events& events) {
+    needPassword();
     auto settings = settings_;
     // A stop of everything needs no list of the entities, which may be slow to come.
     settings.await_entities =
@@ -308,6 +328,7 @@ int Invoker::start(const Verb& verb, const Json& args, Events& events) {
         events.emit(errorEvent(place.refusal()));
         return kUsage;
     }
+    needPassword();
     if (const auto refused = spawnAgent(settings_, place.value())) {
         events.emit(*refused);
         if (refused->value("code", "") == "USAGE") return kUsage;
@@ -382,39 +403,30 @@ int Invoker::serveAgent(int ready_fd) {
     return kDone;
 }
 
-int Invoker::holdWhile(const Json& entities, const std::vector<std::string>& command, Events& events) {
+int Invoker::holdWhile(const Json& args, const std::vector<std::string>& command, Events& events) {
     const auto place = agentPlace(settings_.server);
     if (!place) {
         events.emit(errorEvent(place.refusal()));
         return kUsage;
     }
+    needPassword();
     auto connected = connect_(settings_);
     if (!connected) {
         events.emit(noServerEvent(connected.refusal(), settings_.server));
         return connected.refusal().code == RefusalCode::PermissionDenied ? kRefused : kNoServer;
     }
     const auto station = connected.value();
+    const auto mailbox = std::make_shared<Mailbox>();
+    Session session{args, events, mailbox, station, settings_};
+    onInterrupt([mailbox](int) { mailbox->interrupt(); });
+    const auto taken = takeOut(session);
+    onInterrupt({});
+    if (taken.exit != kDone) return taken.exit;
+    const auto& names = taken.items;
     std::vector<std::string> ids;
-    auto names = Json::array();
-    for (const auto& word : entities) {
-        const auto name = word.get<std::string>();
-        const auto found = station->find(name);
-        if (!found) {
-            events.emit(errorEvent(found.refusal(), name));
-            return exitOf(found.refusal());
-        }
-        ids.push_back(found->id);
-        names.push_back({{"id", found->id},
-                         {"name", found->name},
-                         {"call", callName(found.value(), station->entities())}});
-    }
-    if (const auto granted = station->checkOut(ids); !granted) {
-        events.emit(
-            errorEvent(granted.refusal(), names.size() == 1 ? names[0]["call"].get<std::string>() : ""));
-        return exitOf(granted.refusal());
-    }
+    for (const auto& entity : taken.entities) ids.push_back(entity.id);
     events.emit({{"event", "checked_out"}, {"entities", names}, {"kept", false}, {"for", "command"}});
-    if (takeInterrupt()) {
+    if (mailbox->takeInterrupt() || takeInterrupt()) {
         for (const auto& id : ids) static_cast<void>(station->release(id).ok());
         events.emit({{"event", "notice"}, {"message", "interrupted; the command was not run"}});
         return kInterrupted;
@@ -432,6 +444,17 @@ int Invoker::holdWhile(const Json& entities, const std::vector<std::string>& com
                          {"message", refusal.message},
                          {"holder", refusal.holder}});
         };
+        const auto say = [&events, &telling](const Json& event) {
+            const std::lock_guard lock(telling);
+            events.emit(event);
+        };
+        listener.hand_over = [say, name = names[i]["call"]](const HandOverRequest& request) {
+            say(toJson(request, name));
+        };
+        listener.orphaned = [say, name = names[i]["call"]](const std::string& reason) {
+            say({{"event", "orphaned"}, {"entity", name}, {"message", reason}});
+        };
+        listener.resumed = [say, name = names[i]["call"]] { say({{"event", "resumed"}, {"entity", name}}); };
         listening.push_back(station->listen(ids[i], std::move(listener)));
     }
 

@@ -3,6 +3,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -15,13 +16,16 @@ namespace axon::cli {
 /// Threads: perform on one; interrupt on any. Lives as long as the process.
 class Invoker {
   public:
-    Invoker(Settings settings, Connect connect);
+    /// Asks the user for the password; nothing where nobody can be asked.
+    using AskPassword = std::function<std::optional<std::string>(const Settings&)>;
+
+    Invoker(Settings settings, Connect connect, AskPassword ask_password = {});
 
     /// The exit status.
     int perform(const Verb& verb, Json args, Events& events);
     /// `axon checkout ENTITY… -- COMMAND…`: holds the entities while the command runs, and serves its axon
     /// commands. The command's exit status, 128 + the signal that ended it, or 126/127 as shells have it.
-    int holdWhile(const Json& entities, const std::vector<std::string>& command, Events& events);
+    int holdWhile(const Json& args, const std::vector<std::string>& command, Events& events);
     /// `axon agent run`: what `axon checkout` starts. Says on `ready_fd` that it serves, or why not.
     int serveAgent(int ready_fd);
 
@@ -36,8 +40,13 @@ class Invoker {
     /// Whether there were interrupts that nobody has taken yet.
     bool takeInterrupt();
 
-    const Settings settings_;
+    /// Before a connection is made in the name of a user whose password is not known.
+    void needPassword();
+
+    Settings settings_;
     const Connect connect_;
+    const AskPassword ask_password_;
+    bool may_ask_ = true;  // not for shell completion
     std::mutex mutex_;
     // guarded by mutex_
     std::function<void(int)> on_interrupt_;

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <pthread.h>
-#include <spdlog/sinks/stdout_sinks.h>
-#include <spdlog/spdlog.h>
 #include <unistd.h>
 
 #include <csignal>
@@ -12,8 +10,10 @@
 #include "cli/client_station.hpp"
 #include "cli/command_line.hpp"
 #include "cli/invoker.hpp"
+#include "cli/password.hpp"
 #include "cli/view.hpp"
 #include "common/clock.hpp"
+#include "transport/logging.hpp"
 
 namespace {
 
@@ -38,15 +38,13 @@ void takeSignals(sigset_t signals, cli::Invoker& invoker) {
 }  // namespace
 
 int main(int argc, char** argv) {
-    // Standard output is what the verbs print, read by programs too. The agent's standard error is its log.
-    const auto log = spdlog::stderr_logger_mt("axon");
-    log->set_level(spdlog::level::warn);
-    spdlog::set_default_logger(log);
     ::signal(SIGPIPE, SIG_IGN);
     sigset_t signals;
     ::sigemptyset(&signals);
     for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGALRM}) ::sigaddset(&signals, signal);
     ::pthread_sigmask(SIG_BLOCK, &signals, nullptr);  // before the first thread, which inherits it
+    // Standard output is what the verbs print, read by programs too. The agent's standard error is its log.
+    transport::logToStderr("warn");
 
     auto parsed =
         cli::parseCommandLine({argv + 1, argv + argc}, [](const char* name) { return std::getenv(name); });
@@ -55,7 +53,9 @@ int main(int argc, char** argv) {
     if (!parsed.line) return parsed.exit;
     const auto& line = *parsed.line;
 
-    cli::Invoker invoker(line.settings, cli::connectStation);
+    cli::Invoker invoker(line.settings, cli::connectStation, [](const cli::Settings& settings) {
+        return cli::askPassword(settings.user, settings.server);
+    });
     std::thread(takeSignals, signals, std::ref(invoker)).detach();
     const SteadyClock clock;
     int exit = cli::kDone;
@@ -68,12 +68,13 @@ int main(int argc, char** argv) {
         if (std::string_view(line.verb->name) == "agent" && line.args.value("action", "") == "run") {
             exit = invoker.serveAgent(STDOUT_FILENO);
         } else if (!line.command.empty()) {
-            exit = invoker.holdWhile(line.args.at("entity"), line.command, view);
+            exit = invoker.holdWhile(line.args, line.command, view);
         } else {
             exit = invoker.perform(*line.verb, line.args, view);
         }
     }
     std::cout.flush();
+    transport::flushLog();
     // Not through static destructors: the signals' thread, and an upload that was left behind, still run.
     ::_exit(exit);
 }

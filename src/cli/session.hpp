@@ -75,6 +75,7 @@ class Mailbox {
 struct Settings {
     std::string server = "127.0.0.1:10410";
     std::string user, password, name;
+    std::string password_file;
     double timeout_s = 5;
     bool json = false;
     bool await_entities = true;  ///< client::Options has it
@@ -99,7 +100,21 @@ struct Session {
 };
 
 /// What an operand or option takes; drives the parser, the help and the shell completion.
-enum class Takes { Entity, Service, KeyValue, Resource, File, Text, Task, Stream, Duration, Choice, Nothing };
+enum class Takes {
+    Entity,
+    Service,
+    KeyValue,
+    Resource,
+    File,
+    Text,
+    Task,
+    Stream,
+    Duration,
+    MaybeDuration,  ///< "--wait" or "--wait=5": options only
+    Count,
+    Choice,
+    Nothing
+};
 
 /// A word by position. A repeated one is an array in Session::args, the others strings.
 struct Operand {
@@ -111,11 +126,13 @@ struct Operand {
     std::vector<const char*> choices = {};
 };
 
-/// `--name`: a bool for Takes::Nothing, a number for Takes::Duration, else a string; absent when not given.
+/// `--name`: a bool for Takes::Nothing, a number for Takes::Duration and Takes::Count, a number or true for
+/// Takes::MaybeDuration, else a string; absent when not given.
 struct Option {
     const char* name;
     Takes takes;
     const char* help;
+    std::vector<const char*> choices = {};
 };
 
 /// Where a verb is run.

@@ -13,7 +13,11 @@
 namespace axon::cli {
 
 using client::Argument;
+using client::CheckOutOptions;
+using client::Details;
+using client::DrillReport;
 using client::Entity;
+using client::HandOverRequest;
 using client::Parameter;
 using client::Receipt;
 using client::Sample;
@@ -28,11 +32,21 @@ struct Listener {
     std::function<void(const std::string&)> text;
     std::function<void(const std::string&)> raw;
     std::function<void(const Refusal&)> lost;
+    /// The connection is lost; the check-out is not, yet. And it is back.
+    std::function<void(const std::string& reason)> orphaned;
+    std::function<void()> resumed;
+    std::function<void(const HandOverRequest&)> hand_over;
 };
 
 struct Lost {
     Entity entity;
     Refusal why;
+};
+
+/// Somebody asks for what is held here, and has no answer yet.
+struct Question {
+    Entity entity;
+    HandOverRequest request;
 };
 
 enum class TaskAction { Pause, Resume, Cancel };
@@ -54,16 +68,28 @@ class Station {
     virtual std::vector<Entity> entities() const = 0;
     virtual Result<Entity> find(const std::string& name) const = 0;
     virtual Result<std::vector<Service>> services(const std::string& entity) const = 0;
+    virtual Result<Details> details(const std::string& entity) const = 0;
 
     /// By what the user wrote; in doubt all that it may mean. None = everything.
     virtual Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline) = 0;
     virtual Result<void> rearm(const std::string& entity) = 0;
+    /// One try for each; none named = everything that is known.
+    virtual Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names) = 0;
 
     virtual std::vector<Entity> held() const = 0;
     /// What was held here and is not any more, and was not released; until it is checked out again.
     virtual std::vector<Lost> lost() const = 0;
-    virtual Result<void> checkOut(const std::vector<std::string>& entities) = 0;
+    /// What was granted: as it was named, or what the query found.
+    virtual Result<std::vector<Entity>> checkOut(const std::vector<std::string>& entities,
+                                                 const CheckOutOptions& options = {}) = 0;
+    virtual Result<std::vector<Entity>> checkOutQuery(const std::string& query,
+                                                      const CheckOutOptions& options) = 0;
     virtual Result<void> release(const std::string& entity) = 0;
+    virtual std::vector<Question> questions() const = 0;
+    virtual Result<void> answerHandOver(const std::string& entity, bool accept,
+                                        const std::string& reason) = 0;
+    /// Held, and waiting for the connection to come back.
+    virtual bool orphaned(const std::string& entity) const = 0;
 
     // Of a held entity; NOT_HOLDER otherwise.
     virtual Result<void> reset(const std::string& entity) = 0;

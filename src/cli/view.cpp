@@ -41,8 +41,10 @@ Tint stateTint(const std::string& state) {
 }
 
 std::string holderText(const Json& entity) {
-    if (entity.value("yours", false)) return "you";
-    return textOf(entity, "holder");
+    const std::string lost = entity.value("orphaned", false) ? " (lost)" : "";
+    if (entity.value("yours", false)) return "you" + lost;
+    const auto holder = textOf(entity, "holder");
+    return holder.empty() ? holder : holder + lost;
 }
 
 /// "INT mm", and what its values may be.
@@ -202,6 +204,27 @@ void PersonView::emit(const Json& event) {
              << std::flush;
         return;
     }
+    if (kind == "orphaned") {
+        wipe();
+        err_ << paint("axon: the connection was lost: " + textOf(event, "message") + "; " +
+                          textOf(event, "entity") + " stands still and is kept for a while",
+                      Tint::Yellow)
+             << '\n'
+             << std::flush;
+        return;
+    }
+    if (kind == "resumed") return say(textOf(event, "entity") + " is yours again: axon rearm lets it move");
+    if (kind == "hand_over") return showHandOver(event);
+    if (kind == "waiting") {
+        return progress(textOf(event, "message"), -1);
+    }
+    if (kind == "drill") return showDrill(event);
+    if (kind == "drilling") {
+        const auto done = event.value("done", 0.0);
+        const auto count = event.value("count", 1.0);
+        return progress(fmt::format("drill {} {:.0f} of {:.0f}", progressBar(done / count, 30), done, count),
+                        done / count);
+    }
     if (kind == "text") return say(textOf(event, "entity") + ": " + textOf(event, "text"));
     if (kind == "raw") {
         auto hex = textOf(event, "hex");
@@ -230,6 +253,10 @@ void PersonView::emit(const Json& event) {
             {"pause", "is to pause"},
             {"resume", "is to go on"},
             {"cancel", "is to end"}};
+        if (event.value("verb", "") == "handover") {
+            return say(textOf(event, "entity") +
+                       (event.value("answer", "") == "accept" ? " is handed over" : " stays yours"));
+        }
         auto what = textOf(event, "entity");
         if (const auto service = textOf(event, "service"); !service.empty()) what += " " + service;
         for (const auto& [verb, said] : kSaid) {
@@ -249,19 +276,24 @@ void PersonView::showEntities(const Json& event) {
                    " yet: start a robot's application and its "
                    "axon-entity-manager");
     }
-    std::vector<std::string> head{"NAME", "CATEGORY", "TYPE", "STATE", "HOLDER", "LATCH", "REASON"};
+    std::vector<std::string> head{"NAME",  "CATEGORY", "TYPE", "STATE", "HOLDER",
+                                  "LATCH", "WAITING",  "STOP", "REASON"};
     const bool uuid = event.value("uuid", false);
     if (uuid) head.emplace_back("UUID");
     Table table(head);
     for (const auto& entity : list) {
         const auto state = textOf(entity, "state");
         const auto holder = holderText(entity);
+        const auto waiting = entity.value("waiting", 0);
+        const auto latency = entity.value("stop_latency_ms", Json());
         std::vector<Cell> row{{textOf(entity, "call"), Tint::Bold},
                               {textOf(entity, "category")},
                               {textOf(entity, "type")},
                               {state, stateTint(state)},
                               {holder.empty() ? "-" : holder, holder == "you" ? Tint::Green : Tint::None},
                               {entity.value("latched", false) ? "stopped" : "", Tint::Yellow},
+                              {waiting > 0 ? std::to_string(waiting) : ""},
+                              {latency.is_number() ? stageText(latency) : ""},
                               {textOf(entity, "reason"), Tint::Dim}};
         if (uuid) row.push_back({textOf(entity, "id")});
         table.add(std::move(row));
@@ -285,6 +317,26 @@ void PersonView::showEntity(const Json& event) {
     }
     if (const auto reason = textOf(entity, "reason"); !reason.empty())
         out_ << "  " << paint(reason, Tint::Red) << '\n';
+    if (entity.value("orphaned", false)) {
+        out_ << "  "
+             << paint("its holder is lost; it stands still and is free when the holder is not back in time",
+                      Tint::Yellow)
+             << '\n';
+    }
+    if (const auto waiting = entity.value("waiting", 0); waiting > 0)
+        out_ << "  " << waiting << (waiting == 1 ? " waits" : " wait") << " for it\n";
+    if (const auto latency = entity.value("stop_latency_ms", Json()); latency.is_number())
+        out_ << "  stop latency " << stageText(latency) << " (the servers' last drill)\n";
+    for (const auto& margin : event.value("watchdogs", Json::array())) {
+        const auto timeout = margin.value("timeout_ms", 0.0);
+        const auto gap = margin.value("longest_gap_ms", 0.0);
+        const bool near = timeout > 0 && gap > timeout / 2;
+        out_ << "  "
+             << paint(fmt::format("dead-man {}: stops after {}, longest gap of the last minute {}",
+                                  textOf(margin, "hop"), stageText(timeout), stageText(gap)),
+                      near ? Tint::Yellow : Tint::Dim)
+             << '\n';
+    }
     if (const auto descr = textOf(entity, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
     out_ << fmt::format("  at {:.0f}, {:.0f}, {:.0f} mm  {}\n", entity.value("x_mm", 0.0),
                         entity.value("y_mm", 0.0), entity.value("z_mm", 0.0),
@@ -498,6 +550,66 @@ void PersonView::showFinding(const Json& event) {
     if (const auto mend = textOf(event, "mend"); !mend.empty()) say("    mend: " + mend);
 }
 
+void PersonView::showHandOver(const Json& event) {
+    wipe();
+    const auto entity = textOf(event, "entity");
+    if (event.value("withdrawn", false)) {
+        say(textOf(event, "by") + " does not ask for " + entity + " any more");
+        return;
+    }
+    const auto reason = textOf(event, "reason");
+    const auto within = event.value("answer_within_s", 0.0);
+    err_ << paint("axon: " + textOf(event, "by") + " asks for " + entity +
+                      (reason.empty() ? "" : ": " + reason),
+                  Tint::Yellow)
+         << "\nanswer" << (within > 0 ? " within " + duration(within) : "") << ": axon handover "
+         << shellWord(entity) << " accept, or refuse; silence "
+         << (event.value("yield", false) ? "hands it over" : "refuses") << '\n'
+         << std::flush;
+}
+
+void PersonView::showDrill(const Json& event) {
+    wipe();
+    const auto& callback = event.at("callback");
+    const auto& manager = event.at("manager");
+    out_ << paint(textOf(event, "entity"), Tint::Bold) << "  " << event.value("tries", 0)
+         << (event.value("tries", 0) == 1 ? " try" : " tries");
+    if (event.value("no_application", false))
+        out_ << "; " << paint("no robot application is linked", Tint::Yellow);
+    out_ << '\n';
+    Table table({"TO AND BACK", "N", "P50", "P90", "P99", "P99.9", "MAX", "NEVER"}, 2);
+    for (const auto& [name, part] : {std::pair<const char*, const Json&>{"manager", manager},
+                                     std::pair<const char*, const Json&>{"robot application", callback}}) {
+        if (part.value("n", 0) == 0) continue;
+        const auto never = part.value("never_arrived", 0);
+        const auto cell = [&](const char* member) -> Cell {
+            const auto value = part.value(member, Json());
+            if (value.is_number()) return {stageText(value)};
+            return {value.is_string() ? "never" : ""};
+        };
+        table.add({{name},
+                   {std::to_string(part.value("n", 0))},
+                   cell("p50_ms"),
+                   cell("p90_ms"),
+                   cell("p99_ms"),
+                   cell("p999_ms"),
+                   cell("max_ms"),
+                   {std::to_string(never), never > 0 ? Tint::Red : Tint::None}});
+    }
+    out_ << table.text(terminal_.colour);
+    const auto& shown = callback.value("n", 0) > 0 ? callback : manager;
+    double most = 0;
+    for (const auto& bin : shown.at("histogram")) most = std::max(most, bin.value("count", 0.0));
+    for (const auto& bin : shown.at("histogram")) {
+        const auto count = bin.value("count", 0.0);
+        const auto width = static_cast<std::size_t>(count / most * 40 + 0.5);
+        const std::string bar(count > 0 ? std::max<std::size_t>(width, 1) : 0, '#');
+        out_ << fmt::format("  {:>9}  {}{}{:.0f}\n", "≤ " + stageText(bin.at("up_to_ms")), bar,
+                            bar.empty() ? "" : " ", count);
+    }
+    out_ << std::flush;
+}
+
 void PersonView::showAgent(const Json& event) {
     if (!event.value("running", false)) return say("nothing is kept here: no agent is running");
     say(fmt::format("agent {} of {} keeps the session {}", event.value("pid", 0), textOf(event, "server"),
@@ -505,7 +617,8 @@ void PersonView::showAgent(const Json& event) {
         (event.value("connected", false) ? "" : paint(", which is NOT CONNECTED", Tint::Red)));
     for (const auto& entity : event.at("held"))
         say("  holds " + textOf(entity, "call") + "  " +
-            paint(textOf(entity, "state"), stateTint(textOf(entity, "state"))));
+            paint(textOf(entity, "state"), stateTint(textOf(entity, "state"))) +
+            (entity.value("orphaned", false) ? paint("  until the connection is back", Tint::Yellow) : ""));
     for (const auto& entity : event.at("lost"))
         say(paint("  LOST " + textOf(entity, "name") + ": " + textOf(entity, "message"), Tint::Red));
     if (const auto log = textOf(event, "log"); !log.empty()) say(paint("  log: " + log, Tint::Dim));

@@ -37,6 +37,8 @@ class PersonView final : public Events {
     void showSample(const Json& event);
     void showFinding(const Json& event);
     void showAgent(const Json& event);
+    void showHandOver(const Json& event);
+    void showDrill(const Json& event);
     void showError(const Json& event);
     /// One that is replaced by what comes next; where lines cannot be redrawn, now and then an ordinary one.
     void progress(const std::string& text, double part);

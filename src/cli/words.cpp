@@ -36,8 +36,11 @@ std::string mendFor(const Refusal& refusal, const std::string& entity) {
         case RefusalCode::AlreadyHeld:
         case RefusalCode::Reserved:
             return refusal.holder.empty()
-                       ? "axon ls shows who holds it; try again when it is free"
-                       : "ask " + refusal.holder + " to release it, or try again when it is free";
+                       ? "axon ls shows who holds it; wait for it with: axon checkout " + x + " --wait"
+                       : "ask " + refusal.holder + " for it: axon checkout " + x +
+                             " --ask REASON; or wait until it is free: --wait";
+        case RefusalCode::HandOverRefused:
+            return "wait until it is free: axon checkout " + x + " --wait";
         case RefusalCode::Latched:
             return "axon rearm " + x + ", when it is safe to move again";
         case RefusalCode::NotHolder:
@@ -94,7 +97,10 @@ Json toJson(const Entity& entity, bool yours) {
               {"holder", entity.holder.name},
               {"holder_id", entity.holder.id},
               {"yours", yours},
-              {"reason", entity.reason}};
+              {"reason", entity.reason},
+              {"orphaned", entity.orphaned},
+              {"waiting", entity.waiting},
+              {"stop_latency_ms", milliseconds(entity.stop_latency)}};
     return json;
 }
 
@@ -155,6 +161,16 @@ Json toJson(const Receipt& receipt) {
             {"callback_returned_ms", milliseconds(receipt.callback_returned)},
             {"standstill_ms", milliseconds(receipt.standstill)},
             {"no_application", receipt.no_application}};
+}
+
+Json toJson(const HandOverRequest& request, const std::string& entity) {
+    return {{"event", "hand_over"},
+            {"entity", entity},
+            {"by", request.by},
+            {"reason", request.reason},
+            {"answer_within_s", request.answer_within.count()},
+            {"yield", request.yield},
+            {"withdrawn", request.withdrawn}};
 }
 
 Json errorEvent(const Refusal& refusal, const std::string& entity) {

@@ -14,6 +14,8 @@ Json toJson(const Entity& entity, bool yours);
 Json toJson(const Service& service);
 Json toJson(const TaskReport& report);
 Json toJson(const Receipt& receipt);
+/// A "hand_over" event.
+Json toJson(const HandOverRequest& request, const std::string& entity);
 
 /// {"event": "error", "code", "message", "holder"?, "mend"?}. `entity` is how the user would name it again.
 Json errorEvent(const Refusal& refusal, const std::string& entity = {});

@@ -85,12 +85,15 @@ void logToStderr(const std::string& level) {
         the_log = new Log;
         spdlog::set_default_logger(the_log->logger);
         spdlog::set_pattern("%Y-%m-%d %H:%M:%S.%e %l %v");
-        std::atexit([] {
-            the_log->logger->flush();
-            the_log->sink->waitForFlush();
-        });
+        std::atexit(flushLog);
     }
     spdlog::set_level(spdlog::level::from_str(level));
+}
+
+void flushLog() {
+    if (the_log == nullptr) return;
+    the_log->logger->flush();
+    the_log->sink->waitForFlush();
 }
 
 std::string withoutControls(const std::string& line) {

@@ -15,6 +15,9 @@ namespace axon::transport {
 /// half a second at most.
 void logToStderr(const std::string& level);
 
+/// What happens at exit, for a program that ends by _exit.
+void flushLog();
+
 /// The line with its control characters written as \xNN.
 std::string withoutControls(const std::string& line);
 

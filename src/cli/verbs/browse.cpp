@@ -41,20 +41,27 @@ int info(Session& session) {
     Json json{{"event", "entity"},
               {"entity", toJson(entity.value(), isHeld(session.station->held(), entity.value()))}};
     json["entity"]["call"] = callName(entity.value(), session.station->entities());
-    const auto services = session.station->services(entity->id);
+    const auto details = session.station->details(entity->id);
     auto list = Json::array();
-    if (services) {
+    auto margins = Json::array();
+    if (details) {
+        for (const auto& margin : details->watchdogs) {
+            margins.push_back({{"hop", margin.hop},
+                               {"timeout_ms", margin.timeout.count() * 1000},
+                               {"longest_gap_ms", margin.longest_gap.count() * 1000}});
+        }
         if (const auto wanted = session.args.value("service", ""); !wanted.empty()) {
-            const auto one = findService(services.value(), wanted);
+            const auto one = findService(details->services, wanted);
             if (!one) return refuse(session, one.refusal(), name);
             list.push_back(toJson(*one.value()));
         } else {
-            for (const auto& service : services.value()) list.push_back(toJson(service));
+            for (const auto& service : details->services) list.push_back(toJson(service));
         }
     }
     json["services"] = std::move(list);
+    json["watchdogs"] = std::move(margins);
     session.events.emit(json);
-    return services ? static_cast<int>(kDone) : refuse(session, services.refusal(), name);
+    return details ? static_cast<int>(kDone) : refuse(session, details.refusal(), name);
 }
 
 }  // namespace

@@ -136,7 +136,10 @@ class Completer {
             }
         }
         if (!option.empty()) {
-            if (option == "--file") return {"__files__"};
+            if (option == "--file" || option == "--password-file") return {"__files__"};
+            for (const auto& one : verb == nullptr ? std::vector<Option>{} : verb->options) {
+                if (option == std::string("--") + one.name) return {one.choices.begin(), one.choices.end()};
+            }
             return {};
         }
         if (words.current.rfind('-', 0) == 0) return options(verb);
@@ -156,17 +159,19 @@ class Completer {
 
   private:
     static bool wantsValue(const Verb* verb, const std::string& word) {
-        for (const auto* common : {"--server", "--timeout", "--user", "--name"}) {
+        for (const auto* common : {"--server", "--timeout", "--user", "--password-file", "--name"}) {
             if (word == common) return true;
         }
         if (verb == nullptr) return false;
         return std::any_of(verb->options.begin(), verb->options.end(), [&](const Option& option) {
-            return word == std::string("--") + option.name && option.takes != Takes::Nothing;
+            return word == std::string("--") + option.name && option.takes != Takes::Nothing &&
+                   option.takes != Takes::MaybeDuration;
         });
     }
 
     static std::vector<std::string> options(const Verb* verb) {
-        std::vector<std::string> names{"--help", "--json", "--name", "--server", "--timeout", "--user"};
+        std::vector<std::string> names{"--help",   "--json",    "--name", "--password-file",
+                                       "--server", "--timeout", "--user"};
         if (verb != nullptr) {
             for (const auto& option : verb->options)
                 names.insert(names.begin(), std::string("--") + option.name);

@@ -10,9 +10,11 @@
 
 #include <algorithm>
 #include <chrono>
+#include <map>
 #include <thread>
 
 #include "cli/agent_link.hpp"
+#include "cli/distribution.hpp"
 #include "cli/verbs/holding.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
@@ -104,6 +106,45 @@ void checkEntities(Report& report, Station& station) {
     }
 }
 
+/// How long a stop takes to each robot application and back, by a drill: nothing is stopped.
+void checkSignalLane(Report& report, Station& station) {
+    constexpr int kTries = 10;
+    constexpr double kSlow_ms = 20;
+    std::map<std::string, Distribution> times;
+    for (int i = 0; i < kTries; ++i) {
+        const auto reports = station.drill({});
+        if (!reports) {
+            report.bad("signal lane", reports.refusal().message, "axon drill --all shows more");
+            return;
+        }
+        for (const auto& one : reports.value()) {
+            if (one.no_application) continue;
+            for (const auto& time : one.callback) times[one.entity].add(time);
+        }
+    }
+    const auto all = station.entities();
+    for (const auto& [id, measured] : times) {
+        const auto entity = std::find_if(all.begin(), all.end(), [&](const Entity& e) { return e.id == id; });
+        const auto name = entity == all.end() ? id : callName(*entity, all);
+        if (measured.never() > 0) {
+            report.bad(
+                "signal lane",
+                fmt::format("{} of {} drills of {} never arrived", measured.never(), measured.count(), name),
+                "axon drill " + shellWord(name) + " shows more; see the log of its axon-entity-manager");
+            continue;
+        }
+        const auto slowest = measured.quantile(1).value_or(0);
+        const auto message = fmt::format("a stop is at {} and back in {}, {} at most (a drill of {})", name,
+                                         duration(measured.quantile(0.5).value_or(0) / 1000),
+                                         duration(slowest / 1000), kTries);
+        if (slowest > kSlow_ms) {
+            report.warn("signal lane", message, "see what loads the machine or the network");
+        } else {
+            report.ok("signal lane", message);
+        }
+    }
+}
+
 void checkServer(Report& report, Session& session) {
     const auto start = Clock::now();
     const auto station = session.connect(session.settings);
@@ -115,6 +156,7 @@ void checkServer(Report& report, Session& session) {
     report.ok("server", "session at " + station.value()->server() + " as " + station.value()->self().name +
                             " in " + duration(secondsSince(start)));
     checkEntities(report, *station.value());
+    checkSignalLane(report, *station.value());
 }
 
 void checkAgent(Report& report, const Settings& settings) {

@@ -4,36 +4,32 @@
 #include "cli/verbs/holding.hpp"
 #include "cli/words.hpp"
 
-// axon checkout, axon release
+// axon checkout, axon handover, axon release
 namespace axon::cli {
 namespace {
 
 int checkout(Session& session) {
-    std::vector<std::string> ids;
-    auto entities = Json::array();
-    auto already = Json::array();
-    const auto held = session.station->held();
-    for (const auto& word : session.args.at("entity")) {
-        const auto name = word.get<std::string>();
-        const auto found = session.station->find(name);
-        if (!found) return refuse(session, found.refusal(), name);
-        const Json item{{"id", found->id}, {"name", found->name}, {"call", callOf(session, found.value())}};
-        if (std::any_of(held.begin(), held.end(), [&](const Entity& e) { return e.id == found->id; })) {
-            already.push_back(item);
-        } else if (std::find(ids.begin(), ids.end(), found->id) == ids.end()) {
-            ids.push_back(found->id);
-            entities.push_back(item);
-        }
-    }
-    if (!ids.empty()) {
-        const auto granted = session.station->checkOut(ids);
-        if (!granted) {
-            return refuse(session, granted.refusal(),
-                          ids.size() == 1 ? entities[0]["call"].get<std::string>() : "");
-        }
-    }
-    session.events.emit(
-        {{"event", "checked_out"}, {"entities", entities}, {"already", already}, {"kept", session.kept}});
+    const auto taken = takeOut(session);
+    if (taken.exit != kDone) return taken.exit;
+    session.events.emit({{"event", "checked_out"},
+                         {"entities", taken.items},
+                         {"already", taken.already},
+                         {"kept", session.kept}});
+    return kDone;
+}
+
+int handover(Session& session) {
+    const auto name = session.args.at("entity").get<std::string>();
+    const auto found = findHeld(session, name);
+    if (!found) return refuse(session, found.refusal(), name);
+    const bool accept = session.args.at("answer") == "accept";
+    const auto call = callOf(session, found.value());
+    const auto done = session.station->answerHandOver(found->id, accept, session.args.value("reason", ""));
+    if (!done) return refuse(session, done.refusal(), name);
+    session.events.emit({{"event", "done"},
+                         {"verb", "handover"},
+                         {"entity", call},
+                         {"answer", accept ? "accept" : "refuse"}});
     return kDone;
 }
 
@@ -74,12 +70,39 @@ extern const Verb kCheckout{
     "Check out entities for yourself: all of them or none",
     "  axon checkout PeopleBot                   kept until axon release\n"
     "  axon checkout PeopleBot Cyton             both or neither\n"
+    "  axon checkout --query '2 ROBOT/MOBILE + 1 ROBOT/STATIONARY with Gripping'\n"
+    "                                            whichever are free and ready\n"
+    "  axon checkout PeopleBot --wait            get in line, and show the place; --wait=60: for a minute\n"
+    "  axon checkout PeopleBot --ask 'for a demonstration'\n"
+    "                                            ask the holder, who answers with axon handover\n"
+    "  axon checkout PeopleBot --force 'battery is low'\n"
+    "                                            take it (admins): it is stopped first, the holder is told\n"
     "  axon checkout PeopleBot -- ./experiment   held while the command runs;\n"
     "                                            its axon commands use this check-out\n",
     Runs::Keeper,
-    {{"entity", Takes::Entity, true, true, "What to check out"}},
-    {},
+    {{"entity", Takes::Entity, false, true, "What to check out"}},
+    {{"query", Takes::Text, "Instead of names: [COUNT] KIND [with SERVICE] + …; a kind is ROBOT/MOBILE"},
+     {"wait", Takes::MaybeDuration, "Wait until it is free, so many seconds at most"},
+     {"ask", Takes::Text, "Ask the holder to hand it over, for this reason"},
+     {"force", Takes::Text, "Take it from its holder, for this reason (admins only)"},
+     {"hand-over",
+      Takes::Choice,
+      "When others ask for it: ask (you, silence refuses), yield (silence hands over), refuse",
+      {"ask", "yield", "refuse"}}},
     checkout};
+
+extern const Verb kHandover{
+    "handover",
+    "Answer who asks for an entity that you hold",
+    "  axon handover PeopleBot accept\n"
+    "  axon handover PeopleBot refuse --reason 'ten more minutes'\n"
+    "Accepting stops the robot and ends your check-out. Open requests are shown by the axon commands that\n"
+    "use your check-outs, and by axon agent status.\n",
+    Runs::Kept,
+    {{"entity", Takes::Entity, true, false, "Which entity"},
+     {"answer", Takes::Choice, true, false, "accept or refuse", {"accept", "refuse"}}},
+    {{"reason", Takes::Text, "What who asks is told"}},
+    handover};
 
 extern const Verb kRelease{"release",
                            "Give back what axon checkout holds; a moving robot is stopped first",

@@ -2,6 +2,8 @@
 #include "cli/verbs/holding.hpp"
 
 #include <algorithm>
+#include <stop_token>
+#include <thread>
 #include <utility>
 
 #include "cli/words.hpp"
@@ -53,6 +55,127 @@ Holding::~Holding() {
     if (own_) static_cast<void>(station_->release(entity_.id).ok());
 }
 
+Result<CheckOutOptions> checkOutOptions(const Json& args) {
+    CheckOutOptions options;
+    if (const auto wait = args.find("wait"); wait != args.end()) {
+        // Without a number: until it is granted or given up.
+        options.wait = wait->is_number() ? Seconds(wait->get<double>()) : Seconds(86400);
+    }
+    options.ask = args.contains("ask");
+    options.force = args.contains("force");
+    if (options.ask && options.force) {
+        return Refusal{RefusalCode::Malformed, "expected --ask or --force, found both", {}};
+    }
+    options.reason = args.value("ask", args.value("force", ""));
+    const auto policy = args.value("hand-over", "ask");
+    options.hand_over.yield = policy == "yield";
+    options.hand_over.refuse = policy == "refuse";
+    return options;
+}
+
+namespace {
+
+/// How long a check-out that was given up may take to say so.
+constexpr std::chrono::seconds kGiveUpTime{2};
+
+/// The library's call waits: on a thread, so that the wait is shown and Ctrl-C heard. What the thread needs
+/// it owns, because a verb that is interrupted twice leaves it behind.
+Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std::string>& ids,
+                                        const std::string& query, CheckOutOptions options,
+                                        bool& interrupted) {
+    using Answer = Result<std::vector<Entity>>;
+    const auto answer = std::make_shared<Answer>(Refusal{RefusalCode::Cancelled, "it was given up", {}});
+    std::stop_source give_up;
+    options.give_up = give_up.get_token();
+    const auto started = std::chrono::steady_clock::now();
+    options.on_waiting = [mailbox = session.mailbox, started](const client::Waiting& waiting) {
+        const Seconds elapsed = std::chrono::steady_clock::now() - started;
+        mailbox->post({{"event", "waiting"},
+                       {"entity_id", waiting.entity},
+                       {"place", waiting.place},
+                       {"message", waiting.message},
+                       {"elapsed_s", elapsed.count()}},
+                      true);
+    };
+    std::thread([mailbox = session.mailbox, station = session.station, answer, ids, query, options] {
+        *answer = query.empty() ? station->checkOut(ids, options) : station->checkOutQuery(query, options);
+        mailbox->post({{"event", "end"}});
+    }).detach();
+    std::optional<std::chrono::steady_clock::time_point> deadline;
+    while (true) {
+        const auto event = session.mailbox->wait(deadline);
+        if (event) {
+            if (event->at("event") == "end") break;
+            session.events.emit(*event);
+            continue;
+        }
+        if (!session.mailbox->takeInterrupt() || interrupted) {
+            return Refusal{RefusalCode::Cancelled, "it was given up", {}};  // the thread is left behind
+        }
+        interrupted = true;
+        give_up.request_stop();
+        deadline = std::chrono::steady_clock::now() + kGiveUpTime;
+    }
+    return *answer;
+}
+
+}  // namespace
+
+Taken takeOut(Session& session) {
+    Taken taken;
+    const auto fail = [&](int exit) {
+        taken.exit = exit;
+        return taken;
+    };
+    const auto names = session.args.value("entity", std::vector<std::string>{});
+    const auto query = session.args.value("query", "");
+    if (names.empty() == query.empty()) {
+        return fail(misused(session,
+                            names.empty() ? "expected what to check out, found nothing"
+                                          : "expected names or --query, found both",
+                            "axon checkout PeopleBot, or axon checkout --query '1 ROBOT/MOBILE'"));
+    }
+    const auto options = checkOutOptions(session.args);
+    if (!options) return fail(misused(session, options.refusal().message));
+    std::vector<std::string> ids;
+    std::string call;
+    for (const auto& name : names) {
+        const auto found = session.station->find(name);
+        if (!found) return fail(refuse(session, found.refusal(), name));
+        call = callOf(session, found.value());
+        if (holds(*session.station, found->id)) {
+            taken.already.push_back({{"id", found->id}, {"name", found->name}, {"call", call}});
+        } else if (std::find(ids.begin(), ids.end(), found->id) == ids.end()) {
+            ids.push_back(found->id);
+        }
+    }
+    if (ids.empty() && query.empty()) return taken;
+    const bool waits = options->wait || options->ask;
+    bool interrupted = false;
+    const auto granted = waits           ? takeAndShow(session, ids, query, options.value(), interrupted)
+                         : query.empty() ? session.station->checkOut(ids, options.value())
+                                         : session.station->checkOutQuery(query, options.value());
+    if (interrupted) {
+        // Granted in the very moment that it was given up.
+        if (granted) {
+            for (const auto& entity : granted.value())
+                static_cast<void>(session.station->release(entity.id).ok());
+        }
+        session.events.emit({{"event", "notice"}, {"message", "given up; nothing was checked out"}});
+        return fail(kInterrupted);
+    }
+    if (!granted) {
+        if (granted.refusal().code == RefusalCode::Malformed && !query.empty())
+            return fail(misused(session, granted.refusal().message));
+        return fail(refuse(session, granted.refusal(), ids.size() == 1 ? call : ""));
+    }
+    taken.entities = granted.value();
+    for (const auto& entity : taken.entities) {
+        taken.items.push_back({{"id", entity.id}, {"name", entity.name}, {"call", callOf(session, entity)}});
+    }
+    return taken;
+}
+
 std::string callOf(const Session& session, const Entity& entity) {
     return callName(entity, session.station->entities());
 }
@@ -95,6 +218,11 @@ std::shared_ptr<void> listenTo(Session& session, const Entity& entity) {
                        {"message", refusal.message},
                        {"holder", refusal.holder}});
     };
+    listener.orphaned = [=](const std::string& reason) {
+        mailbox->post({{"event", "orphaned"}, {"entity", name}, {"message", reason}});
+    };
+    listener.resumed = [=] { mailbox->post({{"event", "resumed"}, {"entity", name}}); };
+    listener.hand_over = [=](const HandOverRequest& request) { mailbox->post(toJson(request, name)); };
     return session.station->listen(entity.id, std::move(listener));
 }
 

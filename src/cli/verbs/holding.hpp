@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <string>
+#include <vector>
 
 #include "cli/session.hpp"
 
@@ -32,6 +33,18 @@ class Holding {
     bool own_;
 };
 
+/// `axon checkout` up to the grant: reads what is asked for (names or a query, wait, ask, force, policy),
+/// shows how the wait comes along, and gives it up when the user does. Emits its own errors.
+struct Taken {
+    int exit = kDone;  ///< of a check-out that was not granted
+    std::vector<Entity> entities;
+    Json items = Json::array();    ///< of "checked_out"
+    Json already = Json::array();  ///< what was held here before
+};
+Taken takeOut(Session& session);
+/// As checkout's options say; MALFORMED for what makes no sense.
+Result<CheckOutOptions> checkOutOptions(const Json& args);
+
 /// What to call the entity so that nothing else can be meant; what "entity" is in events.
 std::string callOf(const Session& session, const Entity& entity);
 
@@ -41,7 +54,8 @@ std::optional<Refusal> whyLost(const Station& station, const std::string& id);
 /// The entity by the name, only when it is held here: NOT_HOLDER otherwise, with why it is not any more.
 Result<Entity> findHeld(Session& session, const std::string& name);
 
-/// Posts what the entity says to the mailbox: "text", "raw" and "lost" events.
+/// Posts what the entity says to the mailbox: "text", "raw", "lost", "orphaned", "resumed" and "hand_over"
+/// events.
 std::shared_ptr<void> listenTo(Session& session, const Entity& entity);
 
 /// Lower-case hexadecimal digits, as "raw" events carry bytes; and back (nothing where they are none).

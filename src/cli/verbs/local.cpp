@@ -24,6 +24,7 @@ int agent(Session& session) {
     for (const auto& entity : session.station->held()) {
         held.push_back(toJson(entity, true));
         held.back()["call"] = callOf(session, entity);
+        held.back()["orphaned"] = session.station->orphaned(entity.id);
     }
     for (const auto& one : session.station->lost()) {
         lost.push_back({{"id", one.entity.id},

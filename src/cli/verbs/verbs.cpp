@@ -6,8 +6,8 @@
 namespace axon::cli {
 
 extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, kWatch, kTasks, kPause,
-    kResume, kCancel, kStop, kRearm, kReset, kClear, kProfile, kDoctor, kAgent, kCompletion, kComplete,
-    kVersion;
+    kResume, kCancel, kStop, kDrill, kHandover, kRearm, kReset, kClear, kProfile, kDoctor, kAgent,
+    kCompletion, kComplete, kVersion;
 
 const std::vector<const Verb*>& verbs() {
     static const std::vector<const Verb*> all{
@@ -18,6 +18,7 @@ const std::vector<const Verb*>& verbs() {
         &kStop,        //
         &kRearm,       //
         &kRelease,     //
+        &kHandover,    //
         &kSet,         //
         &kUpload,      //
         &kSend,        //
@@ -29,6 +30,7 @@ const std::vector<const Verb*>& verbs() {
         &kReset,       //
         &kClear,       //
         &kProfile,     //
+        &kDrill,       //
         &kDoctor,      //
         &kAgent,       //
         &kCompletion,  //

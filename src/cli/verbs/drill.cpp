@@ -1,0 +1,103 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <algorithm>
+#include <map>
+
+#include "cli/distribution.hpp"
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+
+// axon drill
+namespace axon::cli {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+struct Drilled {
+    std::string name;
+    Distribution manager, callback;
+    std::size_t tries = 0;
+    bool no_application = false;
+};
+
+void add(std::map<std::string, Drilled>& all, const std::vector<DrillReport>& reports) {
+    for (const auto& report : reports) {
+        auto& one = all[report.entity];
+        one.name = report.name;
+        one.tries += report.manager.size();
+        one.no_application = report.no_application;
+        for (const auto& time : report.manager) one.manager.add(time);
+        // Where there is no application there is nothing that could arrive.
+        if (report.no_application) continue;
+        for (const auto& time : report.callback) one.callback.add(time);
+    }
+}
+
+int drill(Session& session) {
+    const auto names = session.args.value("entity", std::vector<std::string>{});
+    if (names.empty() != session.args.value("all", false)) {
+        return misused(
+            session,
+            names.empty() ? "expected which entities to drill" : "expected names or --all, found both",
+            "axon drill PeopleBot, or axon drill --all");
+    }
+    for (const auto& name : names) {
+        if (const auto found = session.station->find(name); !found)
+            return refuse(session, found.refusal(), name);
+    }
+    const auto count = session.args.value("count", 20);
+    const auto every = std::chrono::duration_cast<Clock::duration>(Seconds(session.args.value("every", 0.1)));
+    std::map<std::string, Drilled> all;
+    bool interrupted = false;
+    for (int i = 0; i < count && !interrupted; ++i) {
+        const auto next = Clock::now() + every;
+        const auto reports = session.station->drill(names);
+        if (!reports) return refuse(session, reports.refusal());
+        add(all, reports.value());
+        session.events.emit({{"event", "drilling"}, {"done", i + 1}, {"count", count}});
+        while (i + 1 < count && Clock::now() < next) {
+            if (const auto event = session.mailbox->wait(next)) session.events.emit(*event);
+            if (session.mailbox->takeInterrupt()) {
+                interrupted = true;
+                break;
+            }
+        }
+    }
+    const auto entities = session.station->entities();
+    bool arrived = !all.empty();
+    for (const auto& [id, one] : all) {
+        const auto entity =
+            std::find_if(entities.begin(), entities.end(), [&](const Entity& e) { return e.id == id; });
+        session.events.emit({{"event", "drill"},
+                             {"id", id},
+                             {"entity", entity == entities.end() ? one.name : callName(*entity, entities)},
+                             {"tries", one.tries},
+                             {"no_application", one.no_application},
+                             {"manager", one.manager.toJson()},
+                             {"callback", one.callback.toJson()}});
+        arrived = arrived && one.manager.never() == 0 && one.callback.never() == 0;
+    }
+    if (all.empty()) session.events.emit({{"event", "notice"}, {"message", "there is nothing to drill"}});
+    if (interrupted) return kInterrupted;
+    return arrived ? kDone : kNotConfirmed;
+}
+
+}  // namespace
+
+extern const Verb kDrill{
+    "drill",
+    "Measure how fast a stop is, without stopping anything",
+    "  axon drill PeopleBot\n"
+    "  axon drill --all --count 1000 --every 0.05\n"
+    "  axon drill PeopleBot --json | jq 'select(.event == \"drill\") | .callback.p99_ms'\n"
+    "Each try travels as a stop does, to the robot application's side and back, where it is acknowledged\n"
+    "without calling the application: nothing latches and no task ends. What has not come back within a\n"
+    "second never arrived, and counts as infinitely late. A percentile is shown where there are enough\n"
+    "tries to have one. Exit status 4 when one never arrived.\n",
+    Runs::Anywhere,
+    {{"entity", Takes::Entity, false, true, "What to drill; whoever holds it"}},
+    {{"all", Takes::Nothing, "Everything there is"},
+     {"count", Takes::Count, "How many tries (20)"},
+     {"every", Takes::Duration, "One try each so many seconds (0.1)"}},
+    drill};
+
+}  // namespace axon::cli
