@@ -336,8 +336,7 @@ void SessionCore::sendCheckOut(CheckOutOrder& order, CheckOutParty& party, int p
     // As long as this client may wait for the last of the others.
     if (phase == proto::RESERVE) request.set_reserve_s(Seconds(settings_.timeout).count());
     if (phase != proto::ABORT) {
-        request.set_wait(phase == proto::TAKE && order.options.wait && !order.options.ask && !order.query &&
-                         !order.options.force);
+        request.set_wait(phase == proto::TAKE && order.options.wait && !order.query && !order.options.force);
         request.set_ask(phase == proto::TAKE && order.options.ask);
         request.set_force(order.options.force);
         if (order.options.ask || order.options.force) request.set_reason(order.options.reason);
@@ -519,11 +518,12 @@ void SessionCore::onWaiting(Id128 id, int place) {
     const auto known = entities_.find(entity);
     const auto holder = known == entities_.end() ? std::string() : known->second.facts.holder.name;
     std::string message;
-    if (order.options.ask) {
+    if (order.options.ask)
         message = (holder.empty() ? "The holder of " + label(entity) : holder) + " has been asked";
-    } else {
-        message = "Place " + std::to_string(place) + " in the wait list of " + label(entity);
-        if (!holder.empty()) message += ", which is held by " + holder;
+    if (order.options.wait) {
+        message += (message.empty() ? "Place " : "; place ") + std::to_string(place) +
+                   " in the wait list of " + label(entity);
+        if (!holder.empty() && !order.options.ask) message += ", which is held by " + holder;
     }
     tellWaiting(order, {entity, place, message + "."});
 }
@@ -577,7 +577,7 @@ void SessionCore::onCheckOutDue(Id128 id) {
                 const auto holder =
                     known == entities_.end() ? std::string() : known->second.facts.holder.name;
                 failCheckOut(id, {RefusalCode::TimedOut,
-                                  order.options.ask
+                                  !order.options.wait
                                       ? "Nobody has answered the request for " + label(entity) + " in time."
                                       : label(entity) +
                                             " has not become free in time; the place in its wait list was " +
@@ -587,7 +587,7 @@ void SessionCore::onCheckOutDue(Id128 id) {
             }
             schedule(id, std::min(order.until, now + settings_.wait_refresh));
             // A question need not be repeated: its Entity Manager remembers it, or has answered.
-            if (!order.options.ask) sendCheckOut(order, order.parties.front(), proto::TAKE);
+            if (order.options.wait) sendCheckOut(order, order.parties.front(), proto::TAKE);
             break;
         }
         case Stage::Parked:

@@ -161,7 +161,10 @@ TEST_F(CheckOutsTest, AQuestionThatNobodyAnswersIsWithdrawnWhenTheTimeIsUp) {
     auto options = waiting(10s);
     options.ask = true;
     core.checkOut({"Cyton"}, options, answer.taker());
-    answerPlace(link.take().at(0), 1);
+    const auto asked = link.take().at(0);
+    EXPECT_TRUE(asked.body.check_out().wait()) << "in line when the answer is no";
+    answerPlace(asked, 1);
+    EXPECT_THAT(told.at(0).message, HasSubstr("has been asked; place 1"));
     advance(5s);
     advance(5s);
     EXPECT_EQ(answer.refusal.code, RefusalCode::TimedOut);

@@ -161,7 +161,7 @@ struct Waiting {
 struct CheckOutOptions {
     /// Wait so long for what is held by others; without a value do not wait. One entity: in the Entity
     /// Manager's wait list, first come, first served. Several, or a query: until all are free at once. With
-    /// `ask`: no longer for the holder's answer than this.
+    /// `ask`: for the holder's answer, and in the list when that is no.
     std::optional<Seconds> wait;
     /// Each change while it waits. On the library's callback thread.
     std::function<void(const Waiting&)> on_waiting;
