@@ -215,9 +215,8 @@ void PersonView::emit(const Json& event) {
     }
     if (kind == "resumed") return say(textOf(event, "entity") + " is yours again: axon rearm lets it move");
     if (kind == "hand_over") return showHandOver(event);
-    if (kind == "waiting") {
-        return progress(textOf(event, "message"), -1);
-    }
+    if (kind == "waiting")
+        return terminal_.live ? progress(textOf(event, "message"), -1) : say(textOf(event, "message"));
     if (kind == "drill") return showDrill(event);
     if (kind == "drilling") {
         const auto done = event.value("done", 0.0);
