@@ -550,6 +550,7 @@ TEST_F(CheckOutsTest, TasksAreToldAsTheyEndedAndAreUnknownOnlyWhereNobodyKnows) 
     const auto held = take("Cyton", 1, 5s);
     const auto ended = core.run(held, "Driving", {}, {});
     const auto runs = core.run(held, "Driving", {}, {});
+    const auto remembered = core.run(held, "Driving", {}, {});
     const auto never_heard_of = core.run(held, "Driving", {}, {});
     for (const auto task : {ended, runs}) taskEvent(3, task, proto::TASK_RUNNING);
     loseConnection();
@@ -568,9 +569,12 @@ TEST_F(CheckOutsTest, TasksAreToldAsTheyEndedAndAreUnknownOnlyWhereNobodyKnows) 
     status.set_state(proto::BUSY);
     status.add_tasks()->set_task_id(runs.bytes());
     status.mutable_tasks(0)->set_state(proto::TASK_RUNNING);
+    status.add_ended()->set_task_id(remembered.bytes());
+    status.mutable_ended(0)->set_state(proto::TASK_FAILED);
     fromEntity(3, message);
 
     EXPECT_EQ(core.task(ended)->state, TaskState::Stopped);
+    EXPECT_EQ(core.task(remembered)->state, TaskState::Failed);
     EXPECT_EQ(core.task(runs)->state, TaskState::Running);
     EXPECT_EQ(core.task(never_heard_of)->state, TaskState::Unknown);
     EXPECT_EQ(core.task(later)->state, TaskState::Queued) << "asked for after the question";

@@ -563,6 +563,7 @@ void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& sta
         if (known->second.announced) observer_.onEntity(Presence::Changed, facts);
     }
     for (const auto& event : status.tasks()) onTaskEvent(head.entity, event);
+    for (const auto& event : status.ended()) onTaskEvent(head.entity, event);
     pace();
 
     const auto asked = Id128::fromBytes(status.request_id());

@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cstdint>
+#include <map>
+#include <mutex>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace axon::test {
+
+/// A relay between a test's peers, which cuts their connections when it is told to.
+///
+/// Threads: one of its own; the rest any. Ownership: of its sockets. Failure: throws where there is no
+/// socket.
+class TcpGate {
+  public:
+    /// `target` is "a.b.c.d:port", and the gate is at the same address and another port.
+    explicit TcpGate(const std::string& target) {
+        const auto colon = target.rfind(':');
+        host_ = target.substr(0, colon);
+        target_.sin_family = AF_INET;
+        target_.sin_port = htons(static_cast<std::uint16_t>(std::stoi(target.substr(colon + 1))));
+        ::inet_pton(AF_INET, host_.c_str(), &target_.sin_addr);
+        listening_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+        wake_ = ::eventfd(0, EFD_CLOEXEC);
+        auto here = target_;
+        here.sin_port = 0;
+        if (::bind(listening_, reinterpret_cast<const sockaddr*>(&here), sizeof here) != 0 ||
+            ::listen(listening_, 16) != 0)
+            throw std::runtime_error("TcpGate: cannot listen at " + host_);
+        relay_ = std::thread([this] { run(); });
+    }
+    ~TcpGate() {
+        ending_ = true;
+        wake();
+        relay_.join();
+        ::close(listening_);
+        ::close(wake_);
+    }
+    TcpGate(const TcpGate&) = delete;
+    TcpGate& operator=(const TcpGate&) = delete;
+
+    std::string address() const {
+        sockaddr_in here{};
+        socklen_t size = sizeof here;
+        ::getsockname(listening_, reinterpret_cast<sockaddr*>(&here), &size);
+        return host_ + ":" + std::to_string(ntohs(here.sin_port));
+    }
+    /// Resets every connection through it, and refuses new ones until open().
+    void cut() {
+        cut_ = true;
+        wake();
+    }
+    void open() { cut_ = false; }
+
+  private:
+    void wake() const {
+        const std::uint64_t one = 1;
+        static_cast<void>(::write(wake_, &one, sizeof one) == sizeof one);
+    }
+    static void reset(int fd) {
+        const linger at_once{1, 0};
+        ::setsockopt(fd, SOL_SOCKET, SO_LINGER, &at_once, sizeof at_once);
+        ::close(fd);
+    }
+    void drop(int fd) {
+        const auto found = peers_.find(fd);
+        if (found == peers_.end()) return;
+        const int other = found->second;
+        peers_.erase(found);
+        peers_.erase(other);
+        reset(fd);
+        reset(other);
+    }
+    void admit() {
+        const int near = ::accept4(listening_, nullptr, nullptr, SOCK_CLOEXEC);
+        if (near < 0) return;
+        const int far = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+        if (cut_ || ::connect(far, reinterpret_cast<const sockaddr*>(&target_), sizeof target_) != 0) {
+            reset(near);
+            ::close(far);
+            return;
+        }
+        const int yes = 1;
+        for (const int fd : {near, far}) ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+        peers_[near] = far;
+        peers_[far] = near;
+    }
+    void relay(int from) {
+        char bytes[65536];
+        const auto found = peers_.find(from);
+        if (found == peers_.end()) return;
+        const auto count = ::recv(from, bytes, sizeof bytes, 0);
+        if (count <= 0) return drop(from);
+        for (ssize_t sent = 0; sent < count;) {
+            const auto part =
+                ::send(found->second, bytes + sent, static_cast<std::size_t>(count - sent), MSG_NOSIGNAL);
+            if (part <= 0) return drop(from);
+            sent += part;
+        }
+    }
+    void run() {
+        while (!ending_) {
+            std::vector<pollfd> watched{{wake_, POLLIN, 0}, {listening_, POLLIN, 0}};
+            for (const auto& [fd, other] : peers_) watched.push_back({fd, POLLIN, 0});
+            if (::poll(watched.data(), watched.size(), -1) <= 0) continue;
+            if (watched[0].revents != 0) {
+                std::uint64_t count = 0;
+                static_cast<void>(::read(wake_, &count, sizeof count) == sizeof count);
+                if (cut_) {
+                    while (!peers_.empty()) drop(peers_.begin()->first);
+                    continue;
+                }
+            }
+            if (watched[1].revents != 0) admit();
+            for (std::size_t i = 2; i < watched.size(); ++i) {
+                if (watched[i].revents != 0) relay(watched[i].fd);
+            }
+        }
+        while (!peers_.empty()) drop(peers_.begin()->first);
+    }
+
+    std::string host_;
+    sockaddr_in target_{};
+    int listening_ = -1, wake_ = -1;
+    std::atomic<bool> cut_{false}, ending_{false};
+    std::map<int, int> peers_;  // confined to relay_
+    std::thread relay_;
+};
+
+}  // namespace axon::test
