@@ -301,5 +301,9 @@ TEST(Completion, OffersWhatFitsTheWord) {
     EXPECT_EQ(offered({"axon", "upload", "Cyton", "Driving", "Map", "x"}), "__files__");
     EXPECT_EQ(offered({"axon", "stop", "Cyton", "--d"}), "--deadline");
     EXPECT_EQ(offered({"axon", "agent", "s"}), "status\nstop");
+    EXPECT_EQ(offered({"axon", "checkout", "--wait", "Cy"}), "Cyton") << "--wait takes no word of its own";
+    EXPECT_EQ(offered({"axon", "checkout", "Cyton", "--hand-over", ""}), "ask\nyield\nrefuse");
+    EXPECT_EQ(offered({"axon", "handover", "Cyton", ""}), "accept\nrefuse");
+    EXPECT_EQ(offered({"axon", "ls", "--password-file", ""}), "__files__");
     EXPECT_EQ(offered({"axon", "nonsense", ""}), "");
 }
