@@ -122,9 +122,16 @@ auto Client::Session::withDesk(Use&& use) {
                         }
                     }
                 }
-                for (const auto& stop : stops)
-                    if (stop.lane == Lane::Signal)
-                        session.datagrams_.stop(stop.head.entity, stop.head.sequence, stop.head.stop_generation);
+                for (const auto& stop : stops) {
+                    // A datagram is a stop: a drill is none.
+                    if (stop.lane != Lane::Signal || stop.cause == StopCause::Drill) continue;
+                    if (stop.entities.empty()) {
+                        session.datagrams_.stop(stop.head.entity, stop.head.sequence,
+                                                stop.head.stop_generation);
+                    }
+                    for (const auto& entity : stop.entities)
+                        session.datagrams_.stop(entity, stop.head.sequence, session.marks_.of(entity));
+                }
             }
             if (wake) session.stop_timer_.wake();
         }

@@ -56,7 +56,8 @@ class SessionObserver {
     /// Not called for a lease that this client released itself.
     virtual void onLost(const Held& held, const Refusal& why) = 0;
     /// Stops of this lease may be sent to `endpoint` as datagrams, keyed by `key`; empty = not (any more).
-    virtual void onDatagrams(const Held& /*held*/, const std::string& /*endpoint*/, const std::string& /*key*/) {}
+    virtual void onDatagrams(const Held& /*held*/, const std::string& /*endpoint*/,
+                             const std::string& /*key*/) {}
     /// The connection is lost and the lease is not (yet): onResumed or onLost will follow.
     virtual void onOrphaned(const Held&) {}
     virtual void onResumed(const Held&) {}
