@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <cmath>
 #include <cstdlib>
 #include <fstream>
 #include <set>
@@ -19,7 +20,7 @@ namespace fs = std::filesystem;
 const std::set<std::string> kKeys{"Axon.Application", "Axon.Instance",      "Axon.Server",       "Axon.User",
                                   "Axon.Password",    "Axon.Ports",         "Axon.PortsFile",    "Axon.State",
                                   "Axon.LogLevel",    "Axon.WatchdogBusyMs", "Axon.WatchdogIdleMs", "Axon.Address",
-                                  "Axon.Datagrams",   "Axon.LockMemory"};
+                                  "Axon.Datagrams",   "Axon.LockMemory",    "Axon.LeaseGrace"};
 
 fs::path defaultStateFolder(const std::string& application, const std::string& instance) {
     const char* state = std::getenv("XDG_STATE_HOME");
@@ -40,6 +41,20 @@ int integerBetween(const std::string& what, const std::string& text, int low, in
         throw std::runtime_error(what + ": expected a whole number from " + std::to_string(low) + " to " +
                                  std::to_string(high) + ", not '" + text + "'");
     return value;
+}
+
+std::chrono::milliseconds secondsBetween(const std::string& what, const std::string& text, double low, double high) {
+    std::size_t used = 0;
+    double value = 0;
+    try {
+        value = std::stod(text, &used);
+    } catch (const std::exception&) {
+        used = 0;
+    }
+    if (used != text.size() || text.empty() || !(value >= low && value <= high))
+        throw std::runtime_error(what + ": expected a number of seconds from " + std::to_string(static_cast<int>(low)) + " to " +
+                                 std::to_string(static_cast<int>(high)) + ", not '" + text + "'");
+    return std::chrono::milliseconds(std::lround(value * 1000));
 }
 
 template <class T>
@@ -146,6 +161,7 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         std::chrono::milliseconds(integerBetween("Axon.WatchdogBusyMs", chosen("", "Axon.WatchdogBusyMs", "250"), 50, 2000));
     options.core.server_watchdog_idle =
         std::chrono::milliseconds(integerBetween("Axon.WatchdogIdleMs", chosen("", "Axon.WatchdogIdleMs", "10000"), 250, 60000));
+    options.core.lease_grace = secondsBetween("Axon.LeaseGrace", chosen("", "Axon.LeaseGrace", "5"), 0, 600);
     options.datagrams = datagramsOf(chosen("", "Axon.Datagrams", "on"));
     options.lock_memory = integerBetween("Axon.LockMemory", chosen("", "Axon.LockMemory", "1"), 0, 1) != 0;
     options.log_level = chosen(log_level, "Axon.LogLevel", "info");

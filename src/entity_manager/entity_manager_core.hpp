@@ -24,6 +24,8 @@ struct CoreSettings {
     std::string application;  ///< name of the robot application it is for
     Duration server_watchdog_busy = std::chrono::milliseconds{250};  ///< 50 ms to 2 s
     Duration server_watchdog_idle = std::chrono::seconds{10};
+    Duration lease_grace =
+        std::chrono::seconds{5};  ///< how long a lease outlives the loss of its holder; 0 = not at all
     std::size_t task_queue_bound = 64;
     std::uint64_t resource_bytes_max = 1ULL << 30U;
     std::uint64_t resource_window = 512 * 1024;  ///< bytes a client may send ahead
@@ -82,8 +84,8 @@ class EntityManagerCore {
     void onClientUpdate(const Header& head, ClientChange change);
     void onServerHeartbeat();
 
-    /// Re-reads nothing, changes nothing but what is due: watchdog, reservations, not_after. Call at
-    /// nextDeadline().
+    /// Re-reads nothing, changes nothing but what is due: watchdog, reservations, grace, places, not_after.
+    /// Call at nextDeadline().
     void onTimer();
     TimePoint nextDeadline() const;
 

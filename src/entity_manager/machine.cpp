@@ -15,10 +15,6 @@ namespace axon::entity_manager {
 
 namespace {
 
-constexpr Duration kReserveDefault = std::chrono::seconds{2};
-constexpr Duration kReserveMax = std::chrono::seconds{30};
-/// How long a check-out waits for the robot to confirm its last stop.
-constexpr Duration kStandstillWait = std::chrono::seconds{5};
 constexpr Duration kPositionPeriod = std::chrono::milliseconds{200};
 constexpr Duration kRawRefusalPeriod = std::chrono::milliseconds{200};
 constexpr std::size_t kOpenStops = 16;
@@ -60,10 +56,6 @@ bool latches(std::string_view cause) {
            cause == toString(StopCause::Improper);
 }
 
-std::string named(const Sender& sender) {
-    return sender.name.empty() ? sender.id : sender.name;
-}
-
 template <class Message>
 std::string errorsOf(const std::optional<Reading<Message>>& reading) {
     std::string text;
@@ -103,6 +95,7 @@ Event eventOf(const proto::ToEntity& message) {
             break;
         case proto::ToEntity::kHandOverAnswer:
         case proto::ToEntity::kHandOverPolicy:
+            return Event::HandOver;
         case proto::ToEntity::BODY_NOT_SET:
             break;
     }
@@ -349,11 +342,17 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
         case Action::AbandonRequests:
             abandonRequests(incident.reason);
             break;
+        case Action::OrphanLease:
+            orphanLease(incident);
+            break;
         case Action::EndLease:
             endLease(incident);
             break;
-        case Action::DropReservation:
-            dropReservation(incident);
+        case Action::DismissWaiting:
+            dismissWaiting(incident);
+            break;
+        case Action::ConsiderHandOver:
+            considerHandOver(incident);
             break;
         case Action::PassText:
             passText(incident);
@@ -384,11 +383,7 @@ void EntityManagerCore::Machine::settle() {
         at = early_done_.erase(at);
         stopDone(done);
     }
-    if (waiting_grant_ && standing()) {
-        const auto waiting = std::move(*waiting_grant_);
-        waiting_grant_.reset();
-        grantWhenStanding(waiting.client, waiting.request_id, waiting.phase);
-    }
+    passOn();
     dispatchNext();
     const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_;
     if (occupied != busy_told_) {
@@ -603,7 +598,7 @@ void EntityManagerCore::Machine::seekServer() {
     if (!registration_) return;
     if (std::exchange(server_silent_, false)) server_.wantConnection(false);
     server_.wantConnection(true);
-    if (server_up_ && state_ == EntityState::ENVCONN) fire(Event::ServerUp);
+    if (server_up_ && state_ == EntityState::ENVCONN) fire(serverUpEvent());
 }
 
 void EntityManagerCore::Machine::registerEntity() {
@@ -620,7 +615,7 @@ void EntityManagerCore::Machine::onServerUp() {
     server_up_ = true;
     server_watchdog_.feed(clock_.now());
     status_told_.reset();
-    fire(Event::ServerUp);
+    fire(serverUpEvent());
     settle();
 }
 
@@ -652,6 +647,8 @@ EntityStatus EntityManagerCore::Machine::status() const {
         status.holder = held->holder;
         status.held = held->number;
     }
+    status.orphaned = lease_.orphaned();
+    status.waiting = static_cast<std::int32_t>(wait_list_.size());
     if (state_ == EntityState::UNAV || state_ == EntityState::ERR) status.reason = reason_;
     return status;
 }
@@ -814,179 +811,6 @@ void EntityManagerCore::Machine::confirmStop(std::uint32_t generation) {
     confirmed_ = generation;  // what waited for it: settle()
 }
 
-// -- leases
-// ---------------------------------------------------------------------------------------------------------
-
-void EntityManagerCore::Machine::considerCheckOut(const Incident& incident) {
-    const auto& request = incident.body->check_out();
-    const auto& sender = incident.head->sender;
-    const auto& id = request.request_id();
-    const auto phase = request.phase();
-    const auto refuseWith = [&](const Refusal& refusal) { replyCheckOut(sender, id, phase, refusal); };
-    if (!Id128::fromBytes(id)) {
-        refuseWith({RefusalCode::Malformed, "request_id must be 16 bytes.", {}});
-        return;
-    }
-    const auto& held = lease_.held();
-    const bool mine = held && held->holder.id == sender.id && held->request_id == id;
-    const bool waits =
-        waiting_grant_ && waiting_grant_->client.id == sender.id && waiting_grant_->request_id == id;
-    switch (phase) {
-        case proto::TAKE:
-        case proto::COMMIT: {
-            if (waits) {
-                if (waiting_grant_->phase == phase) return;  // asked again: the one answer is still to come
-                refuseWith({RefusalCode::WrongState,
-                            "This check-out waits already until the robot stands still.",
-                            {}});
-                return;
-            }
-            if (mine) {
-                sendGrant(phase);
-                return;
-            }
-            const auto refusal =
-                phase == proto::TAKE ? lease_.mayTake(sender, id) : lease_.mayCommit(sender, id);
-            if (refusal.ok())
-                grantWhenStanding(sender, id, phase);
-            else
-                refuseWith(refusal);
-            return;
-        }
-        case proto::RESERVE: {
-            if (const auto refusal = lease_.mayTake(sender, id); !refusal.ok()) {
-                refuseWith(refusal);
-                return;
-            }
-            const auto asked = request.reserve_s();
-            Duration time = kReserveDefault;
-            if (asked > 0)
-                time = asked >= std::chrono::duration<double>(kReserveMax).count()
-                           ? kReserveMax
-                           : std::chrono::duration_cast<Duration>(std::chrono::duration<double>(asked));
-            lease_.reserve(sender, id, clock_.now() + time);
-            replyCheckOut(sender, id, phase, {});
-            return;
-        }
-        case proto::ABORT: {
-            // Committed here, refused elsewhere: all or none.
-            if (mine) {
-                Incident ended{Event::ClientEnded, incident.head};
-                ended.cause = StopCause::Released;
-                ended.reason = {RefusalCode::Stopped, "The check-out was aborted.", {}};
-                fire(ended);
-            }
-            const auto& reservation = lease_.reservation();
-            if (reservation && reservation->by.id == sender.id && reservation->request_id == id) {
-                Incident dropped{Event::CheckOut, incident.head};
-                dropped.reason = {RefusalCode::Cancelled, "The check-out was aborted.", {}};
-                dropReservation(dropped);
-            }
-            replyCheckOut(sender, id, phase, {});
-            return;
-        }
-        default:
-            refuseWith({RefusalCode::Malformed, "The phase must be TAKE, RESERVE, COMMIT or ABORT.", {}});
-    }
-}
-
-void EntityManagerCore::Machine::grantWhenStanding(const Sender& client, const std::string& request_id,
-                                                   proto::CheckOutPhase phase) {
-    if (!standing()) {
-        // Never hand over a robot that has not confirmed its last stop. Meanwhile it is reserved.
-        lease_.reserve(client, request_id, clock_.now() + kStandstillWait);
-        waiting_grant_ = WaitingGrant{client, request_id, phase};
-        return;
-    }
-    lease_.grant(client, request_id);
-    note({.kind = JournalRecord::Kind::Granted, .who = named(client)});
-    Incident granted{Event::CheckOutGranted};
-    granted.phase = phase;
-    fire(granted);
-    if (application_busy_) fire(Event::ApplicationBusy);
-}
-
-void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
-    const auto& held = *lease_.held();
-    proto::ToClient message;
-    auto& reply = *message.mutable_check_out();
-    reply.set_request_id(held.request_id);
-    reply.set_phase(phase);
-    reply.mutable_lease()->set_epoch(static_cast<std::uint32_t>(held.number.epoch));
-    reply.mutable_lease()->set_number(static_cast<std::uint32_t>(held.number.number));
-    reply.mutable_lease()->set_key(held.key.bytes());
-    reply.set_stop_generation(generation_);
-    reply.set_latched(latched_);
-    reply.set_datagram_endpoint(datagram_endpoint_);
-    *reply.mutable_services() = profiler_.profile();
-    tell(held.holder, kMsgCheckOut, message);
-    if (streams_off_) switchStreams({{"", true}});
-}
-
-void EntityManagerCore::Machine::replyCheckOut(const Sender& to, const std::string& request_id,
-                                               proto::CheckOutPhase phase, const Refusal& refusal) {
-    proto::ToClient message;
-    auto& reply = *message.mutable_check_out();
-    reply.set_request_id(request_id);
-    reply.set_phase(phase);
-    if (!refusal.ok()) *reply.mutable_refusal() = toProto(refusal);
-    reply.set_stop_generation(generation_);
-    reply.set_latched(latched_);
-    tell(to, kMsgCheckOut, message);
-    noteRefusal(to, {}, refusal);
-}
-
-void EntityManagerCore::Machine::endLease(const Incident& incident) {
-    if (!lease_.held()) return;
-    const auto held = *lease_.held();
-    const bool own_wish = incident.event == Event::Release || incident.event == Event::ClientEnded;
-    proto::ToClient message;
-    auto& ended = *message.mutable_lease_ended();
-    ended.mutable_lease()->set_epoch(static_cast<std::uint32_t>(held.number.epoch));
-    ended.mutable_lease()->set_number(static_cast<std::uint32_t>(held.number.number));
-    *ended.mutable_reason() = toProto(own_wish ? Refusal{RefusalCode::Ok, "Released.", {}} : incident.reason);
-    tell(held.holder, kMsgRelease, message);
-    note({.kind = JournalRecord::Kind::LeaseEnded,
-          .who = named(held.holder),
-          .code = std::string(refusalName(own_wish ? RefusalCode::Ok : incident.reason.code)),
-          .text = own_wish ? "Released." : incident.reason.message});
-    lease_.end(own_wish ? RefusalCode::NotHolder : RefusalCode::RevokedLease,
-               own_wish ? "it was released." : incident.reason.message);
-}
-
-/// Of the incident's own client, where it is about one; of anybody else.
-void EntityManagerCore::Machine::dropReservation(const Incident& incident) {
-    const auto& reservation = lease_.reservation();
-    if (!reservation) return;
-    if (incident.head != nullptr && reservation->by.id != incident.head->sender.id) return;
-    lease_.dropReservation();
-    if (!waiting_grant_) return;
-    const auto waiting = std::move(*waiting_grant_);
-    waiting_grant_.reset();
-    replyCheckOut(waiting.client, waiting.request_id, waiting.phase, incident.reason);
-}
-
-void EntityManagerCore::Machine::onClientUpdate(const Header& head, ClientChange change) {
-    if (quit_) return;
-    Incident incident{Event::ClientResumed, &head};
-    const bool lost = change == ClientChange::Lost;
-    if (change != ClientChange::Resumed) {
-        incident.event = lost ? Event::ClientLost : Event::ClientEnded;
-        incident.cause = lost ? StopCause::ClientLost : StopCause::Released;
-        incident.reason = {lost ? RefusalCode::ClientLost : RefusalCode::Stopped,
-                           named(head.sender) + (lost ? " was lost." : " has left."),
-                           {}};
-        switchStreams(watches_.forget(head.sender.id));
-        // Of a client that is not the holder only its reservation is left to end.
-        if (holder() != nullptr && holder()->id != head.sender.id) {
-            settle();
-            return;
-        }
-    }
-    fire(incident);
-    settle();
-}
-
 // -- messages
 // -------------------------------------------------------------------------------------------------------
 
@@ -1007,6 +831,8 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
                {}});
         return;
     }
+    // What is over must not win because its timer is late.
+    if (event == Event::CheckOut || event == Event::HandOver) passTime();
     process(event, head, &from_client_);
     settle();
 }
@@ -1080,6 +906,9 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
         case Event::Status:
             reply(to, incident.body->status_request().request_id(), refusal);
             return;
+        case Event::HandOver:
+            reply(to, incident.body->hand_over_answer().request_id(), refusal);
+            return;
         case Event::Pause:
         case Event::Resume:
         case Event::Cancel:
@@ -1131,6 +960,8 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
     status.set_latched(latched_);
     status.set_stop_generation(generation_);
     if (holder() != nullptr) status.set_holder(named(*holder()));
+    status.set_orphaned(lease_.orphaned());
+    status.set_waiting(static_cast<std::uint32_t>(wait_list_.size()));
     if (state_ == EntityState::UNAV || state_ == EntityState::ERR) status.set_reason(reason_);
     status.set_request_id(incident.body->status_request().request_id());
     if (incident.body->status_request().with_services())
@@ -1223,15 +1054,7 @@ void EntityManagerCore::Machine::onTimer() {
             std::chrono::duration_cast<std::chrono::milliseconds>(server_watchdog_.timeout());
         serverLost("it has been silent for " + std::to_string(silence.count()) + " ms");
     }
-    if (lease_.expire(now) && waiting_grant_) {
-        const auto waiting = std::move(*waiting_grant_);
-        waiting_grant_.reset();
-        replyCheckOut(
-            waiting.client, waiting.request_id, waiting.phase,
-            {RefusalCode::TimedOut,
-             "The robot application has not confirmed its last stop. Look at the robot, then try again.",
-             {}});
-    }
+    passTime();
     expireTasks();
     expireAnswers();
     sendPosition();
@@ -1243,6 +1066,10 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     if (quit_) return next;
     if (server_up_) next = std::min(next, server_watchdog_.deadline());
     if (lease_.reservation()) next = std::min(next, lease_.reservation()->until);
+    if (waiting_grant_) next = std::min(next, waiting_grant_->until);
+    if (mayEndGrace()) next = std::min(next, *lease_.held()->grace_until);
+    if (const auto expiry = wait_list_.nextExpiry()) next = std::min(next, *expiry);
+    if (hand_over_.open()) next = std::min(next, hand_over_.open()->until);
     if (const auto expiry = queue_.nextExpiry()) next = std::min(next, *expiry);
     if (!questions_.empty()) next = std::min(next, questions_.begin()->second.until);
     for (const auto& active : active_)

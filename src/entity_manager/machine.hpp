@@ -12,6 +12,7 @@
 #include "common/rate_limit.hpp"
 #include "common/watchdog.hpp"
 #include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/hand_over.hpp"
 #include "entity_manager/lease_book.hpp"
 #include "entity_manager/service_profiler.hpp"
 #include "entity_manager/state_table.hpp"
@@ -19,13 +20,14 @@
 #include "entity_manager/task_memory.hpp"
 #include "entity_manager/task_queue.hpp"
 #include "entity_manager/upload_desk.hpp"
+#include "entity_manager/wait_list.hpp"
 #include "messages/profile_reader.hpp"
 
 namespace axon::entity_manager {
 
 /// The inside of EntityManagerCore: it finds the row of each event in the state table and has one function
-/// for each Action. Private to the core; machine.cpp has states, leases and messages, machine_tasks.cpp tasks
-/// and resources.
+/// for each Action. Private to the core; machine.cpp has states and messages, machine_leases.cpp who holds
+/// the entity and who wants it, machine_tasks.cpp tasks and resources.
 class EntityManagerCore::Machine {
   public:
     Machine(CoreSettings settings, Clock& clock, RandomSource& random, BackEndPort& back_end,
@@ -101,9 +103,9 @@ class EntityManagerCore::Machine {
     };
     /// A granted check-out that waits until the robot has confirmed its last stop.
     struct WaitingGrant {
-        Sender client;
-        std::string request_id;
+        Claim claim;
         proto::CheckOutPhase phase;
+        TimePoint until;
     };
 
     // Rows.
@@ -127,6 +129,10 @@ class EntityManagerCore::Machine {
     // States, profiles, server.
     void considerProfiles();
     void seekServer();
+    /// A lease that outlived the session with the server is found again.
+    Event serverUpEvent() const {
+        return lease_.held() && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
+    }
     void registerEntity();
     void tellStatus();
     void serverLost(const std::string& reason);
@@ -145,14 +151,33 @@ class EntityManagerCore::Machine {
     /// included.
     bool standing() const { return stopsAreHandled() && confirmed_ >= commanded_; }
 
-    // Leases.
+    // Leases (machine_leases.cpp).
     void considerCheckOut(const Incident& incident);
-    void grantWhenStanding(const Sender& client, const std::string& request_id, proto::CheckOutPhase phase);
+    void take(const Incident& incident, Claim claim);
+    void reserve(const Incident& incident, const Claim& claim);
+    void commit(const Incident& incident, const Claim& claim);
+    void abortCheckOut(const Incident& incident);
+    void resumeLease(const Incident& incident);
+    Refusal mayTake(const Claim& claim) const;
+    bool waitsForStandstill(const Claim& claim, proto::CheckOutPhase phase);
+    void grantWhenStanding(Claim claim, proto::CheckOutPhase phase);
+    void takeOver(const Claim& claim, proto::CheckOutPhase phase, const Refusal& why);
+    void considerHandOver(const Incident& incident);
+    void askHolder(const Claim& claim, bool waits, const std::string& reason);
+    void tellQuestion(const HandOver::Question& question, bool withdrawn);
+    void decideHandOver(const HandOver::Question& question, bool accepted, const std::string& said);
+    void passOn();
+    void passTime();
+    bool mayEndGrace() const;
     void sendGrant(proto::CheckOutPhase phase);
     void replyCheckOut(const Sender& to, const std::string& request_id, proto::CheckOutPhase phase,
                        const Refusal& refusal);
+    void sendPlace(const Claim& claim, std::size_t place);
+    void orphanLease(const Incident& incident);
     void endLease(const Incident& incident);
-    void dropReservation(const Incident& incident);
+    void sendLeaseEnded(const LeaseBook::Held& held, const Refusal& reason);
+    void dismissWaiting(const Incident& incident);
+    void dropWaitingGrant(const Refusal& reason);
 
     // Tasks (machine_tasks.cpp).
     void admitTask(const Incident& incident);
@@ -238,6 +263,9 @@ class EntityManagerCore::Machine {
     LeaseBook lease_;
     std::string datagram_endpoint_;  ///< told with a grant
     std::optional<WaitingGrant> waiting_grant_;
+    Refusal orphan_reason_;  ///< why the lease is orphaned
+    WaitList wait_list_;
+    HandOver hand_over_;
 
     std::uint32_t reserved_ =
         0;  ///< a next life begins here: no generation above it is told before it is raised

@@ -43,10 +43,6 @@ bool isFinal(proto::TaskState state) {
     return state >= proto::TASK_SUCCEEDED;
 }
 
-std::string named(const Sender& sender) {
-    return sender.name.empty() ? sender.id : sender.name;
-}
-
 }  // namespace
 
 // -- tasks

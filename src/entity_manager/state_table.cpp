@@ -52,25 +52,26 @@ std::vector<Row> makeRows() {
     // Interfacer stops the robot by itself.
     rows.add({S::UNAV}, E::LinkUp, {A::AwaitProfiles, A::TellStatus}, to(S::INIT));
     rows.add(linked, E::LinkDown,
-             {A::LoseTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads, A::DropReservation,
+             {A::LoseTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads, A::DismissWaiting,
               A::EndLease, A::TellStatus},
              to(S::UNAV));
     rows.add({S::UNAV}, E::LinkDown, {A::TellStatus}, kStay);
 
     rows.add({S::INIT}, E::ProfileUploaded, {A::ConsiderProfiles}, kStay);
     rows.add({S::ERR, S::ENVCONN, S::IDLE}, E::ProfileUploaded,
-             {A::DropReservation, A::TellStatus, A::ConsiderProfiles}, to(S::INIT));
+             {A::DismissWaiting, A::TellStatus, A::ConsiderProfiles}, to(S::INIT));
     rows.add({S::INIT}, E::ProfilesGood, {A::TellStatus, A::SeekServer}, to(S::ENVCONN));
     rows.add({S::INIT}, E::ProfilesBad, {A::ReportProfiles, A::TellStatus}, to(S::ERR));
 
     // The server. Where the session outlived the robot application, the entity is made known again at once.
     rows.add({S::ENVCONN}, E::ServerUp, {A::Register, A::TellStatus}, to(S::IDLE));
+    rows.add({S::ENVCONN}, E::ServerReturned, {A::Register, A::TellStatus}, to(S::REG));
     rows.add(unready, E::ServerUp, {A::Register, A::TellStatus}, kStay);
-    rows.add({S::IDLE}, E::ServerDown, {A::StopApplication, A::DropReservation, A::SeekServer, A::TellStatus},
+    rows.add({S::IDLE}, E::ServerDown, {A::StopApplication, A::DismissWaiting, A::SeekServer, A::TellStatus},
              to(S::ENVCONN));
     rows.add(held, E::ServerDown,
-             {A::StopApplication, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease, A::SeekServer,
-              A::TellStatus},
+             {A::StopApplication, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::DismissWaiting,
+              A::OrphanLease, A::SeekServer, A::TellStatus},
              to(S::ENVCONN));
     rows.add({S::UNAV, S::INIT, S::ENVCONN, S::ERR}, E::ServerDown, {A::SeekServer}, kStay);
 
@@ -82,12 +83,21 @@ std::vector<Row> makeRows() {
             held, event,
             {A::StopApplication, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease, A::TellStatus},
             to(S::IDLE));
+    // The status is told once it is known whether there is a grace at all.
     rows.add(held, E::ClientLost,
-             {A::StopApplication, A::Latch, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease,
-              A::TellStatus},
-             to(S::IDLE));
+             {A::StopApplication, A::Latch, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::OrphanLease},
+             to(S::REG));
+    rows.add(held, E::LeaseResumed, {A::TellStatus, A::SendGrant}, kStay);
+    for (const auto event : {E::LeaseExpired, E::TakenOver})
+        rows.add(
+            held, event,
+            {A::StopApplication, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease, A::TellStatus},
+            to(S::IDLE));
+    rows.add({S::INIT, S::ENVCONN, S::ERR}, E::LeaseExpired, {A::StopApplication, A::EndLease, A::TellStatus},
+             kStay);
+    rows.add(held, E::HandOver, {A::ConsiderHandOver}, kStay);
     for (const auto event : {E::ClientLost, E::ClientEnded})
-        rows.add({S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::ERR}, event, {A::DropReservation}, kStay);
+        rows.add({S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::ERR}, event, {A::DismissWaiting}, kStay);
     rows.add(any, E::ClientResumed, {}, kStay);
 
     // The holder's work.
@@ -127,7 +137,7 @@ std::vector<Row> makeRows() {
 
     rows.add(any, E::Quit,
              {A::StopApplication, A::EndTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads,
-              A::DropReservation, A::EndLease, A::TellStatus, A::LeaveServer},
+              A::DismissWaiting, A::EndLease, A::TellStatus, A::LeaveServer},
              to(S::UNAV));
     return rows.take();
 }
@@ -152,6 +162,8 @@ const char* wish(E event) {
             return "be checked out";
         case E::Release:
             return "be released";
+        case E::HandOver:
+            return "be handed over";
         case E::SetParam:
             return "take parameters";
         case E::Resource:
@@ -239,6 +251,7 @@ Refusal refusalFor(EntityState state, Event event, const std::string& reason) {
 Needs needsOf(Event event) {
     switch (event) {
         case E::Release:
+        case E::HandOver:
         case E::Resource:
         case E::Text:
         case E::Pause:
@@ -264,6 +277,7 @@ Needs needsOf(Event event) {
 bool isRequest(Event event) {
     switch (event) {
         case E::CheckOut:
+        case E::HandOver:
         case E::Release:
         case E::SetParam:
         case E::Resource:
@@ -299,12 +313,17 @@ const char* toString(Event event) {
                                                              "ApplicationBusy",
                                                              "ApplicationReady",
                                                              "ServerUp",
+                                                             "ServerReturned",
                                                              "ServerDown",
                                                              "ClientLost",
                                                              "ClientEnded",
                                                              "ClientResumed",
                                                              "CheckOutGranted",
+                                                             "LeaseResumed",
+                                                             "LeaseExpired",
+                                                             "TakenOver",
                                                              "CheckOut",
+                                                             "HandOver",
                                                              "Release",
                                                              "SetParam",
                                                              "Resource",
@@ -330,13 +349,13 @@ const char* toString(Event event) {
 
 const char* toString(Action action) {
     static constexpr std::array kNames{
-        "AwaitProfiles", "ConsiderProfiles", "ReportProfiles", "SeekServer",      "Register",
-        "LeaveServer",   "ConsiderCheckOut", "SendGrant",      "StopApplication", "Latch",
-        "Unlatch",       "Acknowledge",      "VoidQueue",      "EndTasks",        "LoseTasks",
-        "HaltTasks",     "DispatchNext",     "CancelTask",     "PauseTask",       "ResumeTask",
-        "AdmitTask",     "AskParameter",     "CarryResource",  "SuspendUploads",  "AbandonRequests",
-        "EndLease",      "DropReservation",  "PassText",       "PassRaw",         "AnswerStatus",
-        "NoteWatch",     "TellStatus"};
+        "AwaitProfiles", "ConsiderProfiles", "ReportProfiles", "SeekServer",       "Register",
+        "LeaveServer",   "ConsiderCheckOut", "SendGrant",      "StopApplication",  "Latch",
+        "Unlatch",       "Acknowledge",      "VoidQueue",      "EndTasks",         "LoseTasks",
+        "HaltTasks",     "DispatchNext",     "CancelTask",     "PauseTask",        "ResumeTask",
+        "AdmitTask",     "AskParameter",     "CarryResource",  "SuspendUploads",   "AbandonRequests",
+        "OrphanLease",   "EndLease",         "DismissWaiting", "ConsiderHandOver", "PassText",
+        "PassRaw",       "AnswerStatus",     "NoteWatch",      "TellStatus"};
     static_assert(kNames.size() == static_cast<std::size_t>(Action::TellStatus) + 1);
     return kNames[static_cast<std::size_t>(action)];
 }

@@ -27,13 +27,18 @@ enum class Event : std::uint8_t {
     ApplicationReady,
     // facts of the server and of clients
     ServerUp,
+    ServerReturned,  ///< while the lease of its client runs on, orphaned
     ServerDown,
     ClientLost,
     ClientEnded,
     ClientResumed,
     CheckOutGranted,
+    LeaseResumed,  ///< by its holder, in the grace
+    LeaseExpired,  ///< the grace is over
+    TakenOver,     ///< by an administrator, or because the holder hands over
     // requests
     CheckOut,
+    HandOver,
     Release,
     SetParam,
     Resource,
@@ -89,8 +94,10 @@ enum class Action : std::uint8_t {
     CarryResource,
     SuspendUploads,
     AbandonRequests,
+    OrphanLease,
     EndLease,
-    DropReservation,
+    DismissWaiting,
+    ConsiderHandOver,
     PassText,
     PassRaw,
     AnswerStatus,

@@ -56,6 +56,25 @@ TEST(StateTable, WhateverEndsALeaseAtALivingApplicationStopsIt) {
     }
 }
 
+TEST(StateTable, WhateverOrphansALeaseStopsTheApplicationAndEndsItsWork) {
+    for (const auto& row : stateTable()) {
+        const auto has = [&](Action action) {
+            return std::find(row.actions.begin(), row.actions.end(), action) != row.actions.end();
+        };
+        if (!has(Action::OrphanLease)) continue;
+        for (const auto action :
+             {Action::StopApplication, Action::EndTasks, Action::VoidQueue, Action::SuspendUploads})
+            EXPECT_TRUE(has(action)) << axon::toString(row.state) << ' ' << toString(row.event) << ' '
+                                     << toString(action);
+    }
+}
+
+TEST(StateTable, AnOrphanedLeaseCanExpireInEveryStateThatItCanBeIn) {
+    for (const auto state : {EntityState::INIT, EntityState::ENVCONN, EntityState::REG, EntityState::COLLAB,
+                             EntityState::SLAVE, EntityState::BUSY, EntityState::ERR})
+        EXPECT_NE(findRow(state, Event::LeaseExpired), nullptr) << axon::toString(state);
+}
+
 TEST(StateTable, OnlyStopAndLossOfTheClientLatchAndOnlyRearmUnlatches) {
     for (const auto& row : stateTable())
         for (const auto action : row.actions) {

@@ -28,7 +28,10 @@ bool blocking(const std::string& service) {
 class World {
   public:
     explicit World(std::uint64_t seed)
-        : dice_(seed), rig_(seed, {.application = "rig", .task_queue_bound = kQueueBound}) {
+        : dice_(seed),
+          rig_(seed, {.application = "rig",
+                      .lease_grace = std::chrono::milliseconds{300},
+                      .task_queue_bound = kQueueBound}) {
         rig_.on_application = [this](const proto::EmToEi& message) { toApplication(message); };
         rig_.on_client = [this](const CoreRig::ToClientRecord& record) { toClient(record); };
     }
@@ -54,6 +57,9 @@ class World {
         return story;
     }
     std::size_t dispatches() const { return dispatched_.size(); }
+    std::size_t resumed() const { return resumed_; }
+    std::size_t passedOn() const { return passed_on_; }
+    std::size_t takenOver() const { return taken_over_; }
 
   private:
     std::uint64_t roll(std::uint64_t sides) { return dice_.next() % sides; }
@@ -72,6 +78,7 @@ class World {
         const auto id = nameOf(message.task().task_id());
         const auto& service = message.task().service();
         if (rig_.core().latched()) broken("dispatched while latched: " + id);
+        if (rig_.core().status().orphaned) broken("dispatched for a holder that is lost: " + id);
         if (message.task().stop_generation() != rig_.gate.generation())
             broken("dispatched under an older stop generation: " + id);
         if (!dispatched_.insert(id).second) broken("dispatched twice: " + id);
@@ -96,9 +103,15 @@ class World {
         if (record.head.sender.id.empty()) broken("a message to everybody");
         if (message.has_reply() && !message.reply().request_id().empty())
             answered("reply " + nameOf(message.reply().request_id()));
-        if (message.has_check_out())
-            answered("check-out " + nameOf(message.check_out().request_id()) + ' ' +
-                     proto::CheckOutPhase_Name(message.check_out().phase()));
+        if (message.has_check_out() && message.check_out().phase() == proto::RESUME_LEASE &&
+            message.check_out().has_lease())
+            told_again_ = true;
+        if (message.has_check_out()) checkOutReply(record.head.sender.id, message.check_out());
+        if (message.has_lease_ended()) {
+            believes_.erase(record.head.sender.id);
+            taken_over_ += message.lease_ended().reason().code() == proto::REVOKED_LEASE ? 1 : 0;
+        }
+        if (message.has_hand_over()) asked_ = nameOf(message.hand_over().request_id());
         if (message.has_receipt() && message.receipt().stage() == proto::StopReceipt::MANAGER &&
             message.receipt().stop_id().starts_with(record.head.sender.id + ':'))
             answered("signal " + message.receipt().stop_id());
@@ -117,10 +130,31 @@ class World {
             if (!(state == proto::TASK_REFUSED && message.task().reason().code() == proto::DUPLICATE) &&
                 record.head.sender.id == rig_.core().status().holder.id)
                 running_.erase(id);
-            answered("task " + id);
+            // Who resumes a lease is told again how its tasks have ended.
+            if (!told_again_ || !concluded_.contains(id) || open_.contains("task " + id)) answered("task " + id);
+            if (message.task().reason().code() != proto::DUPLICATE) concluded_.insert(id);
         } else if (state == proto::TASK_RUNNING || state == proto::TASK_PAUSED) {
             running_.insert(id);
         }
+    }
+    void checkOutReply(const std::string& client, const proto::CheckOutReply& reply) {
+        const auto what =
+            "check-out " + nameOf(reply.request_id()) + ' ' + proto::CheckOutPhase_Name(reply.phase());
+        if (reply.place() != 0) {  // not the last word
+            if (reply.has_lease() || reply.has_refusal()) broken("a place and an answer in one");
+            if (!open_.contains(what)) broken("a place that nobody asked for: " + what);
+            return;
+        }
+        answered(what);
+        if (!reply.has_lease()) return;
+        for (const auto& [other, lease] : believes_)
+            if (other != client)
+                broken("two holders: " + other + " was not told before " + client + " was granted");
+        believes_.emplace(client, true);
+        noteStops();
+        if (confirmed_ < newest_stop_ && !held_before_.contains(client + nameOf(reply.lease().key())))
+            broken("a grant before the robot stands still: " + what);
+        held_before_.insert(client + nameOf(reply.lease().key()));
     }
     void asked(const std::string& what) {
         if (server_) ++open_[what];
@@ -144,12 +178,14 @@ class World {
             if (!link_) return linkUp();
             if (!server_) return serverUp();
             if (now.state == EntityState::IDLE) return checkOut(any<std::string>({"client1", "client2"}));
+            if (now.orphaned && roll(2) == 0)
+                return resumeLease(any<std::string>({"client1", "client2", "admin"}));
             if (!now.holder.id.empty() && now.latched && roll(2) == 0) return rearm(now.holder.id);
             if (!now.holder.id.empty() && !now.latched) return task(now.holder.id);
         }
         const auto client =
             any<std::string>({"client1", "client1", "client1", "client2", "client3", "admin", "observer"});
-        switch (roll(26)) {
+        switch (roll(28)) {
             case 0:
             case 1:
                 return checkOut(client);
@@ -182,6 +218,10 @@ class World {
             case 17:
             case 18:
                 return confirm();
+            case 19:
+                return roll(3) == 0 ? resumeLease(client) : handOver(client);
+            case 20:
+                return checkOut(client);
             default:
                 return applicationWorks();
         }
@@ -206,17 +246,66 @@ class World {
     }
     void checkOut(const std::string& client) {
         auto& mine = request_[client];
+        if (roll(4) == 0 && open_.contains("check-out " + mine + " TAKE")) {  // so that its place is kept
+            last_ += client + " asks again " + mine;
+            rig_.core().onClientMsg(rig_.headOf(client), take_[client]);
+            return;
+        }
         const auto phase = any<proto::CheckOutPhase>(
-            {proto::TAKE, proto::TAKE, proto::RESERVE, proto::COMMIT, proto::ABORT});
+            {proto::TAKE, proto::TAKE, proto::TAKE, proto::RESERVE, proto::COMMIT, proto::ABORT});
         if (phase == proto::TAKE || phase == proto::RESERVE || mine.empty()) mine = fresh("r");
         const auto ask = "check-out " + mine + ' ' + proto::CheckOutPhase_Name(phase);
         last_ += client + ' ' + ask;
         if (open_.contains(ask)) return;  // its one answer is still to come
         asked(ask);
         proto::ToEntity message;
-        message.mutable_check_out()->set_phase(phase);
-        message.mutable_check_out()->set_request_id(idOf(mine));
+        auto& request = *message.mutable_check_out();
+        request.set_phase(phase);
+        request.set_request_id(idOf(mine));
+        request.set_wait(roll(3) == 0);
+        request.set_ask(roll(3) == 0);
+        request.set_force(roll(client == "admin" ? 2 : 12) == 0);
+        if (roll(3) == 0) request.mutable_hand_over()->set_yield(true);
+        if (roll(3) == 0) request.mutable_hand_over()->set_answer_within_s(0.2);
+        last_ += std::string(request.wait() ? " wait" : "") + (request.ask() ? " ask" : "") +
+                 (request.force() ? " force" : "");
+        if (phase == proto::TAKE) take_[client] = message.SerializeAsString();
         rig_.core().onClientMsg(rig_.headOf(client), message.SerializeAsString());
+    }
+    void resumeLease(const std::string& client) {
+        const auto now = rig_.core().status();
+        const auto of = roll(4) == 0 || now.holder.id.empty()
+                            ? any<std::string>({"client1", "client2", "client3", "admin"})
+                            : now.holder.id;
+        const auto& belief = rig_.clients[of];
+        const auto id = fresh("r");
+        proto::ToEntity message;
+        message.mutable_check_out()->set_phase(proto::RESUME_LEASE);
+        message.mutable_check_out()->set_request_id(idOf(id));
+        auto& lease = *message.mutable_check_out()->mutable_resume();
+        lease.set_epoch(static_cast<std::uint32_t>(belief.lease.epoch));
+        lease.set_number(static_cast<std::uint32_t>(belief.lease.number));
+        lease.set_key(belief.key);
+        const bool wrong = roll(4) == 0;
+        if (wrong) lease.set_key(idOf("wrong"));
+        last_ += client + " resumes the lease of " + of + " by " + id + (wrong ? " with a wrong key" : "");
+        if (!wrong && !belief.key.empty() && client != "observer") proved_.emplace(client, belief.lease);
+        asked("check-out " + id + " RESUME_LEASE");
+        rig_.core().onClientMsg(rig_.headOf(client), message.SerializeAsString());
+    }
+    void handOver(const std::string& client) {
+        const auto who = roll(3) == 0 || before_.holder.id.empty() ? client : before_.holder.id;
+        proto::ToEntity message;
+        if (roll(4) == 0) {
+            message.mutable_hand_over_policy()->set_yield(roll(2) == 0);
+            message.mutable_hand_over_policy()->set_answer_within_s(0.1);
+        } else {
+            message.mutable_hand_over_answer()->set_request_id(idOf(asked_));
+            message.mutable_hand_over_answer()->set_accept(roll(2) == 0);
+            excused_.insert("reply " + asked_);  // answered only when refused
+        }
+        last_ += who + " answers the question " + asked_;
+        send(who, message, {});
     }
     void task(const std::string& client) {
         const bool again = roll(15) == 0 && ids_ > 0;
@@ -314,6 +403,7 @@ class World {
         const auto change =
             any<ClientChange>({ClientChange::Lost, ClientChange::Ended, ClientChange::Resumed});
         last_ += client + " is lost, ended or resumed: " + std::to_string(static_cast<int>(change));
+        if (change != ClientChange::Resumed) believes_.erase(client);
         rig_.core().onClientUpdate(rig_.headOf(client), change);
     }
     void links() {
@@ -363,6 +453,7 @@ class World {
         running_.clear();
         for (const auto& [what, count] : open_) excused_.insert(what);
         open_.clear();
+        believes_.clear();
     }
     void wait() {
         last_ += "wait";
@@ -418,7 +509,18 @@ class World {
         noteStops();
         const auto now = rig_.core().status();
         const bool held = now.state == EntityState::REG || now.state == EntityState::BUSY;
-        if (held == now.holder.id.empty()) broken("state and holder disagree");
+        // Only a lease whose holder is lost outlives the session with the server.
+        const bool kept = now.orphaned && (now.state == EntityState::ENVCONN ||
+                                           now.state == EntityState::INIT || now.state == EntityState::ERR);
+        if ((held || kept) == now.holder.id.empty()) broken("state and holder disagree");
+        if (now.holder.id.empty() && now.orphaned) broken("orphaned without a lease");
+        if (before_.held == now.held && !now.holder.id.empty() &&
+            (before_.holder.id != now.holder.id || (before_.orphaned && !now.orphaned))) {
+            if (!proved_.contains({now.holder.id, now.held})) broken("a lease resumed without its key");
+            if (confirmed_ < newest_stop_) broken("a lease resumed before the robot stands still");
+            ++resumed_;
+        }
+        if (before_.held < now.held && now.waiting < before_.waiting) ++passed_on_;
         if (!before_.holder.id.empty() && !now.holder.id.empty() && before_.held != now.held)
             broken("handed over without being free in between");
         if (now.held != LeaseNumber{}) {
@@ -466,10 +568,18 @@ class World {
     std::size_t stops_noted_ = 0;
     std::map<std::string, std::string> at_work_;  ///< tasks that the application has, and their services
     std::set<std::string> dispatched_, running_, granted_;
+    std::set<std::string> concluded_;  ///< whose end was told
+    bool told_again_ = false;          ///< since a lease was resumed it may have been told more than once
     std::set<std::string> excused_;  ///< requests whose answer was lost with the server
     std::map<std::string, TimePoint> not_after_;
     std::map<std::string, int> open_;  ///< requests that wait for their answer
-    std::map<std::string, std::string> request_;
+    std::map<std::string, std::string> request_, take_;
+    std::map<std::string, bool> believes_;  ///< who has been granted it and was not told of an end
+    std::set<std::pair<std::string, LeaseNumber>>
+        proved_;                         ///< of which leases a client has sent the right key
+    std::set<std::string> held_before_;  ///< client and key: told again, no new grant
+    std::string asked_;                  ///< the request of the last question to a holder
+    std::size_t resumed_ = 0, passed_on_ = 0, taken_over_ = 0;
     std::deque<std::uint64_t> questions_;
     std::deque<Sent> sent_;
     std::vector<PendingStop> pending_stops_;
@@ -489,17 +599,28 @@ std::uint64_t setting(const char* name, std::uint64_t otherwise) {
 TEST(EntityManagerProperty, TheRulesHoldUnderRandomEvents) {
     const auto only = setting("AXON_SEED", 0);
     const auto seeds = only != 0 ? 1 : setting("AXON_SEEDS", 200);
-    std::size_t dispatches = 0;
+    std::size_t dispatches = 0, resumed = 0, passed_on = 0, taken_over = 0;
     for (std::uint64_t i = 0; i < seeds; ++i) {
         const auto seed = only != 0 ? only : i + 1;
         World world(seed);
         const auto broken = world.run(2000);
         ASSERT_EQ(broken, "") << "AXON_SEED=" << seed;
         dispatches += world.dispatches();
+        resumed += world.resumed();
+        passed_on += world.passedOn();
+        taken_over += world.takenOver();
     }
     // Rules that are never put to the test hold too.
     EXPECT_GT(dispatches, seeds * 20);
+    if (only == 0) {
+        EXPECT_GT(resumed, seeds * 3);
+        EXPECT_GT(passed_on, seeds);
+        EXPECT_GT(taken_over, seeds);
+    }
     RecordProperty("dispatches", std::to_string(dispatches));
+    RecordProperty("resumed", std::to_string(resumed));
+    RecordProperty("passed_on", std::to_string(passed_on));
+    RecordProperty("taken_over", std::to_string(taken_over));
 }
 
 }  // namespace

@@ -226,6 +226,18 @@ void CoreRig::take(const std::string& client, const std::string& request) {
     send(client, message);
 }
 
+void CoreRig::resumeLease(const std::string& client, const std::string& request, const std::string& of) {
+    const auto& belief = clients[of];
+    proto::ToEntity message;
+    message.mutable_check_out()->set_phase(proto::RESUME_LEASE);
+    message.mutable_check_out()->set_request_id(idOf(request));
+    auto& resumed = *message.mutable_check_out()->mutable_resume();
+    resumed.set_epoch(static_cast<std::uint32_t>(belief.lease.epoch));
+    resumed.set_number(static_cast<std::uint32_t>(belief.lease.number));
+    resumed.set_key(belief.key);
+    send(client, message);
+}
+
 void CoreRig::task(const std::string& client, const std::string& id, const std::string& service,
                    const std::vector<std::string>& params, double not_after_s) {
     proto::ToEntity message;
@@ -370,7 +382,9 @@ std::string shown(const proto::ToClient& message) {
                 text += " lease=" + std::to_string(reply.lease().epoch()) + '/' +
                         std::to_string(reply.lease().number()) +
                         " key=" + std::to_string(reply.lease().key().size()) +
-                        "bytes services=" + std::to_string(reply.services().services_size());
+                        "bytes services=" + std::to_string(reply.services().services_size()) +
+                        (reply.lease().root().empty() ? "" : " root=" + nameOf(reply.lease().root()));
+            if (reply.place() != 0) text += " place=" + std::to_string(reply.place());
             return text + " gen=" + std::to_string(reply.stop_generation()) +
                    (reply.latched() ? " latched" : "");
         }
@@ -398,6 +412,8 @@ std::string shown(const proto::ToClient& message) {
                                (status.latched() ? " latched" : "") +
                                " gen=" + std::to_string(status.stop_generation());
             if (!status.holder().empty()) text += " holder=" + status.holder();
+            if (status.orphaned()) text += " orphaned";
+            if (status.waiting() != 0) text += " waiting=" + std::to_string(status.waiting());
             for (const auto& task : status.tasks())
                 text += ' ' + nameOf(task.task_id()) + '=' + proto::TaskState_Name(task.state());
             for (const auto& task : status.ended())
@@ -431,6 +447,14 @@ std::string shown(const proto::ToClient& message) {
             return "Service " + shown(message.service());
         case proto::ToClient::kPosition:
             return "Position";
+        case proto::ToClient::kHandOver: {
+            const auto& question = message.hand_over();
+            char within[32];
+            std::snprintf(within, sizeof within, " within %g s", question.answer_within_s());
+            return "HandOverRequest " + nameOf(question.request_id()) + " by=" + question.by() +
+                   (question.reason().empty() ? "" : " \"" + question.reason() + '"') + within +
+                   (question.yield() ? " yield" : "") + (question.withdrawn() ? " withdrawn" : "");
+        }
         case proto::ToClient::BODY_NOT_SET:
             break;
     }
@@ -511,6 +535,8 @@ void CoreRig::sendStatus(const EntityStatus& status) {
     std::string line = std::string("server: status ") + toString(status.state) +
                        (status.latched ? " latched" : "") + " gen=" + std::to_string(status.stop_generation);
     if (!status.holder.id.empty()) line += " holder=" + status.holder.id + " lease=" + shown(status.held);
+    if (status.orphaned) line += " orphaned";
+    if (status.waiting != 0) line += " waiting=" + std::to_string(status.waiting);
     if (!status.reason.empty()) line += " \"" + status.reason.substr(0, status.reason.find('\n')) + '"';
     note(std::move(line));
     statuses.push_back(status);
@@ -524,9 +550,11 @@ void CoreRig::sendToClient(Lane lane, const Header& head, const proto::ToClient&
     if (on_client) on_client(to_clients.back());
     auto& belief = clients[head.sender.id];
     belief.generation = std::max(belief.generation, head.stop_generation);
-    if (message.has_check_out() && message.check_out().has_lease())
+    if (message.has_check_out() && message.check_out().has_lease()) {
+        belief.key = message.check_out().lease().key();
         belief.lease = {static_cast<std::int32_t>(message.check_out().lease().epoch()),
                         static_cast<std::int32_t>(message.check_out().lease().number())};
+    }
 }
 
 void CoreRig::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {

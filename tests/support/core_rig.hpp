@@ -75,6 +75,8 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     Header headOf(const std::string& client);
     void send(const std::string& client, const proto::ToEntity& message);
     void take(const std::string& client, const std::string& request);
+    /// RESUME_LEASE of the lease that `of` was given.
+    void resumeLease(const std::string& client, const std::string& request, const std::string& of);
     void task(const std::string& client, const std::string& id, const std::string& service,
               const std::vector<std::string>& params = {}, double not_after_s = 0);
     void setParam(const std::string& client, const std::string& request, const std::string& service,
@@ -94,6 +96,8 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     entity_manager::EntityManagerCore& core() { return *core_; }
     /// A new core over the same storage, gate and ports; what the old one knew is gone.
     void restart();
+    /// From the next restart() on.
+    entity_manager::CoreSettings& settings() { return settings_; }
 
     // BackEndPort and ServerPort.
     bool send(const proto::EmToEi& message) override;
@@ -132,6 +136,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     /// What each client believes.
     struct Belief {
         LeaseNumber lease;
+        std::string key;
         std::int32_t generation = 0;
         std::int64_t sequence = 0;
     };

@@ -108,6 +108,14 @@ void application(CoreRig& rig, Words& words) {
     rig.fromApplication(std::move(message));
 }
 
+/// "within SECONDS", "yield", "keep"
+void policy(const std::string& word, Words& words, proto::HandOverPolicy& policy) {
+    if (word == "within")
+        policy.set_answer_within_s(std::stod(words.need("seconds")));
+    else
+        policy.set_yield(word == "yield");
+}
+
 void client(CoreRig& rig, const std::string& name, Words& words) {
     auto verb = words.need("what the client does");
     while (verb.starts_with("gen=") || verb.starts_with("lease=")) {
@@ -120,14 +128,57 @@ void client(CoreRig& rig, const std::string& name, Words& words) {
         verb = words.need("what the client does");
     }
     proto::ToEntity message;
-    if (verb == "takes") return rig.take(name, words.need("a request"));
-    if (verb == "reserves" || verb == "commits" || verb == "aborts") {
+    if (verb == "takes" || verb == "reserves" || verb == "commits" || verb == "aborts") {
         auto& request = *message.mutable_check_out();
-        request.set_phase(verb == "reserves"  ? proto::RESERVE
-                          : verb == "commits" ? proto::COMMIT
-                                              : proto::ABORT);
+        request.set_phase(verb == "takes"      ? proto::TAKE
+                          : verb == "reserves" ? proto::RESERVE
+                          : verb == "commits"  ? proto::COMMIT
+                                               : proto::ABORT);
         request.set_request_id(idOf(words.need("a request")));
-        if (const auto seconds = words.next(); !seconds.empty()) request.set_reserve_s(std::stod(seconds));
+        for (auto word = words.next(); !word.empty(); word = words.next()) {
+            if (word == "wait")
+                request.set_wait(true);
+            else if (word == "ask")
+                request.set_ask(true);
+            else if (word == "force")
+                request.set_force(true);
+            else if (word == "because")
+                request.set_reason(words.need("a reason"));
+            else if (word == "root")
+                request.set_root(idOf(words.need("a root")));
+            else if (word == "within" || word == "yield")
+                policy(word, words, *request.mutable_hand_over());
+            else
+                request.set_reserve_s(std::stod(word));
+        }
+        return rig.send(name, message);
+    }
+    if (verb == "comes") {  // comes back as CLIENT REQUEST: with what that one was given
+        for (const char* filler : {"back", "as"}) words.need(filler);
+        const auto before = words.need("a client");
+        auto& request = *message.mutable_check_out();
+        request.set_phase(proto::RESUME_LEASE);
+        request.set_request_id(idOf(words.need("a request")));
+        const auto& belief = rig.clients[before];
+        const auto how = words.next();
+        auto& lease = *request.mutable_resume();
+        lease.set_epoch(static_cast<std::uint32_t>(rig.lease.value_or(belief.lease).epoch));
+        lease.set_number(static_cast<std::uint32_t>(rig.lease.value_or(belief.lease).number));
+        lease.set_key(how == "wrong-key"   ? idOf("wrong")
+                      : how == "short-key" ? belief.key.substr(0, 8)
+                                           : belief.key);
+        return rig.send(name, message);
+    }
+    if (verb == "answers") {
+        auto& answer = *message.mutable_hand_over_answer();
+        answer.set_request_id(idOf(words.need("a request")));
+        answer.set_accept(words.need("yes or no") == "yes");
+        answer.set_reason(words.next());
+        return rig.send(name, message);
+    }
+    if (verb == "decides") {
+        auto& decided = *message.mutable_hand_over_policy();
+        for (auto word = words.next(); !word.empty(); word = words.next()) policy(word, words, decided);
         return rig.send(name, message);
     }
     if (verb == "stops" || verb == "drills") {
@@ -224,6 +275,9 @@ void play(CoreRig& rig, const std::string& event) {
     } else if (who == "wait" || who == "silence") {
         rig.advance(std::chrono::milliseconds{std::stol(words.need("milliseconds"))}, who == "wait");
     } else if (who == "restart") {
+        rig.restart();
+    } else if (who == "grace") {
+        rig.settings().lease_grace = std::chrono::milliseconds{std::stol(words.need("milliseconds"))};
         rig.restart();
     } else if (who == "quit") {
         rig.core().shutDown();

@@ -1,0 +1,606 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <utility>
+
+#include "common/utf8.hpp"
+#include "entity_manager/machine.hpp"
+#include "messages/values.hpp"
+
+namespace axon::entity_manager {
+
+namespace {
+
+constexpr Duration kReserveDefault = std::chrono::seconds{2};
+constexpr Duration kReserveMax = std::chrono::seconds{30};
+/// How long a check-out waits for the robot to confirm its last stop.
+constexpr Duration kStandstillWait = std::chrono::seconds{5};
+constexpr double kAnswerWithinMax_s = 600;
+constexpr std::size_t kKeySize = 16;
+constexpr std::size_t kWhyMax = 500;
+
+Duration fromSeconds(double seconds) {
+    return std::chrono::duration_cast<Duration>(std::chrono::duration<double>(seconds));
+}
+
+std::string inWords(Duration time) {
+    const auto ms = std::chrono::duration_cast<std::chrono::milliseconds>(time).count();
+    return ms % 1000 == 0 ? std::to_string(ms / 1000) + " s" : std::to_string(ms) + " ms";
+}
+
+Result<HandOverPolicy> policyOf(const proto::HandOverPolicy& asked) {
+    const auto within = asked.answer_within_s();
+    if (!std::isfinite(within) || within < 0 || within > kAnswerWithinMax_s)
+        return Refusal{RefusalCode::OutOfRange,
+                       "answer_within_s must be a number of seconds from 0 (the default, 30) to 600.",
+                       {}};
+    HandOverPolicy policy;
+    if (within > 0) policy.answer_within = fromSeconds(within);
+    policy.yield = asked.yield();
+    return policy;
+}
+
+Result<Claim> claimOf(const Sender& sender, const proto::CheckOutRequest& request) {
+    if (!request.root().empty() && !Id128::fromBytes(request.root()))
+        return Refusal{RefusalCode::Malformed, "root must be 16 bytes, or empty.", {}};
+    auto policy = policyOf(request.hand_over());
+    if (!policy) return policy.refusal();
+    return Claim{sender, request.request_id(), request.root(), policy.value()};
+}
+
+/// ": why" of a text for people that somebody has sent.
+std::string because(const std::string& reason) {
+    return reason.empty() ? "." : ": " + std::string(cutUtf8(reason, kWhyMax));
+}
+
+}  // namespace
+
+// -- check-out
+// ------------------------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::considerCheckOut(const Incident& incident) {
+    const auto& request = incident.body->check_out();
+    const auto& sender = incident.head->sender;
+    const auto phase = request.phase();
+    const auto refuseWith = [&](const Refusal& refusal) {
+        replyCheckOut(sender, request.request_id(), phase, refusal);
+    };
+    if (!Id128::fromBytes(request.request_id())) {
+        refuseWith({RefusalCode::Malformed, "request_id must be 16 bytes.", {}});
+        return;
+    }
+    auto claim = claimOf(sender, request);
+    if (!claim) {
+        refuseWith(claim.refusal());
+        return;
+    }
+    if (request.force() && sender.role != Role::Admin) {
+        refuseWith({RefusalCode::PermissionDenied,
+                    "Only an administrator may take over what somebody holds. Ask the holder, or wait.",
+                    holder() != nullptr ? named(*holder()) : std::string()});
+        return;
+    }
+    switch (phase) {
+        case proto::TAKE:
+            take(incident, std::move(claim).value());
+            return;
+        case proto::RESERVE:
+            reserve(incident, claim.value());
+            return;
+        case proto::COMMIT:
+            commit(incident, claim.value());
+            return;
+        case proto::ABORT:
+            abortCheckOut(incident);
+            return;
+        case proto::RESUME_LEASE:
+            resumeLease(incident);
+            return;
+        default:
+            refuseWith({RefusalCode::Malformed,
+                        "The phase must be TAKE, RESERVE, COMMIT, ABORT or RESUME_LEASE.",
+                        {}});
+    }
+}
+
+/// Whether this check-out has been granted already and waits for the robot; then there is nothing more to do.
+bool EntityManagerCore::Machine::waitsForStandstill(const Claim& claim, proto::CheckOutPhase phase) {
+    if (!waiting_grant_ || waiting_grant_->claim.client.id != claim.client.id ||
+        waiting_grant_->claim.request_id != claim.request_id)
+        return false;
+    // Asked again: the one answer is still to come.
+    if (waiting_grant_->phase != phase)
+        replyCheckOut(
+            claim.client, claim.request_id, phase,
+            {RefusalCode::WrongState, "This check-out waits already until the robot stands still.", {}});
+    return true;
+}
+
+Refusal EntityManagerCore::Machine::mayTake(const Claim& claim) const {
+    auto refusal = lease_.mayTake(claim.client, claim.request_id);
+    // Free, and the first of the list gets it as soon as the robot stands still.
+    if (refusal.ok() && !wait_list_.empty() && !lease_.reservedFor(claim.client, claim.request_id))
+        refusal = {RefusalCode::Reserved,
+                   named(wait_list_.first().client) +
+                       " has waited for it and is next. Wait in its list, or choose "
+                       "another entity.",
+                   named(wait_list_.first().client)};
+    return refusal;
+}
+
+void EntityManagerCore::Machine::take(const Incident& incident, Claim claim) {
+    const auto& request = incident.body->check_out();
+    if (waitsForStandstill(claim, proto::TAKE)) return;
+    const bool holds = holder() != nullptr && holder()->id == claim.client.id && !lease_.orphaned();
+    if (holds && lease_.held()->request_id == claim.request_id) {
+        sendGrant(proto::TAKE);
+        return;
+    }
+    if (hand_over_.isOpenFor(claim.client, claim.request_id)) {
+        sendPlace(claim, 1);
+        return;
+    }
+    const bool in_list = wait_list_.placeOf(claim.client, claim.request_id) != 0;
+    auto refusal = mayTake(claim);
+    if (refusal.ok()) {
+        grantWhenStanding(std::move(claim), proto::TAKE);
+        return;
+    }
+    const bool held_back =
+        !holds && (refusal.code == RefusalCode::AlreadyHeld || refusal.code == RefusalCode::Reserved);
+    if (held_back && request.force()) {
+        const auto by = named(claim.client);
+        takeOver(claim, proto::TAKE,
+                 {RefusalCode::RevokedLease, by + " took it over" + because(request.reason()), by});
+        return;
+    }
+    if (held_back && request.ask() && !in_list && holder() != nullptr && !lease_.orphaned()) {
+        refusal = hand_over_.mayAsk(named(*holder()));
+        if (refusal.ok()) {
+            askHolder(claim, request.wait(), request.reason());
+            return;
+        }
+    }
+    if (held_back && (request.wait() || in_list)) {
+        refusal = wait_list_.mayJoin(claim.client, claim.request_id);
+        if (refusal.ok()) {
+            const auto place = wait_list_.join(claim, clock_.now());
+            sendPlace(claim, place);
+            return;
+        }
+    }
+    replyCheckOut(claim.client, claim.request_id, proto::TAKE, refusal);
+}
+
+void EntityManagerCore::Machine::reserve(const Incident& incident, const Claim& claim) {
+    const auto& request = incident.body->check_out();
+    if (waitsForStandstill(claim, proto::RESERVE)) return;
+    auto refusal = mayTake(claim);
+    const bool holds = holder() != nullptr && holder()->id == claim.client.id && !lease_.orphaned();
+    // By force nothing happens to the holder before the commit: all or none.
+    if (request.force() && !holds) {
+        if (waiting_grant_ && waiting_grant_->phase != proto::RESUME_LEASE)
+            dropWaitingGrant({RefusalCode::Reserved,
+                              named(claim.client) + " takes it over" + because(request.reason()),
+                              named(claim.client)});
+        refusal = {};
+    }
+    if (refusal.ok()) {
+        const auto asked = request.reserve_s();
+        Duration time = kReserveDefault;
+        if (asked > 0)
+            time = asked >= std::chrono::duration<double>(kReserveMax).count() ? kReserveMax
+                                                                               : fromSeconds(asked);
+        lease_.reserve(claim.client, claim.request_id, clock_.now() + time);
+    }
+    replyCheckOut(claim.client, claim.request_id, proto::RESERVE, refusal);
+}
+
+void EntityManagerCore::Machine::commit(const Incident& incident, const Claim& claim) {
+    if (waitsForStandstill(claim, proto::COMMIT)) return;
+    if (holder() != nullptr && holder()->id == claim.client.id && !lease_.orphaned() &&
+        lease_.held()->request_id == claim.request_id) {
+        sendGrant(proto::COMMIT);
+        return;
+    }
+    if (const auto refusal = lease_.mayCommit(claim.client, claim.request_id); !refusal.ok()) {
+        replyCheckOut(claim.client, claim.request_id, proto::COMMIT, refusal);
+        return;
+    }
+    if (lease_.held()) {
+        const auto by = named(claim.client);
+        takeOver(claim, proto::COMMIT,
+                 {RefusalCode::RevokedLease,
+                  by + " took it over" + because(incident.body->check_out().reason()), by});
+        return;
+    }
+    grantWhenStanding(claim, proto::COMMIT);
+}
+
+/// Of a lease, a reservation, a place or a question of exactly this request. What is not there is aborted
+/// already.
+void EntityManagerCore::Machine::abortCheckOut(const Incident& incident) {
+    const auto& sender = incident.head->sender;
+    const auto& id = incident.body->check_out().request_id();
+    const Refusal aborted{RefusalCode::Cancelled, "The check-out was aborted.", {}};
+    // Committed here, refused elsewhere: all or none.
+    if (holder() != nullptr && holder()->id == sender.id && lease_.held()->request_id == id) {
+        Incident ended{Event::ClientEnded, incident.head};
+        ended.cause = StopCause::Released;
+        ended.reason = {RefusalCode::Stopped, "The check-out was aborted.", {}};
+        fire(ended);
+    }
+    if (lease_.reservedFor(sender, id)) lease_.dropReservation();
+    if (waiting_grant_ && waiting_grant_->claim.client.id == sender.id &&
+        waiting_grant_->claim.request_id == id)
+        dropWaitingGrant(aborted);
+    if (wait_list_.leave(sender, id)) replyCheckOut(sender, id, proto::TAKE, aborted);
+    if (hand_over_.isOpenFor(sender, id)) {
+        tellQuestion(*hand_over_.take(), true);
+        replyCheckOut(sender, id, proto::TAKE, aborted);
+    }
+    replyCheckOut(sender, id, proto::ABORT, {});
+}
+
+/// The key alone proves it: the holder has lost its session, and this is another one.
+void EntityManagerCore::Machine::resumeLease(const Incident& incident) {
+    const auto& request = incident.body->check_out();
+    const auto& sender = incident.head->sender;
+    const Claim claim{sender, request.request_id(), {}};
+    const auto refuseWith = [&](const Refusal& refusal) {
+        replyCheckOut(sender, claim.request_id, proto::RESUME_LEASE, refusal);
+    };
+    if (request.resume().key().size() != kKeySize) {
+        refuseWith({RefusalCode::Malformed,
+                    "resume must have the epoch, the number and the 16 bytes of the key of the lease.",
+                    {}});
+        return;
+    }
+    if (waitsForStandstill(claim, proto::RESUME_LEASE)) return;
+    const LeaseNumber number{static_cast<std::int32_t>(request.resume().epoch()),
+                             static_cast<std::int32_t>(request.resume().number())};
+    if (const auto refusal = lease_.mayResume(sender, number, request.resume().key()); !refusal.ok()) {
+        refuseWith(refusal);
+        return;
+    }
+    const auto before = *lease_.held();
+    if (!lease_.orphaned()) {
+        if (before.holder.id == sender.id) {  // it has it already
+            lease_.resume(sender, claim.request_id);
+            sendGrant(proto::RESUME_LEASE);
+            return;
+        }
+        if (settings_.lease_grace == Duration::zero()) {
+            refuseWith({RefusalCode::NotSupported,
+                        "No lease outlives its session here (Axon.LeaseGrace is 0). Check it out anew.",
+                        named(before.holder)});
+            return;
+        }
+        // Its loss is not known here yet: it happens now.
+        Incident lost{Event::ClientLost};
+        lost.cause = StopCause::ClientLost;
+        lost.reason = {RefusalCode::ClientLost, named(before.holder) + " has connected anew.", {}};
+        fire(lost);
+        sendLeaseEnded(before,
+                       {RefusalCode::RevokedLease,
+                        named(sender) + " has resumed the lease from another session.", named(sender)});
+    }
+    grantWhenStanding(claim, proto::RESUME_LEASE);
+}
+
+void EntityManagerCore::Machine::grantWhenStanding(Claim claim, proto::CheckOutPhase phase) {
+    const bool resumes = phase == proto::RESUME_LEASE;
+    if (!resumes) wait_list_.leave(claim.client, claim.request_id);
+    if (!standing()) {
+        // Never hand over a robot that has not confirmed its last stop. Meanwhile it is reserved.
+        auto until = clock_.now() + kStandstillWait;
+        if (waiting_grant_) {  // of a holder that has come back twice the later session counts
+            until = waiting_grant_->until;
+            dropWaitingGrant({RefusalCode::RevokedLease,
+                              named(claim.client) + " has resumed the lease from another session.",
+                              named(claim.client)});
+        }
+        if (!resumes) lease_.reserve(claim.client, claim.request_id, until);
+        waiting_grant_ = WaitingGrant{std::move(claim), phase, until};
+        return;
+    }
+    // Who gets it waits for it no longer.
+    for (const auto& other : wait_list_.forget(claim.client.id))
+        if (other.request_id != claim.request_id)
+            replyCheckOut(
+                other.client, other.request_id, proto::TAKE,
+                {RefusalCode::AlreadyHeld, "You hold it already, by another request.", named(claim.client)});
+    Incident granted{resumes ? Event::LeaseResumed : Event::CheckOutGranted};
+    granted.phase = phase;
+    if (resumes)
+        lease_.resume(claim.client, claim.request_id);
+    else
+        lease_.grant(claim);
+    note({.kind = resumes ? JournalRecord::Kind::Resumed : JournalRecord::Kind::Granted,
+          .who = named(claim.client)});
+    fire(granted);
+    if (resumes) {
+        tellFinals();
+        if (hand_over_.open()) tellQuestion(*hand_over_.open(), false);
+    } else if (application_busy_) {
+        fire(Event::ApplicationBusy);
+    }
+}
+
+/// Who held it is told at once; who takes it gets it when the robot stands still.
+void EntityManagerCore::Machine::takeOver(const Claim& claim, proto::CheckOutPhase phase,
+                                          const Refusal& why) {
+    if (const auto question = hand_over_.take())
+        replyCheckOut(question->claim.client, question->claim.request_id, proto::TAKE,
+                      {RefusalCode::AlreadyHeld, why.message, why.holder});
+    if (waiting_grant_) dropWaitingGrant({RefusalCode::Reserved, why.message, why.holder});
+    lease_.dropReservation();
+    if (lease_.held()) {
+        Incident taken{Event::TakenOver};
+        taken.cause = StopCause::Released;
+        taken.reason = why;
+        note({.kind = JournalRecord::Kind::TakenOver,
+              .who = named(claim.client),
+              .code = std::string(refusalName(why.code)),
+              .text = why.message});
+        fire(taken);
+    }
+    grantWhenStanding(claim, phase);
+}
+
+// -- ask first
+// ------------------------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::askHolder(const Claim& claim, bool waits, const std::string& reason) {
+    const auto& question = hand_over_.ask(claim, waits, std::string(cutUtf8(reason, kWhyMax)),
+                                          lease_.held()->hand_over, clock_.now());
+    tellQuestion(question, false);
+    sendPlace(claim, 1);
+}
+
+void EntityManagerCore::Machine::tellQuestion(const HandOver::Question& question, bool withdrawn) {
+    if (holder() == nullptr) return;
+    proto::ToClient message;
+    auto& request = *message.mutable_hand_over();
+    request.set_request_id(question.claim.request_id);
+    request.set_by(named(question.claim.client));
+    request.set_reason(question.reason);
+    const std::chrono::duration<double> left = question.until - clock_.now();
+    request.set_answer_within_s(std::max(0.0, left.count()));
+    request.set_yield(question.yield);
+    request.set_withdrawn(withdrawn);
+    tell(*holder(), kMsgHandOver, message);
+}
+
+void EntityManagerCore::Machine::considerHandOver(const Incident& incident) {
+    if (incident.body->has_hand_over_policy()) {
+        const auto policy = policyOf(incident.body->hand_over_policy());
+        if (policy)
+            lease_.setHandOver(policy.value());
+        else
+            refuse(incident, policy.refusal());
+        return;
+    }
+    const auto& said = incident.body->hand_over_answer();
+    if (!hand_over_.open() || hand_over_.open()->claim.request_id != said.request_id()) {
+        refuse(incident, {RefusalCode::Expired, "Nobody asks for it with this request (any more).", {}});
+        return;
+    }
+    decideHandOver(*hand_over_.take(), said.accept(), said.reason());
+}
+
+void EntityManagerCore::Machine::decideHandOver(const HandOver::Question& question, bool accepted,
+                                                const std::string& said) {
+    const auto& claim = question.claim;
+    const auto whose = holder() != nullptr ? named(*holder()) : std::string("Its holder");
+    // An administrator's reservation, or a holder that has just come back, is before it.
+    if (accepted && !waiting_grant_ && !lease_.reservation()) {
+        takeOver(claim, proto::TAKE,
+                 {RefusalCode::RevokedLease,
+                  whose + " hands it over to " + named(claim.client) + because(said), named(claim.client)});
+        return;
+    }
+    if (question.waits && wait_list_.mayJoin(claim.client, claim.request_id).ok()) {
+        const auto place = wait_list_.join(claim, clock_.now());
+        sendPlace(claim, place);
+        return;
+    }
+    replyCheckOut(claim.client, claim.request_id, proto::TAKE,
+                  {RefusalCode::HandOverRefused,
+                   whose + " keeps it" + because(accepted ? std::string() : said), whose});
+}
+
+// -- what follows by itself
+// -----------------------------------------------------------------------------------------
+
+/// After each event: who is next.
+void EntityManagerCore::Machine::passOn() {
+    if (waiting_grant_ && standing()) {
+        auto waiting = *std::exchange(waiting_grant_, std::nullopt);
+        grantWhenStanding(std::move(waiting.claim), waiting.phase);
+    }
+    if (mayEndGrace() && clock_.now() >= *lease_.held()->grace_until) {
+        Incident expired{Event::LeaseExpired};
+        expired.cause = StopCause::ClientLost;
+        expired.reason = orphan_reason_;
+        if (settings_.lease_grace > Duration::zero()) {
+            auto& text = expired.reason.message;
+            if (text.ends_with('.')) text.pop_back();
+            text += "; nobody resumed the lease within " + inWords(settings_.lease_grace) + '.';
+            expired.reason.code = RefusalCode::Expired;
+        }
+        fire(expired);
+    }
+    if (state_ == EntityState::IDLE && !waiting_grant_ && !lease_.reservation()) {
+        // Who asked for this very lease is before those who wait for any: its end answers the question.
+        if (const auto question = hand_over_.take())
+            grantWhenStanding(question->claim, proto::TAKE);
+        else if (!wait_list_.empty() && standing())
+            grantWhenStanding(wait_list_.pop(), proto::TAKE);
+    }
+    for (const auto& [claim, place] : wait_list_.takeChanges()) sendPlace(claim, place);
+}
+
+/// Tasks that outlive the loss of their client hold up the end of its lease, and so does a holder that is
+/// back and waits for the robot to stand still.
+bool EntityManagerCore::Machine::mayEndGrace() const {
+    return lease_.orphaned() && active_.empty() &&
+           !(waiting_grant_ && waiting_grant_->phase == proto::RESUME_LEASE);
+}
+
+void EntityManagerCore::Machine::passTime() {
+    const auto now = clock_.now();
+    if (waiting_grant_ && now >= waiting_grant_->until)
+        dropWaitingGrant(
+            {RefusalCode::TimedOut,
+             "The robot application has not confirmed its last stop. Look at the robot, then try again.",
+             {}});
+    lease_.expire(now);
+    for (const auto& claim : wait_list_.expire(now))
+        replyCheckOut(claim.client, claim.request_id, proto::TAKE,
+                      {RefusalCode::Expired,
+                       "The place was given up: the request was not sent again within " +
+                           inWords(WaitList::kRefreshWithin) + '.',
+                       {}});
+    if (const auto question = hand_over_.expire(now)) {
+        tellQuestion(*question, true);
+        decideHandOver(*question, question->yield, "it did not answer in time.");
+    }
+    passOn();
+}
+
+// -- the end of a lease
+// ---------------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::orphanLease(const Incident& incident) {
+    if (!lease_.held() || lease_.orphaned()) return;
+    orphan_reason_ = incident.reason;
+    lease_.orphan(clock_.now() + settings_.lease_grace);
+    note({.kind = JournalRecord::Kind::Lost,
+          .who = named(lease_.held()->holder),
+          .text = incident.reason.message});
+}
+
+void EntityManagerCore::Machine::endLease(const Incident& incident) {
+    if (!lease_.held()) return;
+    const auto held = *lease_.held();
+    const bool own_wish = incident.event == Event::Release || incident.event == Event::ClientEnded;
+    // Nothing is left that it could resume.
+    if (waiting_grant_ && waiting_grant_->phase == proto::RESUME_LEASE)
+        dropWaitingGrant(own_wish
+                             ? Refusal{RefusalCode::NotHolder, "The lease has ended: it was released.", {}}
+                             : incident.reason);
+    const auto reason = own_wish ? Refusal{RefusalCode::Ok, "Released.", {}} : incident.reason;
+    sendLeaseEnded(held, reason);
+    note({.kind = JournalRecord::Kind::LeaseEnded,
+          .who = named(held.holder),
+          .code = std::string(refusalName(reason.code)),
+          .text = reason.message});
+    lease_.end(own_wish                                       ? RefusalCode::NotHolder
+               : incident.reason.code == RefusalCode::Expired ? RefusalCode::Expired
+                                                              : RefusalCode::RevokedLease,
+               own_wish ? "it was released." : incident.reason.message);
+}
+
+void EntityManagerCore::Machine::sendLeaseEnded(const LeaseBook::Held& held, const Refusal& reason) {
+    proto::ToClient message;
+    auto& ended = *message.mutable_lease_ended();
+    ended.mutable_lease()->set_epoch(static_cast<std::uint32_t>(held.number.epoch));
+    ended.mutable_lease()->set_number(static_cast<std::uint32_t>(held.number.number));
+    *ended.mutable_reason() = toProto(reason);
+    tell(held.holder, kMsgRelease, message);
+}
+
+/// What the incident's own client waits for, where it is about one; what anybody waits for.
+void EntityManagerCore::Machine::dismissWaiting(const Incident& incident) {
+    const auto* client = incident.head != nullptr ? &incident.head->sender.id : nullptr;
+    const auto concerns = [client](const std::string& id) { return client == nullptr || id == *client; };
+    if (lease_.reservation() && concerns(lease_.reservation()->by.id)) lease_.dropReservation();
+    if (waiting_grant_ && concerns(waiting_grant_->claim.client.id)) dropWaitingGrant(incident.reason);
+    for (const auto& claim : client != nullptr ? wait_list_.forget(*client) : wait_list_.clear())
+        replyCheckOut(claim.client, claim.request_id, proto::TAKE, incident.reason);
+    if (hand_over_.open() && concerns(hand_over_.open()->claim.client.id)) {
+        const auto question = *hand_over_.take();
+        tellQuestion(question, true);
+        replyCheckOut(question.claim.client, question.claim.request_id, proto::TAKE, incident.reason);
+    }
+}
+
+void EntityManagerCore::Machine::dropWaitingGrant(const Refusal& reason) {
+    const auto waiting = *std::exchange(waiting_grant_, std::nullopt);
+    if (lease_.reservedFor(waiting.claim.client, waiting.claim.request_id)) lease_.dropReservation();
+    replyCheckOut(waiting.claim.client, waiting.claim.request_id, waiting.phase, reason);
+}
+
+void EntityManagerCore::Machine::onClientUpdate(const Header& head, ClientChange change) {
+    if (quit_) return;
+    Incident incident{Event::ClientResumed, &head};
+    const bool lost = change == ClientChange::Lost;
+    if (change != ClientChange::Resumed) {
+        incident.event = lost ? Event::ClientLost : Event::ClientEnded;
+        incident.cause = lost ? StopCause::ClientLost : StopCause::Released;
+        incident.reason = {lost ? RefusalCode::ClientLost : RefusalCode::Stopped,
+                           named(head.sender) + (lost ? " was lost." : " has left."),
+                           {}};
+        switchStreams(watches_.forget(head.sender.id));
+        // Of a client that is not the holder, or is not any more, only what it waits for is left to end.
+        if (holder() != nullptr && holder()->id != head.sender.id) {
+            dismissWaiting(incident);
+            settle();
+            return;
+        }
+    }
+    fire(incident);
+    settle();
+}
+
+// -- answers
+// ----------------------------------------------------------------------------------------------------------
+
+void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
+    const auto& held = *lease_.held();
+    proto::ToClient message;
+    auto& reply = *message.mutable_check_out();
+    reply.set_request_id(held.request_id);
+    reply.set_phase(phase);
+    reply.mutable_lease()->set_epoch(static_cast<std::uint32_t>(held.number.epoch));
+    reply.mutable_lease()->set_number(static_cast<std::uint32_t>(held.number.number));
+    reply.mutable_lease()->set_key(held.key.bytes());
+    reply.mutable_lease()->set_root(held.root);
+    reply.set_grace_ms(static_cast<std::uint32_t>(
+        std::chrono::duration_cast<std::chrono::milliseconds>(settings_.lease_grace).count()));
+    reply.set_stop_generation(generation_);
+    reply.set_latched(latched_);
+    reply.set_datagram_endpoint(datagram_endpoint_);
+    *reply.mutable_services() = profiler_.profile();
+    tell(held.holder, kMsgCheckOut, message);
+    if (streams_off_) switchStreams({{"", true}});
+}
+
+void EntityManagerCore::Machine::replyCheckOut(const Sender& to, const std::string& request_id,
+                                               proto::CheckOutPhase phase, const Refusal& refusal) {
+    proto::ToClient message;
+    auto& reply = *message.mutable_check_out();
+    reply.set_request_id(request_id);
+    reply.set_phase(phase);
+    if (!refusal.ok()) *reply.mutable_refusal() = toProto(refusal);
+    reply.set_stop_generation(generation_);
+    reply.set_latched(latched_);
+    tell(to, kMsgCheckOut, message);
+    noteRefusal(to, {}, refusal);
+}
+
+/// Neither granted nor refused: waiting, or the holder has been asked.
+void EntityManagerCore::Machine::sendPlace(const Claim& claim, std::size_t place) {
+    proto::ToClient message;
+    auto& reply = *message.mutable_check_out();
+    reply.set_request_id(claim.request_id);
+    reply.set_phase(proto::TAKE);
+    reply.set_place(static_cast<std::uint32_t>(place));
+    reply.set_stop_generation(generation_);
+    reply.set_latched(latched_);
+    tell(claim.client, kMsgCheckOut, message);
+}
+
+}  // namespace axon::entity_manager
