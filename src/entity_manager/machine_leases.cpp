@@ -75,7 +75,8 @@ void EntityManagerCore::Machine::considerCheckOut(const Incident& incident) {
         refuseWith(claim.refusal());
         return;
     }
-    if (request.force() && sender.role != Role::Admin) {
+    const bool takes = phase == proto::TAKE || phase == proto::RESERVE || phase == proto::COMMIT;
+    if (takes && request.force() && sender.role != Role::Admin) {
         refuseWith({RefusalCode::PermissionDenied,
                     "Only an administrator may take over what somebody holds. Ask the holder, or wait.",
                     holder() != nullptr ? named(*holder()) : std::string()});
@@ -311,6 +312,12 @@ void EntityManagerCore::Machine::grantWhenStanding(Claim claim, proto::CheckOutP
             replyCheckOut(
                 other.client, other.request_id, proto::TAKE,
                 {RefusalCode::AlreadyHeld, "You hold it already, by another request.", named(claim.client)});
+    if (hand_over_.open() && hand_over_.open()->claim.client.id == claim.client.id) {
+        const auto question = *hand_over_.take();
+        replyCheckOut(
+            question.claim.client, question.claim.request_id, proto::TAKE,
+            {RefusalCode::AlreadyHeld, "You hold it already, by another request.", named(claim.client)});
+    }
     Incident granted{resumes ? Event::LeaseResumed : Event::CheckOutGranted};
     granted.phase = phase;
     if (resumes)

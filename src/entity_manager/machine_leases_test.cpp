@@ -323,7 +323,11 @@ TEST_F(Ownership, AnAbortIsOfTheOwnRequestAlone) {
     EXPECT_EQ(rig.core().status().waiting, 1);
     checkOut("client2", "r1", abort);
     EXPECT_EQ(holder(), "client1");
-    checkOut("client2", "r2", abort);
+    checkOut("client2", "r2", [](auto& request) {
+        request.set_phase(proto::ABORT);
+        request.set_force(true);
+    });
+    EXPECT_EQ(code("client2"), proto::OK) << "to give up takes no administrator";
     EXPECT_EQ(rig.core().status().waiting, 0);
 }
 
@@ -400,6 +404,24 @@ TEST_F(Ownership, AQuestionIsPutAnewToAHolderThatHasComeBack) {
     ASSERT_TRUE(rig.to_clients.back().message.has_hand_over());
     EXPECT_EQ(rig.to_clients.back().head.sender.id, "client1b");
     EXPECT_DOUBLE_EQ(rig.to_clients.back().message.hand_over().answer_within_s(), 28);
+}
+
+TEST_F(Ownership, WhoAsksAndThenHoldsItByItsKeyIsNotAskedItself) {
+    rig.take("client1", "r1");
+    checkOut("client2", "r2", ask);
+    lose("client1");
+    standStill();
+    rig.resumeLease("client2", "r3", "client1");
+    EXPECT_EQ(holder(), "client2");
+    EXPECT_FALSE(rig.to_clients.back().message.has_hand_over());
+    const auto answered =
+        std::find_if(rig.to_clients.rbegin(), rig.to_clients.rend(), [](const auto& record) {
+            return record.message.has_check_out() && record.message.check_out().request_id() == idOf("r2");
+        });
+    ASSERT_NE(answered, rig.to_clients.rend());
+    EXPECT_EQ(answered->message.check_out().refusal().code(), proto::ALREADY_HELD);
+    checkOut("client3", "r4", ask);
+    EXPECT_EQ(code("client3"), proto::OK) << "there is room for another question";
 }
 
 TEST_F(Ownership, OnlyAdministratorsTakeOverAndTheLoserIsToldAtOnce) {
