@@ -295,6 +295,7 @@ void Communicator::stopThread() {
         ::poll(wait.data(), wait.size(), -1);
         if (signal_link_ && (wait[1].revents != 0 || signal_link_->lost())) readSignals(*signal_link_);
         if ((wait[0].revents & POLLIN) != 0) stop_wake_.drain();
+        if (owed_ && !level_.inside()) stopAgain();
         const auto faults = faults_.load();
         const bool fault = std::exchange(faults_seen, faults) != faults;
         // An Entity Manager that knew nothing of the fault would start the next task.
@@ -308,6 +309,8 @@ void Communicator::stopThread() {
         }
         if (end_stop_thread_) {
             dispatchStop(StopSignal::Cause::Shutdown);
+            level_.waitUntil(now() + kLastWords, [this] { return !level_.inside(); });
+            if (owed_) stopAgain();
             this_thread_of = nullptr;
             return;
         }
@@ -317,6 +320,7 @@ void Communicator::stopThread() {
             if (signal_link_) {
                 baseline_known_ = false;
                 level_.adopt(0);
+                manager_heard_.allow({}, now());  // no gap reaches from one link into the next
                 signal_link_->epoch = level_.epoch();
                 {
                     // Only now: data of this link is judged by this level.
@@ -369,7 +373,7 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
             return acknowledge(link, stop.stop_generation());
         }
         if (baseline_known_ && stop.stop_generation() <= level_.stopped())
-            return acknowledge(link, level_.stopped());
+            return owed_ ? void() : acknowledge(link, level_.stopped());
         baseline_known_ = true;
         level_.raise(stop.stop_generation(), stop.cause());
         const bool returned =
@@ -381,6 +385,8 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
         return link.cut("unexpected message on the signal connection: only beats and stops belong there");
     const auto& beat = message.beat();
     heard_ns_ = nanoseconds(now());
+    manager_heard_.allow(beat.busy() ? link.watchdog_busy : link.watchdog_idle, now());
+    manager_heard_.heard(now());
     if (busy_.exchange(beat.busy()) != beat.busy()) watch_wake_.wake();
     if (!baseline_known_) {
         baseline_known_ = true;
@@ -413,13 +419,23 @@ bool Communicator::callStop(const StopSignal& signal) {
             thrown = "something that is no std::exception";
         }
     }
-    level_.settle();
+    const bool again = level_.inside();
+    owed_ = again ? std::optional(signal) : std::nullopt;
+    if (!again) level_.settle();
     heard_ns_ = nanoseconds(now());
+    manager_heard_.allow({}, now());  // nobody listened while the callback ran
     in_callback_ = false;
     if (!returned)
         note(LogLevel::Error,
              "the stop callback threw (" + thrown + "): this stop is not acknowledged; catch inside onStop");
-    return returned;
+    return returned && !again;
+}
+
+/// What was running when the stop came has returned, and may have moved the robot last.
+void Communicator::stopAgain() {
+    const auto signal = *owed_;
+    if (callStop(signal) && signal_link_ && !signal_link_->lost())
+        acknowledge(*signal_link_, level_.stopped());
 }
 
 void Communicator::acknowledge(Link& link, std::uint32_t generation) {
@@ -592,7 +608,6 @@ bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
     half->deadline = now();
     heard_ns_ = nanoseconds(now());
     busy_ = false;
-    slow_warned_ = false;
     next_beat_ = now();
     {
         const std::lock_guard lock(signal_handover_mutex_);
@@ -633,6 +648,11 @@ void Communicator::beat() {
     beat.set_busy(busy);
     beat.set_stop_generation(level_.announced());
     beat.set_stopped(level_.settled());
+    const auto gap = manager_heard_.longest(now());
+    beat.set_longest_gap_ms(
+        static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.length).count()));
+    beat.set_allowed_ms(
+        static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.allowed).count()));
     watched_->sendSignal(message);
 }
 
@@ -643,8 +663,8 @@ void Communicator::checkSilence() {
     const auto timeout = busy_ ? watched_->watchdog_busy : watched_->watchdog_idle;
     const auto silent = time - heard;
     if (silent < timeout) {
-        if (silent > timeout * 3 / 5 && !slow_warned_) {
-            slow_warned_ = true;
+        if (silent > timeout * 3 / 5 && time >= slow_warn_again_) {
+            slow_warn_again_ = time + LifeSigns::kWarnAgain;
             note(LogLevel::Warning,
                  "beats of the Entity Manager come late (more than half of the watchdog of " +
                      std::to_string(timeout.count()) + " ms): this machine is overloaded");

@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "common/clock.hpp"
+#include "common/life_signs.hpp"
 #include "common/port_range.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 #include "entity_interfacer/link.hpp"
@@ -117,7 +118,10 @@ class Communicator {
     void readSignals(Link& link);
     void onSignal(Link& link, const proto::EmToEi& message);
     void dispatchStop(StopSignal::Cause cause);
+    /// True when the stop is over: the callback has returned, and nothing older that could move the robot
+    /// runs.
     bool callStop(const StopSignal& signal);
+    void stopAgain();
     void acknowledge(Link& link, std::uint32_t generation);
 
     // Watch thread
@@ -147,6 +151,10 @@ class Communicator {
     bool guarded(const char* what, Call call, const std::function<void()>& last_words = {});
     /// Whether a stop has come since the Entity Manager, at this generation, passed something on.
     bool overtaken(const Link& link, std::uint32_t generation) const;
+    /// Calls what may move the robot, unless it has been overtaken; a stop that comes meanwhile is called
+    /// again.
+    template <class Call>
+    void unlessOvertaken(const Link& link, std::uint32_t generation, Call call);
     void logNotes();
 
     std::shared_ptr<Link> currentLink() const;
@@ -184,6 +192,7 @@ class Communicator {
     std::atomic<std::int64_t> heard_ns_{0};
     std::atomic<bool> busy_{false};
     std::atomic<bool> in_callback_{false};
+    LifeSigns manager_heard_;
 
     // Links on their way from the watch thread to the stop thread, and from there to the data thread
     std::mutex signal_handover_mutex_, data_handover_mutex_;
@@ -192,6 +201,7 @@ class Communicator {
     // Stop thread
     std::shared_ptr<Link> signal_link_;
     bool baseline_known_ = false;
+    std::optional<StopSignal> owed_;  // called, and to be called again
 
     // Watch thread
     std::shared_ptr<Link> watched_;
@@ -199,7 +209,7 @@ class Communicator {
     TimePoint next_beat_{};
     TimePoint accept_again_{};
     std::uint64_t beat_sequence_ = 0;
-    bool slow_warned_ = false;
+    TimePoint slow_warn_again_{};
 
     // Data thread
     std::deque<std::string> recent_tasks_;

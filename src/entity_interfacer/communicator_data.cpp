@@ -176,6 +176,14 @@ bool Communicator::overtaken(const Link& link, std::uint32_t generation) const {
     return link.lost() || !level_.settled() || level_.stopped() > generation || level_.epoch() != link.epoch;
 }
 
+template <class Call>
+void Communicator::unlessOvertaken(const Link& link, std::uint32_t generation, Call call) {
+    if (!level_.enter([&] { return !overtaken(link, generation); })) return;
+    call();
+    level_.leave();
+    if (!level_.settled()) stop_wake_.wake();
+}
+
 void Communicator::dataThread() {
     this_thread_of = this;
     std::shared_ptr<Link> link;
@@ -306,11 +314,16 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
         case proto::EmToEi::kPause:
             if (const auto task = findTask(message.pause().task_id())) {
                 const bool resume = message.pause().resume();
-                if (resume && (task->stopRequested() || overtaken(*link, message.pause().stop_generation())))
+                if (!resume) {
+                    task->setPaused(true);
+                    if (callbacks_.pause) guarded("onPause", [&] { callbacks_.pause(Task(task)); });
                     return;
-                task->setPaused(!resume);
-                const auto& callback = resume ? callbacks_.resume : callbacks_.pause;
-                if (callback) guarded(resume ? "onResume" : "onPause", [&] { callback(Task(task)); });
+                }
+                unlessOvertaken(*link, message.pause().stop_generation(), [&] {
+                    if (task->stopRequested()) return;
+                    task->setPaused(false);
+                    if (callbacks_.resume) guarded("onResume", [&] { callbacks_.resume(Task(task)); });
+                });
             }
             return;
         case proto::EmToEi::kText:
@@ -318,12 +331,13 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
                 guarded("onText", [&] { callbacks_.text(message.text().text(), message.text().from()); });
             return;
         case proto::EmToEi::kRaw:
-            if (callbacks_.raw && !overtaken(*link, message.raw().stop_generation()))
+            if (!callbacks_.raw) return;
+            return unlessOvertaken(*link, message.raw().stop_generation(), [&] {
                 guarded("onRaw", [&] {
                     const auto& blocks = message.raw().data();
                     callbacks_.raw({blocks.begin(), blocks.end()}, message.raw().from());
                 });
-            return;
+            });
         case proto::EmToEi::kStream: {
             const auto& control = message.stream();
             const std::lock_guard lock(statements_mutex_);

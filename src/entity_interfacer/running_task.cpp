@@ -114,6 +114,9 @@ Task::Running::Running(const proto::TaskDispatch& dispatch, std::shared_ptr<Link
       service(dispatch.service()),
       generation(dispatch.stop_generation()),
       epoch(link->epoch),
+      start_by(dispatch.start_within_ms() == 0 ? std::chrono::steady_clock::time_point::max()
+                                               : std::chrono::steady_clock::now() +
+                                                     std::chrono::milliseconds{dispatch.start_within_ms()}),
       link_(std::move(link)),
       level_(level) {
     for (const auto& param : dispatch.params()) parameters.push_back(fromProto(param));
@@ -163,7 +166,7 @@ bool Task::Running::waitFor(std::chrono::nanoseconds time) {
 }
 
 std::optional<Refusal> Task::Running::waitForStart() {
-    level_.waitUntil(std::chrono::steady_clock::now() + kSettleTime, [this] {
+    level_.waitUntil(std::min(start_by, std::chrono::steady_clock::now() + kSettleTime), [this] {
         return stopRequested() || (level_.settled() && level_.announced() >= generation);
     });
     if (level_.stopped() > generation)
@@ -172,6 +175,10 @@ std::optional<Refusal> Task::Running::waitForStart() {
                        {}};
     if (cancelled_) return Refusal{RefusalCode::Cancelled, "cancelled before it began", {}};
     if (stopRequested()) return Refusal{RefusalCode::Stopped, "the robot application has stopped itself", {}};
+    if (std::chrono::steady_clock::now() >= start_by)
+        return Refusal{RefusalCode::Expired,
+                       "its not_after passed before the robot application could begin; it was not started",
+                       {}};
     if (!level_.settled())
         return Refusal{RefusalCode::TimedOut,
                        "the robot application's stop callback has not returned: make it return at once",

@@ -15,7 +15,9 @@ namespace axon {
 /// the newest whose stop was meant for the application; a drill raises only the first. Stops that this
 /// library dispatches itself (fault, shutdown) raise the *epoch*. A task remembers generation and epoch of
 /// its dispatch and is stopped once `stopped` or the epoch is higher. `settled` is false from the moment a
-/// level rises until the application's stop callback has returned: no task starts in between.
+/// level rises until the application's stop callback has returned: no task starts in between. A callback that
+/// was `inside` when the level rose may move the robot after the stop callback; then that one is called again
+/// once it has returned, and the level settles only then.
 ///
 /// Threads: the stop thread writes; any thread reads. The mutex is held for the change of a few words and
 /// while a waiting task checks its condition, never during I/O or in user code.
@@ -52,6 +54,19 @@ class StopLevel {
     void settle() {
         change([&] { settled_ = true; });
     }
+    /// A callback that may move the robot begins, unless the condition no longer holds. Either the condition
+    /// sees a level that rises at the same moment, or whoever raised it sees the callback inside.
+    template <class Condition>
+    bool enter(Condition condition) {
+        const std::lock_guard lock(mutex_);
+        if (!condition()) return false;
+        ++inside_;
+        return true;
+    }
+    void leave() {
+        change([&] { --inside_; });
+    }
+    bool inside() const { return inside_.load(std::memory_order_acquire) > 0; }
     /// Something that a waiting task looks at has changed.
     void notify() {
         change([] {});
@@ -86,6 +101,7 @@ class StopLevel {
     std::atomic<std::uint64_t> epoch_{0};
     std::atomic<int> cause_{0};
     std::atomic<bool> settled_{true};
+    std::atomic<int> inside_{0};
 };
 
 }  // namespace axon

@@ -163,9 +163,16 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         announce(generation);  // after it, lest a beat arrives first and hides the cause
     }
 
+    std::vector<HopMargin> margins() const {
+        if (!peer_) return {};
+        return {{"entity manager watches application", signs_.longest(now())},
+                {"application watches entity manager", told_}};
+    }
+
     void setBusy(bool busy) {
         if (watchdog_.busy() == busy) return;
         watchdog_.setBusy(busy, now());
+        if (peer_) signs_.allow(watchdog_.timeout(), now());
         if (peer_) onBeatTimer();
     }
 
@@ -413,6 +420,10 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         next_whole_look_ = {};
         look_timer_.cancel();
         watchdog_.feed(now());
+        signs_.allow({}, now());  // no gap reaches from one link into the next
+        signs_.allow(watchdog_.timeout(), now());
+        signs_.heard(now());
+        told_ = {};
         announced_ = stop_gate_.generation();
         gate_seen_ = announced_;
         signal_.store(duplicate);
@@ -469,10 +480,14 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 lost(peer, "the robot application has sent a malformed message");
                 return false;
             }
-            if (message.has_beat())
+            if (message.has_beat()) {
                 watchdog_.feed(now());
-            else if (message.body_case() != proto::EiToEm::BODY_NOT_SET)
+                signs_.heard(now());
+                told_ = {std::chrono::milliseconds{message.beat().longest_gap_ms()},
+                         std::chrono::milliseconds{message.beat().allowed_ms()}};
+            } else if (message.body_case() != proto::EiToEm::BODY_NOT_SET) {
                 events_.onLinkMessage(message);
+            }
         }
         if (peer_ != peer) return false;
         if (!reader.failed()) return true;
@@ -547,6 +562,12 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 return;
             }
         }
+        if (watchdog_.margin(time) <= 1 - LifeSigns::kWarnFrom && time >= warn_again_) {
+            warn_again_ = time + LifeSigns::kWarnAgain;
+            asio::post(strand_, [self = shared_from_this(), text = describe(signs_.longest(time))] {
+                if (!self->closed_) self->events_.onLinkSlow(text);
+            });
+        }
         auto next = time + watchdog_.timeout() / 5;
         if (watchdog_.deadline() > time) next = std::min(next, watchdog_.deadline());
         beat_timer_.expires_at(std::chrono::steady_clock::time_point{next.time_since_epoch()});
@@ -598,6 +619,9 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     Refusal last_refusal_;
     std::shared_ptr<Peer> peer_;
     Watchdog watchdog_;
+    LifeSigns signs_;
+    LifeSigns::Gap told_;  // by the application: what it heard of us
+    TimePoint warn_again_{};
     std::uint64_t beat_sequence_ = 0;
     std::uint32_t gate_seen_ = 0;
 };
@@ -639,6 +663,9 @@ std::uint64_t BackEndInterface::rawDropped() const {
 }
 void BackEndInterface::stop(std::uint32_t generation, StopCause cause) {
     connections_->stop(generation, cause);
+}
+std::vector<HopMargin> BackEndInterface::margins() const {
+    return connections_->margins();
 }
 void BackEndInterface::setBusy(bool busy) {
     connections_->setBusy(busy);

@@ -38,6 +38,8 @@ class BackEndEvents {
     /// For the operator: our application is there and does not want us (ALREADY_HELD, NOT_SUPPORTED), or a
     /// message was larger than a frame (TOO_LARGE). Told when the reason changes.
     virtual void onLinkRefused(const Refusal&) {}
+    /// For the operator: the application's beats come late, once a minute at most.
+    virtual void onLinkSlow(const std::string&) {}
 };
 
 /// The Entity Manager's end of the link to the robot application (thesis 3.3.1), over TCP.
@@ -73,6 +75,7 @@ class BackEndInterface final : public BackEndPort {
     std::uint64_t rawDropped() const;  ///< frames, since construction. Any thread.
     void stop(std::uint32_t generation, StopCause cause) override;
     void setBusy(bool busy) override;
+    std::vector<HopMargin> margins() const override;
 
   private:
     class Connections;

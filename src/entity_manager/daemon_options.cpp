@@ -17,10 +17,11 @@ namespace {
 
 namespace fs = std::filesystem;
 
-const std::set<std::string> kKeys{"Axon.Application", "Axon.Instance",      "Axon.Server",       "Axon.User",
-                                  "Axon.Password",    "Axon.Ports",         "Axon.PortsFile",    "Axon.State",
-                                  "Axon.LogLevel",    "Axon.WatchdogBusyMs", "Axon.WatchdogIdleMs", "Axon.Address",
-                                  "Axon.Datagrams",   "Axon.LockMemory",    "Axon.LeaseGrace"};
+const std::set<std::string> kKeys{"Axon.Application", "Axon.Instance", "Axon.Server", "Axon.User",
+                                  "Axon.Password", "Axon.Ports", "Axon.PortsFile", "Axon.State",
+                                  "Axon.LogLevel", "Axon.WatchdogBusyMs", "Axon.WatchdogIdleMs", "Axon.Address",
+                                  "Axon.Datagrams", "Axon.LockMemory", "Axon.LeaseGrace", "Axon.LinkWatchdogBusyMs",
+                                  "Axon.LinkWatchdogIdleMs", "Axon.AnswerWithinMs"};
 
 fs::path defaultStateFolder(const std::string& application, const std::string& instance) {
     const char* state = std::getenv("XDG_STATE_HOME");
@@ -161,9 +162,26 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         std::chrono::milliseconds(integerBetween("Axon.WatchdogBusyMs", chosen("", "Axon.WatchdogBusyMs", "250"), 50, 2000));
     options.core.server_watchdog_idle =
         std::chrono::milliseconds(integerBetween("Axon.WatchdogIdleMs", chosen("", "Axon.WatchdogIdleMs", "10000"), 250, 60000));
-    options.core.lease_grace = secondsBetween("Axon.LeaseGrace", chosen("", "Axon.LeaseGrace", "5"), 0, 600);
     options.datagrams = datagramsOf(chosen("", "Axon.Datagrams", "on"));
     options.lock_memory = integerBetween("Axon.LockMemory", chosen("", "Axon.LockMemory", "1"), 0, 1) != 0;
+    options.core.lease_grace = secondsBetween("Axon.LeaseGrace", chosen("", "Axon.LeaseGrace", "5"), 0, 600);
+    options.back_end.watchdog_busy = std::chrono::milliseconds(
+        integerBetween("Axon.LinkWatchdogBusyMs", chosen("", "Axon.LinkWatchdogBusyMs", "100"), 50, 2000));
+    options.back_end.watchdog_idle = std::chrono::milliseconds(
+        integerBetween("Axon.LinkWatchdogIdleMs", chosen("", "Axon.LinkWatchdogIdleMs", "500"), 100, 10000));
+    options.core.answer_within = std::chrono::milliseconds(
+        integerBetween("Axon.AnswerWithinMs", chosen("", "Axon.AnswerWithinMs", "10000"), 100, 600000));
+    const auto ordered = [](const char* busy, Duration shorter, const char* idle, Duration longer) {
+        if (shorter > longer)
+            throw std::runtime_error(
+                std::string(busy) + " is longer than " + idle +
+                ": expected the watchdog of a running task to be the shorter one; lower the first or "
+                "raise the second");
+    };
+    ordered("Axon.WatchdogBusyMs", options.core.server_watchdog_busy, "Axon.WatchdogIdleMs",
+            options.core.server_watchdog_idle);
+    ordered("Axon.LinkWatchdogBusyMs", options.back_end.watchdog_busy, "Axon.LinkWatchdogIdleMs",
+            options.back_end.watchdog_idle);
     options.log_level = chosen(log_level, "Axon.LogLevel", "info");
     static const std::set<std::string> kLevels{"trace", "debug", "info", "warning", "error", "critical", "off"};
     if (!kLevels.contains(options.log_level))

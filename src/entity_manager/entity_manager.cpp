@@ -74,6 +74,10 @@ void EntityManager::stop() {
 // -- from the server ------------------------------------------------------------------------------------------------
 
 void EntityManager::stopSignal(Header head, StopCause cause) {
+    if (cause == StopCause::ClientLost && gate_.sparesClientLoss()) {
+        clientUpdate(std::move(head), ClientChange::Lost);  // what that means now, the strand decides
+        return;
+    }
     const std::lock_guard in_order(stop_mutex_);
     const bool drill = cause == StopCause::Drill;
     // A generation that the strand never hears of would make every command an old one, so a drill that would be
@@ -156,6 +160,11 @@ void EntityManager::onLinkDown(const std::string& reason) {
 
 void EntityManager::onLinkRefused(const Refusal& refusal) {
     spdlog::warn("{}: no link to the robot application: {} ({})", name_, refusal.message, refusalName(refusal.code));
+}
+
+void EntityManager::onLinkSlow(const std::string& what) {
+    spdlog::warn("{}: the robot application: {}; above that the link is given up. This machine is overloaded",
+                 name_, what);
 }
 
 void EntityManager::onLinkMessage(const proto::EiToEm& message) {
@@ -246,6 +255,8 @@ void EntityManager::armTimer() {
         self->armed_ = TimePoint::max();
         self->hearServer();
         self->core_->onTimer();
+        if (const auto warning = self->core_->takeWarning(); !warning.empty())
+            spdlog::warn("{}: {}", self->name_, warning);
         self->afterEvents();
     });
 }

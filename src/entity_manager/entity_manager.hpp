@@ -82,6 +82,7 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     void onLinkDown(const std::string& reason) override;
     void onLinkMessage(const proto::EiToEm& message) override;
     void onLinkRefused(const Refusal& refusal) override;
+    void onLinkSlow(const std::string& what) override;
 
     /// Where the strand's turn is taken: at once in this thread if the strand is free, or by the executor. Signal
     /// threads never do the strand's work.

@@ -86,4 +86,8 @@ const CoreCounters& EntityManagerCore::counters() const {
     return machine_->counters();
 }
 
+std::string EntityManagerCore::takeWarning() {
+    return machine_->takeWarning();
+}
+
 }  // namespace axon::entity_manager

@@ -102,6 +102,9 @@ class EntityManagerCore {
     const LeaseBook::Held* held() const;
     EntityStatus status() const;
     const CoreCounters& counters() const;
+    /// Something for the operator's log: the server has been silent for a good part of what its watchdog
+    /// allows. Once a minute at most; empty otherwise. Look after onTimer().
+    std::string takeWarning();
 
   private:
     class Machine;

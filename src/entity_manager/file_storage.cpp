@@ -9,10 +9,16 @@
 
 #include <array>
 #include <cerrno>
+#include <condition_variable>
+#include <cstring>
+#include <deque>
+#include <fstream>
+#include <mutex>
+#include <optional>
 #include <stdexcept>
 #include <system_error>
+#include <thread>
 #include <utility>
-#include <vector>
 
 namespace axon::entity_manager {
 
@@ -30,6 +36,7 @@ class File {
     File& operator=(const File&) = delete;
     bool isOpen() const { return fd_ >= 0; }
     int fd() const { return fd_; }
+    int release() { return std::exchange(fd_, -1); }
 
     bool writeAll(std::string_view bytes) const {
         while (!bytes.empty()) {
@@ -134,6 +141,109 @@ void FileStorage::save(std::string_view key, std::string_view value) {
     synchroniseFolder(folder_);
 }
 
+namespace {
+
+constexpr std::uint64_t kNotePeriod = 16U << 20U;  // bytes that a killed process may have to be sent again
+
+/// How far a file has been hashed, so that a resumed upload need not be read again.
+struct HashNote {
+    char format[8] = {'a', 'x', 'o', 'n', 's', 'h', 'a', '1'};
+    std::uint64_t written = 0;
+    crypto_hash_sha256_state hash{};
+};
+
+fs::path noteOf(fs::path incoming) {
+    incoming += ".state";
+    return incoming;
+}
+
+/// What "stored" says: a file of another size, time or place on the disk is not the one that was
+/// synchronised.
+std::string factsOf(const struct stat& file) {
+    return std::to_string(file.st_ino) + ' ' + std::to_string(file.st_size) + ' ' +
+           std::to_string(file.st_mtim.tv_sec) + '.' + std::to_string(file.st_mtim.tv_nsec) + '\n';
+}
+
+}  // namespace
+
+/// The thread that waits for the disk.
+class FileResourceStore::Synchroniser {
+  public:
+    Synchroniser() : thread_([this] { run(); }) {}
+    ~Synchroniser() {
+        {
+            const std::lock_guard lock(mutex_);
+            ending_ = true;
+        }
+        wake_.notify_one();
+        thread_.join();
+    }
+    void add(int fd, fs::path place) {
+        Job dropped;  // closed after the lock
+        {
+            const std::lock_guard lock(mutex_);
+            if (jobs_.size() == kUnsynchronised) {
+                dropped = std::move(jobs_.front());
+                jobs_.pop_front();
+            }
+            jobs_.emplace_back(fd, std::move(place));
+        }
+        wake_.notify_one();
+    }
+
+  private:
+    struct Job {
+        Job() = default;
+        Job(int file, fs::path at) : fd(file), place(std::move(at)) {}
+        Job(Job&& other) noexcept : fd(std::exchange(other.fd, -1)), place(std::move(other.place)) {}
+        Job& operator=(Job&& other) noexcept {
+            std::swap(fd, other.fd);
+            std::swap(place, other.place);
+            return *this;
+        }
+        ~Job() {
+            if (fd >= 0) ::close(fd);
+        }
+        int fd = -1;
+        fs::path place;
+    };
+
+    /// What waits is still done at the end.
+    void run() {
+        while (true) {
+            Job job;
+            {
+                std::unique_lock lock(mutex_);
+                wake_.wait(lock, [this] { return ending_ || !jobs_.empty(); });
+                if (jobs_.empty()) return;
+                job = std::move(jobs_.front());
+                jobs_.pop_front();
+            }
+            synchronise(job);
+        }
+    }
+    static void synchronise(const Job& job) {
+        struct stat ours {
+        }, there{};
+        if (::fsync(job.fd) != 0 || ::fstat(job.fd, &ours) != 0) return;
+        if (::stat((job.place / "content").c_str(), &there) != 0 || factsOf(ours) != factsOf(there))
+            return;  // replaced
+        synchroniseFolder(job.place);
+        const auto fresh = job.place / "stored.new";
+        {
+            const File mark(fresh, O_WRONLY | O_CREAT | O_TRUNC);
+            if (!mark.isOpen() || !mark.writeAll(factsOf(ours)) || ::fsync(mark.fd()) != 0) return;
+        }
+        if (::rename(fresh.c_str(), (job.place / "stored").c_str()) == 0) synchroniseFolder(job.place);
+    }
+
+    std::mutex mutex_;
+    std::condition_variable wake_;
+    std::deque<Job> jobs_;  // guarded by mutex_
+    bool ending_ = false;   // guarded by mutex_
+    std::thread thread_;    // last: it uses the others
+};
+
 struct FileResourceStore::Transfer {
     std::string service;
     std::string resource;
@@ -150,13 +260,52 @@ struct FileResourceStore::Transfer {
     }
     void feed(std::string_view bytes) {
         crypto_hash_sha256_update(&hash, reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size());
+        written += bytes.size();
     }
+    /// Goes on where the note of an earlier transfer ends, or from the beginning. False: the file cannot be
+    /// used.
+    bool resume() {
+        HashNote kept;
+        std::ifstream in(noteOf(path), std::ios::binary);
+        in.read(reinterpret_cast<char*>(&kept), sizeof kept);
+        struct stat facts {};
+        if (::fstat(file.fd(), &facts) != 0) return false;
+        const bool usable = in.gcount() == sizeof kept &&
+                            std::memcmp(kept.format, HashNote{}.format, sizeof kept.format) == 0 &&
+                            kept.written <= size && kept.written <= static_cast<std::uint64_t>(facts.st_size);
+        if (usable) {
+            hash = kept.hash;
+            written = kept.written;
+        }
+        noted = written;
+        return ::ftruncate(file.fd(), static_cast<off_t>(written)) == 0 &&
+               ::lseek(file.fd(), static_cast<off_t>(written), SEEK_SET) >= 0;
+    }
+    /// A note that could not be written costs a repeated upload and nothing else.
+    void note() {
+        HashNote kept;
+        kept.written = written;
+        kept.hash = hash;
+        auto fresh = noteOf(path);
+        fresh += ".new";
+        {
+            const File out(fresh, O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW);
+            if (!out.isOpen() || !out.writeAll({reinterpret_cast<const char*>(&kept), sizeof kept})) return;
+        }
+        if (::rename(fresh.c_str(), noteOf(path).c_str()) == 0) noted = written;
+    }
+    void forgetNote() const {
+        std::error_code ignored;
+        fs::remove(noteOf(path), ignored);
+    }
+    std::uint64_t noted = 0;
 };
 
 FileResourceStore::FileResourceStore(fs::path folder) : folder_(std::move(folder)) {
     if (sodium_init() < 0) throw std::runtime_error("libsodium could not be initialised.");
     makeFolder(folder_ / "resources");
     makeFolder(folder_ / "incoming");
+    synchroniser_ = std::make_unique<Synchroniser>();
 }
 
 FileResourceStore::~FileResourceStore() = default;
@@ -177,22 +326,7 @@ Result<std::uint64_t> FileResourceStore::begin(const proto::ResourceOffer& offer
     transfer->resource = offer.resource();
     transfer->sha256 = offer.sha256();
     transfer->size = offer.size();
-    // What is there already is read once, so that finish() need not read the whole file again.
-    std::vector<char> part(64 * 1024);
-    while (true) {
-        const auto n = ::read(transfer->file.fd(), part.data(), part.size());
-        if (n < 0 && errno == EINTR) continue;
-        if (n < 0) return storeRefusal("read", incoming);
-        if (n == 0) break;
-        transfer->feed({part.data(), static_cast<std::size_t>(n)});
-        transfer->written += static_cast<std::uint64_t>(n);
-    }
-    if (transfer->written > transfer->size) {
-        if (::ftruncate(transfer->file.fd(), 0) != 0 || ::lseek(transfer->file.fd(), 0, SEEK_SET) != 0)
-            return storeRefusal("empty", incoming);
-        crypto_hash_sha256_init(&transfer->hash);
-        transfer->written = 0;
-    }
+    if (!transfer->resume()) return storeRefusal("use", incoming);
     const auto here = transfer->written;
     transfers_[offer.transfer_id()] = std::move(transfer);
     return here;
@@ -213,7 +347,7 @@ Result<void> FileResourceStore::write(std::string_view transfer_id, std::uint64_
         return refusal;
     }
     transfer.feed(content);
-    transfer.written += content.size();
+    if (transfer.written - transfer.noted >= kNotePeriod) transfer.note();
     return {};
 }
 
@@ -222,6 +356,7 @@ Result<std::string> FileResourceStore::finish(std::string_view transfer_id) {
     if (at == transfers_.end()) return Refusal{RefusalCode::UnknownResource, "There is no such upload.", {}};
     const auto transfer = std::move(at->second);
     transfers_.erase(at);
+    transfer->forgetNote();
     std::array<unsigned char, crypto_hash_sha256_BYTES> digest{};
     crypto_hash_sha256_final(&transfer->hash, digest.data());
     if (transfer->written != transfer->size ||
@@ -233,31 +368,42 @@ Result<std::string> FileResourceStore::finish(std::string_view transfer_id) {
             "What arrived has not the SHA-256 that was offered; it was deleted. Upload the file again.",
             {}};
     }
-    if (::fsync(transfer->file.fd()) != 0) return storeRefusal("write", transfer->path);
     const auto place = placeOf(transfer->service, transfer->resource);
     std::error_code error;
     fs::create_directories(place, error);
     const auto path = place / "content";
+    std::error_code none;
+    fs::remove(place / "stored", none);
     if (error || ::rename(transfer->path.c_str(), path.c_str()) != 0)
         return storeRefusal("put in its place", path);
-    synchroniseFolder(place);
+    placed_.insert(place);
+    synchroniser_->add(transfer->file.release(), place);
     return fs::absolute(path).string();
 }
 
 void FileResourceStore::suspend(std::string_view transfer_id) {
     const auto at = transfers_.find(transfer_id);
-    if (at != transfers_.end()) transfers_.erase(at);
+    if (at == transfers_.end()) return;
+    at->second->note();
+    transfers_.erase(at);
 }
 
 void FileResourceStore::remove(std::string_view service, std::string_view resource) {
     std::error_code ignored;
+    placed_.erase(placeOf(service, resource));
     fs::remove_all(placeOf(service, resource), ignored);
 }
 
 std::optional<std::string> FileResourceStore::find(std::string_view service, std::string_view resource) {
-    const auto path = placeOf(service, resource) / "content";
-    std::error_code error;
-    if (!fs::is_regular_file(path, error) || error) return std::nullopt;
+    const auto place = placeOf(service, resource);
+    const auto path = place / "content";
+    struct stat facts {};
+    if (::stat(path.c_str(), &facts) != 0 || !S_ISREG(facts.st_mode)) return std::nullopt;
+    if (!placed_.contains(place)) {
+        std::string stored;
+        std::getline(std::ifstream(place / "stored", std::ios::binary), stored);
+        if (stored + '\n' != factsOf(facts)) return std::nullopt;
+    }
     return fs::absolute(path).string();
 }
 

@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 
 #include "entity_manager/ports.hpp"
@@ -24,14 +25,23 @@ class FileStorage final : public Storage {
     std::filesystem::path folder_;
 };
 
-/// Resources in <folder>/resources/<service>/<resource>/: the file "content" once it is complete. What is
-/// still arriving lies in <folder>/incoming/, named by its SHA-256 and size, so that a later offer of the
-/// same content resumes and a different one does not. Service and resource names become safe folder names
-/// (letters, digits, '-', '_', ' ' stay; any other byte is %XX).
+/// Resources in <folder>/resources/<service>/<resource>/: the file "content" once it is complete, and beside
+/// it "stored" once the disk has it. What is still arriving lies in <folder>/incoming/, named by its SHA-256
+/// and size, so that a later offer of the same content resumes and a different one does not; beside it,
+/// ".state" says how much has been hashed. Service and resource names become safe folder names (letters,
+/// digits, '-', '_', ' ' stay; any other byte is %XX).
 ///
-/// Threads: one at a time. Failure: refusals; the message names the file. A disk that is full is OVERLOADED.
+/// No call waits for the disk to synchronise, or reads what has arrived before: a gigabyte would hold up the
+/// strand, and the robot would stop for want of heartbeats. A thread of its own synchronises what finish()
+/// has put in its place and then writes "stored"; a file that has none, because the power was lost before, is
+/// not found by a next life and is uploaded again.
+///
+/// Threads: one at a time; one of its own. Bounded: kUnsynchronised files wait for that thread, of more the
+/// oldest is not marked. Failure: refusals; the message names the file. A disk that is full is OVERLOADED.
 class FileResourceStore final : public ResourceStore {
   public:
+    static constexpr std::size_t kUnsynchronised = 64;
+
     explicit FileResourceStore(std::filesystem::path folder);
     ~FileResourceStore() override;
 
@@ -44,10 +54,13 @@ class FileResourceStore final : public ResourceStore {
 
   private:
     struct Transfer;
+    class Synchroniser;
     std::filesystem::path placeOf(std::string_view service, std::string_view resource) const;
 
     std::filesystem::path folder_;
     std::map<std::string, std::unique_ptr<Transfer>, std::less<>> transfers_;
+    std::set<std::filesystem::path> placed_;  ///< in this life: found whether the disk has them or not
+    std::unique_ptr<Synchroniser> synchroniser_;
 };
 
 }  // namespace axon::entity_manager

@@ -89,6 +89,42 @@ TEST_F(Folder, AWrongHashDeletesWhatArrivedAndKeepsTheOldFile) {
     EXPECT_EQ(store.begin(offer("t3", 3, std::string(32, 'h'))).value(), 0U) << "nothing of it is left";
 }
 
+TEST_F(Folder, ALaterLifeFindsWhatTheDiskHasAndNothingElse) {
+    std::string path;
+    {
+        FileResourceStore store(folder);
+        (void)store.begin(offer("t1", 3, kAbc));
+        ASSERT_TRUE(store.write("t1", 0, "abc").ok());
+        path = store.finish("t1").value();
+        EXPECT_EQ(store.find("Ser/../vice", ".."), path) << "at once in the same life";
+    }  // which waits for the disk
+    EXPECT_EQ(FileResourceStore(folder).find("Ser/../vice", ".."), path);
+    std::ofstream(path, std::ios::app) << "d";
+    EXPECT_EQ(FileResourceStore(folder).find("Ser/../vice", ".."), std::nullopt)
+        << "not what was synchronised";
+    std::ofstream(path) << "abc";
+    fs::remove(fs::path(path).parent_path() / "stored");
+    EXPECT_EQ(FileResourceStore(folder).find("Ser/../vice", ".."), std::nullopt)
+        << "as after a loss of power";
+}
+
+TEST_F(Folder, AKilledUploadGoesOnWhereItsLastNoteWas) {
+    const std::string megabyte(1U << 20U, 'x');
+    {
+        // Never suspended, never ended: as if the process had been killed.
+        auto* killed = new FileResourceStore(folder);
+        (void)killed->begin(offer("t1", 40U << 20U, kAbc));
+        for (std::uint64_t i = 0; i < 20; ++i) ASSERT_TRUE(killed->write("t1", i << 20U, megabyte).ok());
+        FileResourceStore next(folder);
+        EXPECT_EQ(next.begin(offer("t2", 40U << 20U, kAbc)).value(), 16U << 20U);
+        delete killed;
+    }
+    for (const auto& entry : fs::directory_iterator(folder / "incoming"))
+        if (entry.path().extension() == ".state") std::ofstream(entry.path()) << "damaged";
+    FileResourceStore next(folder);
+    EXPECT_EQ(next.begin(offer("t3", 40U << 20U, kAbc)).value(), 0U) << "a damaged note is worth nothing";
+}
+
 TEST_F(Folder, ATransferThatIsNotKnownIsRefused) {
     FileResourceStore store(folder);
     EXPECT_EQ(store.write("no", 0, "x").refusal().code, RefusalCode::UnknownResource);

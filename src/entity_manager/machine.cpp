@@ -316,6 +316,9 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
         case Action::LoseTasks:
             endTasks(incident, proto::TASK_UNKNOWN, false);
             break;
+        case Action::SpareTasks:
+            spareTasks();
+            break;
         case Action::HaltTasks:
             for (auto& active : active_) active.halted = true;
             break;
@@ -390,8 +393,10 @@ void EntityManagerCore::Machine::settle() {
         busy_told_ = occupied;
         back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
     }
+    stop_gate_.spareClientLoss(survivesClientLoss());
     // The server sends its heartbeats in the short period while the status it knows is BUSY.
     server_watchdog_.setBusy(state_ == EntityState::BUSY, clock_.now());
+    server_signs_.allow(server_up_ ? server_watchdog_.timeout() : Duration{}, clock_.now());
     tellStatus();
 }
 
@@ -613,7 +618,8 @@ void EntityManagerCore::Machine::onServerUp() {
     if (quit_) return;
     if (server_up_) serverLost("the session with the server was replaced");
     server_up_ = true;
-    server_watchdog_.feed(clock_.now());
+    server_signs_.allow(server_watchdog_.timeout(), clock_.now());
+    hearServer();
     status_told_.reset();
     fire(serverUpEvent());
     settle();
@@ -634,7 +640,20 @@ void EntityManagerCore::Machine::serverLost(const std::string& reason) {
 }
 
 void EntityManagerCore::Machine::onServerHeartbeat() {
+    hearServer();
+}
+
+void EntityManagerCore::Machine::hearServer() {
     server_watchdog_.feed(clock_.now());
+    server_signs_.heard(clock_.now());
+}
+
+/// Before the watchdog trips, and seldom.
+TimePoint EntityManagerCore::Machine::serverWarnAt() const {
+    const auto at =
+        server_watchdog_.deadline() -
+        std::chrono::duration_cast<Duration>(server_watchdog_.timeout() * (1 - LifeSigns::kWarnFrom));
+    return std::max(at, server_warn_again_);
 }
 
 EntityStatus EntityManagerCore::Machine::status() const {
@@ -982,6 +1001,19 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
         task.set_state(proto::TASK_QUEUED);
         task.set_progress(-1);
     }
+    auto margins = back_end_.margins();
+    if (server_up_)
+        margins.insert(margins.begin(),
+                       {"entity manager watches server", server_signs_.longest(clock_.now())});
+    for (const auto& [hop, gap] : margins) {
+        if (gap.allowed == Duration{}) continue;
+        auto& margin = *status.add_watchdogs();
+        margin.set_hop(hop);
+        margin.set_timeout_ms(
+            static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.allowed).count()));
+        margin.set_longest_gap_ms(
+            static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.length).count()));
+    }
     if (holder() != nullptr && holder()->id == incident.head->sender.id)
         for (auto& ended : memory_.finals(lease_.held()->number)) status.add_ended()->Swap(&ended);
     tell(incident.head->sender, kMsgStatus, message);
@@ -1047,6 +1079,11 @@ void EntityManagerCore::Machine::sendSample(proto::StreamSample& sample) {
 void EntityManagerCore::Machine::onTimer() {
     if (quit_) return;
     const auto now = clock_.now();
+    if (server_up_ && now >= serverWarnAt()) {
+        server_warn_again_ = now + LifeSigns::kWarnAgain;
+        warning_ = "the server: " + describe(server_signs_.longest(now)) +
+                   "; above that the robot stops. The network or one of the two hosts is overloaded";
+    }
     if (server_up_ && server_watchdog_.expired(now)) {
         server_silent_ =
             true;  // a session that is silent but not closed is given up, so that a new one can be made
@@ -1057,6 +1094,7 @@ void EntityManagerCore::Machine::onTimer() {
     passTime();
     expireTasks();
     expireAnswers();
+    expireSpared();
     sendPosition();
     settle();
 }
@@ -1064,7 +1102,7 @@ void EntityManagerCore::Machine::onTimer() {
 TimePoint EntityManagerCore::Machine::nextDeadline() const {
     auto next = TimePoint::max();
     if (quit_) return next;
-    if (server_up_) next = std::min(next, server_watchdog_.deadline());
+    if (server_up_) next = std::min({next, server_watchdog_.deadline(), serverWarnAt()});
     if (lease_.reservation()) next = std::min(next, lease_.reservation()->until);
     if (waiting_grant_) next = std::min(next, waiting_grant_->until);
     if (mayEndGrace()) next = std::min(next, *lease_.held()->grace_until);
@@ -1074,6 +1112,8 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     if (!questions_.empty()) next = std::min(next, questions_.begin()->second.until);
     for (const auto& active : active_)
         if (active.phase == Active::Phase::Dispatched) next = std::min(next, active.answer_until);
+    for (const auto& active : active_)
+        if (active.alone_until) next = std::min(next, *active.alone_until);
     if (position_waits_ && server_up_ && registration_)
         next = std::min(next, position_sent_ + kPositionPeriod);
     return next;

@@ -7,6 +7,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/rate_limit.hpp"
@@ -56,6 +57,7 @@ class EntityManagerCore::Machine {
     const LeaseBook::Held* held() const { return lease_.held() ? &*lease_.held() : nullptr; }
     EntityStatus status() const;
     const CoreCounters& counters() const { return counters_; }
+    std::string takeWarning() { return std::exchange(warning_, {}); }
 
   private:
     /// One event on its way through a row.
@@ -75,6 +77,7 @@ class EntityManagerCore::Machine {
         Phase phase = Phase::Dispatched;
         bool halted = false;       ///< by a reset: its end lets the queue go on
         TimePoint answer_until{};  ///< while it has only been dispatched
+        std::optional<TimePoint> alone_until;  ///< without its client: then it is stopped
     };
     /// A task whose end has been told to the client, and of which the robot application has not yet said that
     /// its handler has returned. Nothing that excludes it is dispatched before.
@@ -137,6 +140,8 @@ class EntityManagerCore::Machine {
     void tellStatus();
     void serverLost(const std::string& reason);
     void sendPosition();
+    void hearServer();
+    TimePoint serverWarnAt() const;
 
     // Stop.
     bool stopsAreHandled() const { return stop_gate_.generation() == generation_; }
@@ -204,6 +209,17 @@ class EntityManagerCore::Machine {
     void tellFinals();
     void expireAnswers();
 
+    // Tasks whose client is lost (machine_losses.cpp).
+    proto::OnClientLoss lossPolicyOf(const Active& active) const;
+    bool survivesClientLoss() const;
+    void loseHolder(Incident& incident);
+    void spareTasks();
+    void attendTasks();
+    void watchHeld(Active& active);
+    bool finishesAlone() const;
+    void endSpared(const std::string& why);
+    void expireSpared();
+
     // Parameters and resources (machine_tasks.cpp).
     void askParameter(const Incident& incident);
     void carryResource(const Incident& incident);
@@ -258,12 +274,16 @@ class EntityManagerCore::Machine {
     TimePoint position_sent_{};
     bool position_waits_ = false;
     Watchdog server_watchdog_;
+    LifeSigns server_signs_;
+    TimePoint server_warn_again_{};
+    std::string warning_;
     std::optional<EntityStatus> status_told_;
 
     LeaseBook lease_;
     std::string datagram_endpoint_;  ///< told with a grant
     std::optional<WaitingGrant> waiting_grant_;
     Refusal orphan_reason_;  ///< why the lease is orphaned
+    TimePoint lost_at_{};    ///< when it became so
     WaitList wait_list_;
     HandOver hand_over_;
 

@@ -282,7 +282,7 @@ void EntityManagerCore::Machine::resumeLease(const Incident& incident) {
         Incident lost{Event::ClientLost};
         lost.cause = StopCause::ClientLost;
         lost.reason = {RefusalCode::ClientLost, named(before.holder) + " has connected anew.", {}};
-        fire(lost);
+        loseHolder(lost);
         sendLeaseEnded(before,
                        {RefusalCode::RevokedLease,
                         named(sender) + " has resumed the lease from another session.", named(sender)});
@@ -326,6 +326,7 @@ void EntityManagerCore::Machine::grantWhenStanding(Claim claim, proto::CheckOutP
         lease_.grant(claim);
     note({.kind = resumes ? JournalRecord::Kind::Resumed : JournalRecord::Kind::Granted,
           .who = named(claim.client)});
+    if (resumes) attendTasks();
     fire(granted);
     if (resumes) {
         tellFinals();
@@ -428,6 +429,8 @@ void EntityManagerCore::Machine::passOn() {
         grantWhenStanding(std::move(waiting.claim), waiting.phase);
     }
     if (mayEndGrace() && clock_.now() >= *lease_.held()->grace_until) {
+        if (!active_.empty())
+            endSpared(orphan_reason_.message);  // held for as long as somebody could come back
         Incident expired{Event::LeaseExpired};
         expired.cause = StopCause::ClientLost;
         expired.reason = orphan_reason_;
@@ -452,7 +455,7 @@ void EntityManagerCore::Machine::passOn() {
 /// Tasks that outlive the loss of their client hold up the end of its lease, and so does a holder that is
 /// back and waits for the robot to stand still.
 bool EntityManagerCore::Machine::mayEndGrace() const {
-    return lease_.orphaned() && active_.empty() &&
+    return lease_.orphaned() && !finishesAlone() &&
            !(waiting_grant_ && waiting_grant_->phase == proto::RESUME_LEASE);
 }
 
@@ -483,6 +486,7 @@ void EntityManagerCore::Machine::passTime() {
 void EntityManagerCore::Machine::orphanLease(const Incident& incident) {
     if (!lease_.held() || lease_.orphaned()) return;
     orphan_reason_ = incident.reason;
+    lost_at_ = clock_.now();
     lease_.orphan(clock_.now() + settings_.lease_grace);
     note({.kind = JournalRecord::Kind::Lost,
           .who = named(lease_.held()->holder),
@@ -557,6 +561,12 @@ void EntityManagerCore::Machine::onClientUpdate(const Header& head, ClientChange
             settle();
             return;
         }
+        if (lost && holder() != nullptr) {
+            // Of tasks that go on without it the loss is known.
+            if (!lease_.orphaned() || !survivesClientLoss()) loseHolder(incident);
+            settle();
+            return;
+        }
     }
     fire(incident);
     settle();
@@ -579,8 +589,8 @@ void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
         std::chrono::duration_cast<std::chrono::milliseconds>(settings_.lease_grace).count()));
     reply.set_stop_generation(generation_);
     reply.set_latched(latched_);
-    reply.set_datagram_endpoint(datagram_endpoint_);
     *reply.mutable_services() = profiler_.profile();
+    reply.set_datagram_endpoint(datagram_endpoint_);
     tell(held.holder, kMsgCheckOut, message);
     if (streams_off_) switchStreams({{"", true}});
 }

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "entity_interfacer/frame.hpp"
@@ -14,6 +15,8 @@ namespace axon::entity_manager {
 namespace {
 
 constexpr std::size_t kQuestions = 64;
+/// For so long a client may have been gone before its loss was known: the server's watchdog of a client.
+constexpr Duration kUnnoticed = std::chrono::seconds{10};
 constexpr double kLongestNotAfter_s = 1e6;
 /// Some bytes are left for a stop generation that grows while a task waits.
 constexpr std::size_t kMessageMax = kFrameMax - 64;
@@ -141,7 +144,14 @@ void EntityManagerCore::Machine::dispatch(Task task) {
         busy_told_ = true;
         back_end_.setBusy(true);
     }
-    const auto message = dispatchOf(task);
+    stop_gate_.spareClientLoss(false);
+    auto message = dispatchOf(task);
+    if (task.not_after) {
+        const auto left =
+            std::chrono::duration_cast<std::chrono::milliseconds>(*task.not_after - clock_.now());
+        message.mutable_task()->set_start_within_ms(static_cast<std::uint32_t>(
+            std::clamp<std::int64_t>(left.count(), 1, std::numeric_limits<std::int32_t>::max())));
+    }
     profiler_.setExecuting(task.order.service, true);
     active_.push_back({.task = std::move(task), .answer_until = clock_.now() + settings_.answer_within});
     back_end_.send(message);
@@ -213,6 +223,7 @@ void EntityManagerCore::Machine::taskUpdate(proto::TaskEvent& update) {
     }
     if (update.state() == proto::TASK_PAUSED) active->phase = Active::Phase::Paused;
     if (update.state() == proto::TASK_RUNNING) active->phase = Active::Phase::Running;
+    watchHeld(*active);
     update.set_state(active->phase == Active::Phase::Paused ? proto::TASK_PAUSED : proto::TASK_RUNNING);
     update.set_service(active->task.service);
     proto::ToClient message;
@@ -363,7 +374,7 @@ void EntityManagerCore::Machine::concludeTask(const Task& task, proto::TaskEvent
               .service = task.service,
               .code = proto::TaskState_Name(event.state()),
               .text = event.reason().message()});
-    memory_.ended(task.id, lease_.held() ? lease_.held()->number : LeaseNumber{}, event);
+    memory_.ended(task.id, lease_.held() ? lease_.held()->number : LeaseNumber{}, event, clock_.now());
     if (holder() == nullptr) return;
     proto::ToClient message;
     message.mutable_task()->Swap(&event);
@@ -373,7 +384,7 @@ void EntityManagerCore::Machine::concludeTask(const Task& task, proto::TaskEvent
 void EntityManagerCore::Machine::tellFinals() {
     if (holder() == nullptr) return;
     proto::ToClient message;
-    for (auto& event : memory_.finals(lease_.held()->number)) {
+    for (auto& event : memory_.finals(lease_.held()->number, lost_at_ - kUnnoticed)) {
         message.mutable_task()->Swap(&event);
         tell(*holder(), kMsgTask, message);
     }

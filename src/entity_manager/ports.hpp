@@ -5,7 +5,9 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <vector>
 
+#include "common/life_signs.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
 #include "entity_manager/journal_record.hpp"
@@ -18,6 +20,12 @@ class ToClient;
 }  // namespace axon::proto
 
 namespace axon::entity_manager {
+
+/// How near the dead-man of one hop came to its end: the longest silence of the last minute.
+struct HopMargin {
+    std::string hop;  ///< who watches whom
+    LifeSigns::Gap gap;
+};
 
 // What EntityManagerCore needs from the world, each an interface that the daemon, the benchmark and a
 // simulation implement in their own way. The core calls them from its strand; none may call back into the
@@ -37,6 +45,8 @@ class BackEndPort {
     virtual void stop(std::uint32_t generation, StopCause cause) = 0;
     /// Whether a task runs: heartbeat period and watchdog of the link (safety.md: 100 ms and 500 ms).
     virtual void setBusy(bool busy) = 0;
+    /// Of both directions of the link, as far as they have been measured.
+    virtual std::vector<HopMargin> margins() const { return {}; }
 };
 
 /// The way to the entity server and through it to clients (thesis: EntityCommunicator, SessionPrx).

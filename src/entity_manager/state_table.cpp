@@ -87,6 +87,9 @@ std::vector<Row> makeRows() {
     rows.add(held, E::ClientLost,
              {A::StopApplication, A::Latch, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::OrphanLease},
              to(S::REG));
+    // The policy of the services (ADR 0014): the one loss at which the robot is not stopped.
+    rows.add({S::BUSY}, E::ClientSpared, {A::SpareTasks, A::VoidQueue, A::SuspendUploads, A::OrphanLease},
+             kStay);
     rows.add(held, E::LeaseResumed, {A::TellStatus, A::SendGrant}, kStay);
     for (const auto event : {E::LeaseExpired, E::TakenOver})
         rows.add(
@@ -316,6 +319,7 @@ const char* toString(Event event) {
                                                              "ServerReturned",
                                                              "ServerDown",
                                                              "ClientLost",
+                                                             "ClientSpared",
                                                              "ClientEnded",
                                                              "ClientResumed",
                                                              "CheckOutGranted",
@@ -349,13 +353,13 @@ const char* toString(Event event) {
 
 const char* toString(Action action) {
     static constexpr std::array kNames{
-        "AwaitProfiles", "ConsiderProfiles", "ReportProfiles", "SeekServer",       "Register",
-        "LeaveServer",   "ConsiderCheckOut", "SendGrant",      "StopApplication",  "Latch",
-        "Unlatch",       "Acknowledge",      "VoidQueue",      "EndTasks",         "LoseTasks",
-        "HaltTasks",     "DispatchNext",     "CancelTask",     "PauseTask",        "ResumeTask",
-        "AdmitTask",     "AskParameter",     "CarryResource",  "SuspendUploads",   "AbandonRequests",
-        "OrphanLease",   "EndLease",         "DismissWaiting", "ConsiderHandOver", "PassText",
-        "PassRaw",       "AnswerStatus",     "NoteWatch",      "TellStatus"};
+        "AwaitProfiles",   "ConsiderProfiles", "ReportProfiles", "SeekServer",      "Register",
+        "LeaveServer",     "ConsiderCheckOut", "SendGrant",      "StopApplication", "Latch",
+        "Unlatch",         "Acknowledge",      "VoidQueue",      "EndTasks",        "LoseTasks",
+        "SpareTasks",      "HaltTasks",        "DispatchNext",   "CancelTask",      "PauseTask",
+        "ResumeTask",      "AdmitTask",        "AskParameter",   "CarryResource",   "SuspendUploads",
+        "AbandonRequests", "OrphanLease",      "EndLease",       "DismissWaiting",  "ConsiderHandOver",
+        "PassText",        "PassRaw",          "AnswerStatus",   "NoteWatch",       "TellStatus"};
     static_assert(kNames.size() == static_cast<std::size_t>(Action::TellStatus) + 1);
     return kNames[static_cast<std::size_t>(action)];
 }

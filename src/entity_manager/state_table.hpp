@@ -30,6 +30,7 @@ enum class Event : std::uint8_t {
     ServerReturned,  ///< while the lease of its client runs on, orphaned
     ServerDown,
     ClientLost,
+    ClientSpared,  ///< lost, and all that runs may go on without it for a while
     ClientEnded,
     ClientResumed,
     CheckOutGranted,
@@ -84,6 +85,7 @@ enum class Action : std::uint8_t {
     VoidQueue,
     EndTasks,
     LoseTasks,
+    SpareTasks,
     HaltTasks,
     DispatchNext,
     CancelTask,

@@ -61,11 +61,21 @@ TEST(StateTable, WhateverOrphansALeaseStopsTheApplicationAndEndsItsWork) {
         const auto has = [&](Action action) {
             return std::find(row.actions.begin(), row.actions.end(), action) != row.actions.end();
         };
-        if (!has(Action::OrphanLease)) continue;
+        if (!has(Action::OrphanLease) || row.event == Event::ClientSpared) continue;
         for (const auto action :
              {Action::StopApplication, Action::EndTasks, Action::VoidQueue, Action::SuspendUploads})
             EXPECT_TRUE(has(action)) << axon::toString(row.state) << ' ' << toString(row.event) << ' '
                                      << toString(action);
+    }
+}
+
+TEST(StateTable, OnlyWhatRunsIsSparedAndNothingNewStartsWithoutTheClient) {
+    for (const auto& row : stateTable()) {
+        if (row.event != Event::ClientSpared) continue;
+        EXPECT_EQ(row.state, EntityState::BUSY);
+        EXPECT_EQ(row.next, Next{});
+        for (const auto action : {Action::SpareTasks, Action::VoidQueue, Action::OrphanLease})
+            EXPECT_NE(std::find(row.actions.begin(), row.actions.end(), action), row.actions.end());
     }
 }
 

@@ -39,6 +39,12 @@ class StopGate {
     void continueFrom(std::uint32_t generation) {
         if (generation > generation_) generation_ = generation;
     }
+    /// What the strand says: all running tasks may go on without their client, so that a stop for the loss of
+    /// a client is for the strand to decide. Out of date by one turn of the strand at most, and the strand
+    /// looks again.
+    void spareClientLoss(bool spare) { spares_client_loss_.store(spare, std::memory_order_release); }
+    bool sparesClientLoss() const { return spares_client_loss_.load(std::memory_order_acquire); }
+
     /// A stop of the Entity Manager itself (link or server lost, release, …): always new.
     std::uint32_t raise() { return generation_.fetch_add(1, std::memory_order_acq_rel) + 1; }
 
@@ -54,6 +60,7 @@ class StopGate {
         return nullptr;
     }
     std::atomic<std::uint32_t> generation_;
+    std::atomic<bool> spares_client_loss_{false};
     std::mutex mutex_;
     std::array<Seen, 32> recent_;  // guarded by mutex_
     std::size_t next_ = 0;         // guarded by mutex_

@@ -16,11 +16,11 @@ void TaskMemory::remember(const Id128& id, Fate fate) {
     order_.pop_front();
 }
 
-void TaskMemory::ended(const Id128& id, LeaseNumber lease, const proto::TaskEvent& event) {
+void TaskMemory::ended(const Id128& id, LeaseNumber lease, const proto::TaskEvent& event, TimePoint at) {
     remember(id, Fate{.end = event.state()});
     if (lease_ != lease) finals_.clear();
     lease_ = lease;
-    auto& kept = finals_.emplace_back(event);
+    auto& kept = finals_.emplace_back(Final{event, at}).event;
     if (kept.ByteSizeLong() > kFinalBytes) {
         kept.clear_results();
         kept.clear_feedback();
@@ -61,9 +61,12 @@ std::vector<Id128> TaskMemory::unfinished() const {
     return ids;
 }
 
-std::vector<proto::TaskEvent> TaskMemory::finals(LeaseNumber lease) const {
-    if (lease != lease_) return {};
-    return {finals_.begin(), finals_.end()};
+std::vector<proto::TaskEvent> TaskMemory::finals(LeaseNumber lease, TimePoint since) const {
+    std::vector<proto::TaskEvent> events;
+    if (lease != lease_) return events;
+    for (const auto& kept : finals_)
+        if (kept.at >= since) events.push_back(kept.event);
+    return events;
 }
 
 }  // namespace axon::entity_manager

@@ -8,6 +8,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "common/refusal.hpp"
 #include "common/routed.hpp"
@@ -30,7 +31,7 @@ class TaskMemory {
     void accept(const Id128& id) { remember(id, Fate{}); }
     void dispatched(const Id128& id) { remember(id, Fate{.dispatched = true}); }
     /// `event` is final.
-    void ended(const Id128& id, LeaseNumber lease, const proto::TaskEvent& event);
+    void ended(const Id128& id, LeaseNumber lease, const proto::TaskEvent& event, TimePoint at);
     /// Of an earlier life, from its journal.
     void ended(const Id128& id, proto::TaskState state) {
         remember(id, Fate{.dispatched = true, .end = state});
@@ -42,8 +43,8 @@ class TaskMemory {
     std::optional<Refusal> whyNotAgain(const Id128& id) const;
     /// Dispatched, and no end is known, oldest first.
     std::vector<Id128> unfinished() const;
-    /// How the last tasks of this lease ended, oldest first.
-    std::vector<proto::TaskEvent> finals(LeaseNumber lease) const;
+    /// How the last tasks of this lease ended, oldest first; those that ended since.
+    std::vector<proto::TaskEvent> finals(LeaseNumber lease, TimePoint since = TimePoint::min()) const;
 
   private:
     struct Fate {
@@ -55,7 +56,11 @@ class TaskMemory {
     std::unordered_map<Id128, Fate> fates_;
     std::deque<Id128> order_;
     LeaseNumber lease_;  ///< of finals_
-    std::deque<proto::TaskEvent> finals_;
+    struct Final {
+        proto::TaskEvent event;
+        TimePoint at;
+    };
+    std::deque<Final> finals_;
 };
 
 }  // namespace axon::entity_manager

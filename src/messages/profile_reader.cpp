@@ -689,6 +689,10 @@ class ServicesReader {
     void readClientLoss(Reader& reader, proto::Service& service) {
         if (const auto reaction = reader.choice("on_client_loss", kOnClientLoss, false))
             service.set_on_client_loss(*reaction);
+        if (service.on_client_loss() == proto::HOLD_TASK && !service.is_pausable())
+            reader.warning(reader.lineOf("on_client_loss"), "on_client_loss",
+                           "pausable=\"true\" beside \"hold\"; without it the task is stopped",
+                           "add pausable=\"true\" and an onPause callback, or leave on_client_loss out");
         const bool finish = service.on_client_loss() == proto::FINISH_TASK;
         const bool given = reader.take("max_duration") != nullptr;
         const auto duration = reader.number("max_duration", "a duration in seconds");

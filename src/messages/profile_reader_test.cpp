@@ -96,6 +96,20 @@ TEST(ProfileReader, MissingOptionalAttributesHaveTheDefaultsOfTheThesis) {
     EXPECT_FALSE(param.multiple());
 }
 
+TEST(ProfileReader, HoldingATaskThatCannotPauseIsAWarning) {
+    const auto read = [](const std::string& attributes) {
+        return readServicesProfile("<ServiceProfile count='1'>\n<Service name='Drive' type='SMPL' " +
+                                       attributes + "/>\n</ServiceProfile>",
+                                   "s.xml");
+    };
+    EXPECT_THAT(read("on_client_loss='hold' pausable='true'").findings, IsEmpty());
+    const auto reading = read("on_client_loss='hold'");
+    ASSERT_EQ(reading.findings.size(), 1U);
+    EXPECT_TRUE(reading.ok());
+    EXPECT_EQ(reading.findings[0].line, 2);
+    EXPECT_NE(reading.findings[0].toString().find("pausable"), std::string::npos);
+}
+
 TEST(ProfileReader, AParameterWithAValueIsReady) {
     const auto reading = readServicesProfile(withParam("type='CONFIG' data_type='DBL' value='2'"), "s.xml");
     const auto& param = reading.message.services(0).params(0);

@@ -126,6 +126,7 @@ class ProfileMaker {
             if (coin()) service.set_descr(text(20));
             if (coin()) service.set_notes(text(20));
             service.set_on_client_loss(static_cast<proto::OnClientLoss>(below(3)));
+            if (service.on_client_loss() == proto::HOLD_TASK) service.set_is_pausable(true);
             if (service.on_client_loss() == proto::FINISH_TASK)
                 service.set_max_duration_s(1 + static_cast<double>(below(1000)) / 7);
             for (int p = static_cast<int>(below(5)); p > 0; --p) *service.add_params() = param(p);

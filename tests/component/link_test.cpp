@@ -99,6 +99,11 @@ class Manager : public BackEndEvents {
     /// On the strand, as the core does it in the middle of an event.
     bool sendNow(const proto::EmToEi& message) { return link_->send(message); }
     std::uint64_t rawDropped() const { return link_->rawDropped(); }
+    std::vector<entity_manager::HopMargin> margins() {
+        std::promise<std::vector<entity_manager::HopMargin>> got;
+        post([this, &got] { got.set_value(link_->margins()); });
+        return got.get_future().get();
+    }
     std::string dispatch(const std::string& service, std::uint32_t generation,
                          const std::vector<proto::Param>& params = {}) {
         const auto id = Id128::random(random_).bytes();
@@ -769,6 +774,101 @@ TEST(Link, WhatAStopHasOvertakenDoesNotReachTheApplication) {
     end.set_value();
     const std::lock_guard lock(mutex);
     EXPECT_EQ(raw, std::vector<std::string>{"new"});
+}
+
+TEST(Link, AStopThatMeetsRawDataInTheApplicationHasTheLastWord) {
+    std::promise<void> go;
+    const auto released = go.get_future().share();
+    std::atomic<bool> inside{false};
+    std::atomic<int> raw{0};
+    std::mutex mutex;
+    std::vector<std::string> story;
+    const auto tell = [&](const char* what) {
+        const std::lock_guard lock(mutex);
+        story.emplace_back(what);
+    };
+    EntityInterfacer interfacer(options("LastWord"));
+    interfacer.onStop([&](const StopSignal&) { tell("stop"); });
+    interfacer.onRaw([&, released](const std::vector<std::string>&, const std::string&) {
+        inside = true;
+        released.wait();
+        tell("moved");
+        raw++;
+    });
+    Manager manager("LastWord");
+    interfacer.start();
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    proto::EmToEi velocities;
+    velocities.mutable_raw()->add_data("fast");
+    manager.send(velocities);
+    manager.send(velocities);
+    ASSERT_TRUE(waitUntil([&] { return inside.load(); }));
+    const auto first = manager.stop();
+    const auto second = manager.stop(StopCause::ClientLost);
+    EXPECT_TRUE(waitUntil([&] {
+        const std::lock_guard lock(mutex);
+        return story.size() == 2;
+    })) << "a stop does not wait for the application";
+    EXPECT_FALSE(manager.acknowledged(first));
+    EXPECT_FALSE(manager.acknowledged(second));
+    go.set_value();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(second); }));
+    EXPECT_EQ(raw, 1) << "what had been sent before the stop does not arrive after it";
+    const std::lock_guard lock(mutex);
+    EXPECT_EQ(story, (std::vector<std::string>{"stop", "stop", "moved", "stop"}));
+}
+
+TEST(Link, ATaskWhoseTimePassesInTheApplicationDoesNotBegin) {
+    std::promise<void> go;
+    const auto released = go.get_future().share();
+    std::atomic<int> runs{0};
+    EntityInterfacer interfacer(options("TooLate"));
+    interfacer.onStop([](const StopSignal&) {});
+    interfacer.onTaskRequest([released](const Task& task) {
+        if (task.service() == "Slow") released.wait();
+        return Decision::grant();
+    });
+    interfacer.onTask("Slow", [&](Task&) { runs++; });
+    interfacer.onTask("Quick", [&](Task&) { runs++; });
+    interfacer.start();
+    Manager manager("TooLate");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    proto::EmToEi message;
+    auto& task = *message.mutable_task();
+    task.set_task_id(std::string(16, 's'));
+    task.set_service("Slow");
+    task.set_start_within_ms(1);
+    const auto sent = Clock::now();
+    manager.send(message);
+    ASSERT_TRUE(waitUntil([&] { return Clock::now() > sent + 50ms; }));
+    go.set_value();
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(task.task_id()).has_value(); }));
+    EXPECT_EQ(manager.answerOf(task.task_id()), proto::EXPIRED);
+    task.set_task_id(std::string(16, 'q'));
+    task.set_service("Quick");
+    task.set_start_within_ms(60'000);
+    manager.send(message);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(task.task_id()).has_value(); }));
+    EXPECT_EQ(runs, 1);
+}
+
+TEST(Link, BothEndsMeasureTheLongestSilenceOfTheOther) {
+    EntityInterfacer interfacer(options("Margins"));
+    interfacer.onStop([](const StopSignal&) {});
+    interfacer.start();
+    Manager manager("Margins", {5500, 5600}, {}, 1s, 2s);
+    EXPECT_TRUE(waitUntil([&] {
+        const auto margins = manager.margins();
+        return margins.size() == 2 && std::all_of(margins.begin(), margins.end(), [](const auto& margin) {
+                   return margin.gap.allowed == 2s * kSlow && margin.gap.length > Duration{} &&
+                          margin.gap.part() < 1;
+               });
+    }));
+    manager.setBusy(true);
+    EXPECT_TRUE(waitUntil([&] {
+        const auto margins = manager.margins();
+        return margins.size() == 2 && margins[0].gap.part() < 1 && manager.linked();
+    }));
 }
 
 TEST(Link, ALoggerThatBlocksHoldsUpNeitherStopNorWatchdog) {

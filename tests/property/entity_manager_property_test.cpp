@@ -86,6 +86,10 @@ class World {
         if (confirmed_ < newest_stop_) broken("dispatched before the last stop was confirmed: " + id);
         if (const auto at = not_after_.find(id); at != not_after_.end() && rig_.clock.now() >= at->second)
             broken("dispatched after its not_after: " + id);
+        if (voided_.contains(id)) broken("dispatched after a stop that was later than it: " + id);
+        if (rig_.journal.records.back().kind != entity_manager::JournalRecord::Kind::Dispatched ||
+            rig_.journal.records.back().task.bytes() != message.task().task_id())
+            broken("dispatched before it was in the journal: " + id);
         for (const auto& [other, other_service] : at_work_)
             if (blocking(service) || blocking(other_service))
                 broken("dispatched beside a blocking task: " + id + ", " + other);
@@ -227,6 +231,13 @@ class World {
         }
     }
 
+    /// A task under a header that has seen the newest stop is no longer one that a stop was later than.
+    void offered(const Header& head, const std::string& ask) {
+        if (!ask.starts_with("task ")) return;
+        offered_.insert(ask.substr(5));
+        if (static_cast<std::uint32_t>(head.stop_generation) >= rig_.gate.generation())
+            voided_.erase(ask.substr(5));
+    }
     std::string fresh(const char* prefix) { return prefix + std::to_string(++ids_); }
     void send(const std::string& client, const proto::ToEntity& message, const std::string& ask) {
         if (roll(12) == 0) rig_.generation = static_cast<std::int32_t>(roll(rig_.gate.generation() + 1));
@@ -235,6 +246,7 @@ class World {
         if (sent_.size() > 30) sent_.pop_front();
         if (!ask.empty()) asked(ask);
         const auto now = sent_.back();
+        offered(now.head, ask);
         rig_.core().onClientMsg(now.head, now.bytes);
     }
     void replay() {
@@ -242,6 +254,7 @@ class World {
         const auto old = sent_[roll(sent_.size())];
         last_ += "replay: " + old.head.sender.id + ' ' + old.ask;
         if (!old.ask.empty()) asked(old.ask);
+        offered(old.head, old.ask);
         rig_.core().onClientMsg(old.head, old.bytes);
     }
     void checkOut(const std::string& client) {
@@ -383,6 +396,7 @@ class World {
         const auto raised = rig_.gate.raise(head.sender.id, head.sequence);
         if (!raised) return;
         last_stop_ = head;
+        voided_ = offered_;
         rig_.stop(*raised, StopCause::Requested);
         noteStops();
         pending_stops_.push_back({head, *raised});
@@ -407,7 +421,9 @@ class World {
         rig_.core().onClientUpdate(rig_.headOf(client), change);
     }
     void links() {
-        switch (roll(3)) {
+        switch (roll(4)) {
+            case 3:
+                return killed();
             case 0:
                 last_ += "link";
                 link_ ? linkDown() : linkUp();
@@ -429,6 +445,18 @@ class World {
                 else if (server_ && rig_.core().state() == EntityState::ENVCONN)
                     serverDown();
         }
+    }
+    /// kill -9 and a new life: what it had not been told is lost, what it had on the disk is not.
+    void killed() {
+        last_ += "the Entity Manager is killed";
+        link_ = false;
+        serverDown();
+        at_work_.clear();
+        questions_.clear();
+        pending_stops_.clear();
+        rig_.wanted = false;
+        rig_.restart();
+        before_ = rig_.core().status();
     }
     void linkUp() {
         link_ = true;
@@ -570,6 +598,8 @@ class World {
     std::set<std::string> dispatched_, running_, granted_;
     std::set<std::string> concluded_;  ///< whose end was told
     bool told_again_ = false;          ///< since a lease was resumed it may have been told more than once
+    std::set<std::string> offered_;  ///< tasks ever sent
+    std::set<std::string> voided_;   ///< of them, those sent before the newest stop and not again since
     std::set<std::string> excused_;  ///< requests whose answer was lost with the server
     std::map<std::string, TimePoint> not_after_;
     std::map<std::string, int> open_;  ///< requests that wait for their answer

@@ -261,6 +261,10 @@ void CoreRig::setParam(const std::string& client, const std::string& request, co
 void CoreRig::stop(const std::string& client, StopCause cause, std::int64_t sequence) {
     auto head = headOf(client);
     if (sequence != 0) head.sequence = sequence;
+    if (cause == StopCause::ClientLost && gate.sparesClientLoss()) {
+        core_->onClientUpdate(head, ClientChange::Lost);
+        return;
+    }
     const auto raised = gate.raise(head.sender.id, head.sequence);
     if (!raised) {
         note("gate: seen before");

@@ -1,0 +1,103 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// What becomes of running tasks when their client is lost (docs/adr/0014-client-loss-policy.md).
+#include <algorithm>
+#include <chrono>
+
+#include "entity_manager/machine.hpp"
+#include "messages/text.hpp"
+
+namespace axon::entity_manager {
+
+namespace {
+
+/// How long the robot application may take to report that a held task is paused.
+constexpr Duration kPauseWithin = std::chrono::seconds{1};
+
+}  // namespace
+
+/// What holds for the task as it is now; whatever is in doubt stops.
+proto::OnClientLoss EntityManagerCore::Machine::lossPolicyOf(const Active& active) const {
+    const auto& service = profiler_.record(active.task.order.service);
+    if (active.phase == Active::Phase::Dispatched || active.halted) return proto::STOP_TASK;
+    switch (service.on_client_loss()) {
+        case proto::HOLD_TASK:
+            return service.is_pausable() && settings_.lease_grace > Duration::zero() ? proto::HOLD_TASK
+                                                                                     : proto::STOP_TASK;
+        case proto::FINISH_TASK:
+            return service.max_duration_s() > 0 ? proto::FINISH_TASK : proto::STOP_TASK;
+        default:
+            return proto::STOP_TASK;
+    }
+}
+
+/// Of several that run side by side the strictest counts: a stop cannot leave one of them out.
+bool EntityManagerCore::Machine::survivesClientLoss() const {
+    return state_ == EntityState::BUSY && link_up_ && server_up_ && !latched_ && !application_busy_ &&
+           !active_.empty() && stopsAreHandled() &&
+           std::all_of(active_.begin(), active_.end(),
+                       [this](const Active& active) { return lossPolicyOf(active) != proto::STOP_TASK; });
+}
+
+void EntityManagerCore::Machine::loseHolder(Incident& incident) {
+    incident.event = survivesClientLoss() ? Event::ClientSpared : Event::ClientLost;
+    fire(incident);
+}
+
+void EntityManagerCore::Machine::spareTasks() {
+    for (auto& active : active_) {
+        if (lossPolicyOf(active) == proto::FINISH_TASK) {
+            const auto most = profiler_.record(active.task.order.service).max_duration_s();
+            active.alone_until =
+                clock_.now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(most));
+            continue;
+        }
+        if (active.phase == Active::Phase::Paused) continue;
+        active.alone_until = clock_.now() + kPauseWithin;
+        proto::EmToEi pause;
+        pause.mutable_pause()->set_task_id(active.task.id.bytes());
+        pause.mutable_pause()->set_stop_generation(generation_);
+        back_end_.send(pause);
+    }
+}
+
+/// Its client is back and answers for it again. What was held stays paused until the client resumes it.
+void EntityManagerCore::Machine::attendTasks() {
+    for (auto& active : active_) active.alone_until.reset();
+}
+
+/// A task without its client has changed between running and paused.
+void EntityManagerCore::Machine::watchHeld(Active& active) {
+    if (!lease_.orphaned() || lossPolicyOf(active) != proto::HOLD_TASK) return;
+    if (active.phase == Active::Phase::Paused)
+        active.alone_until.reset();
+    else if (!active.alone_until)
+        active.alone_until = clock_.now() + kPauseWithin;
+}
+
+bool EntityManagerCore::Machine::finishesAlone() const {
+    return std::any_of(active_.begin(), active_.end(), [this](const Active& active) {
+        return active.alone_until && lossPolicyOf(active) == proto::FINISH_TASK;
+    });
+}
+
+/// The loss of the client, as late as the policy of the task has allowed.
+void EntityManagerCore::Machine::endSpared(const std::string& why) {
+    Incident lost{Event::ClientLost};
+    lost.cause = StopCause::ClientLost;
+    lost.reason = {RefusalCode::ClientLost, why, {}};
+    fire(lost);
+}
+
+void EntityManagerCore::Machine::expireSpared() {
+    const auto late = std::find_if(active_.begin(), active_.end(), [this](const Active& active) {
+        return active.alone_until && clock_.now() >= *active.alone_until;
+    });
+    if (late == active_.end()) return;
+    const auto service = inQuotes(late->task.service);
+    endSpared(lossPolicyOf(*late) == proto::FINISH_TASK
+                  ? "The client was lost, and " + service +
+                        " has gone on without it for as long as max_duration allows."
+                  : "The client was lost, and the robot application has not paused " + service + '.');
+}
+
+}  // namespace axon::entity_manager
