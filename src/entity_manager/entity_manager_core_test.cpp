@@ -81,6 +81,25 @@ TEST_F(Held, ADrillOfTheServerIsAnsweredToItAloneAndItsEndHasItsOwnRoutingKey) {
     EXPECT_EQ(refusalOf(rig, "next"), proto::OK);
 }
 
+TEST_F(Held, TheAnswerToADrillIsNoReceiptOfTheStopBeforeIt) {
+    const auto returned = [&] {
+        int count = 0;
+        for (const auto& told : rig.to_clients)
+            count += told.head.sender.id == "client2" && told.message.has_receipt() &&
+                             told.message.receipt().stage() == proto::StopReceipt::CALLBACK_RETURNED
+                         ? 1
+                         : 0;
+        return count;
+    };
+    rig.stop("client2");
+    const auto stop = rig.gate.generation();
+    rig.stop("client3", StopCause::Drill);
+    rig.stopDone(rig.gate.generation());  // as when the callback of the stop has thrown
+    EXPECT_EQ(returned(), 0);
+    rig.stopDone(stop);
+    EXPECT_EQ(returned(), 1);
+}
+
 TEST_F(Held, NothingIsDispatchedWhileAStopIsOnItsWayToTheStrand) {
     rig.task("client1", "t1", "Turning");
     rig.grant("t1");

@@ -809,7 +809,14 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
     }
     proto::ToClient message;
     const auto now = toMicroseconds(clock_.now());
+    // The answer to a drill says nothing of a stop before it whose callback has not returned, or has thrown.
+    const bool drill = done.stage() == proto::StopReceipt::CALLBACK_RETURNED &&
+                       std::any_of(open_stops_.begin(), open_stops_.end(), [&](const OpenStop& open) {
+                           return open.receipt.stop_generation() == done.stop_generation() &&
+                                  open.receipt.cause() == proto::STOP_DRILL;
+                       });
     for (auto& open : open_stops_) {
+        if (drill && open.receipt.cause() != proto::STOP_DRILL) continue;
         // The Entity Interfacer answers the newest of several stops for all of them.
         if (open.receipt.stop_generation() > done.stop_generation() || open.receipt.stage() >= done.stage())
             continue;
