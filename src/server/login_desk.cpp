@@ -8,6 +8,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "common/utf8.hpp"
+
 namespace axon::server {
 
 using transport::LoggedIn;
@@ -15,8 +17,8 @@ using transport::LoginRequest;
 
 namespace {
 
-constexpr std::size_t kWaitingMax = 1024;
-constexpr std::size_t kWaitingOfOneMax = 64;
+constexpr std::size_t kWaitingMax = 4096;
+constexpr std::size_t kWaitingOfOneMax = 256;
 constexpr std::size_t kUserShown = 64;
 
 Refusal refuse(RefusalCode code, std::string message) {
@@ -59,20 +61,21 @@ void LoginDesk::entity(LoginRequest request, Answer answer) {
 }
 
 void LoginDesk::enqueue(Door door, LoginRequest request, Answer answer) {
-    auto address = request.peer.substr(0, request.peer.rfind(':'));
+    const auto address = request.peer.substr(0, request.peer.rfind(':'));
     std::optional<Refusal> refusal;
     {
         const std::lock_guard lock(mutex_);
-        auto& its = waiting_[address];
+        const auto its = jobs_.find(address);
         if (closed_) {
             refusal = refuse(RefusalCode::Unavailable, "the server is shutting down");
-        } else if (jobs_.size() >= kWaitingMax || its >= kWaitingOfOneMax) {
+        } else if (waiting_ >= kWaitingMax ||
+                   (its != jobs_.end() && its->second.size() >= kWaitingOfOneMax)) {
             refusal = refuse(RefusalCode::Overloaded, "too many wait to log in; try again in a moment");
         } else {
-            ++its;
-            jobs_.push_back({door, std::move(request), std::move(address), std::move(answer)});
+            if (its == jobs_.end()) turns_.push_back(address);
+            jobs_[address].push_back({door, std::move(request), address, std::move(answer)});
+            ++waiting_;
         }
-        if (its == 0) waiting_.erase(address);
     }
     if (refusal) return answer(std::move(*refusal));
     changed_.notify_one();
@@ -84,12 +87,19 @@ void LoginDesk::run() {
         bool closed = false;
         {
             std::unique_lock lock(mutex_);
-            changed_.wait(lock, [this] { return closed_ || !jobs_.empty(); });
-            if (jobs_.empty()) return;
-            job = std::move(jobs_.front());
-            jobs_.pop_front();
+            changed_.wait(lock, [this] { return closed_ || !turns_.empty(); });
+            if (turns_.empty()) return;
+            const auto its = jobs_.find(turns_.front());
+            turns_.pop_front();
+            job = std::move(its->second.front());
+            its->second.pop_front();
+            if (its->second.empty()) {
+                jobs_.erase(its);
+            } else {
+                turns_.push_back(its->first);
+            }
+            --waiting_;
             closed = closed_;
-            if (const auto its = waiting_.find(job.address); --its->second == 0) waiting_.erase(its);
         }
         auto who = closed ? Result<LoggedIn>(refuse(RefusalCode::Unavailable, "the server is shutting down"))
                           : decide(job);
@@ -104,7 +114,7 @@ Result<LoggedIn> LoginDesk::decide(const Job& job) {
         const auto uid = owner_of_(request.peer, request.local);
         return LoggedIn{{}, uid && (*uid == 0 || *uid == ::geteuid()) ? Role::Admin : Role::Operator};
     }
-    const auto user = request.user.substr(0, kUserShown);
+    const std::string user(cutUtf8(validUtf8(request.user.substr(0, 2 * kUserShown)), kUserShown));
     const auto failed = [&](const std::string& why) {
         note_("audit: failed log-in of '" + user + "' from " + request.peer + " (" + why + ")");
     };

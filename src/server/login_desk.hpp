@@ -25,7 +25,8 @@ namespace axon::server {
 /// needs no name then.
 ///
 /// Threads: one of its own does what takes time (verifying a password, reading /proc/net/tcp), so that Ice's
-/// threads never do; the answers are given on it. Bound: 1024 log-ins wait, of one address 64, then
+/// threads never do; the answers are given on it. It serves one of each address in turn, so
+/// that who tries many passwords holds up himself. Bound: 4096 log-ins wait, of one address 256, then
 /// OVERLOADED. A password that was right once is known by a keyed digest, so that thousands that come back
 /// after a restart are not verified one by one. Life: close() before the gates' communicators are destroyed;
 /// it answers all that wait.
@@ -72,9 +73,12 @@ class LoginDesk final : public transport::Logins {
 
     std::mutex mutex_;
     std::condition_variable changed_;
-    std::deque<Job> jobs_;                        // guarded by mutex_
-    std::map<std::string, std::size_t> waiting_;  // guarded by mutex_: jobs of each address
-    bool closed_ = false;                         // guarded by mutex_
+    // Guarded by mutex_:
+    std::map<std::string, std::deque<Job>> jobs_;  // of each address that has any
+    std::deque<std::string> turns_;                // those addresses, next first
+    std::size_t waiting_ = 0;                      // jobs of all
+    bool closed_ = false;
+
     std::thread thread_;
 };
 

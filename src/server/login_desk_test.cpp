@@ -126,8 +126,22 @@ TEST_F(LoginDeskTest, AnswersEverybodyWhenItClosesAndTakesNotTooMany) {
     }
     its.close();
     EXPECT_EQ(answers, 1000);
-    EXPECT_GT(overloaded, 800);
+    EXPECT_GT(overloaded, 600);
     EXPECT_EQ(client("boss", "secret1").refusal().code, RefusalCode::Unavailable);
+}
+
+TEST_F(LoginDeskTest, WhoTriesManyPasswordsHoldsUpHimself) {
+    auto& its = withUsers();
+    std::atomic<int> guesses{0};
+    for (int i = 0; i < 200; ++i) {
+        its.client({"user" + std::to_string(i), "guess", "10.0.0.1:1", "10.0.0.9:10410"},
+                   [&](const auto&) { ++guesses; });
+    }
+    const int before = guesses;
+    EXPECT_TRUE(client("boss", "secret1", "10.0.0.7").ok());
+    EXPECT_LE(guesses, before + 3);
+    its.close();
+    EXPECT_EQ(guesses, 200);
 }
 
 TEST(LoginGuard, DoublesUpToAMinuteAndForgetsWhoSucceeds) {
