@@ -920,6 +920,9 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
             const auto again = id ? memory_.whyNotAgain(*id) : std::nullopt;
             *event.mutable_reason() = toProto(again ? *again : refusal);
             if (again && again->code == RefusalCode::OutcomeUnknown) event.set_state(proto::TASK_UNKNOWN);
+            // This is its end, so a copy that comes later must not begin. Others than the holder cannot fill the memory.
+            if (id && !again && lease_.check(to, incident.head->held).ok())
+                memory_.ended(*id, lease_.held()->number, event);
             tell(to, kMsgTask, message);
             return;
         }

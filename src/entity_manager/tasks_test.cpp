@@ -319,5 +319,23 @@ TEST_F(Tasks, WhatTheLinkDoesNotTakeIsRefusedToItsSender) {
     EXPECT_EQ(rig.to_application.back().raw().data_size(), 1);
 }
 
+TEST_F(Tasks, ACopyOfATaskThatWasRefusedDoesNotBeginLater) {
+    rig.stop("client2");
+    rig.stopDone(1);
+    rig.task("client1", "t1", "Turning");
+    ASSERT_EQ(lastOf(rig, "t1").reason().code(), proto::LATCHED);
+    rig.rearm("client1", "r2");
+    rig.task("client1", "t1", "Turning");
+    EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::DUPLICATE);
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+}
+
+TEST_F(Tasks, WhatIsRefusedToOthersThanTheHolderIsNotRemembered) {
+    rig.lease = LeaseNumber{1, 1};
+    rig.task("client2", "t1", "Turning");
+    rig.task("client1", "t1", "Turning");
+    EXPECT_EQ(dispatches(rig, "t1"), 1);
+}
+
 }  // namespace
 }  // namespace axon::entity_manager
