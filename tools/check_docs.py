@@ -17,7 +17,7 @@ from urllib.parse import unquote
 
 SKIPPED_FOLDERS = {".git", ".cache", "build", "node_modules", "__pycache__"}
 # A path begins with one of these folders, or is one of these files.
-FOLDERS = {"api", "bench", "cmake", "deploy", "docs", "examples", "faults", "lab", "robots", "src", "tests", "tools", "LICENSES", ".ci"}
+FOLDERS = {"api", "bench", "cmake", "deploy", "docs", "examples", "faults", "lab", "robots", "simulation", "src", "tests", "tools", "LICENSES", ".ci"}
 FILES = {"README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "CMakeLists.txt", "CMakePresets.json",
          ".clang-format", ".clang-tidy", "demo", "check", "./demo", "./check"}
 LINK = re.compile(r"!?\[[^\]]*\]\(\s*<?([^)>\s]+)>?(?:\s+\"[^\"]*\")?\s*\)")

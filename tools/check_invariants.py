@@ -15,7 +15,7 @@ from pathlib import Path
 CODE = (".cpp", ".hpp", ".h", ".c")
 SPDX_FILES = CODE + (".proto", ".ice", ".py", ".cmake", ".sh")
 SKIPPED_FOLDERS = {".git", ".cache", "build", "node_modules", "__pycache__", "LICENSES"}
-ROOTS = ("api", "bench", "cmake", "console", "examples", "faults", "lab", "python", "robots", "src", "tests", "tools", ".ci")
+ROOTS = ("api", "bench", "cmake", "console", "examples", "faults", "lab", "python", "robots", "simulation", "src", "tests", "tools", ".ci")
 MIT = ("api/proto/*", "src/common/*", "src/messages/*", "src/entity_interfacer/*", "examples/*")
 
 SERVERS = ("src/front_end_server/*", "src/entity_server/*", "src/server/*")

@@ -8,6 +8,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "common/planted_bug.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -133,7 +134,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomS
 /// Of what earlier lives dispatched: it is not dispatched again, and what has no end there has none any more. A stop
 /// that was not followed by a rearm latches this life too.
 void EntityManagerCore::Machine::replayJournal() {
-    if (journal_ == nullptr) return;
+    if (journal_ == nullptr || AXON_PLANTED(JournalNotRead)) return;
     journal_->replay([this](const JournalRecord& record) {
         // A person stopped the robot, and that this process was killed since is no word of a person.
         if (record.kind == JournalRecord::Kind::Stopped && latches(record.code)) latched_ = true;
@@ -241,7 +242,7 @@ Refusal EntityManagerCore::Machine::guard(Event event, const Header& head) const
                     "A stop is being carried out (stop generation " + std::to_string(stop_gate_.generation()) +
                         "). Look at the entity, then send it again.",
                     {}};
-        if (seen < required_)
+        if (seen + (AXON_PLANTED(GenerationOffByOne) ? 1U : 0U) < required_ && !AXON_PLANTED(GenerationUnchecked))
             return {RefusalCode::OldGeneration,
                     "It was sent before the newest stop was known (stop generation " + std::to_string(seen) +
                         ", now " + std::to_string(required_) + "). Look at the entity, then send it again.",
@@ -252,7 +253,7 @@ Refusal EntityManagerCore::Machine::guard(Event event, const Header& head) const
                         std::to_string(generation_) + ".",
                     {}};
     }
-    if (needs.not_latched && latched_)
+    if (needs.not_latched && latched_ && !AXON_PLANTED(LatchUnchecked))
         return {RefusalCode::Latched,
                 "The entity has been stopped. Rearm it first; that starts nothing by itself.",
                 {}};
@@ -297,7 +298,7 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             if (incident.cause == StopCause::Released && holder() != nullptr && incident.head != nullptr &&
                 holder()->id == incident.head->sender.id)
                 break;
-            latched_ = true;
+            if (!AXON_PLANTED(LatchForgotten)) latched_ = true;
             break;
         case Action::Unlatch:
             latched_ = false;
@@ -308,6 +309,7 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             acknowledge(incident);
             break;
         case Action::VoidQueue:
+            if (AXON_PLANTED(QueueNotVoided)) break;
             voidQueue(incident);
             break;
         case Action::EndTasks:
@@ -395,7 +397,7 @@ void EntityManagerCore::Machine::settle() {
     }
     stop_gate_.spareClientLoss(survivesClientLoss());
     // The server sends its heartbeats in the short period while the status it knows is BUSY.
-    server_watchdog_.setBusy(state_ == EntityState::BUSY, clock_.now());
+    if (!AXON_PLANTED(WatchdogAlwaysIdle)) server_watchdog_.setBusy(state_ == EntityState::BUSY, clock_.now());
     server_signs_.allow(server_up_ ? server_watchdog_.timeout() : Duration{}, clock_.now());
     tellStatus();
 }
@@ -445,6 +447,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
         ++counters_.unexpected;
         return;
     }
+    if (AXON_PLANTED(WatchdogFedByTheApplication)) server_watchdog_.feed(clock_.now());
     switch (message.body_case()) {
         case proto::EiToEm::kStopDone:
             stopDone(message.stop_done());
@@ -704,14 +707,15 @@ void EntityManagerCore::Machine::reserveGenerations() {
     const bool first = reserved_ == 0;
     reserved_ = generation_ + kGenerationsReserved;
     try {
-        storage_.save(kGenerationKey, std::to_string(reserved_));
+        if (!AXON_PLANTED(GenerationsNotReserved)) storage_.save(kGenerationKey, std::to_string(reserved_));
     } catch (const std::exception&) {
         if (first) throw;  // at the start somebody can mend it; later a full disk must not fail a stop
     }
 }
 
 void EntityManagerCore::Machine::stopApplication(Incident& incident) {
-    incident.generation = stop_gate_.raise();
+    if (AXON_PLANTED(LostServerDoesNotStop) && incident.event == Event::ServerDown) return;
+    incident.generation = AXON_PLANTED(ReleaseKeepsGeneration) && incident.event == Event::Release ? stop_gate_.generation() : stop_gate_.raise();
     back_end_.stop(incident.generation, incident.cause);
     handled(incident.generation, true, incident.event != Event::Reset);
     if (incident.event != Event::Reset) application_busy_ = false;
@@ -736,7 +740,7 @@ void EntityManagerCore::Machine::onStopSignal(const Header& head, StopCause caus
         incident.reason = {
             RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
         application_busy_ = false;
-        note({.kind = JournalRecord::Kind::Stopped,
+        if (!AXON_PLANTED(StopNotInTheJournal)) note({.kind = JournalRecord::Kind::Stopped,
               .generation = generation,
               .who = named(head.sender),
               .code = toString(cause),

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "entity_interfacer/frame.hpp"
+#include "common/planted_bug.hpp"
 #include "entity_manager/machine.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -62,7 +63,7 @@ void EntityManagerCore::Machine::admitTask(const Incident& incident) {
         refuse(incident, {RefusalCode::Malformed, "not_after_s must be a number of seconds from 0 on.", {}});
         return;
     }
-    if (const auto again = memory_.whyNotAgain(*id)) {
+    if (const auto again = memory_.whyNotAgain(*id); again && !AXON_PLANTED(TaskIdForgotten)) {
         refuse(incident, *again);
         return;
     }
@@ -82,8 +83,8 @@ void EntityManagerCore::Machine::admitTask(const Incident& incident) {
     task.blocking = service.is_blocking();
     task.order = std::move(order).value();
     task.generation = generation_;
-    if (request.not_after_s() > 0 && request.not_after_s() < kLongestNotAfter_s)
-        task.not_after = clock_.now() + std::chrono::duration_cast<Duration>(
+    if (request.not_after_s() > 0 && request.not_after_s() < kLongestNotAfter_s && !AXON_PLANTED(ExpiryUnchecked))
+        task.not_after = (AXON_PLANTED(ExpiryByTheSendersClock) ? TimePoint{std::chrono::microseconds{incident.head->sent_at_us}} : clock_.now()) + std::chrono::duration_cast<Duration>(
                                             std::chrono::duration<double>(request.not_after_s()));
     if (const auto refusal = checkSize(dispatchOf(task)); !refusal.ok()) {
         refuse(incident, refusal);
@@ -118,7 +119,7 @@ void EntityManagerCore::Machine::dispatchNext() {
             continue;
         }
         // A stop that the signal thread has passed on and that has not come here yet: it voids the queue.
-        if (queue_.front().generation != stop_gate_.generation()) return;
+        if (queue_.front().generation != stop_gate_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked)) return;
         if (!admissible(queue_.front())) return;
         dispatch(queue_.pop());
     }
@@ -126,7 +127,7 @@ void EntityManagerCore::Machine::dispatchNext() {
 
 void EntityManagerCore::Machine::dispatch(Task task) {
     // Before it is sent, or a next life might send it again.
-    if (!note({.kind = JournalRecord::Kind::Dispatched,
+    if (!AXON_PLANTED(DispatchNotInTheJournal) && !note({.kind = JournalRecord::Kind::Dispatched,
                .who = named(*holder()),
                .task = task.id,
                .service = task.service})) {

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "common/planted_bug.hpp"
+
 namespace axon::entity_manager {
 
 Refusal TaskQueue::mayPush() const {
@@ -16,7 +18,10 @@ Refusal TaskQueue::mayPush() const {
 }
 
 void TaskQueue::push(Task task) {
-    waiting_.push_back(std::move(task));
+    if (AXON_PLANTED(QueueBackwards))
+        waiting_.push_front(std::move(task));
+    else
+        waiting_.push_back(std::move(task));
 }
 
 Task TaskQueue::pop() {

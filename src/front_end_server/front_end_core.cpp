@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "common/life_signs.hpp"
+#include "common/planted_bug.hpp"
 #include "common/utf8.hpp"
 
 namespace axon::front_end_server {
@@ -263,6 +264,7 @@ void FrontEndCore::keepAlive(const ClientRef& client) {
 
 // All stops before anything else is said: no entity's stop waits for another one's paperwork.
 void FrontEndCore::settle(const Sender& client, Ending ending, const std::map<std::string, bool>& held) {
+    if (AXON_PLANTED(LostClientForgotten) && ending == Ending::Lost) return;
     Header head;
     head.sender = client;
     head.sequence = kServerSequences + ++own_stops_;
@@ -340,7 +342,7 @@ void FrontEndCore::updateHolding(const std::string& holder) {
     const auto now = clock_.now();
     watched.listen();
     if (busy && !watched.watchdog.busy()) watched.next_heartbeat = now;
-    watched.watchdog.setBusy(busy, now);
+    if (!AXON_PLANTED(ClientWatchdogAlwaysIdle)) watched.watchdog.setBusy(busy, now);
     watched.signs.allow(watched.watchdog.timeout(), now);
 }
 
@@ -417,7 +419,7 @@ void FrontEndCore::entityUpdate(EntityStatus status) {
             }
         }
     }
-    if (late) settle(late->sender, late->ending, {{entity, busy}});
+    if (late && !AXON_PLANTED(LateGrantLeft)) settle(late->sender, late->ending, {{entity, busy}});
     if (busy) wake_();
     toClients(Lane::Data, {}, [&](ClientOutbox& client) { client.newStatusMsg(status); });
 }

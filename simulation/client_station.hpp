@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "client/server_link.hpp"
+#include "client/session_core.hpp"
+#include "client/stop_desk.hpp"
+#include "simulation/network.hpp"
+#include "simulation/observer.hpp"
+#include "simulation/server_station.hpp"
+
+namespace axon::simulation {
+
+/// A client's process: SessionCore and StopDesk as the library has them, and in place of its sockets and
+/// threads two connections of the simulated network and two alarms. Its user is User (user.hpp).
+class ClientStation final : public client::ServerLink,
+                            public client::StopLink,
+                            public client::SessionObserver {
+  public:
+    ClientStation(Timeline& timeline, Network& network, Observer& observer, ServerStation& server, int number,
+                  Role role, std::uint64_t seed);
+    ~ClientStation() override;
+
+    Process& process() { return process_; }
+    Path& path() { return path_; }
+    Role role() const { return role_; }
+    void start();
+    void kill();
+
+    /// Null while the process is dead.
+    client::SessionCore* core() { return life_ ? &life_->core : nullptr; }
+    client::StopDesk* desk() { return life_ ? &life_->desk : nullptr; }
+    /// After calls of core() and desk(): their deadlines.
+    void settle();
+    bool connected() const { return life_ && life_->up; }
+
+    /// Called at each start, as this process.
+    std::function<void()> on_start;
+    std::function<void(const client::TaskReport&)> on_task;
+
+    // From the server, as this process.
+    void welcomed(std::uint64_t attempt, ServerStation::ClientSession& session, const Sender& me,
+                  const std::string& token, int told);
+    void attached(std::uint64_t attempt);
+    void newBasicPrflMsg(std::uint64_t attempt, Presence presence, const Registration& registration,
+                         const std::string& profile);
+    void newStatusMsg(std::uint64_t attempt, const EntityStatus& status);
+    void newSvcRecordMsg(std::uint64_t attempt, const Header& head, const std::string& record);
+    void newEntityMsg(std::uint64_t attempt, const Header& head, const std::string& bytes);
+    void newRefusalMsg(std::uint64_t attempt, const Header& head, const Refusal& refusal);
+    void newStopAccepted(std::uint64_t attempt, std::int64_t sequence, const std::string& entity,
+                         int entities);
+    void newHeartbeat(std::uint64_t attempt);
+
+    // ServerLink and StopLink.
+    void sendToEntity(const Header& head, std::string bytes) override;
+    void sendToEntityDataSeq(const Header& head, std::string bytes) override;
+    void sendRequest(const Header& head, std::string bytes) override;
+    void sendReset(const Header& head) override;
+    void sendClear(const Header& head) override;
+    void keepAlive(std::int64_t sequence, bool busy) override;
+    void sendStopSignal(Lane lane, const Header& head, StopCause cause) override;
+    void sendStopSignals(Lane lane, const Header& head, std::vector<std::string> entities,
+                         StopCause cause) override;
+
+    // SessionObserver.
+    void onEntity(Presence, const client::Entity&) override {}
+    void onTask(const client::TaskReport& report) override {
+        if (on_task) on_task(report);
+    }
+    void onText(const client::Held&, const std::string&) override {}
+    void onRaw(const client::Held&, const std::string&) override {}
+    void onService(const client::Held&, const client::Service&) override {}
+    void onLost(const client::Held& held, const Refusal& why) override;
+    void onSample(const client::Sample&) override {}
+    void onTransferCredit(const Id128&, std::uint64_t, std::uint64_t) override {}
+    void onServerText(int, const std::string&) override {}
+
+  private:
+    struct Life {
+        Life(ClientStation& station, SeededRandom& random)
+            : core({}, station.process_, random, station, station, marks),
+              desk(station.process_, station, marks) {}
+        client::SignalMarks marks;
+        client::SessionCore core;
+        client::StopDesk desk;
+        Connection* data = nullptr;
+        Connection* signal = nullptr;
+        ServerStation::ClientSession* session = nullptr;
+        Sender me;
+        std::string token;
+        int told = 0;
+        bool up = false;
+        std::uint64_t listening = 0;
+        TimePoint retry_at = TimePoint::max();
+        Duration backoff{};
+    };
+    bool hears(std::uint64_t attempt) const { return life_ && life_->listening == attempt; }
+    void establish();
+    void lost(std::uint64_t attempt, const char* reason);
+    void onAlarm();
+    void onBeat();
+    template <class Deliver>
+    void toServer(Connection* connection, Deliver deliver);
+
+    Timeline& timeline_;
+    Network& network_;
+    Observer& observer_;
+    ServerStation& server_;
+    Process process_;
+    Path path_;
+    const Role role_;
+    SeededRandom random_;
+    Alarm alarm_, beat_;
+    std::uint64_t attempts_ = 0;
+    std::unique_ptr<Life> life_;
+};
+
+}  // namespace axon::simulation

@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <array>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "common/ids.hpp"
+#include "common/routed.hpp"
+#include "entity_manager/journal_record.hpp"
+#include "simulation/network.hpp"
+#include "simulation/timeline.hpp"
+
+namespace axon::proto {
+class EmToEi;
+class TaskRequest;
+class ToClient;
+}  // namespace axon::proto
+
+namespace axon::simulation {
+
+/// The ten promises, by the names that a violation is reported under (docs/how-to/simulate.md).
+enum class Invariant : std::uint8_t {
+    OneLease,   ///< 1 at most one obeyed lease for each entity, and no moving robot is handed over
+    Fence,      ///< 2 nothing is executed below the highest lease or stop generation seen
+    DeadMan,    ///< 3 every failure ends with the robot stopped within its bound
+    Latch,      ///< 4 after a stop no motion before a rearm and then a new command
+    Once,       ///< 5 a task id reaches the application at most once, and none whose end has been told
+    TooLate,    ///< 6 nothing is dispatched after its expiry or a later stop
+    Order,      ///< 7 the tasks of a lease are dispatched in the order of their sending
+    ComesBack,  ///< 8 after the faults everything becomes available again
+    Bounded,    ///< 9 queues stay below their bounds, and nothing is left behind at the end
+    Journal,    ///< 10 every decision is told and written down
+};
+inline constexpr std::size_t kInvariants = 10;
+const char* toString(Invariant invariant);
+
+struct Violation {
+    Invariant invariant;
+    TimePoint at;
+    std::string what;
+};
+
+/// A client's session as the dead-man sees it: the process behind it, and the way to the server.
+struct SessionHealth {
+    std::string id;
+    const Process* process = nullptr;
+    std::uint32_t life = 0;
+    std::optional<TimePoint> ended_at;  ///< its connection is gone at the client or the server
+    const Path* path = nullptr;
+};
+
+/// Sees all that passes the Entity Managers and the robot applications, and judges it by rules of its own
+/// that ask the cores nothing but what they say of themselves. The first violation ends the run.
+class Observer {
+  public:
+    Observer(Timeline& timeline, Process& world) : timeline_(timeline), world_(world) {}
+
+    struct Hops {
+        const Process* server;
+        const Process* manager;
+        const Process* application;
+        const Path* server_path;
+    };
+    void addEntity(const std::string& name, Hops hops);
+    void addSession(const SessionHealth& session) { sessions_[session.id] = session; }
+    void sessionEnded(const std::string& id);
+    /// What the bounds of the dead-man allow beside the watchdogs: the longest delay that is being injected.
+    void delayed(Duration most) { delay_ = std::max(delay_, most); }
+    void clocksDiffer(double by) { drift_ = by; }
+    /// A fault has begun: whoever moves must have stopped in time.
+    void faultBegins();
+
+    // At an Entity Manager, by the entity's number.
+    void managerStarts(std::size_t entity);
+    void managerDies(std::size_t entity);
+    void taskArrives(std::size_t entity, const Header& head, const proto::TaskRequest& request,
+                     TimePoint local);
+    /// A rearm is being handled, or no longer.
+    void rearmInHand(std::size_t entity, bool in_hand) { entities_[entity].rearm_in_hand = in_hand; }
+    void toApplication(std::size_t entity, const proto::EmToEi& message, TimePoint local);
+    /// A stop is on its way to the application; `signal`: of the signal thread, and so not of the core's own.
+    void stopGoesOut(std::size_t entity, std::uint32_t generation, StopCause cause, bool signal);
+    void toClient(std::size_t entity, const Header& head, const proto::ToClient& message);
+    void managerIs(std::size_t entity, const EntityStatus& status);
+    /// The holder that the core names; nothing else of a status that has not changed is looked at.
+    void holderIs(std::size_t entity, const std::string& holder);
+
+    /// The signal thread takes a stop for a new one.
+    void stopRaises(std::size_t entity, const Header& head, std::uint32_t life);
+    /// An entry of its journal.
+    void noted(std::size_t entity, const entity_manager::JournalRecord& record);
+
+    // At a robot application.
+    void dispatched(std::size_t entity, const std::string& task_id);
+    void moves(std::size_t entity, bool moves);
+    bool moving(std::size_t entity) const { return entities_[entity].moves; }
+
+    void violated(Invariant invariant, std::string what);
+    const std::optional<Violation>& violation() const { return violation_; }
+
+    struct Counts {
+        std::uint64_t tasks = 0, dispatches = 0, stops = 0, grants = 0, rearms = 0;
+    };
+    const Counts& counts() const { return counts_; }
+
+  private:
+    struct Facts {
+        std::size_t entity = 0;
+        LeaseNumber held;
+        std::uint32_t generation = 0;
+        std::int64_t sequence = 0;
+        TimePoint arrived;        ///< on the world's clock
+        TimePoint arrived_local;  ///< on the Entity Manager's
+        std::uint32_t life = 0;
+        double not_after_s = 0;
+        int dispatches = 0;
+        int reached = 0;
+        bool ended = false;
+        bool noted = false;  ///< its dispatch is in the journal
+        bool end_noted = false;
+        std::uint64_t order = 0;
+    };
+    struct Entity {
+        std::string name;
+        Hops hops{};
+        bool moves = false;
+        TimePoint moves_since;
+        LeaseNumber highest;
+        std::string holder;        ///< of the highest lease
+        bool ended = true;         ///< that lease, as far as was told
+        std::uint32_t raised = 0;  ///< newest stop generation that went to the application
+        std::uint32_t voided = 0;  ///< newest that makes older commands void
+        std::uint64_t voided_order = 0;
+        bool latch_wanted = false;  ///< a stop that latches has been given, and no rearm since
+        bool latch_told = false;    ///< the core has said so since
+        std::uint64_t rearmed_order = 0;
+        bool rearm_in_hand = false;
+        std::optional<EntityStatus> status;
+        std::string present_holder;
+        std::map<LeaseNumber, std::int64_t> last_sequence;
+        // What the journal says.
+        LeaseNumber granted;
+        LeaseNumber lease_ended;
+        std::uint64_t rearms_noted = 0, rearms = 0;
+        std::vector<std::uint32_t> stops_to_note;
+        std::map<std::pair<std::string, std::int64_t>, std::uint32_t> stops_seen;  ///< and in which life
+    };
+    void watchMotion(std::size_t entity, Duration in);
+    void judgeMotion(std::size_t entity);
+    std::string label(const std::string& task_id) const;
+
+    Timeline& timeline_;
+    Process& world_;
+    std::vector<Entity> entities_;
+    std::map<std::string, SessionHealth> sessions_;
+    std::unordered_map<std::string, Facts> tasks_;
+    std::uint64_t order_ = 0;
+    Duration delay_{};
+    double drift_ = 0;
+    std::optional<Violation> violation_;
+    Counts counts_;
+};
+
+}  // namespace axon::simulation

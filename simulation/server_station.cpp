@@ -1,0 +1,381 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "simulation/server_station.hpp"
+
+#include <algorithm>
+
+#include "simulation/client_station.hpp"
+#include "simulation/entity_manager_station.hpp"
+
+namespace axon::simulation {
+
+namespace {
+
+using namespace std::chrono_literals;
+using entity_server::EntityServerCore;
+using front_end_server::Ending;
+using front_end_server::FrontEndCore;
+
+constexpr Duration kSetUp = 10s;  // a session without both lanes is closed (docs/reference/sessions.md)
+constexpr int kProcess = 1;
+constexpr Duration kDrillPeriod = 7s;
+
+entity_server::CoreSettings settings() {
+    entity_server::CoreSettings settings;
+    settings.drill_period = kDrillPeriod;
+    return settings;
+}
+
+/// One lane to one client.
+class ToClientOutbox final : public front_end_server::ClientOutbox {
+  public:
+    ToClientOutbox(Process& server, Connection& connection, ClientStation& to, std::uint64_t attempt)
+        : server_(server), connection_(connection), to_(to), attempt_(attempt) {}
+    void newBasicPrflMsg(Presence presence, const Registration& registration,
+                         std::string_view profile) override {
+        send(
+            [presence, registration, bytes = std::string(profile)](ClientStation& to, std::uint64_t attempt) {
+                to.newBasicPrflMsg(attempt, presence, registration, bytes);
+            });
+    }
+    void newStatusMsg(const EntityStatus& status) override {
+        send([status](ClientStation& to, std::uint64_t attempt) { to.newStatusMsg(attempt, status); });
+    }
+    void newSvcRecordMsg(const Header& head, std::int32_t, std::int32_t, std::string_view record) override {
+        send([head, bytes = std::string(record)](ClientStation& to, std::uint64_t attempt) {
+            to.newSvcRecordMsg(attempt, head, bytes);
+        });
+    }
+    void newEntityMsg(Lane, const Header& head, std::string_view message) override {
+        send([head, bytes = std::string(message)](ClientStation& to, std::uint64_t attempt) {
+            to.newEntityMsg(attempt, head, bytes);
+        });
+    }
+    void newEntityMsgDataSeq(const Header& head, std::string_view data) override {
+        newEntityMsg(Lane::Data, head, data);
+    }
+    void newRefusalMsg(const Header& head, const Refusal& refusal) override {
+        send([head, refusal](ClientStation& to, std::uint64_t attempt) {
+            to.newRefusalMsg(attempt, head, refusal);
+        });
+    }
+    void newStopAccepted(const Header& head, std::int32_t entities) override {
+        send([sequence = head.sequence, entity = head.entity, entities](ClientStation& to,
+                                                                        std::uint64_t attempt) {
+            to.newStopAccepted(attempt, sequence, entity, entities);
+        });
+    }
+    void newUpdateMsg(RefusalCode, const std::string&) override {}
+    void newHeartbeat(std::int64_t) override {
+        connection_.beat(server_, [to = &to_, attempt = attempt_] { to->newHeartbeat(attempt); });
+    }
+    void disconnect(bool, const std::string&) override { connection_.close(server_); }
+
+  private:
+    template <class Deliver>
+    void send(Deliver deliver) {
+        connection_.send(server_, [to = &to_, attempt = attempt_, deliver = std::move(deliver)] {
+            deliver(*to, attempt);
+        });
+    }
+    Process& server_;
+    Connection& connection_;
+    ClientStation& to_;
+    const std::uint64_t attempt_;
+};
+
+/// One lane to one Entity Manager.
+class ToEntityOutbox final : public entity_server::EntityOutbox {
+  public:
+    ToEntityOutbox(Process& server, Connection& connection, EntityManagerStation& to, std::uint64_t attempt)
+        : server_(server), connection_(connection), to_(to), attempt_(attempt) {}
+    void newClientMsg(const Header& head, std::string_view message) override {
+        send([head, bytes = std::string(message)](EntityManagerStation& to, std::uint64_t attempt) {
+            to.newClientMsg(attempt, head, bytes);
+        });
+    }
+    void newClientMsgDataSeq(const Header& head, std::string_view data) override {
+        send([head, bytes = std::string(data)](EntityManagerStation& to, std::uint64_t attempt) {
+            to.newClientMsgDataSeq(attempt, head, bytes);
+        });
+    }
+    void stopSignal(const Header& head, StopCause cause) override {
+        send([head, cause](EntityManagerStation& to, std::uint64_t attempt) {
+            to.stopSignal(attempt, head, cause);
+        });
+    }
+    void resetSignal(const Header& head) override {
+        send([head](EntityManagerStation& to, std::uint64_t attempt) { to.resetSignal(attempt, head); });
+    }
+    void clearSignal(const Header& head) override {
+        send([head](EntityManagerStation& to, std::uint64_t attempt) { to.clearSignal(attempt, head); });
+    }
+    void newClientUpdate(const Header& head, ClientChange change) override {
+        send([head, change](EntityManagerStation& to, std::uint64_t attempt) {
+            to.newClientUpdate(attempt, head, change);
+        });
+    }
+    void newRefusalMsg(const Header&, const Refusal&) override {}
+    void newHeartbeat(std::int64_t) override {
+        connection_.beat(server_, [to = &to_, attempt = attempt_] { to->newHeartbeat(attempt); });
+    }
+    void disconnect(bool, const std::string&) override { connection_.close(server_); }
+
+  private:
+    template <class Deliver>
+    void send(Deliver deliver) {
+        connection_.send(server_, [to = &to_, attempt = attempt_, deliver = std::move(deliver)] {
+            deliver(*to, attempt);
+        });
+    }
+    Process& server_;
+    Connection& connection_;
+    EntityManagerStation& to_;
+    const std::uint64_t attempt_;
+};
+
+}  // namespace
+
+/// All that is lost when the process dies.
+struct ServerStation::Life final : public front_end_server::EntityTopic, public entity_server::FrontEndTopic {
+    explicit Life(ServerStation& station)
+        : front_end(
+              {}, station.process_, station.random_, *this, [](const std::string&) {},
+              [&station] { station.wake(); }),
+          entities(
+              settings(), station.process_, station.random_, *this, [](const std::string&) {},
+              [&station] { station.wake(); },
+              [&station] {
+                  station.timeline_.after(std::chrono::microseconds{20}, station.process_,
+                                          [&station] { station.life_->entities.publishPending(); });
+              }) {}
+
+    // To the entity server.
+    void clientMsg(const Header& head, std::string_view message) override {
+        entities.clientMsg(head, message);
+    }
+    void clientMsgDataSeq(const Header& head, std::string_view data) override {
+        entities.clientMsgDataSeq(head, data);
+    }
+    void clientRequest(const Header& head) override { entities.clientRequest(head); }
+    void clientUpdate(const Header& head, ClientChange change) override {
+        entities.clientUpdate(head, change);
+    }
+    void stopSignal(const Header& head, StopCause cause) override { entities.stopSignal(head, cause); }
+    void stopSignals(const Header& head, const std::vector<std::string>& names, StopCause cause) override {
+        entities.stopSignals(head, names, cause);
+    }
+    void resetSignal(const Header& head) override { entities.resetSignal(head); }
+    void clearSignal(const Header& head) override { entities.clearSignal(head); }
+
+    // To the front-end server.
+    void entityBasicPrflUpdate(Presence presence, const Registration& registration,
+                               std::string_view profile) override {
+        front_end.entityBasicPrflUpdate(presence, registration, profile);
+    }
+    void entityUpdate(const EntityStatus& status) override { front_end.entityUpdate(status); }
+    void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
+                         std::string_view record) override {
+        front_end.entitySvcRecord(head, record_id, count, record);
+    }
+    void entityMsg(Lane lane, const Header& head, std::string_view message) override {
+        front_end.entityMsg(lane, head, message);
+    }
+    void entityMsgDataSeq(const Header& head, std::string_view data) override {
+        front_end.entityMsgDataSeq(head, data);
+    }
+    void entityRefusal(Lane lane, const Header& head, const Refusal& refusal) override {
+        front_end.entityRefusal(lane, head, refusal);
+    }
+
+    front_end_server::FrontEndCore front_end;
+    entity_server::EntityServerCore entities;
+    std::deque<ClientSession> client_sessions;  // never shrinks: peers hold pointers
+    std::deque<EntitySession> entity_sessions;
+};
+
+ServerStation::ServerStation(Timeline& timeline, Dice& dice, Observer& observer, std::uint64_t seed)
+    : timeline_(timeline),
+      dice_(dice),
+      observer_(observer),
+      process_(timeline, kProcess, "server"),
+      random_(seed),
+      alarm_(timeline, process_, [this] { onTimer(); }) {}
+
+ServerStation::~ServerStation() = default;
+
+void ServerStation::start() {
+    process_.start();
+    alarm_.forget();
+    life_ = std::make_unique<Life>(*this);
+    wake();
+}
+
+void ServerStation::kill() {
+    process_.die();
+    life_.reset();
+}
+
+void ServerStation::wake() {
+    // Posted, because a core may ask for it in the middle of something. Often many at once.
+    if (!process_.running() || !life_) return;
+    alarm_.set(process_.now());
+}
+
+void ServerStation::onTimer() {
+    const auto next = std::min(life_->front_end.onTimer(), life_->entities.onTimer());
+    alarm_.set(next);
+}
+
+std::size_t ServerStation::clients() const {
+    return life_ ? life_->front_end.clients() : 0;
+}
+std::size_t ServerStation::entities() const {
+    return life_ ? life_->entities.entities() : 0;
+}
+
+// -- clients
+
+void ServerStation::clientHello(ClientStation& who, std::uint64_t attempt, Connection& data, Role role) {
+    auto& session = life_->client_sessions.emplace_back();
+    session.who = &who;
+    session.attempt = attempt;
+    session.data = &data;
+    data.onClosed(process_, [this, &session] { clientGone(session, false, "its connection closed"); });
+    auto joined = life_->front_end.setCallback(
+        who.process().name(), role, std::make_shared<ToClientOutbox>(process_, data, who, attempt));
+    if (!joined) {
+        data.close(process_);
+        return;
+    }
+    session.ref = joined.value();
+    const auto& me = FrontEndCore::me(*session.ref);
+    SessionHealth health;
+    health.id = me.id;
+    health.process = &who.process();
+    health.life = who.process().life();
+    health.path = &who.path();
+    observer_.addSession(health);
+    data.send(process_, [&who, attempt, to = &session, me, token = FrontEndCore::token(*session.ref),
+                         told = FrontEndCore::told(*session.ref)] {
+        who.welcomed(attempt, *to, me, token, static_cast<int>(told));
+    });
+    timeline_.after(kSetUp, process_, [this, &session] {
+        if (session.signal == nullptr && !session.ended) clientGone(session, false, "it has no signal lane");
+    });
+}
+
+void ServerStation::clientAttach(ClientSession& session, Connection& signal, const std::string& token) {
+    if (session.ended) {
+        signal.close(process_);
+        return;
+    }
+    signal.onClosed(process_, [this, &session] { clientGone(session, false, "its signal lane closed"); });
+    const auto attached = life_->front_end.attach(
+        token, std::make_shared<ToClientOutbox>(process_, signal, *session.who, session.attempt));
+    if (!attached) {
+        signal.close(process_);
+        return;
+    }
+    session.signal = &signal;
+    signal.send(process_, [who = session.who, attempt = session.attempt] { who->attached(attempt); });
+}
+
+void ServerStation::clientGone(ClientSession& session, bool orderly, const char* why) {
+    if (std::exchange(session.ended, true)) return;
+    observer_.sessionEnded(FrontEndCore::me(*session.ref).id);
+    life_->front_end.leave(session.ref, orderly ? Ending::Ended : Ending::Lost, why);
+    session.data->close(process_);
+    if (session.signal != nullptr) session.signal->close(process_);
+}
+
+void ServerStation::sendToEntity(ClientSession& session, const Header& head, const std::string& bytes) {
+    if (!session.ended) life_->front_end.sendToEntity(session.ref, head, bytes);
+}
+void ServerStation::sendToEntityDataSeq(ClientSession& session, const Header& head,
+                                        const std::string& bytes) {
+    if (!session.ended) life_->front_end.sendToEntityDataSeq(session.ref, head, bytes);
+}
+void ServerStation::sendRequest(ClientSession& session, const Header& head) {
+    if (!session.ended) life_->front_end.sendRequest(session.ref, head);
+}
+void ServerStation::sendStopSignal(ClientSession& session, const Header& head, StopCause cause) {
+    if (!session.ended) life_->front_end.sendStopSignal(session.ref, head, cause);
+}
+void ServerStation::sendStopSignals(ClientSession& session, const Header& head,
+                                    const std::vector<std::string>& entities, StopCause cause) {
+    if (!session.ended) life_->front_end.sendStopSignals(session.ref, head, entities, cause);
+}
+void ServerStation::sendReset(ClientSession& session, const Header& head) {
+    if (!session.ended) life_->front_end.sendResetSignal(session.ref, head);
+}
+void ServerStation::sendClear(ClientSession& session, const Header& head) {
+    if (!session.ended) life_->front_end.sendClearSignal(session.ref, head);
+}
+void ServerStation::keepAlive(ClientSession& session) {
+    if (!session.ended) life_->front_end.keepAlive(session.ref);
+}
+
+// -- Entity Managers
+
+void ServerStation::entityHello(EntityManagerStation& who, std::uint64_t attempt, Connection& data) {
+    auto& session = life_->entity_sessions.emplace_back();
+    session.who = &who;
+    session.attempt = attempt;
+    session.data = &data;
+    data.onClosed(process_, [this, &session] { entityGone(session, false, "its connection closed"); });
+    session.ref = life_->entities.open(std::make_shared<ToEntityOutbox>(process_, data, who, attempt));
+    data.send(process_, [&who, attempt, to = &session, token = EntityServerCore::token(*session.ref)] {
+        who.welcomed(attempt, *to, token);
+    });
+    timeline_.after(kSetUp, process_, [this, &session] {
+        if (session.signal == nullptr && !session.ended) entityGone(session, false, "it has no signal lane");
+    });
+}
+
+void ServerStation::entityAttach(EntitySession& session, Connection& signal, const std::string& token) {
+    if (session.ended) {
+        signal.close(process_);
+        return;
+    }
+    signal.onClosed(process_, [this, &session] { entityGone(session, false, "its signal lane closed"); });
+    const auto attached = life_->entities.attach(
+        token, std::make_shared<ToEntityOutbox>(process_, signal, *session.who, session.attempt));
+    if (!attached) {
+        signal.close(process_);
+        return;
+    }
+    session.signal = &signal;
+    signal.send(process_, [who = session.who, attempt = session.attempt] { who->attached(attempt); });
+}
+
+void ServerStation::entityGone(EntitySession& session, bool orderly, const char* why) {
+    if (std::exchange(session.ended, true)) return;
+    life_->entities.leave(session.ref, orderly, why);
+    session.data->close(process_);
+    if (session.signal != nullptr) session.signal->close(process_);
+}
+
+void ServerStation::sendBasicPrfl(EntitySession& session, const Registration& registration,
+                                  const std::string& profile) {
+    if (session.ended) return;
+    const auto result = life_->entities.sendBasicPrfl(session.ref, registration, profile);
+    session.data->send(process_, [who = session.who, attempt = session.attempt, ok = result.ok()] {
+        who->registered(attempt, ok);
+    });
+}
+void ServerStation::sendStatus(EntitySession& session, const EntityStatus& status) {
+    if (!session.ended) life_->entities.sendStatus(session.ref, status);
+}
+void ServerStation::sendToClient(EntitySession& session, Lane lane, const Header& head,
+                                 const std::string& bytes) {
+    if (!session.ended) life_->entities.sendToClient(session.ref, lane, head, bytes);
+}
+void ServerStation::sendToClientDataSeq(EntitySession& session, const Header& head,
+                                        const std::string& bytes) {
+    if (!session.ended) life_->entities.sendToClientDataSeq(session.ref, head, bytes);
+}
+void ServerStation::keepAlive(EntitySession& session) {
+    if (!session.ended) life_->entities.keepAlive(session.ref);
+}
+
+}  // namespace axon::simulation

@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "simulation/user.hpp"
+
+#include <axon/task.pb.h>
+
+#include <algorithm>
+
+namespace axon::simulation {
+
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr std::size_t kTasksKnown = 8;
+constexpr Duration kStopDeadline = 1s;
+constexpr const char* kServices[] = {"Driving", "Driving", "Turning", "Light", "Light"};
+
+}  // namespace
+
+User::User(Timeline& timeline, ClientStation& client, std::uint64_t seed, TimePoint retires_at)
+    : timeline_(timeline), client_(client), dice_(seed), retires_at_(retires_at) {
+    client_.on_start = [this] {
+        open_ = 0;
+        ++life_;
+        tasks_.clear();
+        comeBack(dice_.between(1ms, 400ms));
+    };
+}
+
+void User::comeBack(Duration in) {
+    timeline_.after(in, client_.process(), [this] {
+        if (timeline_.now() >= retires_at_) {
+            retire();
+            comeBack(400ms);
+            return;
+        }
+        act();
+        client_.settle();
+        comeBack(dice_.chance(0.2) ? dice_.between(100us, 40ms) : dice_.between(100ms, 2200ms));
+    });
+}
+
+client::SessionCore::Done User::answered() {
+    ++open_;
+    return [this, life = life_](const Result<void>&) {
+        if (life == life_) --open_;
+    };
+}
+
+void User::act() {
+    auto& core = *client_.core();
+    const auto say = [&](const std::string& what) {
+        timeline_.tell(client_.process().name(), [&] { return what; });
+    };
+    if (dice_.chance(0.06)) {
+        const auto entities = core.entities();
+        if (entities.empty()) return;
+        const auto& entity = entities[dice_.roll(entities.size())];
+        const bool all = dice_.chance(0.2);
+        say(all ? "stops everything" : "stops " + entity.name);
+        ++open_;
+        client_.desk()->stop(all ? std::vector<std::string>{} : std::vector<std::string>{entity.id},
+                             kStopDeadline,
+                             [this, life = life_](const Result<std::vector<client::Receipt>>&) {
+                                 if (life == life_) --open_;
+                             });
+        return;
+    }
+    if (client_.role() == Role::Admin && dice_.chance(0.05)) {
+        const auto entities = core.entities();
+        if (entities.empty()) return;
+        const auto& entity = entities[dice_.roll(entities.size())];
+        say("rearms " + entity.name + " as administrator");
+        core.rearm(entity.id, answered());
+        return;
+    }
+    const auto held = core.held();
+    if (held.empty() || (held.size() == 1 && dice_.chance(0.1)))
+        checkOut();
+    else
+        work(held[dice_.roll(held.size())]);
+}
+
+void User::checkOut() {
+    auto& core = *client_.core();
+    const auto entities = core.entities();
+    if (entities.empty()) return;
+    std::vector<std::string> names{entities[dice_.roll(entities.size())].id};
+    if (dice_.chance(0.3)) {
+        const auto& other = entities[dice_.roll(entities.size())].id;
+        if (other != names.front()) names.push_back(other);
+    }
+    timeline_.tell(client_.process().name(), [&] {
+        return "checks out " + std::to_string(names.size()) + ": " + core.entity(names.front()).value().name;
+    });
+    ++open_;
+    spring();
+    core.checkOut(names, [this, life = life_](const Result<std::vector<client::Held>>& result) {
+        if (life == life_) --open_;
+        if (!result)
+            timeline_.tell(client_.process().name(),
+                           [&] { return "is refused the check-out: " + result.refusal().message; });
+    });
+}
+
+void User::work(const client::Held& held) {
+    auto& core = *client_.core();
+    const auto known = core.entity(held.entity);
+    const std::string name = known ? known->name : "?";
+    const auto say = [&](const char* what) {
+        timeline_.tell(client_.process().name(), [&] { return std::string(what) + ' ' + name; });
+    };
+    if (known && known->latched && dice_.chance(0.7)) {
+        say("rearms");
+        core.rearm(held.entity, answered());
+        if (dice_.chance(0.5)) return;
+    }
+    const auto what = dice_.roll(100);
+    if (what < 48) {
+        spring();
+        for (auto more = 1 + dice_.roll(3); more > 0; --more) {
+            const auto not_after = dice_.chance(0.25) ? dice_.between(5ms, 600ms) : Duration{};
+            tasks_.push_back(core.run(held, kServices[dice_.roll(std::size(kServices))], {}, not_after));
+            timeline_.tell(client_.process().name(),
+                           [&] { return "runs " + tasks_.back().toString().substr(0, 8) + " on " + name; });
+            if (tasks_.size() > kTasksKnown) tasks_.pop_front();
+        }
+    } else if (what < 66 && !tasks_.empty()) {
+        static constexpr proto::TaskAction kActions[] = {proto::PAUSE, proto::PAUSE, proto::RESUME,
+                                                         proto::RESUME, proto::CANCEL};
+        const auto& task = tasks_[tasks_.size() - 1 - dice_.roll(std::min<std::size_t>(tasks_.size(), 3))];
+        const auto action = kActions[dice_.roll(std::size(kActions))];
+        say(action == proto::PAUSE    ? "pauses a task of"
+            : action == proto::RESUME ? "resumes a task of"
+                                      : "cancels a task of");
+        core.control(task, action, answered());
+    } else if (what < 71) {
+        say("resets");
+        (void)core.reset(held).ok();
+    } else if (what < 75) {
+        say("clears");
+        (void)core.clear(held).ok();
+    } else if (what < 79) {
+        core.set(held, "Driving", {"Speed", {std::int64_t{100}}, {}}, answered());
+    } else if (what < 83) {
+        (void)core.sendRaw(held, "joystick").ok();
+    } else if (what < 92) {
+        say("releases");
+        core.release(held, answered());
+    }
+}
+
+void User::spring() {
+    if (const auto trap = std::exchange(ambush, nullptr)) trap();
+}
+
+void User::retire() {
+    auto& core = *client_.core();
+    for (const auto& held : core.held()) core.release(held, answered());
+    client_.settle();
+}
+
+Visitor::Visitor(Timeline& timeline, ClientStation& client, std::size_t entities)
+    : timeline_(timeline), client_(client), wanted_(entities) {
+    client_.on_start = [this] { timeline_.after(50ms, client_.process(), [this] { look(); }); };
+}
+
+void Visitor::look() {
+    auto& core = *client_.core();
+    timeline_.after(150ms, client_.process(), [this] { look(); });
+    for (const auto& entity : core.entities()) {
+        const auto known = std::find_if(visits_.begin(), visits_.end(),
+                                        [&](const Visit& visit) { return visit.entity == entity.id; });
+        if (known == visits_.end()) visits_.push_back({entity.id, false, false, {}, {}, "not asked yet"});
+    }
+    for (std::size_t i = 0; i < visits_.size(); ++i) {
+        auto& visit = visits_[i];
+        if (visit.done) continue;
+        if (visit.held && !core.holds(*visit.held)) {
+            visit.held.reset();
+            visit.task.reset();
+            visit.last = "lost its lease";
+        }
+        if (!visit.held) {
+            if (visit.asked) continue;
+            visit.asked = true;
+            core.checkOut({visit.entity}, [this, i](const Result<std::vector<client::Held>>& result) {
+                visits_[i].asked = false;
+                if (result)
+                    visits_[i].held = result.value().front();
+                else
+                    visits_[i].last = "is refused the check-out: " + result.refusal().message;
+            });
+            continue;
+        }
+        if (visit.task) {
+            const auto report = core.task(*visit.task);
+            if (!report || !client::isFinal(report->state)) {
+                visit.last = "waits for its task";
+                continue;
+            }
+            visit.task.reset();
+            if (report->state == client::TaskState::Succeeded) {
+                visit.done = true;
+                ++done_;
+                core.release(*visit.held, [](const Result<void>&) {});
+                continue;
+            }
+            visit.last = "has no luck with its task: " + report->reason.message;
+        }
+        if (const auto entity = core.entity(visit.entity); entity && entity->latched) {
+            visit.last = "rearms it";
+            core.rearm(visit.entity, [](const Result<void>&) {});
+            continue;
+        }
+        visit.task = core.run(*visit.held, "Turning", {}, {});
+    }
+    client_.settle();
+}
+
+std::string Visitor::complaint() const {
+    if (!client_.connected()) return "a fresh client has no session";
+    if (visits_.size() < wanted_)
+        return "a fresh client sees " + std::to_string(visits_.size()) + " of " + std::to_string(wanted_) +
+               " entities";
+    std::string all;
+    for (const auto& visit : visits_)
+        if (!visit.done)
+            all += (all.empty() ? "a fresh client could not use " : "; ") + visit.entity.substr(0, 8) +
+                   ": it " + visit.last;
+    return all;
+}
+
+}  // namespace axon::simulation

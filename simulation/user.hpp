@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <deque>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "simulation/client_station.hpp"
+
+namespace axon::simulation {
+
+/// Somebody at a client who does this and that: checks out, runs tasks, pauses, cancels, stops, rearms,
+/// resets, clears, releases. From `retires_at` on only releases.
+class User {
+  public:
+    User(Timeline& timeline, ClientStation& client, std::uint64_t seed, TimePoint retires_at);
+    /// Questions that nobody has answered; a client that died has none.
+    int open() const { return open_; }
+    /// Somebody lies in wait: called once, when this user next checks something out or runs a task.
+    std::function<void()> ambush;
+
+  private:
+    void comeBack(Duration in);
+    void act();
+    void retire();
+    void spring();
+    void checkOut();
+    void work(const client::Held& held);
+    client::SessionCore::Done answered();
+
+    Timeline& timeline_;
+    ClientStation& client_;
+    Dice dice_;
+    const TimePoint retires_at_;
+    int open_ = 0;
+    std::uint64_t life_ = 0;
+    std::deque<Id128> tasks_;
+};
+
+/// The one who comes when all faults are over, and must be able to use everything: each entity is there, can
+/// be checked out, rearmed where it is latched, runs a task to its end, and is released.
+class Visitor {
+  public:
+    Visitor(Timeline& timeline, ClientStation& client, std::size_t entities);
+    bool content() const { return done_ == wanted_; }
+    /// What is still wrong.
+    std::string complaint() const;
+
+  private:
+    void look();
+    struct Visit {
+        std::string entity;
+        bool asked = false;
+        bool done = false;
+        std::optional<client::Held> held;
+        std::optional<Id128> task;
+        std::string last;
+    };
+    Timeline& timeline_;
+    ClientStation& client_;
+    const std::size_t wanted_;
+    std::size_t done_ = 0;
+    std::vector<Visit> visits_;
+};
+
+}  // namespace axon::simulation
