@@ -44,6 +44,7 @@ std::string DatagramDesk::open(const std::string& way_to_server) {
 void DatagramDesk::hold(const LeaseBook::Held* held) {
     const auto number = held != nullptr ? held->number : LeaseNumber{};
     if (number == held_ && (held == nullptr || held->holder.id == holder_)) return;
+    if (number != held_) tellCounts();
     held_ = number;
     if (held == nullptr) {
         sentry_.end();
@@ -51,6 +52,19 @@ void DatagramDesk::hold(const LeaseBook::Held* held) {
     }
     holder_ = held->holder.id;
     sentry_.hold(number, held->key.bytes(), held->holder);
+}
+
+/// Of the lease that ends: refused ones may be somebody's attempt, or a network that is set up wrongly.
+void DatagramDesk::tellCounts() {
+    const auto now = sentry_.counters();
+    const auto refused = [](const radio::StopSentry::Counters& of) {
+        return of.unreadable + of.foreign + of.old;
+    };
+    const auto stops = now.accepted - told_.accepted, copies = now.again - told_.again;
+    const auto others = refused(now) - refused(told_);
+    told_ = now;
+    if (stops + copies + others > 0)
+        spdlog::info("datagrams: {} stops and {} copies of them, {} refused", stops, copies, others);
 }
 
 void DatagramDesk::close() {

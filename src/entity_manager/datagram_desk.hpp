@@ -48,6 +48,7 @@ class DatagramDesk {
     radio::StopSentry::Counters counters() const { return sentry_.counters(); }
 
   private:
+    void tellCounts();
     bool received(const radio::DatagramLane& lane, const radio::Endpoint& from, std::string_view bytes);
 
     const DatagramSettings settings_;
@@ -58,6 +59,7 @@ class DatagramDesk {
     radio::StopSentry sentry_;
     // Confined to the strand.
     radio::Endpoint bound_;
+    radio::StopSentry::Counters told_;
     LeaseNumber held_;
     std::string holder_;
     std::unique_ptr<radio::DatagramLane> lane_;
