@@ -926,7 +926,7 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
             if (again && again->code == RefusalCode::OutcomeUnknown) event.set_state(proto::TASK_UNKNOWN);
             // This is its end, so a copy that comes later must not begin. Others than the holder cannot fill the memory.
             if (id && !again && lease_.check(to, incident.head->held).ok())
-                memory_.ended(*id, lease_.held()->number, event);
+                memory_.ended(*id, lease_.held()->number, event, clock_.now());
             tell(to, kMsgTask, message);
             return;
         }
