@@ -17,6 +17,7 @@
 #include "entity_manager/file_storage.hpp"
 #include "server/server.hpp"
 #include "support/loopback.hpp"
+#include "support/tcp_gate.hpp"
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
 #include "transport/timer_thread.hpp"
@@ -26,6 +27,7 @@ namespace {
 
 using namespace std::chrono_literals;
 using axon::test::loopbackAddress;
+using axon::test::TcpGate;
 using axon::test::waitUntil;
 using ::testing::HasSubstr;
 using ::testing::SizeIs;
@@ -72,6 +74,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
             std::make_unique<transport::TimerThread>("robot-beat", Lane::Signal, Duration{}, clock_, [this] {
                 signal_session_->ice_oneway()->ice_invocationTimeout(-1)->keepAliveAsync(1, nullptr,
                                                                                          [](auto) {});
+                onStrand([&] { core_.onTimer(); });
                 return clock_.now() + 20ms;
             });
     }
@@ -244,7 +247,14 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
         }
         return true;
     }
-    void stop(std::uint32_t generation, StopCause) override {
+    void stop(std::uint32_t generation, StopCause cause) override {
+        if (cause == StopCause::Drill) {  // the Entity Interfacer's answer; the application is not called
+            proto::EiToEm done;
+            done.mutable_stop_done()->set_stop_generation(generation);
+            done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+            answer(done);
+            return;
+        }
         ++stops;
         if (deaf) return;
         proto::EiToEm done;
@@ -650,6 +660,208 @@ TEST_F(ClientTest, ManyThreadsMayUseOneClient) {
     }
     for (auto& thread : threads) thread.join();
     EXPECT_TRUE(waitUntil([&] { return robots->texts().size() == 50; }));
+}
+
+// ---- ownership
+
+class OwnershipTest : public ClientTest {
+  protected:
+    std::unique_ptr<Client> named(const std::string& name) const {
+        auto with = options();
+        with.display_name = name;
+        return client(with);
+    }
+    /// A client whose connection the gate can cut.
+    std::unique_ptr<Client> gated(TcpGate& gate) const {
+        auto with = options();
+        with.server = gate.address();
+        return client(with);
+    }
+};
+
+TEST_F(OwnershipTest, ALostConnectionIsResumedUnderTheSameLease) {
+    const auto robots = robot();
+    TcpGate gate(server->clientAddress(Lane::Data));
+    const auto me = gated(gate);
+    const auto held = take(*me);
+    const auto ticket = held.ticket();
+    const auto task = drive(held, *robots);
+    std::atomic<int> resumed{0}, lost{0};
+    held.onResumed([&] { ++resumed; });
+    held.onLost([&](const Refusal&) { ++lost; });
+    gate.cut();
+    ASSERT_TRUE(waitUntil([&] { return held.orphaned(); }));
+    EXPECT_EQ(held.sendText("x").refusal().code, RefusalCode::NotConnected);
+    ASSERT_TRUE(waitUntil([&] { return robots->stops >= 1; })) << "nobody drives it any more";
+    gate.open();
+    ASSERT_TRUE(waitUntil([&] { return resumed == 1; }));
+    EXPECT_EQ(lost, 0);
+    EXPECT_EQ(held.ticket(), ticket);
+    EXPECT_EQ(task.wait(5s).state, TaskState::Stopped) << "told as it ended";
+    auto refused = held.run("Drive", {{"Distance", {std::int64_t{1}}}});
+    EXPECT_EQ(refused.wait(5s).reason.code, RefusalCode::Latched) << "coming back starts nothing";
+    ASSERT_TRUE(me->rearm("PeopleBot").ok());
+    drive(held, *robots);
+}
+
+TEST_F(OwnershipTest, WithoutResumingTheLeaseIsLostWithTheConnection) {
+    const auto robots = robot();
+    TcpGate gate(server->clientAddress(Lane::Data));
+    auto with = options();
+    with.server = gate.address();
+    with.resume = false;
+    const auto me = client(with);
+    const auto held = take(*me);
+    std::promise<Refusal> lost;
+    held.onLost([&](const Refusal& why) { lost.set_value(why); });
+    gate.cut();
+    auto why = lost.get_future();
+    ASSERT_EQ(why.wait_for(5s), std::future_status::ready);
+    EXPECT_EQ(why.get().code, RefusalCode::NotConnected);
+}
+
+TEST_F(OwnershipTest, ATicketTakesTheLeaseToAnotherClientAndStopsTheRobotFirst) {
+    const auto robots = robot();
+    const auto client1 = named("client1@lab");
+    const auto held = take(*client1);
+    drive(held, *robots);
+    std::promise<Refusal> lost;
+    held.onLost([&](const Refusal& why) { lost.set_value(why); });
+    const auto client2 = named("client1@lab, restarted");
+    const auto resumed = client2->resume(held.ticket());
+    ASSERT_TRUE(resumed.ok()) << resumed.refusal().message;
+    EXPECT_EQ(resumed->ticket().substr(0, 60), held.ticket().substr(0, 60)) << "the same lease";
+    EXPECT_GE(robots->stops, 1);
+    auto why = lost.get_future();
+    ASSERT_EQ(why.wait_for(5s), std::future_status::ready);
+    EXPECT_TRUE(resumed->sendText("here I am").ok());
+}
+
+TEST_F(OwnershipTest, WhoWaitsIsToldItsPlaceAndIsNext) {
+    const auto robots = robot();
+    const auto client1 = named("client1@lab");
+    const auto client2 = named("client2@lab");
+    const auto held = take(*client1);
+    ASSERT_TRUE(client2->waitFor("PeopleBot", 5s).ok());
+    CheckOutOptions options;
+    options.wait = 20s;
+    std::atomic<int> place{0};
+    options.on_waiting = [&](const Waiting& waiting) { place = waiting.place; };
+    auto granted = std::async(std::launch::async, [&] { return client2->checkOut("PeopleBot", options); });
+    ASSERT_TRUE(waitUntil([&] { return place == 1; }));
+    EXPECT_TRUE(waitUntil([&] { return client1->find("PeopleBot")->waiting == 1; }));
+    ASSERT_TRUE(held.release().ok());
+    const auto now = granted.get();
+    ASSERT_TRUE(now.ok()) << now.refusal().message;
+    EXPECT_TRUE(now->sendText("mine").ok());
+}
+
+TEST_F(OwnershipTest, AWaitThatIsGivenUpLeavesTheLine) {
+    const auto robots = robot();
+    const auto client1 = named("client1@lab");
+    const auto client2 = named("client2@lab");
+    const auto held = take(*client1);
+    ASSERT_TRUE(client2->waitFor("PeopleBot", 5s).ok());
+    std::stop_source give_up;
+    CheckOutOptions options;
+    options.wait = 20s;
+    options.give_up = give_up.get_token();
+    options.on_waiting = [&](const Waiting&) { give_up.request_stop(); };
+    EXPECT_EQ(client2->checkOut("PeopleBot", options).refusal().code, RefusalCode::Cancelled);
+    EXPECT_TRUE(waitUntil([&] { return client1->find("PeopleBot")->waiting == 0; }));
+}
+
+TEST_F(OwnershipTest, TheHolderIsAskedAndItsAnswerCounts) {
+    const auto robots = robot();
+    const auto client1 = named("client1@lab");
+    const auto client2 = named("client2@lab");
+    const auto held = take(*client1);
+    drive(held, *robots);
+    std::atomic<bool> accept{false};
+    held.onHandOverRequest([&](const HandOverRequest& request) {
+        EXPECT_EQ(request.by, "client2@lab");
+        EXPECT_EQ(request.reason, "a demonstration");
+        EXPECT_TRUE(held.answerHandOver(accept, "because").ok());
+    });
+    std::promise<Refusal> lost;
+    held.onLost([&](const Refusal& why) { lost.set_value(why); });
+    CheckOutOptions options;
+    options.ask = true;
+    options.reason = "a demonstration";
+    ASSERT_TRUE(client2->waitFor("PeopleBot", 5s).ok());
+    const auto refused = client2->checkOut("PeopleBot", options);
+    EXPECT_EQ(refused.refusal().code, RefusalCode::HandOverRefused) << refused.refusal().message;
+    EXPECT_EQ(robots->stops, 0) << "a refusal disturbs nobody";
+    accept = true;
+    const auto granted = client2->checkOut("PeopleBot", options);
+    ASSERT_TRUE(granted.ok()) << granted.refusal().message;
+    EXPECT_GE(robots->stops, 1) << "a moving robot is never handed over";
+    auto why = lost.get_future();
+    ASSERT_EQ(why.wait_for(5s), std::future_status::ready);
+    EXPECT_EQ(why.get().code, RefusalCode::RevokedLease);
+}
+
+TEST_F(OwnershipTest, AnAdminTakesOverAndTheLoserIsTold) {
+    const auto robots = robot();
+    const auto client1 = named("client1@lab");
+    const auto admin = named("client2@lab");
+    ASSERT_EQ(admin->self().role, Role::Admin) << "of this process's own user on loopback";
+    const auto held = take(*client1);
+    const auto task = drive(held, *robots);
+    std::promise<Refusal> lost;
+    held.onLost([&](const Refusal& why) { lost.set_value(why); });
+    CheckOutOptions options;
+    options.force = true;
+    options.reason = "fire drill";
+    ASSERT_TRUE(admin->waitFor("PeopleBot", 5s).ok());
+    const auto granted = admin->checkOut("PeopleBot", options);
+    ASSERT_TRUE(granted.ok()) << granted.refusal().message;
+    auto why = lost.get_future();
+    ASSERT_EQ(why.wait_for(5s), std::future_status::ready);
+    const auto told = why.get();
+    EXPECT_EQ(told.code, RefusalCode::RevokedLease);
+    EXPECT_THAT(told.message, HasSubstr("fire drill"));
+    EXPECT_THAT(told.holder, HasSubstr("client2@lab"));
+    EXPECT_TRUE(isFinal(task.wait(5s).state));
+}
+
+TEST_F(OwnershipTest, AQueryFindsWhatIsFreeAndSaysWhatIsNot) {
+    const auto first = robot("First");
+    const auto second = robot("Second");
+    const auto client1 = named("client1@lab");
+    const auto client2 = named("client2@lab");
+    take(*client1, "First");
+    ASSERT_TRUE(waitUntil([&] {
+        const auto seen = client2->find("First");
+        return seen.ok() && seen->state == EntityState::REG && client2->waitFor("Second", 1s).ok();
+    }));
+    const auto both = client2->checkOutQuery("2 ROBOT/MOBILE");
+    ASSERT_FALSE(both.ok());
+    EXPECT_THAT(both.refusal().message, HasSubstr("First is held by client1@lab"));
+    const auto one = client2->checkOutQuery("1 mobile with drive");
+    ASSERT_TRUE(one.ok()) << one.refusal().message;
+    EXPECT_EQ(one->front().entity().name, "Second");
+    EXPECT_EQ(client2->checkOutQuery("1 ROBTO").refusal().code, RefusalCode::Malformed);
+}
+
+TEST_F(OwnershipTest, ADrillMeasuresAndDisturbsNothing) {
+    const auto robots = robot();
+    const auto client1 = named("client1@lab");
+    const auto client2 = named("client2@lab");
+    const auto held = take(*client1);
+    const auto task = drive(held, *robots);
+    ASSERT_TRUE(client2->waitFor("PeopleBot", 5s).ok());
+    const auto drilled = client2->drill({"PeopleBot"}, 5, 10ms);
+    ASSERT_TRUE(drilled.ok()) << drilled.refusal().message;
+    ASSERT_THAT(drilled.value(), SizeIs(1));
+    ASSERT_THAT(drilled->front().callback, SizeIs(5));
+    for (const auto& time : drilled->front().callback) EXPECT_TRUE(time) << "it never arrived";
+    EXPECT_EQ(task.report().state, TaskState::Running);
+    EXPECT_EQ(robots->stops, 0);
+    EXPECT_FALSE(client2->find("PeopleBot")->latched);
+    EXPECT_TRUE(held.sendText("and commands are still obeyed").ok());
+    EXPECT_TRUE(waitUntil([&] { return !robots->texts().empty(); }));
+    EXPECT_EQ(client2->drill({"Nobody"}).refusal().code, RefusalCode::UnknownEntity);
 }
 
 }  // namespace
