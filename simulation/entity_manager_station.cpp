@@ -172,10 +172,10 @@ void EntityManagerStation::handleClientMsg(const Header& head, const std::string
                '.' + std::to_string(head.held.number) + ", generation " +
                std::to_string(head.stop_generation);
     });
-    observer_.rearmInHand(entity_, head.msg_type == kMsgRearm);
+    observer_.inHand(entity_, &head);
     life_->core.onClientMsg(head, bytes);
     observer_.managerIs(entity_, life_->core.status());
-    observer_.rearmInHand(entity_, false);
+    observer_.inHand(entity_, nullptr);
 }
 
 // -- from the server
@@ -190,7 +190,7 @@ void EntityManagerStation::newClientMsg(std::uint64_t attempt, const Header& hea
     wakeStrand(life_->inbox.pushControl([this, head, bytes] { handleClientMsg(head, bytes); }, bytes.size()));
     if (repeated || mischief_.repeats <= 0 || !dice_.chance(mischief_.repeats)) return;
     const auto again = dice_.between(Duration{}, mischief_.repeats_within);
-    if (head.msg_type == kMsgTask) {
+    if (head.msg_type != kMsgCheckOut && head.msg_type != kMsgRearm) {
         // Kept by somebody on the way, so that it may come in another life.
         timeline_.after(again, outside_, [this, head, bytes] {
             if (life_ && life_->up && process_.running()) newClientMsg(life_->attempt, head, bytes, true);

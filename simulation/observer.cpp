@@ -93,10 +93,20 @@ void Observer::taskArrives(std::size_t number, const Header& head, const proto::
     facts.order = ++order_;
 }
 
+void Observer::inHand(std::size_t number, const Header* head) {
+    auto& entity = entities_[number];
+    entity.rearm_in_hand = head != nullptr && head->msg_type == kMsgRearm;
+    entity.stale_in_hand = head != nullptr && head->held != LeaseNumber{} && head->held < entity.highest;
+}
+
 void Observer::toApplication(std::size_t number, const proto::EmToEi& message, TimePoint local) {
     auto& entity = entities_[number];
     if (message.has_pause() && message.pause().resume() && entity.latch_wanted)
         violated(Invariant::Latch, entity.name + ": a task is resumed after a stop and before a rearm");
+    if (entity.stale_in_hand && (message.has_param() || message.has_raw() || message.has_text() ||
+                                 message.has_cancel() || message.has_pause()))
+        violated(Invariant::Fence,
+                 entity.name + ": what was sent under an older lease reaches the application");
     if (!message.has_task()) return;
     ++counts_.dispatches;
     const auto& id = message.task().task_id();
@@ -156,6 +166,8 @@ void Observer::stopGoesOut(std::size_t number, std::uint32_t generation, StopCau
         return std::string("stop ") + std::to_string(generation) + " (" + toString(cause) +
                ") to the application";
     });
+    if (entity.stale_in_hand && cause == StopCause::Released)
+        violated(Invariant::Fence, entity.name + ": a release under an older lease ends the newest");
     if (generation <= entity.raised)
         violated(Invariant::Fence, entity.name + ": a stop has generation " + std::to_string(generation) +
                                        ", and " + std::to_string(entity.raised) + " was given before");

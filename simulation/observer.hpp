@@ -79,8 +79,8 @@ class Observer {
     void managerDies(std::size_t entity);
     void taskArrives(std::size_t entity, const Header& head, const proto::TaskRequest& request,
                      TimePoint local);
-    /// A rearm is being handled, or no longer.
-    void rearmInHand(std::size_t entity, bool in_hand) { entities_[entity].rearm_in_hand = in_hand; }
+    /// A client's message is being handled, or (null) no longer.
+    void inHand(std::size_t entity, const Header* head);
     void toApplication(std::size_t entity, const proto::EmToEi& message, TimePoint local);
     /// A stop is on its way to the application; `signal`: of the signal thread, and so not of the core's own.
     void stopGoesOut(std::size_t entity, std::uint32_t generation, StopCause cause, bool signal);
@@ -139,6 +139,7 @@ class Observer {
         bool latch_told = false;    ///< the core has said so since
         std::uint64_t rearmed_order = 0;
         bool rearm_in_hand = false;
+        bool stale_in_hand = false;  ///< it was sent under an older lease than the newest
         std::optional<EntityStatus> status;
         std::string present_holder;
         std::map<LeaseNumber, std::int64_t> last_sequence;

@@ -13,6 +13,7 @@ using namespace std::chrono_literals;
 
 constexpr std::size_t kTasksKnown = 8;
 constexpr Duration kStopDeadline = 1s;
+constexpr Duration kAnswerWithin = 5500ms;  // the library's time-out, and what clocks may differ
 constexpr const char* kServices[] = {"Driving", "Driving", "Turning", "Light", "Light"};
 
 }  // namespace
@@ -42,8 +43,13 @@ void User::comeBack(Duration in) {
 
 client::SessionCore::Done User::answered() {
     ++open_;
-    return [this, life = life_](const Result<void>&) {
-        if (life == life_) --open_;
+    return [this, life = life_, asked = timeline_.now()](const Result<void>&) {
+        if (life != life_) return;
+        --open_;
+        // Who was frozen meanwhile cannot know.
+        if (timeline_.now() - asked > kAnswerWithin && client_.process().changedAt() < asked)
+            complain("a request of " + client_.process().name() + " had its answer after " +
+                     std::to_string((timeline_.now() - asked) / 1ms) + " ms");
     };
 }
 

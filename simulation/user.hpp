@@ -18,6 +18,8 @@ class User {
     int open() const { return open_; }
     /// Somebody lies in wait: called once, when this user next checks something out or runs a task.
     std::function<void()> ambush;
+    /// Called when a request was answered later than the library promises.
+    std::function<void(const std::string&)> complain;
 
   private:
     void comeBack(Duration in);

@@ -99,6 +99,9 @@ World::World(std::uint64_t seed, Faults faults)
                                             i == 0 ? Role::Admin : Role::Operator, seeds_.next()));
         setClock(client.process());
         users_.push_back(std::make_unique<User>(timeline_, client, seeds_.next(), begin + kRetire));
+        users_.back()->complain = [this](const std::string& what) {
+            observer_.violated(Invariant::Bounded, what);
+        };
         client.start();
     }
     auto& late = *clients_.emplace_back(std::make_unique<ClientStation>(
@@ -275,8 +278,15 @@ void World::injectOne(Faults kind, TimePoint at) {
             return;
         }
         case Faults::Duplication: {
-            auto& mischief = robots_[fault_dice_.roll(robots_.size())]->manager.mischief();
+            const auto number = fault_dice_.roll(robots_.size());
+            auto& manager = robots_[number]->manager;
+            auto& mischief = manager.mischief();
             mischief.repeats = 0.3;
+            // What is repeated may belong to a life that is over.
+            if (fault_dice_.chance(0.4))
+                timeline_.after(length / 2, outside_, [this, victim = Victim{&manager.process(), 2, number}] {
+                    crash(victim, true, 200ms);
+                });
             mischief.repeats_within = fault_dice_.chance(0.5) ? 20ms : 3s;
             timeline_.tell("FAULT", [&] { return "messages arrive twice for " + ms(length * 3); });
             timeline_.after(std::min<Duration>(length * 3, TimePoint{1000s} + kFaultsUntil - at), outside_,
