@@ -433,7 +433,7 @@ void EntityManagerCore::Machine::passOn() {
         if (!active_.empty())
             endSpared(orphan_reason_.message);  // held for as long as somebody could come back
         Incident expired{Event::LeaseExpired};
-        expired.cause = StopCause::ClientLost;
+        expired.cause = StopCause::Released;  // the loss itself has stopped and latched; this ends the lease
         expired.reason = orphan_reason_;
         if (settings_.lease_grace > Duration::zero()) {
             auto& text = expired.reason.message;
