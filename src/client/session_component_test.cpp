@@ -584,7 +584,9 @@ TEST_F(ClientTest, ALostServerIsToldAndTheClientComesBack) {
         return same;
     }();
     auto robots = robot();
-    const auto me = client();
+    auto with = options();
+    with.resume = false;
+    const auto me = client(with);
     const auto held = take(*me);
     const auto task = drive(held, *robots);
     std::atomic<int> up{0}, down{0};
@@ -728,12 +730,14 @@ TEST_F(OwnershipTest, ATicketTakesTheLeaseToAnotherClientAndStopsTheRobotFirst) 
     std::promise<Refusal> lost;
     held.onLost([&](const Refusal& why) { lost.set_value(why); });
     const auto client2 = named("client1@lab, restarted");
-    const auto resumed = client2->resume(held.ticket());
+    const auto ticket = held.ticket();
+    const auto resumed = client2->resume(ticket);
     ASSERT_TRUE(resumed.ok()) << resumed.refusal().message;
-    EXPECT_EQ(resumed->ticket().substr(0, 60), held.ticket().substr(0, 60)) << "the same lease";
+    EXPECT_EQ(resumed->ticket(), ticket) << "the same lease";
     EXPECT_GE(robots->stops, 1);
     auto why = lost.get_future();
     ASSERT_EQ(why.wait_for(5s), std::future_status::ready);
+    EXPECT_TRUE(held.ticket().empty()) << "it is no longer the first one's";
     EXPECT_TRUE(resumed->sendText("here I am").ok());
 }
 
