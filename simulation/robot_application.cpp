@@ -189,6 +189,7 @@ void RobotApplication::readSignals() {
             }
         } else {
             link.busy = signal.busy;
+            if (manager_->process().frozen()) judgeSilence();  // its last beat may shorten the watchdog
             if (!link.baseline_known) {
                 link.baseline_known = true;
                 level.adopt(signal.generation);
