@@ -91,7 +91,8 @@ bool DatagramDesk::received(const radio::DatagramLane& lane, const radio::Endpoi
     answer.generation = gate_.raisedBy(judged.sender.id, datagram.sequence).value_or(0);
     const auto encoded = radio::encode(answer, judged.key);
     lane.send(from, {encoded.data(), encoded.size()});
-    return true;
+    // Copies without end are a flood as well: whoever replays one must not keep this thread from resting.
+    return judged.verdict == radio::StopSentry::Verdict::New;
 }
 
 }  // namespace axon::entity_manager

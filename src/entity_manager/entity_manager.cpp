@@ -205,7 +205,7 @@ void EntityManager::wake(Inbox::Verdict verdict, Turn turn) {
     }
 }
 
-void EntityManager::drain() {
+void EntityManager::drain() noexcept {
     for (int handled = 0; handled < kEventsPerTurn; ++handled) {
         const auto event = inbox_.take();
         if (!event) {

@@ -88,7 +88,8 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     /// threads never do the strand's work.
     enum class Turn : std::uint8_t { Here, Executor };
     void wake(Inbox::Verdict verdict, Turn turn = Turn::Executor);
-    void drain();
+    /// An Ice thread may run it: what escaped here would be swallowed there, and leave a manager that hears nothing.
+    void drain() noexcept;
     void hearServer();
     void afterEvents();
     void armTimer();

@@ -705,9 +705,10 @@ void EntityManagerCore::Machine::handled(std::uint32_t generation, bool internal
 /// Many at a time, so that a stop does not wait for the disk.
 void EntityManagerCore::Machine::reserveGenerations() {
     const bool first = reserved_ == 0;
-    reserved_ = generation_ + kGenerationsReserved;
+    const auto next = generation_ + kGenerationsReserved;
     try {
-        if (!AXON_PLANTED(GenerationsNotReserved)) storage_.save(kGenerationKey, std::to_string(reserved_));
+        if (!AXON_PLANTED(GenerationsNotReserved)) storage_.save(kGenerationKey, std::to_string(next));
+        reserved_ = next;  // not before: what could not be saved is tried again at the next stop
     } catch (const std::exception&) {
         if (first) throw;  // at the start somebody can mend it; later a full disk must not fail a stop
     }
@@ -716,6 +717,7 @@ void EntityManagerCore::Machine::reserveGenerations() {
 void EntityManagerCore::Machine::stopApplication(Incident& incident) {
     if (AXON_PLANTED(LostServerDoesNotStop) && incident.event == Event::ServerDown) return;
     incident.generation = AXON_PLANTED(ReleaseKeepsGeneration) && incident.event == Event::Release ? stop_gate_.generation() : stop_gate_.raise();
+    newest_real_ = std::max(newest_real_, incident.generation);
     back_end_.stop(incident.generation, incident.cause);
     handled(incident.generation, true, incident.event != Event::Reset);
     if (incident.event != Event::Reset) application_busy_ = false;
@@ -736,6 +738,7 @@ void EntityManagerCore::Machine::onStopSignal(const Header& head, StopCause caus
         handled(generation, false, false);
         acknowledge(incident);
     } else {
+        newest_real_ = std::max(newest_real_, generation);
         handled(generation, false, true);
         incident.reason = {
             RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
@@ -833,7 +836,8 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
     }
     while (!open_stops_.empty() && open_stops_.front().receipt.stage() >= proto::StopReceipt::STANDSTILL)
         open_stops_.pop_front();
-    if (done.stage() >= proto::StopReceipt::CALLBACK_RETURNED) confirmStop(done.stop_generation());
+    if (done.stage() >= proto::StopReceipt::CALLBACK_RETURNED && (!drill || confirmed_ >= newest_real_))
+        confirmStop(done.stop_generation());
 }
 
 void EntityManagerCore::Machine::confirmStop(std::uint32_t generation) {
@@ -1121,7 +1125,7 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     if (waiting_grant_) next = std::min(next, waiting_grant_->until);
     if (mayEndGrace()) next = std::min(next, *lease_.held()->grace_until);
     if (const auto expiry = wait_list_.nextExpiry()) next = std::min(next, *expiry);
-    if (hand_over_.open()) next = std::min(next, hand_over_.open()->until);
+    if (hand_over_.open() && !lease_.orphaned()) next = std::min(next, hand_over_.open()->until);
     if (const auto expiry = queue_.nextExpiry()) next = std::min(next, *expiry);
     if (!questions_.empty()) next = std::min(next, questions_.begin()->second.until);
     for (const auto& active : active_)

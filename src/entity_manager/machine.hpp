@@ -299,6 +299,7 @@ class EntityManagerCore::Machine {
     std::vector<proto::StopDone> early_done_;  ///< answers to stops above generation_
     std::uint32_t commanded_ = 0;              ///< newest stop that the robot application must have been told
     std::uint32_t confirmed_ = 0;              ///< newest stop whose callback has returned
+    std::uint32_t newest_real_ = 0;            ///< newest stop that is no drill
     std::uint32_t link_generation_ = 0;        ///< stops up to this one the application has never been sent
     std::deque<OpenStop> open_stops_;
 

@@ -474,9 +474,11 @@ void EntityManagerCore::Machine::passTime() {
                        "The place was given up: the request was not sent again within " +
                            inWords(WaitList::kRefreshWithin) + '.',
                        {}});
-    if (const auto question = hand_over_.expire(now)) {
-        tellQuestion(*question, true);
-        decideHandOver(*question, question->yield, "it did not answer in time.");
+    // A holder that is lost cannot answer: its silence is no consent. The end of the lease answers, or it is asked anew.
+    const auto silent = lease_.orphaned() ? std::nullopt : hand_over_.expire(now);
+    if (silent) {
+        tellQuestion(*silent, true);
+        decideHandOver(*silent, silent->yield, "it did not answer in time.");
     }
     passOn();
 }

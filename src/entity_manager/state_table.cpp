@@ -70,8 +70,8 @@ std::vector<Row> makeRows() {
     rows.add({S::IDLE}, E::ServerDown, {A::StopApplication, A::DismissWaiting, A::SeekServer, A::TellStatus},
              to(S::ENVCONN));
     rows.add(held, E::ServerDown,
-             {A::StopApplication, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::DismissWaiting,
-              A::OrphanLease, A::SeekServer, A::TellStatus},
+             {A::StopApplication, A::EndTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads,
+              A::DismissWaiting, A::OrphanLease, A::SeekServer, A::TellStatus},
              to(S::ENVCONN));
     rows.add({S::UNAV, S::INIT, S::ENVCONN, S::ERR}, E::ServerDown, {A::SeekServer}, kStay);
 
