@@ -460,6 +460,14 @@ void SessionCore::advanceCheckOut(Id128 id) {
         for (auto& party : order.parties) sendCheckOut(order, party, proto::COMMIT);
         return;
     }
+    // All or none: what was granted first may be gone by the time that the last is granted.
+    for (const auto& party : order.parties) {
+        if (lease({party.entity, party.lease}) != nullptr) continue;
+        failCheckOut(id, {RefusalCode::RevokedLease,
+                          label(party.entity) + " was lost before the others were granted.",
+                          {}});
+        return;
+    }
     std::vector<Held> granted;
     for (const auto& party : order.parties) granted.push_back({party.entity, party.lease});
     takeOrder(check_outs_.find(id)).done(std::move(granted));

@@ -54,7 +54,10 @@ int drill(Session& session) {
         if (!reports) return refuse(session, reports.refusal());
         add(all, reports.value());
         session.events.emit({{"event", "drilling"}, {"done", i + 1}, {"count", count}});
-        while (i + 1 < count && Clock::now() < next) {
+        if (reports.value().empty()) break;
+        // A try may take longer than the time between two of them.
+        interrupted = interrupted || session.mailbox->takeInterrupt();
+        while (!interrupted && i + 1 < count && Clock::now() < next) {
             if (const auto event = session.mailbox->wait(next)) session.events.emit(*event);
             if (session.mailbox->takeInterrupt()) {
                 interrupted = true;
