@@ -567,7 +567,7 @@ TEST(Link, AGenerationRaisedWithoutAStopIsHealedByTheBeats) {
     EntityInterfacer interfacer(options("Heal"));
     stops.attach(interfacer);
     interfacer.start();
-    Manager manager("Heal");
+    Manager manager("Heal", {5500, 5600}, {}, 2s, 2s);  // a fifth of it from beat to beat
     ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
     const auto generation = manager.gate.raise();
     ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation); }));
