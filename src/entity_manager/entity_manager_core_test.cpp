@@ -100,6 +100,26 @@ TEST_F(Held, TheAnswerToADrillIsNoReceiptOfTheStopBeforeIt) {
     EXPECT_EQ(returned(), 1);
 }
 
+TEST_F(Held, TheAnswerToADrillDoesNotLetTheRobotBeGivenToTheNext) {
+    rig.stop("client2");
+    const auto stop = rig.gate.generation();
+    rig.stop("client3", StopCause::Drill);
+    rig.stopDone(rig.gate.generation());
+    proto::ToEntity bye;
+    bye.mutable_release();
+    rig.send("client1", bye);
+    const auto released = rig.gate.generation();
+    rig.stop("client3", StopCause::Drill);
+    rig.stopDone(rig.gate.generation());  // the application is still inside the callbacks of both stops
+    rig.take("client2", "r2");
+    EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+    rig.stopDone(stop);
+    EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+    rig.stopDone(released);
+    rig.stopDone(rig.gate.generation());
+    EXPECT_EQ(rig.core().state(), EntityState::REG);
+}
+
 TEST_F(Held, NothingIsDispatchedWhileAStopIsOnItsWayToTheStrand) {
     rig.task("client1", "t1", "Turning");
     rig.grant("t1");

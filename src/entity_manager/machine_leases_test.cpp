@@ -406,6 +406,20 @@ TEST_F(Ownership, AQuestionIsPutAnewToAHolderThatHasComeBack) {
     EXPECT_DOUBLE_EQ(rig.to_clients.back().message.hand_over().answer_within_s(), 28);
 }
 
+TEST_F(Ownership, TheSilenceOfALostHolderIsNoConsent) {
+    checkOut("client1", "r1", [](proto::CheckOutRequest& request) {
+        request.mutable_hand_over()->set_answer_within_s(1);
+        request.mutable_hand_over()->set_yield(true);
+    });
+    checkOut("client2", "r2", ask);
+    lose("client1");
+    standStill();
+    rig.advance(std::chrono::seconds{3});
+    EXPECT_EQ(holder(), rig.headOf("client1").sender.id);
+    rig.resumeLease("client1b", "r3", "client1");
+    EXPECT_EQ(code("client1b"), proto::OK);
+}
+
 TEST_F(Ownership, WhoAsksAndThenHoldsItByItsKeyIsNotAskedItself) {
     rig.take("client1", "r1");
     checkOut("client2", "r2", ask);
