@@ -124,10 +124,13 @@ AgentLink::Outcome AgentLink::request(const std::string& verb, const Json& args,
             const auto event = Json::parse(*text, nullptr, false);
             if (!event.is_object()) return {Ending::Broken};
             accepted = true;
+            if (event.contains("event")) {  // whatever its other members are called
+                events.emit(event);
+                continue;
+            }
             if (event.value("elsewhere", false)) return {Ending::Elsewhere};
             if (event.value("done", false))
                 return {Ending::Done, event.value("exit", static_cast<int>(kRefused))};
-            if (event.contains("event")) events.emit(event);
         }
         int wait_ms = -1;
         if (!accepted) {

@@ -83,6 +83,17 @@ TEST_F(Served, GivesEventsAndTheExitStatusBack) {
     EXPECT_EQ(seen.events[0]["receipts"][0]["name"], "Cyton");
 }
 
+TEST_F(Served, AnEventIsNoEndWhateverItsMembersAreCalled) {
+    serve(milliseconds(60'000));
+    Recorded seen;
+    const auto outcome = link->request("drill", {{"entity", {"Cyton"}}, {"count", 2}, {"every", 0.0}}, seen,
+                                       milliseconds(10'000));
+    EXPECT_EQ(outcome.ending, AgentLink::Ending::Done);
+    ASSERT_EQ(seen.events.size(), 3U);
+    EXPECT_EQ(seen.events[0]["done"], 1) << "how many tries are done, not the end of the answer";
+    EXPECT_EQ(seen.events[2]["event"], "drill");
+}
+
 TEST_F(Served, SaysWhenAVerbIsNotForIt) {
     serve(milliseconds(60'000));
     Recorded seen;
