@@ -56,13 +56,10 @@ int drill(Session& session) {
         session.events.emit({{"event", "drilling"}, {"done", i + 1}, {"count", count}});
         if (reports.value().empty()) break;
         // A try may take longer than the time between two of them.
-        interrupted = interrupted || session.mailbox->takeInterrupt();
+        interrupted = session.mailbox->takeInterrupt();
         while (!interrupted && i + 1 < count && Clock::now() < next) {
             if (const auto event = session.mailbox->wait(next)) session.events.emit(*event);
-            if (session.mailbox->takeInterrupt()) {
-                interrupted = true;
-                break;
-            }
+            interrupted = session.mailbox->takeInterrupt();
         }
     }
     const auto entities = session.station->entities();
