@@ -264,20 +264,26 @@ void ServerStation::clientHello(ClientStation& who, std::uint64_t attempt, Conne
     });
 }
 
-void ServerStation::clientAttach(ClientSession& session, Connection& signal, const std::string& token) {
+/// A second connection becomes the signal lane of a session of either kind.
+template <class Outbox, class Core, class Session, class Gone>
+void ServerStation::attachLane(Core& core, Session& session, Connection& signal, const std::string& token,
+                               Gone gone) {
     if (session.ended) {
         signal.close(process_);
         return;
     }
-    signal.onClosed(process_, [this, &session] { clientGone(session, false, "its signal lane closed"); });
-    const auto attached = life_->front_end.attach(
-        token, std::make_shared<ToClientOutbox>(process_, signal, *session.who, session.attempt));
-    if (!attached) {
+    signal.onClosed(process_, std::move(gone));
+    if (!core.attach(token, std::make_shared<Outbox>(process_, signal, *session.who, session.attempt))) {
         signal.close(process_);
         return;
     }
     session.signal = &signal;
     signal.send(process_, [who = session.who, attempt = session.attempt] { who->attached(attempt); });
+}
+
+void ServerStation::clientAttach(ClientSession& session, Connection& signal, const std::string& token) {
+    attachLane<ToClientOutbox>(life_->front_end, session, signal, token,
+                               [this, &session] { clientGone(session, false, "its signal lane closed"); });
 }
 
 void ServerStation::clientGone(ClientSession& session, bool orderly, const char* why) {
@@ -333,19 +339,8 @@ void ServerStation::entityHello(EntityManagerStation& who, std::uint64_t attempt
 }
 
 void ServerStation::entityAttach(EntitySession& session, Connection& signal, const std::string& token) {
-    if (session.ended) {
-        signal.close(process_);
-        return;
-    }
-    signal.onClosed(process_, [this, &session] { entityGone(session, false, "its signal lane closed"); });
-    const auto attached = life_->entities.attach(
-        token, std::make_shared<ToEntityOutbox>(process_, signal, *session.who, session.attempt));
-    if (!attached) {
-        signal.close(process_);
-        return;
-    }
-    session.signal = &signal;
-    signal.send(process_, [who = session.who, attempt = session.attempt] { who->attached(attempt); });
+    attachLane<ToEntityOutbox>(life_->entities, session, signal, token,
+                               [this, &session] { entityGone(session, false, "its signal lane closed"); });
 }
 
 void ServerStation::entityGone(EntitySession& session, bool orderly, const char* why) {

@@ -74,6 +74,9 @@ class ServerStation {
     std::size_t entities() const;
 
   private:
+    template <class Outbox, class Core, class Session, class Gone>
+    void attachLane(Core& core, Session& session, Connection& signal, const std::string& token, Gone gone);
+
     struct Life;
     void wake();
     void onTimer();
