@@ -70,6 +70,7 @@ Laboratory::Laboratory(const Wishes& wishes, const Needs& needs)
         server << "FrontEndServerSignal.PublishedEndpoints=" << between_ << ":" << kClientPort + 1 << "\n";
     if (needs_.relay_managers)
         server << "EntityServerSignal.PublishedEndpoints=" << between_ << ":" << kClientPort + 3 << "\n";
+    std::ofstream(folder_ / "manager.cfg") << "Axon.LeaseGrace=" << kLeaseGrace << "\n";
     if (wishes_.busy) burners_ = std::make_unique<Burners>(std::max(1U, std::thread::hardware_concurrency()));
 }
 
@@ -153,10 +154,10 @@ void Laboratory::startManagers() {
         if (managers_[i] && managers_[i]->running()) continue;
         const auto number = std::to_string(i);
         managers_[i] = std::make_unique<Child>(
-            std::vector<std::string>{(wishes_.programs / "axon-entity-manager").string(), "--application",
-                                     applicationName(i), "--server", server, "--address", links, "--ports",
-                                     portText(linkPort(i)), "--state",
-                                     (folder_ / ("state-" + number)).string()},
+            std::vector<std::string>{
+                (wishes_.programs / "axon-entity-manager").string(), "--application", applicationName(i),
+                "--server", server, "--address", links, "--ports", portText(linkPort(i)), "--state",
+                (folder_ / ("state-" + number)).string(), "--config", (folder_ / "manager.cfg").string()},
             folder_ / ("manager-" + number + ".log"));
         started.push_back(i);
     }

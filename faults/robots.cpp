@@ -158,6 +158,7 @@ int runManagers(const RobotsPlan& plan) {
         auto member = std::make_unique<Member>(plan.folder / ("state-" + std::to_string(i)));
         CoreSettings core;
         core.application = applicationName(i);
+        core.lease_grace = std::chrono::duration_cast<Duration>(Seconds(kLeaseGrace));
         BackEndSettings link;
         link.application = core.application;
         link.manager = "axon-faults";

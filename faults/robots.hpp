@@ -10,6 +10,8 @@ namespace axon::faults {
 /// How the robots of a run are called: to clients, and between Entity Manager and application.
 std::string robotName(std::size_t i);
 std::string applicationName(std::size_t i);
+/// How long a lost holder's lease lives on, in seconds: short, since the next trial waits for its end.
+inline constexpr double kLeaseGrace = 0.5;
 /// The port of the i-th Entity Interfacer.
 std::uint16_t linkPort(std::size_t i);
 
