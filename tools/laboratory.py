@@ -85,15 +85,15 @@ class Laboratory:
             self.env.pop(name, None)
         self.processes = []
 
-    def start(self, name, program, *options):
-        process = Process(name, [self.bin / program, *options], self.folder, self.env)
+    def start(self, name, program, *options, env=None):
+        process = Process(name, [self.bin / program, *options], self.folder, env or self.env)
         self.processes.append(process)
         return process
 
-    def start_server(self, fixed_ports=None):
+    def start_server(self, fixed_ports=None, *more):
         """On free ports, or on those of an earlier start (a dict as addresses() returns)."""
         at = fixed_ports or {}
-        options = []
+        options = list(more)
         for option, key in (("--client-endpoint", "client"), ("--client-signal-endpoint", "client-signal"),
                             ("--entity-endpoint", "entity"), ("--entity-signal-endpoint", "entity-signal")):
             options += [option, at.get(key, "127.0.0.1:0")]
@@ -125,9 +125,9 @@ class Laboratory:
         lines = [json.loads(line) for line in done.stdout.decode().splitlines() if line.startswith("{")]
         return done.returncode, lines, done.stderr.decode(errors="replace")
 
-    def axon_in_background(self, name, *words):
+    def axon_in_background(self, name, *words, env=None):
         """`axon --json words…` as a process of the laboratory, to be killed or ended."""
-        return self.start(f"{name}-{len(self.processes)}", "axon", "--json", *words)
+        return self.start(f"{name}-{len(self.processes)}", "axon", "--json", *words, env=env)
 
     def entities(self):
         _, lines, _ = self.axon("ls")
