@@ -181,6 +181,8 @@ void PersonView::emit(const Json& event) {
     if (kind == "checked_out") return showCheckedOut(event);
     if (kind == "sample") return showSample(event);
     if (kind == "finding") return showFinding(event);
+    if (kind == "certificates") return showCertificates(event.at("certificates"));
+    if (kind == "issued") return showIssued(event);
     if (kind == "agent") return showAgent(event);
     if (kind == "error") return showError(event);
     if (kind == "uploaded") {
@@ -547,6 +549,36 @@ void PersonView::showFinding(const Json& event) {
                                         : paint("✗", Tint::Red);
     say(mark + " " + textOf(event, "name") + ": " + textOf(event, "message"));
     if (const auto mend = textOf(event, "mend"); !mend.empty()) say("    mend: " + mend);
+}
+
+void PersonView::showCertificates(const Json& list) {
+    if (list.empty()) return say("there are no certificates");
+    Table table({"NAME", "KIND", "FOR", "ISSUED BY", "FROM", "UNTIL", "FILE"});
+    for (const auto& one : list) {
+        const auto validity = textOf(one, "validity");
+        const auto tint = validity == "valid"          ? Tint::None
+                          : validity == "expires soon" ? Tint::Yellow
+                                                       : Tint::Red;
+        const auto file = textOf(one, "file");
+        table.add({{textOf(one, "name"), Tint::Bold},
+                   {textOf(one, "kind")},
+                   {valuesText(one.at("names"))},
+                   {textOf(one, "issuer")},
+                   {textOf(one, "from")},
+                   {textOf(one, "until"), tint},
+                   {file.substr(file.rfind('/') + 1)}});
+    }
+    auto text = table.text(terminal_.colour);
+    text.pop_back();
+    say(text);
+}
+
+void PersonView::showIssued(const Json& event) {
+    const auto& certificate = event.at("certificate");
+    say(paint("✓", Tint::Green) + " " + textOf(certificate, "name") + " (" + textOf(certificate, "kind") +
+        "), valid until " + textOf(certificate, "until"));
+    for (const auto& file : event.at("files")) say("  " + valueText(file));
+    say(paint("next: " + textOf(event, "next"), Tint::Dim));
 }
 
 void PersonView::showHandOver(const Json& event) {

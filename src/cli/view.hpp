@@ -36,6 +36,8 @@ class PersonView final : public Events {
     void showCheckedOut(const Json& event);
     void showSample(const Json& event);
     void showFinding(const Json& event);
+    void showCertificates(const Json& list);
+    void showIssued(const Json& event);
     void showAgent(const Json& event);
     void showHandOver(const Json& event);
     void showDrill(const Json& event);

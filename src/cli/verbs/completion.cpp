@@ -138,7 +138,9 @@ class Completer {
         if (!option.empty()) {
             if (option == "--file" || option == "--password-file") return {"__files__"};
             for (const auto& one : verb == nullptr ? std::vector<Option>{} : verb->options) {
-                if (option == std::string("--") + one.name) return {one.choices.begin(), one.choices.end()};
+                if (option != std::string("--") + one.name) continue;
+                if (one.takes == Takes::File) return {"__files__"};
+                return {one.choices.begin(), one.choices.end()};
             }
             return {};
         }
@@ -159,14 +161,15 @@ class Completer {
 
   private:
     static bool wantsValue(const Verb* verb, const std::string& word) {
+        // A verb's own option comes first: --server of certs takes no value.
+        for (const auto& option : verb == nullptr ? std::vector<Option>{} : verb->options) {
+            if (word == std::string("--") + option.name)
+                return option.takes != Takes::Nothing && option.takes != Takes::MaybeDuration;
+        }
         for (const auto* common : {"--server", "--timeout", "--user", "--password-file", "--name"}) {
             if (word == common) return true;
         }
-        if (verb == nullptr) return false;
-        return std::any_of(verb->options.begin(), verb->options.end(), [&](const Option& option) {
-            return word == std::string("--") + option.name && option.takes != Takes::Nothing &&
-                   option.takes != Takes::MaybeDuration;
-        });
+        return false;
     }
 
     static std::vector<std::string> options(const Verb* verb) {

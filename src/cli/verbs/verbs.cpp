@@ -7,7 +7,7 @@ namespace axon::cli {
 
 extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, kWatch, kTasks, kPause,
     kResume, kCancel, kStop, kDrill, kHandover, kRearm, kReset, kClear, kProfile, kDoctor, kAgent,
-    kCompletion, kComplete, kVersion;
+    kCerts, kCompletion, kComplete, kVersion;
 
 const std::vector<const Verb*>& verbs() {
     static const std::vector<const Verb*> all{
@@ -32,6 +32,7 @@ const std::vector<const Verb*>& verbs() {
         &kProfile,     //
         &kDrill,       //
         &kDoctor,      //
+        &kCerts,       //
         &kAgent,       //
         &kCompletion,  //
         &kComplete,    //

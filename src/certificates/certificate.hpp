@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <chrono>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <vector>
+
+// The laboratory's own certificates: what they say, and how they are made (docs/reference/tls.md). No I/O but
+// the randomness of new keys, which GnuTLS takes from the kernel; no clock: whoever calls says what time it
+// is. Threads: any.
+namespace axon::certificates {
+
+/// Certificates know wall-clock time only.
+using WallTime = std::chrono::sys_seconds;
+
+/// What a certificate is for: its OU. A server's and a router's may be used on both sides of a connection, as
+/// they call each other; an entity's and a client's on the calling side only.
+enum class Kind { Server, Router, Entity, Client };
+const char* toString(Kind kind);
+std::optional<Kind> kindOf(std::string_view unit);
+
+/// What was asked for, or a file, cannot be used. what() says what was expected, mend() how to get there.
+class Unusable : public std::runtime_error {
+  public:
+    Unusable(const std::string& what, std::string mend) : std::runtime_error(what), mend_(std::move(mend)) {}
+    const std::string& mend() const { return mend_; }
+
+  private:
+    std::string mend_;
+};
+
+/// A certificate and its private key, both PEM.
+struct Issued {
+    std::string certificate;
+    std::string key;
+};
+
+struct Request {
+    Kind kind = Kind::Client;
+    /// The first is the subject (CN): the name of the entity, the user name of the client. A server and a
+    /// router are checked against all of them, which are DNS names and IP addresses.
+    std::vector<std::string> names;
+    std::chrono::days valid{365};
+};
+
+/// Throws Unusable for names that no certificate of that kind can have.
+void check(const Request& request);
+
+/// The root of the laboratory's trust: ten years, signs servers and clients and no further authority.
+Issued makeAuthority(WallTime now);
+
+/// Signed by the authority, and valid no longer than it. Throws Unusable for what check() refuses and for an
+/// authority that has expired, has another's key, or is none.
+Issued issue(const Issued& authority, const Request& request, WallTime now);
+
+struct Certificate {
+    std::string name;  ///< CN
+    std::string unit;  ///< OU
+    std::string organisation;
+    std::string issuer;              ///< CN of who signed it
+    std::vector<std::string> names;  ///< DNS names and IP addresses
+    bool authority = false;
+    WallTime from{};
+    WallTime until{};
+};
+
+/// All certificates in a PEM text of any content, at least one. `file` is what messages call it. Throws
+/// Unusable.
+std::vector<Certificate> readCertificates(std::string_view pem, const std::string& file);
+
+enum class Validity { Valid, ExpiresSoon, Expired, NotYetValid };
+inline constexpr std::chrono::days kSoon{30};
+Validity validity(const Certificate& certificate, WallTime now);
+
+/// "2026-11-21".
+std::string day(WallTime time);
+
+}  // namespace axon::certificates

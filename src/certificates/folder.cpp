@@ -1,0 +1,275 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "certificates/folder.hpp"
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+#include <system_error>
+#include <utility>
+
+namespace axon::certificates {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::size_t kFileMax = 1024 * 1024;
+constexpr const char* kAuthorityFile = "ca.cert.pem";
+constexpr const char* kAuthorityKey = "ca.key.pem";
+constexpr const char* kCertificateEnd = ".cert.pem";
+
+std::string because() {
+    return std::generic_category().message(errno);
+}
+
+class Descriptor {
+  public:
+    explicit Descriptor(int fd) : fd_(fd) {}
+    ~Descriptor() {
+        if (fd_ >= 0) ::close(fd_);
+    }
+    Descriptor(const Descriptor&) = delete;
+    Descriptor& operator=(const Descriptor&) = delete;
+    int get() const { return fd_; }
+
+  private:
+    const int fd_;
+};
+
+std::string contentOf(const fs::path& file, const std::string& mend) {
+    const Descriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
+    if (fd.get() < 0) throw Unusable(file.string() + " cannot be read: " + because(), mend);
+    struct stat facts {};
+    if (::fstat(fd.get(), &facts) != 0 || !S_ISREG(facts.st_mode))
+        throw Unusable(file.string() + ": expected a regular file", mend);
+    std::string text;
+    std::array<char, 4096> buffer;
+    while (true) {
+        const auto got = ::read(fd.get(), buffer.data(), buffer.size());
+        if (got < 0 && errno == EINTR) continue;
+        if (got < 0) throw Unusable(file.string() + " cannot be read: " + because(), mend);
+        if (got == 0) return text;
+        text.append(buffer.data(), static_cast<std::size_t>(got));
+        if (text.size() > kFileMax) throw Unusable(file.string() + ": expected at most 1 MiB", mend);
+    }
+}
+
+struct NewFile {
+    fs::path path;
+    std::string content;
+    mode_t mode;
+};
+
+constexpr const char* kWritable = "name a folder that you may write to: --folder DIR";
+
+/// Beside its place, so that a file is replaced in one step or not at all.
+fs::path aside(const fs::path& path) {
+    return path.string() + ".new";
+}
+
+void writeAside(const NewFile& file) {
+    const auto next = aside(file.path);
+    ::unlink(next.c_str());
+    const Descriptor fd(::open(next.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, file.mode));
+    bool done = fd.get() >= 0 && ::fchmod(fd.get(), file.mode) == 0;
+    for (std::string_view rest = file.content; done && !rest.empty();) {
+        const auto count = ::write(fd.get(), rest.data(), rest.size());
+        if (count < 0 && errno == EINTR) continue;
+        done = count >= 0;
+        if (done) rest.remove_prefix(static_cast<std::size_t>(count));
+    }
+    if (!done || ::fsync(fd.get()) != 0)
+        throw Unusable(next.string() + " cannot be written: " + because(), kWritable);
+}
+
+/// All or, where anything is in the way, none.
+void write(const std::vector<NewFile>& files, bool force, const std::string& meaning) {
+    for (const auto& file : files) {
+        std::error_code ignored;
+        if (!force && fs::exists(fs::symlink_status(file.path, ignored)))
+            throw Unusable(file.path.string() + " is there already", meaning);
+    }
+    try {
+        for (const auto& file : files) writeAside(file);
+    } catch (...) {
+        for (const auto& file : files) ::unlink(aside(file.path).c_str());
+        throw;
+    }
+    for (const auto& file : files) {
+        // A link fails where somebody was faster; a rename would not.
+        const auto next = aside(file.path);
+        const bool placed = force ? ::rename(next.c_str(), file.path.c_str()) == 0
+                                  : ::link(next.c_str(), file.path.c_str()) == 0;
+        const auto why = because();
+        ::unlink(next.c_str());
+        if (!placed) throw Unusable(file.path.string() + " cannot be written: " + why, kWritable);
+    }
+}
+
+/// As Ice's property parser reads it back.
+std::string escaped(const std::string& value) {
+    std::string text;
+    for (const char c : value) {
+        if (c == '\\' || c == '#') text += '\\';
+        text += c;
+    }
+    return text;
+}
+
+/// One that Ice can read back from a configuration file.
+fs::path usable(fs::path path) {
+    std::error_code error;
+    if (path.empty())
+        throw Unusable("neither XDG_CONFIG_HOME nor HOME says where your configuration is",
+                       "name the folder: --folder DIR");
+    auto whole = fs::absolute(path, error).lexically_normal();
+    if (error) throw Unusable(path.string() + ": " + error.message(), "name the folder: --folder DIR");
+    const auto text = whole.string();
+    if (std::any_of(text.begin(), text.end(), [](unsigned char c) { return c < 0x20 || c == 0x7F; }))
+        throw Unusable("expected a folder without line ends and control characters in its name",
+                       "name another one: --folder DIR");
+    if (!whole.has_filename() && whole.has_parent_path() && whole != whole.root_path())
+        whole = whole.parent_path();
+    return whole;
+}
+
+}  // namespace
+
+Folder::Folder(fs::path path) : path_(usable(std::move(path))) {}
+
+Written Folder::init(WallTime now, bool force) const {
+    std::error_code error;
+    if (!fs::exists(path_, error)) {
+        fs::create_directories(path_.parent_path(), error);
+        if (::mkdir(path_.c_str(), 0700) != 0 && errno != EEXIST)
+            throw Unusable(path_.string() + " cannot be made: " + because(), kWritable);
+    } else if (!fs::is_directory(path_, error)) {
+        throw Unusable(path_.string() + " is no folder", kWritable);
+    }
+    const auto made = makeAuthority(now);
+    const std::vector<NewFile> files{{path_ / kAuthorityKey, made.key, 0600},
+                                     {path_ / kAuthorityFile, made.certificate, 0644}};
+    write(files, force,
+          "use the CA that is there (axon certs issue), or make another folder (--folder DIR); --force makes "
+          "a new CA, and every certificate of the old one becomes void");
+    return {{files[1].path, files[0].path}, readCertificates(made.certificate, kAuthorityFile).front()};
+}
+
+Written Folder::issue(const Request& request, WallTime now, bool force) const {
+    check(request);
+    const auto folder = " --folder " + path_.string();
+    std::error_code error;
+    const bool missing = !fs::exists(path_ / kAuthorityFile, error) && !error;
+    const std::string mend = missing ? "axon certs init" + folder + " makes one"
+                                     : "run this as the user who made the CA, or name another folder";
+    const Issued authority{contentOf(path_ / kAuthorityFile, mend), contentOf(path_ / kAuthorityKey, mend)};
+    const auto issued = certificates::issue(authority, request, now);
+    const auto stem = fileStem(request);
+    const std::vector<NewFile> files{{path_ / (stem + ".key.pem"), issued.key, 0600},
+                                     {path_ / (stem + kCertificateEnd), issued.certificate, 0644},
+                                     {path_ / (stem + ".cfg"), configuration(request, stem, path_), 0644}};
+    write(files, force, "--force replaces it; the certificate that is there stays valid wherever it is used");
+    return {{files[1].path, files[0].path, files[2].path},
+            readCertificates(issued.certificate, stem).front()};
+}
+
+std::vector<fs::path> Folder::certificateFiles() const {
+    std::error_code error;
+    std::vector<fs::path> files;
+    for (fs::directory_iterator at(path_, error), end; !error && at != end; at.increment(error)) {
+        const auto name = at->path().filename().string();
+        const auto length = std::strlen(kCertificateEnd);
+        if (name.size() > length && name.compare(name.size() - length, length, kCertificateEnd) == 0)
+            files.push_back(at->path());
+    }
+    if (error)
+        throw Unusable(
+            path_.string() + " cannot be read: " + error.message(),
+            "axon certs init --folder " + path_.string() + " makes one, or name the folder of another CA");
+    std::sort(files.begin(), files.end());
+    std::stable_partition(files.begin(), files.end(),
+                          [](const fs::path& file) { return file.filename() == kAuthorityFile; });
+    return files;
+}
+
+std::vector<Certificate> readCertificateFile(const fs::path& file) {
+    return readCertificates(contentOf(file, "name a file that you may read"), file.string());
+}
+
+std::string fileStem(const Request& request) {
+    auto name = std::string(toString(request.kind)) + "-" + request.names.front();
+    for (auto& c : name) {
+        const bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+                           c == '.' || c == '-' || c == '_';
+        if (!plain) c = '_';
+    }
+    return name;
+}
+
+std::string configuration(const Request& request, const std::string& stem, const fs::path& folder) {
+    const auto name = request.names.front();
+    std::string text;
+    switch (request.kind) {
+        case Kind::Client:
+            text = "# The certificate of the user " + name +
+                   ": axon --config FILE, or AXON_CONFIG=FILE.\n"
+                   "#Axon.Server=ssl://HOST:10410\n";
+            break;
+        case Kind::Entity:
+            text = "# The certificate of the entity " + name +
+                   ": axon-entity-manager --config FILE, with\n"
+                   "# what its Entity Manager needs besides (docs/reference/configuration.md).\n"
+                   "#Axon.Application=\n"
+                   "#Axon.Server=ssl://HOST:10412\n";
+            break;
+        case Kind::Server:
+            text = "# The certificate of the server " + name +
+                   ": axon-server --config FILE --config …\n"
+                   "#FrontEndServer.Endpoints=ssl -h 0.0.0.0 -p 10410\n"
+                   "#FrontEndServerSignal.Endpoints=ssl -h 0.0.0.0 -p 10411\n"
+                   "#EntityServer.Endpoints=ssl -h 0.0.0.0 -p 10412\n"
+                   "#EntityServerSignal.Endpoints=ssl -h 0.0.0.0 -p 10413\n"
+                   "#Server.Users=users.cfg\n";
+            break;
+        case Kind::Router:
+            text = "# The certificate of the router " + name + ": glacier2router --Ice.Config=FILE,…\n";
+            break;
+    }
+    text +=
+        "# On another machine: this file, the three files named below, and their folder there.\n"
+        "Ice.Plugin.IceSSL=IceSSL:createIceSSL\n"
+        "IceSSL.DefaultDir=" +
+        escaped(folder.string()) +
+        "\n"
+        "IceSSL.CAs=" +
+        kAuthorityFile +
+        "\n"
+        "IceSSL.CertFile=" +
+        stem + kCertificateEnd +
+        "\n"
+        "IceSSL.KeyFile=" +
+        stem +
+        ".key.pem\n"
+        "# Both sides show a certificate of this CA, and a server's must be for the name it was called by.\n"
+        "IceSSL.VerifyPeer=2\n"
+        "IceSSL.CheckCertName=1\n"
+        "IceSSL.ProtocolVersionMin=tls1_3\n";
+    return text;
+}
+
+fs::path defaultFolder() {
+    const auto from = [](const char* name) {
+        const char* value = std::getenv(name);
+        return value != nullptr && *value != '\0' ? fs::path(value) : fs::path();
+    };
+    if (const auto config = from("XDG_CONFIG_HOME"); !config.empty()) return config / "axon" / "certs";
+    if (const auto home = from("HOME"); !home.empty()) return home / ".config" / "axon" / "certs";
+    return {};
+}
+
+}  // namespace axon::certificates

@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "certificates/certificate.hpp"
+
+namespace axon::certificates {
+
+/// What an issue has written.
+struct Written {
+    std::vector<std::filesystem::path> files;  ///< the configuration file last
+    Certificate certificate;
+};
+
+/// The folder with the laboratory's CA and what it has issued:
+///
+///     ca.cert.pem         goes to every machine
+///     ca.key.pem  0600    stays here: whoever has it can be anybody
+///     KIND-NAME.cert.pem, KIND-NAME.key.pem (0600), KIND-NAME.cfg
+///
+/// Threads: one. Failure: Unusable, with the mend; what was there before is then still there, whole. Nothing
+/// is overwritten without `force`.
+class Folder {
+  public:
+    explicit Folder(std::filesystem::path path);
+
+    /// Makes the folder (0700) where there is none, and the CA.
+    Written init(WallTime now, bool force) const;
+    Written issue(const Request& request, WallTime now, bool force) const;
+    /// The certificates in it, the CA's first.
+    std::vector<std::filesystem::path> certificateFiles() const;
+
+    const std::filesystem::path& path() const { return path_; }
+
+  private:
+    const std::filesystem::path path_;
+};
+
+/// The certificates in a file of at most 1 MiB. Throws Unusable.
+std::vector<Certificate> readCertificateFile(const std::filesystem::path& file);
+
+/// "entity-Cyton_Arm": what the files of this certificate begin with.
+std::string fileStem(const Request& request);
+
+/// In Ice property syntax: how a program uses the certificate `stem` in `folder`. `stem` is a fileStem().
+std::string configuration(const Request& request, const std::string& stem,
+                          const std::filesystem::path& folder);
+
+/// The folder where none is named: $XDG_CONFIG_HOME/axon/certs, or ~/.config/axon/certs. Empty where neither
+/// is known.
+std::filesystem::path defaultFolder();
+
+}  // namespace axon::certificates

@@ -1,0 +1,167 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <chrono>
+
+#include "certificates/folder.hpp"
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+
+// axon certs
+namespace axon::cli {
+namespace {
+
+using namespace certificates;
+namespace fs = std::filesystem;
+
+constexpr const char* kKinds[] = {"server", "router", "entity", "client"};
+
+WallTime now() {
+    return std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now());
+}
+
+std::vector<std::string> namesOf(const Session& session) {
+    return session.args.value("name", std::vector<std::string>{});
+}
+
+const char* toString(Validity validity) {
+    switch (validity) {
+        case Validity::Valid:
+            return "valid";
+        case Validity::ExpiresSoon:
+            return "expires soon";
+        case Validity::Expired:
+            return "expired";
+        case Validity::NotYetValid:
+            break;
+    }
+    return "not yet valid";
+}
+
+Json toJson(const Certificate& certificate, const fs::path& file, WallTime at) {
+    const auto left = std::chrono::floor<std::chrono::days>(certificate.until - at).count();
+    return {{"file", file.string()},
+            {"name", certificate.name},
+            {"kind", certificate.authority ? "ca" : certificate.unit},
+            {"names", certificate.names},
+            {"issuer", certificate.issuer},
+            {"from", day(certificate.from)},
+            {"until", day(certificate.until)},
+            {"days_left", left},
+            {"validity", toString(validity(certificate, at))}};
+}
+
+void tellWritten(Session& session, const Written& written, const std::string& next) {
+    auto files = Json::array();
+    for (const auto& file : written.files) files.push_back(file.string());
+    session.events.emit({{"event", "issued"},
+                         {"certificate", toJson(written.certificate, written.files.front(), now())},
+                         {"files", files},
+                         {"next", next}});
+}
+
+int init(Session& session, const Folder& folder) {
+    if (!namesOf(session).empty()) return misused(session, "axon certs init takes no name");
+    const auto written = folder.init(now(), session.args.value("force", false));
+    tellWritten(
+        session, written,
+        "keep a copy of ca.key.pem where nobody else reads it; axon certs issue --server HOST ADDRESS");
+    return kDone;
+}
+
+int issue(Session& session, const Folder& folder) {
+    Request request;
+    int kinds = 0;
+    for (const auto* kind : kKinds) {
+        if (!session.args.value(kind, false)) continue;
+        ++kinds;
+        request.kind = *kindOf(kind);
+    }
+    if (kinds != 1) return misused(session, "expected one of --server, --router, --entity and --client");
+    request.names = namesOf(session);
+    request.valid = std::chrono::days{session.args.value("days", 365)};
+    const auto written = folder.issue(request, now(), session.args.value("force", false));
+    tellWritten(session, written, "the last file is the configuration that uses it");
+    return kDone;
+}
+
+std::string mendOf(const Certificate& certificate) {
+    if (certificate.authority) return "axon certs init --force, then issue all certificates anew";
+    return "axon certs issue --" + certificate.unit + " " + shellWord(certificate.name) +
+           (certificate.names.size() > 1 ? " …" : "") + " --force, and restart what uses it";
+}
+
+/// What expires is said on the way, and expired is a failure: scripts ask for it.
+int show(Session& session, const fs::path& its_folder) {
+    auto list = Json::array();
+    std::vector<std::pair<Certificate, fs::path>> all;
+    const auto add = [&](const fs::path& file) {
+        for (auto& one : readCertificateFile(file)) all.emplace_back(std::move(one), file);
+    };
+    if (const auto named = namesOf(session); !named.empty()) {
+        for (const auto& file : named) add(file);
+    } else {
+        for (const auto& file : Folder(its_folder).certificateFiles()) add(file);
+    }
+    const auto at = now();
+    for (const auto& [certificate, file] : all) list.push_back(toJson(certificate, file, at));
+    session.events.emit({{"event", "certificates"}, {"certificates", list}});
+    int exit = kDone;
+    for (const auto& [certificate, file] : all) {
+        const auto state = validity(certificate, at);
+        if (state == Validity::Valid) continue;
+        const bool soon = state == Validity::ExpiresSoon;
+        if (!soon) exit = kRefused;
+        const auto when = state == Validity::NotYetValid ? "is valid from " + day(certificate.from) + " on"
+                          : soon                         ? "expires on " + day(certificate.until)
+                                                         : "expired on " + day(certificate.until);
+        session.events.emit(
+            {{"event", "finding"},
+             {"level", soon ? "warn" : "bad"},
+             {"name", certificate.name},
+             {"message", file.filename().string() + " " + when},
+             {"mend", state == Validity::NotYetValid ? "set this machine's clock" : mendOf(certificate)}});
+    }
+    return exit;
+}
+
+int certs(Session& session) {
+    const std::string action = session.args.at("action");
+    try {
+        const fs::path named = session.args.value("folder", std::string());
+        const auto folder = named.empty() ? defaultFolder() : named;
+        if (action == "show") return show(session, folder);
+        return action == "init" ? init(session, Folder(folder)) : issue(session, Folder(folder));
+    } catch (const Unusable& unusable) {
+        session.events.emit(usageEvent(unusable.what(), unusable.mend()));
+    } catch (const std::exception& error) {
+        session.events.emit(usageEvent(error.what()));
+    }
+    return kUsage;
+}
+
+}  // namespace
+
+extern const Verb kCerts{
+    "certs",
+    "Make and show the certificates of the laboratory",
+    "  axon certs init                                       the laboratory's own CA, once\n"
+    "  axon certs issue --server lab.example 192.168.0.5     names and addresses it is called by\n"
+    "  axon certs issue --router lab.example 192.168.0.5\n"
+    "  axon certs issue --entity PeopleBot                   the name in its basic profile\n"
+    "  axon certs issue --client client1                     the name in users.cfg\n"
+    "  axon certs show                                       what there is, and what expires\n"
+    "docs/reference/tls.md says how they are used.\n",
+    Runs::Local,
+    {{"action", Takes::Choice, true, false, "init, issue or show", {"init", "issue", "show"}},
+     {"name", Takes::File, false, true,
+      "Of issue: the name, and further names and addresses of a server. Of "
+      "show: files"}},
+    {{"folder", Takes::File, "Where the CA is (~/.config/axon/certs)"},
+     {"server", Takes::Nothing, "For axon-server"},
+     {"router", Takes::Nothing, "For glacier2router"},
+     {"entity", Takes::Nothing, "For the Entity Manager of the entity of this name"},
+     {"client", Takes::Nothing, "For the user of this name"},
+     {"days", Takes::Count, "How long it is valid (365)"},
+     {"force", Takes::Nothing, "Replace what is there"}},
+    certs};
+
+}  // namespace axon::cli

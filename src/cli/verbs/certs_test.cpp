@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <gmock/gmock.h>
+
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+
+#include "certificates/folder.hpp"
+#include "cli/command_line.hpp"
+#include "cli/fake_station.hpp"
+#include "cli/view.hpp"
+
+using namespace axon;
+using namespace axon::cli;
+using testing::HasSubstr;
+
+namespace {
+
+struct Certs : testing::Test {
+    Certs() {
+        std::string name = std::filesystem::temp_directory_path() / "axon-certs-XXXXXX";
+        folder = ::mkdtemp(name.data());
+    }
+    ~Certs() override { std::filesystem::remove_all(folder); }
+
+    /// As the user writes it.
+    int axon(std::vector<std::string> words) {
+        words.insert(words.begin(), "certs");
+        words.insert(words.end(), {"--folder", folder + "/lab"});
+        const auto parsed = parseCommandLine(words, [](const char*) -> const char* { return nullptr; });
+        EXPECT_TRUE(parsed.line) << parsed.err;
+        if (!parsed.line) return parsed.exit;
+        Session session{parsed.line->args, seen, nullptr, nullptr, parsed.line->settings};
+        return parsed.line->verb->perform(session);
+    }
+    std::string folder;
+    Recorded seen;
+};
+
+}  // namespace
+
+TEST_F(Certs, MakesACaAndIssuesCertificatesForAllKinds) {
+    EXPECT_EQ(axon({"init"}), kDone);
+    EXPECT_EQ(axon({"issue", "--server", "lab", "127.0.0.1"}), kDone);
+    EXPECT_EQ(seen.last("issued")->at("certificate").at("names"), Json({"lab", "127.0.0.1"}));
+    EXPECT_EQ(axon({"issue", "--router", "127.0.0.1"}), kDone);
+    EXPECT_EQ(axon({"issue", "--entity", "Cyton Arm"}), kDone);
+    EXPECT_EQ(axon({"issue", "--client", "client1", "--days", "40"}), kDone);
+    EXPECT_EQ(seen.last("issued")->at("certificate").at("kind"), "client");
+    EXPECT_EQ(seen.last("issued")->at("files").back(), folder + "/lab/client-client1.cfg");
+    EXPECT_EQ(axon({"show"}), kDone);
+    EXPECT_EQ(seen.last("certificates")->at("certificates").size(), 5U);
+    EXPECT_EQ(seen.last("finding"), nullptr);
+}
+
+TEST_F(Certs, ShowWarnsOfWhatExpiresWithin30Days) {
+    ASSERT_EQ(axon({"init"}), kDone);
+    ASSERT_EQ(axon({"issue", "--client", "client1", "--days", "29"}), kDone);
+    EXPECT_EQ(axon({"show"}), kDone);
+    EXPECT_EQ(seen.last("finding")->at("level"), "warn");
+    EXPECT_EQ(seen.last("finding")->at("mend"),
+              "axon certs issue --client client1 --force, and restart what uses it");
+    std::ostringstream out;
+    std::ostringstream err;
+    PersonView(out, err, {}, ManualClock()).emit(*seen.last("certificates"));
+    EXPECT_THAT(out.str(), HasSubstr("client-client1.cert.pem"));
+}
+
+TEST_F(Certs, ShowFailsForWhatHasExpired) {
+    using namespace certificates;
+    const auto then =
+        std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now()) - std::chrono::days{400};
+    const Folder lab(folder + "/lab");
+    lab.init(then, false);
+    const auto old = lab.issue({Kind::Client, {"client1"}, std::chrono::days{365}}, then, false);
+    EXPECT_EQ(axon({"show", old.files.front()}), kRefused);
+    EXPECT_EQ(seen.last("finding")->at("level"), "bad");
+    EXPECT_EQ(seen.last("certificates")->at("certificates").size(), 1U);
+}
+
+TEST_F(Certs, SaysWhatIsWrongAndHowToMendIt) {
+    EXPECT_EQ(axon({"issue", "--client", "client1"}), kUsage);
+    EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(), HasSubstr("axon certs init"));
+    ASSERT_EQ(axon({"init"}), kDone);
+    EXPECT_EQ(axon({"init"}), kUsage);
+    EXPECT_EQ(axon({"init", "lab"}), kUsage);
+    EXPECT_EQ(axon({"issue", "client1"}), kUsage);
+    EXPECT_EQ(axon({"issue", "--client", "--entity", "client1"}), kUsage);
+    EXPECT_EQ(axon({"issue", "--server"}), kUsage);
+    EXPECT_EQ(axon({"issue", "--server", "not a host"}), kUsage);
+    EXPECT_EQ(axon({"show", folder + "/none.pem"}), kUsage);
+    std::ofstream(folder + "/bad.pem") << "nonsense";
+    EXPECT_EQ(axon({"show", folder + "/bad.pem"}), kUsage);
+    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("PEM"));
+}
