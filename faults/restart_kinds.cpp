@@ -130,14 +130,20 @@ class Latch : private Hardship {
         const auto r = static_cast<std::size_t>(run_.among(0, run_.lab.entities() - 1));
         auto& slot = run_.lab.board()[r];
         for (auto* client : {first_.get(), second_.get()}) client->forget();
-        const auto held = takeReady(*first_, r);
-        if (!held) return false;
-        auto grant = *held;
-        auto id = first_->entity(robotName(r), 5s);
-
-        // It drives, or has driven, or neither; then it is stopped.
-        const auto driven = run_.among(0, 2) == 0 ? stepTask(newId()) : driveTask(newId());
-        const auto begun = first_->run(id, driven, grant.lease, grant.generation, driven.service() == "Step");
+        // It drives, or has driven; then it is stopped. A reset of the sequence before may reach this robot's
+        // Entity Manager only now: it has lost us then, says so, and is taken again.
+        Grant grant;
+        std::string id;
+        proto::TaskRequest driven;
+        std::optional<proto::TaskEvent> begun;
+        do {
+            const auto held = takeReady(*first_, r);
+            if (!held) return false;
+            grant = *held;
+            id = first_->entity(robotName(r), 5s);
+            driven = run_.among(0, 2) == 0 ? stepTask(newId()) : driveTask(newId());
+            begun = first_->run(id, driven, grant.lease, grant.generation, driven.service() == "Step");
+        } while (begun && begun->reason().code() == proto::CLIENT_LOST);
         if (!begun || begun->state() == proto::TASK_REFUSED) {
             run_.report.violation("a proper task was not accepted: " +
                                   (begun ? begun->reason().message() : "no answer"));
