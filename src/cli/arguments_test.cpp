@@ -2,6 +2,10 @@
 #include "cli/arguments.hpp"
 
 #include <gmock/gmock.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
 
 #include "cli/command_line.hpp"
 #include "cli/fake_station.hpp"
@@ -202,6 +206,47 @@ TEST(CommandLine, TakesTheServerFromTheEnvironmentUnlessTold) {
     };
     EXPECT_EQ(parseCommandLine({"ls"}, environment).line->settings.server, "lab:1");
     EXPECT_EQ(parseCommandLine({"ls", "--server", "lab:2"}, environment).line->settings.server, "lab:2");
+}
+
+TEST(CommandLine, TakesRouterUserAndPasswordFromAConfigurationUnlessTold) {
+    const auto file = testing::TempDir() + "client-" + std::to_string(::getpid()) + ".cfg";
+    const std::string router = "Axon.Clients/router:tcp -h 127.0.0.1 -p 10414";
+    std::ofstream(file) << "Ice.Default.Router=" << router
+                        << "\nAxon.User=client1\nAxon.Password=secret1\nIceSSL.DefaultDir=/x\n";
+    std::filesystem::permissions(file,
+                                 std::filesystem::perms::owner_read | std::filesystem::perms::owner_write);
+    const auto nothing = [](const char*) -> const char* { return nullptr; };
+    const auto settings = parseCommandLine({"--config", file, "ls"}, nothing).line->settings;
+    EXPECT_EQ(settings.server, router);
+    EXPECT_EQ(settings.user, "client1");
+    EXPECT_EQ(settings.password, "secret1");
+    EXPECT_EQ(settings.properties.at("IceSSL.DefaultDir"), "/x");
+    const auto other =
+        parseCommandLine({"--config", file, "--user", "client2", "--server", "lab:1", "ls"}, nothing);
+    EXPECT_EQ(other.line->settings.server, "lab:1");
+    EXPECT_EQ(other.line->settings.password, "") << "it is another user's";
+    const auto both = [&](const char* name) -> const char* {
+        return std::string_view(name) == "AXON_SERVER"   ? "lab:1"
+               : std::string_view(name) == "AXON_CONFIG" ? file.c_str()
+                                                         : nullptr;
+    };
+    EXPECT_EQ(parseCommandLine({"ls"}, both).line->settings.server, "lab:1");
+    EXPECT_EQ(parseCommandLine({"--config", file, "ls"}, both).line->settings.server, router);
+    EXPECT_EQ(parseCommandLine({"agent", "stop"},
+                               [&](const char* name) {
+                                   return std::string_view(name) == "AXON_CONFIG" ? file.c_str() : nullptr;
+                               })
+                  .line->settings.server,
+              router)
+        << "an agent is found by it";
+
+    std::filesystem::permissions(file, std::filesystem::perms::others_read,
+                                 std::filesystem::perm_options::add);
+    EXPECT_THAT(parseCommandLine({"--config", file, "ls"}, nothing).err, HasSubstr("chmod 600"));
+    std::ofstream(file) << "Axon.Sever=lab:1\n";
+    EXPECT_THAT(parseCommandLine({"--config", file, "ls"}, nothing).err, HasSubstr("Axon.Server"));
+    EXPECT_EQ(parseCommandLine({"--config", file + ".not", "ls"}, nothing).exit, kUsage);
+    std::filesystem::remove(file);
 }
 
 TEST(Words, NumbersEntitiesOfOneName) {

@@ -274,6 +274,7 @@ class ClientStation final : public Station {
 Result<std::shared_ptr<Station>> connectStation(const Settings& settings) {
     client::Options options;
     options.server = settings.server;
+    options.properties = settings.properties;
     options.user = settings.user;
     options.password = settings.password;
     options.display_name = settings.name;

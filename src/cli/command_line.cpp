@@ -4,8 +4,10 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cstdlib>
+#include <filesystem>
 #include <sstream>
 
+#include "axon/client.hpp"
 #include "cli/password.hpp"
 #include "messages/text.hpp"
 
@@ -149,6 +151,32 @@ std::vector<std::string> takeCommand(std::vector<std::string>& words) {
     return command;
 }
 
+/// Fills in what was not said elsewhere; what is wrong with the file, or an empty text.
+std::string readConfig(Settings& settings, bool server_said) {
+    std::error_code ignored;
+    settings.config = std::filesystem::absolute(settings.config, ignored).string();
+    client::Options defaults;
+    auto read = client::readConfiguration(settings.config, defaults);
+    if (!read) return read.refusal().message;
+    auto its = std::move(read).value();
+    if (!server_said && !its.server.empty()) settings.server = its.server;
+    // A password goes with its user.
+    if (settings.user.empty() || settings.user == its.user) {
+        settings.user = its.user;
+        if (settings.password.empty() && settings.password_file.empty()) settings.password = its.password;
+    }
+    settings.properties = std::move(its.properties);
+    return {};
+}
+
+/// HOST:PORT, or the proxy of a router.
+bool isServer(const std::string& text) {
+    if (text.find('/') != std::string::npos) return text.find(':') != std::string::npos;
+    const auto colon = text.rfind(':');
+    return colon != std::string::npos && colon != 0 && colon + 1 != text.size() &&
+           text.find_first_not_of("0123456789", colon + 1) == std::string::npos;
+}
+
 std::string mistake(const std::vector<std::string>& words, const std::string& what) {
     const auto first =
         std::find_if(words.begin(), words.end(), [](const auto& word) { return word.rfind('-', 0) != 0; });
@@ -176,6 +204,9 @@ Parsed parseCommandLine(std::vector<std::string> words,
         if (value != nullptr && *value != '\0') setting = value;
     };
     from("AXON_SERVER", line.settings.server);
+    const auto* named_server = environment("AXON_SERVER");
+    bool server_said = named_server != nullptr && *named_server != '\0';
+    from("AXON_CONFIG", line.settings.config);
     from("AXON_USER", line.settings.user);
     from("AXON_PASSWORD", line.settings.password);
     from("AXON_PASSWORD_FILE", line.settings.password_file);
@@ -186,7 +217,9 @@ Parsed parseCommandLine(std::vector<std::string> words,
         line.args["words"] = std::vector<std::string>(words.begin() + 1, words.end());
         for (std::size_t i = 1; i + 1 < words.size(); ++i) {
             if (words[i] == "--server") line.settings.server = words[i + 1];
+            if (words[i] == "--config") line.settings.config = words[i + 1];
         }
+        if (!line.settings.config.empty()) readConfig(line.settings, server_said);
         parsed.line = std::move(line);
         return parsed;
     }
@@ -198,9 +231,14 @@ Parsed parseCommandLine(std::vector<std::string> words,
     formatter->column_width(24);
     app.formatter(formatter);
     app.footer(kRootFooter);
-    app.add_option("--server", line.settings.server,
-                   "Where the server is (AXON_SERVER; " + line.settings.server + ")")
-        ->type_name("HOST:PORT");
+    auto* server_option = app.add_option("--server", line.settings.server,
+                                         "Where the server is (AXON_SERVER; " + line.settings.server +
+                                             "), or the proxy of a router")
+                              ->type_name("HOST:PORT");
+    auto* config_option =
+        app.add_option("--config", line.settings.config,
+                       "client.cfg (AXON_CONFIG): the router or server, who you are, certificates")
+            ->type_name("FILE");
     app.add_flag("--json", line.settings.json, "Lines of JSON instead of text");
     app.add_option("--timeout", line.settings.timeout_s, "How long a request may take (5)")
         ->check(CLI::Range(0.01, 3600.0).description(""))
@@ -249,6 +287,12 @@ Parsed parseCommandLine(std::vector<std::string> words,
     const auto* sub = app.get_subcommands().front();
     auto wrong_option = readMaybeDurations(*sub, *line.verb, line.args);
     const bool connects = line.verb->runs != Runs::Local || std::string_view(line.verb->name) == "doctor";
+    const bool finds_agent = connects || std::string_view(line.verb->name) == "agent";
+    if (wrong_option.empty() && !line.settings.config.empty() && finds_agent) {
+        if (config_option->count() > 0) server_said = false;
+        if (server_option->count() > 0) server_said = true;
+        wrong_option = readConfig(line.settings, server_said);
+    }
     if (wrong_option.empty() && connects && line.settings.password.empty() &&
         !line.settings.password_file.empty()) {
         auto password = readPassword(line.settings.password_file);
@@ -263,9 +307,7 @@ Parsed parseCommandLine(std::vector<std::string> words,
         parsed.exit = kUsage;
         return parsed;
     }
-    const auto colon = line.settings.server.rfind(':');
-    if (colon == std::string::npos || colon == 0 || colon + 1 == line.settings.server.size() ||
-        line.settings.server.find_first_not_of("0123456789", colon + 1) != std::string::npos) {
+    if (!isServer(line.settings.server)) {
         parsed.err = "axon: expected --server HOST:PORT, found " + inQuotes(line.settings.server) +
                      "\nmend: for example --server 127.0.0.1:10410\n";
         parsed.exit = kUsage;

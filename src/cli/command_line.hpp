@@ -22,8 +22,9 @@ struct Parsed {
     std::string out, err;  ///< help, or what is wrong
 };
 
-/// `words` without the program's name. AXON_SERVER, AXON_USER and AXON_PASSWORD give defaults through
-/// `environment`.
+/// `words` without the program's name. AXON_SERVER, AXON_CONFIG, AXON_USER and AXON_PASSWORD give defaults
+/// through `environment`. Where the server is: --server, else the file of --config, else AXON_SERVER, else
+/// the file of AXON_CONFIG, else this machine.
 Parsed parseCommandLine(std::vector<std::string> words,
                         const std::function<const char*(const char*)>& environment);
 

@@ -156,6 +156,7 @@ std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place
     Descriptor writing(ends[1]);
     std::vector<std::string> words{
         "axon", "agent", "run", "--server", settings.server, "--timeout", std::to_string(settings.timeout_s)};
+    if (!settings.config.empty()) words.insert(words.end(), {"--config", settings.config});
     if (!settings.user.empty()) words.insert(words.end(), {"--user", settings.user});
     if (!settings.name.empty()) words.insert(words.end(), {"--name", settings.name});
     auto pointers = pointersTo(words);
@@ -475,6 +476,7 @@ int Invoker::holdWhile(const Json& args, const std::vector<std::string>& command
     ::setenv("AXON_AGENT", socket.c_str(), 1);
     ::setenv("AXON_AGENT_SERVER", settings_.server.c_str(), 1);
     ::setenv("AXON_SERVER", settings_.server.c_str(), 1);
+    if (!settings_.config.empty()) ::setenv("AXON_CONFIG", settings_.config.c_str(), 1);
     auto words = command;
     auto pointers = pointersTo(words);
     const SpawnAttributes attributes(0);

@@ -4,6 +4,7 @@
 #include <condition_variable>
 #include <deque>
 #include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <nlohmann/json.hpp>
@@ -76,6 +77,8 @@ struct Settings {
     std::string server = "127.0.0.1:10410";
     std::string user, password, name;
     std::string password_file;
+    std::string config;  ///< absolute; what it says is in the other members already
+    std::map<std::string, std::string> properties;  ///< client::Options has them
     double timeout_s = 5;
     bool json = false;
     bool await_entities = true;  ///< client::Options has it

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "client/server_connection.hpp"
 
+#include <future>
 #include <utility>
 
 #include "client/send_queue.hpp"
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
 #include "transport/lane_socket.hpp"
+#include "transport/routed_session.hpp"
 
 namespace axon::client {
 namespace {
@@ -105,17 +107,18 @@ enum Operation : int { kToEntity, kToEntityDataSeq, kRequest };
 
 void call(slice::ClientSessionPrx& session, int operation, const Header& head, std::string_view bytes,
           SendCallbacks&& callbacks) {
+    auto answered = std::move(callbacks.answered);
     auto failed = std::move(callbacks.failed);
     auto sent = std::move(callbacks.sent);
     switch (operation) {
         case kToEntity:
-            session.sendToEntityAsync(toIce(head), toRange(bytes), nullptr, failed, sent);
+            session.sendToEntityAsync(toIce(head), toRange(bytes), answered, failed, sent);
             break;
         case kToEntityDataSeq:
-            session.sendToEntityDataSeqAsync(toIce(head), toRange(bytes), nullptr, failed, sent);
+            session.sendToEntityDataSeqAsync(toIce(head), toRange(bytes), answered, failed, sent);
             break;
         default:
-            session.sendRequestAsync(toIce(head), toRange(bytes), nullptr, failed, sent);
+            session.sendRequestAsync(toIce(head), toRange(bytes), answered, failed, sent);
             break;
     }
 }
@@ -159,47 +162,82 @@ void ServerConnection::Backlog::awaitLittle(Duration wait) {
     --waiting_;
 }
 
-ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, transport::OutboxLimits limits,
-                                                     const std::string& endpoint, const Login& login,
-                                                     const std::shared_ptr<ConnectionEvents>& events) {
-    const auto timeout =
-        static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(login.timeout).count());
+namespace {
+
+struct Opened {
+    std::shared_ptr<Ice::Connection> connection;
+    std::shared_ptr<slice::ClientSessionPrx> session;
+    std::shared_ptr<slice::ClientCallbackPrx> callback;
+};
+
+Opened openAtGate(const LaneHome& home, const std::string& endpoint, const Login& login, int timeout_ms,
+                  const std::shared_ptr<CallbackServant>& servant) {
     // A connection identifier of its own: sessions live and die with their connection, and must not find an
     // old one.
     const auto gate =
         Ice::uncheckedCast<slice::ClientGatePrx>(home.communicator->stringToProxy("ClientGate:" + endpoint)
                                                      ->ice_connectionId(Ice::generateUUID())
-                                                     ->ice_invocationTimeout(timeout));
-    LaneEnd lane;
+                                                     ->ice_invocationTimeout(timeout_ms));
     try {
         const auto opened = gate->open(login.user, login.password, login.display_name);
         const auto connection = gate->ice_getCachedConnection();
-        lane.connection = std::make_shared<transport::PeerConnection>(connection);
-        const auto identity = Ice::stringToIdentity(Ice::generateUUID());
-        lane.callback = Ice::uncheckedCast<slice::ClientCallbackPrx>(
-            home.adapter->add(std::make_shared<CallbackServant>(events, login.attempt), identity));
-        connection->setAdapter(home.adapter);
-        lane.session =
+        return {
+            connection,
             Ice::uncheckedCast<slice::ClientSessionPrx>(connection->createProxy(opened->ice_getIdentity()))
-                ->ice_invocationTimeout(timeout);
-        lane.oneway = lane.session->ice_oneway()->ice_invocationTimeout(-1);
-        lane.outbox = std::make_shared<transport::Outbox>(
-            limits, [connection = lane.connection](const std::string& why) {
-                connection->disconnect({false, why}, false);
-            });
-        lane.connection->onClosed([events = std::weak_ptr(events), attempt = login.attempt,
-                                   adapter = home.adapter, identity](const transport::CloseReason& reason) {
+                ->ice_invocationTimeout(timeout_ms),
+            Ice::uncheckedCast<slice::ClientCallbackPrx>(home.adapter->addWithUUID(servant))};
+    } catch (...) {
+        if (const auto connection = gate->ice_getCachedConnection())
+            connection->close(Ice::ConnectionClose::Forcefully);
+        throw;
+    }
+}
+
+Opened openThroughRouter(const LaneHome& home, const std::string& token, const Login& login, int timeout_ms,
+                         const std::shared_ptr<CallbackServant>& servant) {
+    std::promise<transport::RoutedSession> promise;
+    transport::openRoutedSession(
+        home.router, {login.user, login.password, login.display_name, token, timeout_ms},
+        [&](transport::RoutedSession session) { promise.set_value(std::move(session)); },
+        [&](const std::exception_ptr& error) { promise.set_exception(error); });
+    const auto session = promise.get_future().get();
+    return {session.connection, Ice::uncheckedCast<slice::ClientSessionPrx>(session.session),
+            Ice::uncheckedCast<slice::ClientCallbackPrx>(session.callback(*home.adapter, servant))};
+}
+
+}  // namespace
+
+ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, transport::OutboxLimits limits,
+                                                     const std::string& endpoint, const std::string& token,
+                                                     const Login& login,
+                                                     const std::shared_ptr<ConnectionEvents>& events) {
+    const auto timeout =
+        static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(login.timeout).count());
+    const auto servant = std::make_shared<CallbackServant>(events, login.attempt);
+    const auto opened = home.router ? openThroughRouter(home, token, login, timeout, servant)
+                                    : openAtGate(home, endpoint, login, timeout, servant);
+    opened.connection->setAdapter(home.adapter);
+    LaneEnd lane;
+    lane.connection = std::make_shared<transport::DirectConnection>(opened.connection);
+    lane.callback = opened.callback;
+    lane.session = opened.session;
+    lane.oneway = lane.session->ice_oneway()->ice_invocationTimeout(-1);
+    lane.paced = lane.session->ice_invocationTimeout(-1);
+    lane.outbox = std::make_shared<transport::Outbox>(
+        limits,
+        [connection = lane.connection](bool, const std::string& why) {
+            connection->disconnect({false, why}, false);
+        },
+        home.router ? transport::Until::Answered : transport::Until::Written);
+    lane.connection->onClosed(
+        [events = std::weak_ptr(events), attempt = login.attempt, adapter = home.adapter,
+         identity = lane.callback->ice_getIdentity()](const transport::CloseReason& reason) {
             try {
                 adapter->remove(identity);
             } catch (const Ice::Exception&) {  // the communicator is being destroyed, and the servant with it
             }
             if (const auto alive = events.lock()) alive->closed(attempt, reason.text);
         });
-    } catch (...) {
-        if (const auto connection = gate->ice_getCachedConnection())
-            connection->close(Ice::ConnectionClose::Forcefully);
-        throw;
-    }
     return lane;
 }
 
@@ -208,13 +246,14 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
     const std::shared_ptr<ConnectionEvents>& events) {
     auto connection = std::make_shared<ServerConnection>();
     connection->attempt_ = login.attempt;
+    connection->routed_ = data.router != nullptr;
     try {
-        connection->data_ = openLane(data, dataLimits(), login.endpoint, login, events);
+        connection->data_ = openLane(data, dataLimits(), login.endpoint, {}, login, events);
         const auto facts = connection->data_.session->setCallback(connection->data_.callback);
         connection->me_ = transport::fromIce(Axon::CommUtil::Sender(facts.me));
         connection->entities_ = facts.entities;
         const auto& endpoint = facts.signalEndpoint.empty() ? login.endpoint : facts.signalEndpoint;
-        connection->signal_ = openLane(signal, signalLimits(), endpoint, login, events);
+        connection->signal_ = openLane(signal, signalLimits(), endpoint, facts.token, login, events);
         transport::prepareSignalLane(*connection->signal_.connection->get());
         connection->signal_.session->attachSignalLane(facts.token, connection->signal_.callback);
     } catch (...) {
@@ -227,19 +266,23 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
 
 void ServerConnection::send(const LaneEnd& lane, Traffic traffic, const Header& head, std::string bytes,
                             int operation) const {
-    const auto& oneway = lane.oneway;
+    const auto way = [ oneway = lane.oneway, paced = lane.paced ](const SendCallbacks& callbacks) -> auto& {
+        return callbacks.answered ? *paced : *oneway;
+    };
     // The copy for the queue is made only when the message has to wait.
     lane.outbox->post(
         traffic, bytes.size() + kHeaderBytes,
-        [&](SendCallbacks&& callbacks) { call(*oneway, operation, head, bytes, std::move(callbacks)); },
+        [&](SendCallbacks&& callbacks) {
+            call(way(callbacks), operation, head, bytes, std::move(callbacks));
+        },
         [&] {
             const auto size = bytes.size() + kHeaderBytes;
             backlog_->add(size);
             std::shared_ptr<void> waits(nullptr,
                                         [backlog = backlog_, size](void*) { backlog->remove(size); });
-            return transport::Outbox::Parcel([oneway, operation, head, owned = std::move(bytes),
+            return transport::Outbox::Parcel([way, operation, head, owned = std::move(bytes),
                                               waits = std::move(waits)](SendCallbacks&& callbacks) {
-                call(*oneway, operation, head, owned, std::move(callbacks));
+                call(way(callbacks), operation, head, owned, std::move(callbacks));
             });
         });
 }
@@ -292,6 +335,18 @@ void ServerConnection::sendClearSignal(const Header& head) const {
 }
 
 void ServerConnection::keepAlive(std::int64_t sequence) const {
+    // A router says nothing of a server that has died, but for a call that wants an answer.
+    if (routed_ && !asked_->exchange(true)) {
+        try {
+            signal_.session->keepAliveAsync(
+                static_cast<double>(sequence), [asked = asked_] { *asked = false; },
+                [connection = signal_.connection](const std::exception_ptr& error) {
+                    connection->disconnect({false, transport::translate(error).message}, false);
+                });
+        } catch (const Ice::Exception&) {  // the connection has closed, and says so
+        }
+        return;
+    }
     post(*signal_.outbox, Traffic::Heartbeat,
          [session = signal_.oneway, sequence](SendCallbacks&& callbacks) {
              session->keepAliveAsync(static_cast<double>(sequence), nullptr, std::move(callbacks.failed),
@@ -301,7 +356,7 @@ void ServerConnection::keepAlive(std::int64_t sequence) const {
 
 void ServerConnection::leave() const {
     try {
-        data_.session->ice_invocationTimeout(kLeaveTimeoutMs)->destroy();
+        data_.session->ice_invocationTimeout(kLeaveTimeoutMs)->leave();
     } catch (const Ice::Exception&) {  // the server is gone or does not answer: closing the connection says
                                        // the same
     }

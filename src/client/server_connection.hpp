@@ -42,11 +42,12 @@ class ConnectionEvents {
 struct LaneHome {
     std::shared_ptr<Ice::Communicator> communicator;
     std::shared_ptr<Ice::ObjectAdapter> adapter;  ///< without endpoints
+    std::shared_ptr<Ice::ObjectPrx> router;       ///< through which to go; null: directly
 };
 
 /// Where and as whom to log in.
 struct Login {
-    std::string endpoint;  ///< "tcp -h 127.0.0.1 -p 10410"
+    std::string endpoint;  ///< "tcp -h 127.0.0.1 -p 10410"; of no use where there is a router
     std::string user, password, display_name;
     std::uint64_t attempt = 0;
     Duration timeout{};
@@ -91,14 +92,17 @@ class ServerConnection {
 
   private:
     struct LaneEnd {
-        std::shared_ptr<transport::PeerConnection> connection;
+        std::shared_ptr<transport::DirectConnection> connection;        // to the server, or to the router
         std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> session;  // twoway
         std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> oneway;
+        std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> paced;  // twoway, without a time limit
         std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx> callback;
         std::shared_ptr<transport::Outbox> outbox;
     };
+    /// `token`: of the other lane; empty for the first.
     static LaneEnd openLane(const LaneHome& home, transport::OutboxLimits limits, const std::string& endpoint,
-                            const Login& login, const std::shared_ptr<ConnectionEvents>& events);
+                            const std::string& token, const Login& login,
+                            const std::shared_ptr<ConnectionEvents>& events);
     void send(const LaneEnd& lane, transport::Traffic traffic, const Header& head, std::string bytes,
               int operation) const;
 
@@ -121,6 +125,9 @@ class ServerConnection {
     Sender me_;
     int entities_ = 0;
     std::uint64_t attempt_ = 0;
+    bool routed_ = false;
+    /// Through a router: a sign of life is on its way whose answer says that the server is there.
+    const std::shared_ptr<std::atomic<bool>> asked_ = std::make_shared<std::atomic<bool>>(false);
 };
 
 }  // namespace axon::client

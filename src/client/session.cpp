@@ -12,6 +12,7 @@
 #include "client/content.hpp"
 #include "client/log.hpp"
 #include "transport/communicator.hpp"
+#include "transport/routed_session.hpp"
 
 namespace axon::client {
 namespace {
@@ -264,8 +265,8 @@ Result<void> Client::Session::connect() {
     try {
         const auto milliseconds = std::max<long long>(
             1, std::chrono::duration_cast<std::chrono::milliseconds>(toDuration(options_.timeout)).count());
-        const std::map<std::string, std::string> properties = {
-            {"Ice.Override.ConnectTimeout", std::to_string(milliseconds)}};
+        auto properties = options_.properties;
+        properties["Ice.Override.ConnectTimeout"] = std::to_string(milliseconds);
         data_communicator_ = transport::makeCommunicator({"axon-client", Lane::Data, 1, 1, properties});
         signal_communicator_ = transport::makeCommunicator(
             {"axon-signal", Lane::Signal, 1, 1, properties, transport::kReceiptPriority});
@@ -274,8 +275,10 @@ Result<void> Client::Session::connect() {
             home->communicator = holder->communicator();
             home->adapter = home->communicator->createObjectAdapter("");
             home->adapter->activate();
+            if (transport::isRouter(options_.server))
+                home->router = transport::routerProxy(*home->communicator, options_.server);
         }
-        transport::tcpEndpoint(options_.server);
+        if (!data_.router) transport::tcpEndpoint(options_.server);
     } catch (const std::invalid_argument& error) {
         return Refusal{RefusalCode::Malformed, error.what(), {}};
     } catch (const std::exception& error) {
@@ -291,7 +294,9 @@ Result<void> Client::Session::connect() {
         if (refusal.code == RefusalCode::NotConnected || refusal.code == RefusalCode::TimedOut) {
             refusal.code = RefusalCode::Unavailable;
         }
-        refusal.message = "No session with the server at " + options_.server + ": " + refusal.message;
+        refusal.message =
+            (data_.router ? "No session through the router " : "No session with the server at ") +
+            options_.server + ": " + refusal.message;
         return refusal;
     }
     timer_.start("axon-timer", Lane::Signal, clock_, [this] { return onTimer(); });
@@ -308,7 +313,7 @@ Result<void> Client::Session::connect() {
 
 Result<void> Client::Session::establish() {
     Login login;
-    login.endpoint = transport::tcpEndpoint(options_.server);
+    if (!data_.router) login.endpoint = transport::tcpEndpoint(options_.server);
     login.user = options_.user;
     login.password = options_.password;
     login.display_name = options_.display_name.empty() ? userAtHost() : options_.display_name;

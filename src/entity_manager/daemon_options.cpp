@@ -85,18 +85,26 @@ DatagramSettings datagramsOf(const std::string& text) {
 }
 
 /// Ice property syntax, as the thesis' configuration files: Name=value, # comments.
-std::map<std::string, std::string> readConfiguration(const std::string& file) {
+constexpr const char* kRouter = "Ice.Default.Router";
+
+std::map<std::string, std::string> readConfiguration(const std::string& file,
+                                                     std::map<std::string, std::string>& ice_properties) {
     std::map<std::string, std::string> values;
     if (file.empty()) return values;
     if (!std::ifstream(file))
         throw std::runtime_error(file + ": cannot be read; expected a configuration file (docs/reference/configuration.md)");
     const auto properties = Ice::createProperties();
     properties->load(file);
-    for (const auto& [key, value] : properties->getPropertiesForPrefix("Axon.")) {
-        if (!kKeys.contains(key)) {
+    for (const auto& [key, value] : properties->getPropertiesForPrefix("")) {
+        if (key != kRouter && (key.rfind("Ice.", 0) == 0 || key.rfind("IceSSL.", 0) == 0)) {
+            ice_properties[key] = value;
+            continue;
+        }
+        if (key != kRouter && !kKeys.contains(key)) {
             std::string known;
             for (const auto& name : kKeys) known += (known.empty() ? "" : ", ") + name;
-            throw std::runtime_error(file + ": unknown property '" + key + "'; expected one of " + known);
+            throw std::runtime_error(file + ": unknown property '" + key + "'; expected one of " + known +
+                                     ", " + kRouter + ", or a property of Ice");
         }
         values[key] = value;
     }
@@ -130,7 +138,7 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         options.exit_code = app.exit(e) == 0 ? 0 : 2;
         return options;
     }
-    const auto file = readConfiguration(config);
+    const auto file = readConfiguration(config, options.ice_properties);
     const auto chosen = [&file](const std::string& option, const char* key, const std::string& otherwise) {
         if (!option.empty()) return option;
         const auto found = file.find(key);
@@ -149,6 +157,12 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         options.back_end.where.ports = accepted(parsePorts("Axon.Ports = " + range, "--ports")).ports;
     options.back_end.where.address = chosen(address, "Axon.Address", options.back_end.where.address);
 
+    if (file.contains(kRouter) && file.contains("Axon.Server"))
+        throw std::runtime_error(
+            config +
+            ": Ice.Default.Router and Axon.Server are both there; expected one of them: the way "
+            "to the entity server is either through a router or direct");
+    if (server.empty()) options.server.router = chosen("", kRouter, "");
     const auto at = chosen(server, "Axon.Server", "127.0.0.1:10412");
     const auto colon = at.rfind(':');
     if (colon == std::string::npos || colon == 0)

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <filesystem>
+#include <map>
 #include <optional>
 #include <string>
 
@@ -21,7 +22,9 @@ struct DaemonOptions {
     std::filesystem::path state_folder;
     std::string log_level = "info";
     bool lock_memory = true;  ///< where permitted
-    /// Set when there is nothing to run: --help, --version, or a wrong command line (which has been explained).
+    std::map<std::string, std::string> ice_properties;  ///< Ice.* and IceSSL.* of the configuration
+    /// Set when there is nothing to run: --help, --version, or a wrong command line (which has been
+    /// explained).
     std::optional<int> exit_code;
 };
 

@@ -16,6 +16,7 @@
 #include "transport/convert.hpp"
 #include "transport/lane_socket.hpp"
 #include "transport/peer_connection.hpp"
+#include "transport/routed_session.hpp"
 
 namespace axon::entity_manager {
 
@@ -141,9 +142,14 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
             });
             return;
         }
-        send(bytes, [&](auto sent) {
-            const auto& proxy = lane == Lane::Signal ? signal_oneway_ : oneway_;
-            proxy->sendToClientAsync(transport::toIce(head), toRange(bytes), [] {}, {}, sent);
+        if (lane == Lane::Signal) {
+            send(bytes, signal_oneway_, [&](auto& proxy, auto... back) {
+                proxy.sendToClientAsync(transport::toIce(head), toRange(bytes), back...);
+            });
+            return;
+        }
+        send(bytes, paced_, [&](auto& proxy, auto... back) {
+            proxy.sendToClientAsync(transport::toIce(head), toRange(bytes), back...);
         });
     }
 
@@ -154,25 +160,35 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
             return;
         }
         const auto bytes = message.SerializeAsString();
-        send(bytes, [&](auto sent) {
-            oneway_->sendToClientDataSeqAsync(transport::toIce(head), toRange(bytes), [] {}, {}, sent);
+        send(bytes, paced_, [&](auto& proxy, auto... back) {
+            proxy.sendToClientDataSeqAsync(transport::toIce(head), toRange(bytes), back...);
         });
     }
 
     std::string localAddress() const {
-        return data_connection_ ? transport::PeerConnection(data_connection_).localAddress() : std::string();
+        return data_connection_ ? transport::DirectConnection(data_connection_).localAddress()
+                                : std::string();
     }
 
     std::uint64_t dropped() const { return dropped_; }
 
   private:
-    /// Counts the bytes from the call until Ice has written them.
+    /// Counts the bytes from the call until Ice has written them, or the server has answered.
     template <class Call>
-    void send(const std::string& bytes, Call call) {
+    void send(const std::string& bytes, const std::shared_ptr<EntitySessionPrx>& proxy, Call call) {
         const auto size = bytes.size();
         const auto in_flight = in_flight_;
         *in_flight += size;
-        guarded([&] { call([in_flight, size](bool) { *in_flight -= size; }); });
+        const auto left = [in_flight, size] { *in_flight -= size; };
+        guarded([&] {
+            if (proxy->ice_isTwoway()) {
+                call(*proxy, std::function<void()>(left), failure(attempt_, "sending"),
+                     std::function<void(bool)>());
+            } else {
+                call(*proxy, std::function<void()>(), std::function<void(std::exception_ptr)>(),
+                     std::function<void(bool)>([left](bool) { left(); }));
+            }
+        });
     }
 
     /// AMI calls may throw at once; the close callback of the connection reports the loss, so there is nothing to add.
@@ -210,97 +226,147 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     void login() {
         const auto attempt = ++attempt_;
-        guarded([&] {
-            const auto gate = gateTo(ice_->data(), "tcp -h " + address_.host + " -p " + std::to_string(address_.port));
-            open(attempt, gate, [attempt, gate](Connection& self, const auto& session) {
-                self.data_connection_ = self.adopt(attempt, gate, self.ice_->dataAdapter());
-                self.session_ = self.over(self.data_connection_, session);
-                self.nameOurselves(attempt);
-            });
-        });
+        open(attempt, Lane::Data, "tcp -h " + address_.host + " -p " + std::to_string(address_.port), {},
+             [attempt](Connection& self, const Opened& opened) {
+                 self.data_connection_ = opened.connection;
+                 self.session_ = opened.session;
+                 self.data_callback_ = opened.callback;
+                 self.nameOurselves(attempt);
+             });
     }
 
-    std::shared_ptr<EntityGatePrx> gateTo(const std::shared_ptr<Ice::Communicator>& communicator, const std::string& endpoint) {
-        // A connection identifier of its own: Entity Managers that share the communicator must not share connections.
-        const auto proxy = communicator->stringToProxy("EntityGate:" + endpoint + " -t 3000");
-        return Ice::uncheckedCast<EntityGatePrx>(
-            proxy->ice_connectionId(std::to_string(reinterpret_cast<std::uintptr_t>(this)) + "-" + std::to_string(attempt_))
-                ->ice_invocationTimeout(kLoginTimeoutMs));
+    /// A lane's session that was opened, and the callback that the server is told of.
+    struct Opened {
+        std::shared_ptr<Ice::Connection> connection;
+        std::shared_ptr<EntitySessionPrx> session;
+        std::shared_ptr<EntityCallbackPrx> callback;
+    };
+
+    /// At the endpoint, or through the router; `token` is that of the first session, for the second. `then`
+    /// runs on the strand.
+    template <class Then>
+    void open(std::uint64_t attempt, Lane lane, const std::string& endpoint, const std::string& token,
+              Then then) {
+        guarded([&] {
+            if (address_.router.empty()) {
+                openAtGate(attempt, lane, endpoint, then);
+            } else {
+                openThroughRouter(attempt, lane, token, then);
+            }
+        });
     }
 
     template <class Then>
-    void open(std::uint64_t attempt, const std::shared_ptr<EntityGatePrx>& gate, Then then) {
+    void openAtGate(std::uint64_t attempt, Lane lane, const std::string& endpoint, Then then) {
+        // A connection identifier of its own: Entity Managers that share the communicator must not share connections.
+        const auto proxy = communicator(lane)->stringToProxy("EntityGate:" + endpoint + " -t 3000");
+        const auto gate = Ice::uncheckedCast<EntityGatePrx>(
+            proxy
+                ->ice_connectionId(std::to_string(reinterpret_cast<std::uintptr_t>(this)) + "-" +
+                                   std::to_string(attempt_))
+                ->ice_invocationTimeout(kLoginTimeoutMs));
         gate->openAsync(
             address_.user, address_.password,
-            [weak = weak_from_this(), attempt, then](const std::shared_ptr<EntitySessionPrx>& session) {
+            [weak = weak_from_this(), attempt, lane, gate,
+             then](const std::shared_ptr<EntitySessionPrx>& session) {
                 if (const auto self = weak.lock())
-                    self->post([attempt, then, session](Connection& me) {
-                        if (attempt == me.attempt_) me.guarded([&] { then(me, session); });
+                    self->post([attempt, lane, gate, then, session](Connection& me) {
+                        if (attempt != me.attempt_) return;
+                        me.guarded([&] {
+                            const auto connection = gate->ice_getCachedConnection();
+                            me.adopt(attempt, lane, connection);
+                            then(me, {connection,
+                                      Ice::uncheckedCast<EntitySessionPrx>(
+                                          connection->createProxy(session->ice_getIdentity())
+                                              ->ice_invocationTimeout(kLoginTimeoutMs)),
+                                      Ice::uncheckedCast<EntityCallbackPrx>(
+                                          me.adapter(lane)->addWithUUID(me.servant_))});
+                        });
                     });
             },
-            failure(attempt, "log-in at " + address_.host + ":" + std::to_string(address_.port)));
+            failure(attempt, "log-in at " + address_.text()));
     }
 
-    std::shared_ptr<Ice::Connection> adopt(std::uint64_t attempt, const std::shared_ptr<EntityGatePrx>& gate,
-                                           const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
-        auto connection = gate->ice_getCachedConnection();
+    template <class Then>
+    void openThroughRouter(std::uint64_t attempt, Lane lane, const std::string& token, Then then) {
+        transport::openRoutedSession(
+            transport::routerProxy(*communicator(lane), address_.router),
+            {address_.user, address_.password, {}, token, kLoginTimeoutMs},
+            [weak = weak_from_this(), attempt, lane, then](const transport::RoutedSession& routed) {
+                const auto self = weak.lock();
+                if (!self) return routed.connection->close(Ice::ConnectionClose::Forcefully);
+                self->post([attempt, lane, then, routed](Connection& me) {
+                    if (attempt != me.attempt_)
+                        return routed.connection->close(Ice::ConnectionClose::Forcefully);
+                    me.guarded([&] {
+                        me.adopt(attempt, lane, routed.connection);
+                        then(me, {routed.connection, Ice::uncheckedCast<EntitySessionPrx>(routed.session),
+                                  Ice::uncheckedCast<EntityCallbackPrx>(
+                                      routed.callback(*me.adapter(lane), me.servant_))});
+                    });
+                });
+            },
+            failure(attempt, "log-in through " + address_.router));
+    }
+
+    const std::shared_ptr<Ice::Communicator>& communicator(Lane lane) const {
+        return lane == Lane::Signal ? ice_->signal() : ice_->data();
+    }
+    const std::shared_ptr<Ice::ObjectAdapter>& adapter(Lane lane) const {
+        return lane == Lane::Signal ? ice_->signalAdapter() : ice_->dataAdapter();
+    }
+
+    void adopt(std::uint64_t attempt, Lane lane, const std::shared_ptr<Ice::Connection>& connection) {
         if (!connection) throw Ice::ConnectionLostException(__FILE__, __LINE__);
-        connection->setAdapter(adapter);
-        connection->setCloseCallback([weak = weak_from_this(), attempt](const std::shared_ptr<Ice::Connection>&) {
-            if (const auto self = weak.lock())
-                self->post([attempt](Connection& me) { me.failed(attempt, "the server closed the connection"); });
-        });
-        return connection;
-    }
-
-    std::shared_ptr<EntitySessionPrx> over(const std::shared_ptr<Ice::Connection>& connection,
-                                           const std::shared_ptr<EntitySessionPrx>& session) {
-        return Ice::uncheckedCast<EntitySessionPrx>(
-            connection->createProxy(session->ice_getIdentity())->ice_invocationTimeout(kLoginTimeoutMs));
-    }
-
-    std::shared_ptr<EntityCallbackPrx> callback(const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
-        return Ice::uncheckedCast<EntityCallbackPrx>(adapter->addWithUUID(servant_));
+        connection->setAdapter(adapter(lane));
+        connection->setCloseCallback(
+            [weak = weak_from_this(), attempt](const std::shared_ptr<Ice::Connection>&) {
+                if (const auto self = weak.lock())
+                    self->post([attempt](Connection& me) {
+                        me.failed(attempt, "the server closed the connection");
+                    });
+            });
     }
 
     void nameOurselves(std::uint64_t attempt) {
-        data_callback_ = callback(ice_->dataAdapter());
         session_->setCallbackAsync(
             data_callback_,
             [weak = weak_from_this(), attempt](const ::Axon::EntityComm::SessionFacts& facts) {
                 if (const auto self = weak.lock())
                     self->post([attempt, facts](Connection& me) {
-                        if (attempt == me.attempt_) me.guarded([&] { me.loginSignalLane(attempt, facts); });
+                        if (attempt == me.attempt_) me.loginSignalLane(attempt, facts);
                     });
             },
             failure(attempt, "setCallback"));
     }
 
     void loginSignalLane(std::uint64_t attempt, const ::Axon::EntityComm::SessionFacts& facts) {
-        const auto gate = gateTo(ice_->signal(), facts.signalEndpoint);
-        open(attempt, gate, [attempt, gate, token = facts.token](Connection& self, const auto& session) {
-            self.signal_connection_ = self.adopt(attempt, gate, self.ice_->signalAdapter());
-            transport::prepareSignalLane(*self.signal_connection_);
-            self.signal_session_ = self.over(self.signal_connection_, session);
-            self.signal_callback_ = self.callback(self.ice_->signalAdapter());
-            self.signal_session_->attachSignalLaneAsync(
-                token, self.signal_callback_,
-                [weak = self.weak_from_this(), attempt] {
-                    if (const auto me = weak.lock())
-                        me->post([attempt](Connection& it) {
-                            if (attempt == it.attempt_) it.joined();
-                        });
-                },
-                self.failure(attempt, "attachSignalLane"));
-        });
+        open(attempt, Lane::Signal, facts.signalEndpoint, facts.token,
+             [attempt, token = facts.token](Connection& self, const Opened& opened) {
+                 self.signal_connection_ = opened.connection;
+                 transport::prepareSignalLane(*self.signal_connection_);
+                 self.signal_session_ = opened.session;
+                 self.signal_callback_ = opened.callback;
+                 self.signal_session_->attachSignalLaneAsync(
+                     token, self.signal_callback_,
+                     [weak = self.weak_from_this(), attempt] {
+                         if (const auto me = weak.lock())
+                             me->post([attempt](Connection& it) {
+                                 if (attempt == it.attempt_) it.joined();
+                             });
+                     },
+                     self.failure(attempt, "attachSignalLane"));
+             });
     }
 
     void joined() {
         oneway_ = Ice::uncheckedCast<EntitySessionPrx>(session_->ice_oneway()->ice_invocationTimeout(-1));
         signal_oneway_ = Ice::uncheckedCast<EntitySessionPrx>(signal_session_->ice_oneway()->ice_invocationTimeout(-1));
+        paced_ = address_.router.empty() ? oneway_ : session_->ice_invocationTimeout(-1);
         in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
         up_ = true;
         busy_ = false;
+        asked_ = false;
         if (const auto events = events_.lock()) events->serverUp();
         keepAlive();
     }
@@ -314,7 +380,23 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     void keepAlive() {
         if (!up_) return;
-        guarded([&] { signal_oneway_->keepAliveAsync(static_cast<double>(++beats_), [] {}, {}, {}); });
+        guarded([&] {
+            const auto beat = static_cast<double>(++beats_);
+            // A router says nothing of a server that has died, but for a call that wants an answer.
+            if (address_.router.empty() || std::exchange(asked_, true)) {
+                signal_oneway_->keepAliveAsync(beat, [] {}, {}, {});
+                return;
+            }
+            signal_session_->keepAliveAsync(
+                beat,
+                [weak = weak_from_this(), attempt = attempt_] {
+                    if (const auto self = weak.lock())
+                        self->post([attempt](Connection& me) {
+                            if (attempt == me.attempt_) me.asked_ = false;
+                        });
+                },
+                failure(attempt_, "sign of life"));
+        });
         beat_.expires_after(busy_ ? busy_period_ : idle_period_);
         beat_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
             if (cancelled) return;
@@ -324,7 +406,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     /// An orderly end: the server hears of it before the connection closes.
     void leave() {
-        guarded([&] { oneway_->destroyAsync([] {}, {}, {}); });
+        guarded([&] { oneway_->leaveAsync([] {}, {}, {}); });
     }
 
     void lost(const std::string& reason) {
@@ -335,10 +417,10 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         if (const auto events = events_.lock(); events && was_up) events->serverDown(reason);
         if (!wanted_) return;
         if (was_registered)
-            spdlog::warn("the session with the entity server at {}:{} is lost: {}", address_.host, address_.port, reason);
+            spdlog::warn("the session with the entity server at {} is lost: {}", address_.text(), reason);
         else if (!std::exchange(said_, true))
-            spdlog::warn("no session with the entity server at {}:{} ({}); trying again until there is one", address_.host,
-                         address_.port, reason);
+            spdlog::warn("no session with the entity server at {} ({}); trying again until there is one",
+                         address_.text(), reason);
         retry_.expires_after(backoff_);
         backoff_ = std::min<std::chrono::milliseconds>(backoff_ * 2, kLastBackoff);
         retry_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
@@ -360,7 +442,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
             if (*connection) (*connection)->close(Ice::ConnectionClose::Gracefully);
             connection->reset();
         }
-        session_ = signal_session_ = oneway_ = signal_oneway_ = nullptr;
+        session_ = signal_session_ = oneway_ = paced_ = signal_oneway_ = nullptr;
     }
 
     void forget(std::shared_ptr<EntityCallbackPrx>& callback, const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
@@ -385,6 +467,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
     std::shared_ptr<EntitySessionPrx> session_, signal_session_, oneway_, signal_oneway_;
+    std::shared_ptr<EntitySessionPrx> paced_;  // of messages and data: answered where there is a router
     std::shared_ptr<std::atomic<std::size_t>> in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
     std::chrono::milliseconds backoff_ = kFirstBackoff;
     std::uint64_t attempt_ = 0;
@@ -396,6 +479,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     bool registered_ = false;
     bool busy_ = false;
     bool said_ = false;
+    bool asked_ = false;  // a sign of life is on its way that wants an answer
     bool closed_ = false;
     std::atomic<std::uint64_t> dropped_{0};
 };

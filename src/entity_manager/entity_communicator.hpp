@@ -18,6 +18,11 @@ struct ServerAddress {
     std::uint16_t port = 10412;
     std::string user;
     std::string password;
+    std::string
+        router;  ///< "Axon.Entities/router:tcp -h 127.0.0.1 -p 10415" instead of the two above; empty: none
+
+    /// For people.
+    std::string text() const { return router.empty() ? host + ":" + std::to_string(port) : router; }
 };
 
 /// What the server pushes. Called on Ice threads (signals on those of the signal lane); serverUp and serverDown on the
@@ -40,12 +45,15 @@ class ServerEvents {
 /// The link between one Entity Manager and the entity server (thesis: EntityCommunicator, with SessionPrx and
 /// EntityMonitorCallBack_Impl inside).
 ///
-/// Where in the flow: implements ServerPort towards EntityManagerCore; keeps two Ice sessions, data and signals, on two
-/// communicators that many Entity Managers of a process share (docs/reference/sessions.md).
+/// Where in the flow: implements ServerPort towards EntityManagerCore; keeps two Ice sessions, data and
+/// signals, on two communicators that many Entity Managers of a process share (docs/reference/sessions.md).
 /// States: unwanted; connecting (retries for ever, 100 ms to 2 s apart); up.
 /// Threads: ServerPort's functions on the strand given; events on Ice's threads. Never blocks.
-/// Failure: either connection lost = serverDown with the reason, both are closed and tried again. When the server does
-/// not read, data is dropped and counted beyond 4 MiB in flight, and beyond 16 MiB the server counts as lost.
+/// Failure: either connection lost = serverDown with the reason, both are closed and tried again. When the
+/// server does not read, data is dropped and counted beyond 4 MiB in flight, and beyond 16 MiB the server
+/// counts as lost. Through a Glacier2 router both lanes are sessions of the same server; what is in flight
+/// there is what the server has not answered, and a server that has died is noticed by a sign of life that is
+/// not answered.
 class EntityCommunicator final : public ServerPort {
   public:
     EntityCommunicator(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice, ServerAddress address,

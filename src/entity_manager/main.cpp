@@ -13,6 +13,7 @@
 #include "entity_manager/server_communicators.hpp"
 #include "transport/logging.hpp"
 #include "transport/memory_lock.hpp"
+#include "transport/routed_session.hpp"
 
 int main(int argc, char** argv) {
     using namespace axon;
@@ -33,7 +34,9 @@ int main(int argc, char** argv) {
         FileResourceStore resources(options.state_folder);
         FileJournal journal(options.state_folder);
         asio::thread_pool executor(1);
-        const auto ice = std::make_shared<ServerCommunicators>(1, 1);
+        const auto ice = std::make_shared<ServerCommunicators>(1, 1, options.ice_properties);
+        if (!options.server.router.empty())
+            transport::routerProxy(*ice->data(), options.server.router);  // or a mend
         const auto manager = EntityManager::create(executor.get_executor(), ice, options.core, options.server,
                                                    EntityManager::overTcp(options.back_end, random), clock, random, storage,
                                                    resources, &journal);
@@ -45,7 +48,7 @@ int main(int argc, char** argv) {
         manager->receiveDatagrams(options.datagrams, clock);
         manager->start();
         std::cout << "ready application=" << options.core.application << " entity=" << manager->uuid()
-                  << " server=" << options.server.host << ':' << options.server.port << std::endl;
+                  << " server=" << options.server.text() << std::endl;
         ended.get_future().wait();
         manager->stop();
         executor.join();

@@ -5,9 +5,16 @@
 
 namespace axon::entity_manager {
 
-ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads)
-    : data_(transport::makeCommunicator({.name = "axon-em-data", .lane = Lane::Data, .client_threads = data_threads})),
-      signal_(transport::makeCommunicator({.name = "axon-em-signal", .lane = Lane::Signal, .client_threads = signal_threads})),
+ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads,
+                                         const std::map<std::string, std::string>& properties)
+    : data_(transport::makeCommunicator({.name = "axon-em-data",
+                                         .lane = Lane::Data,
+                                         .client_threads = data_threads,
+                                         .properties = properties})),
+      signal_(transport::makeCommunicator({.name = "axon-em-signal",
+                                           .lane = Lane::Signal,
+                                           .client_threads = signal_threads,
+                                           .properties = properties})),
       data_adapter_(data_->createObjectAdapter("")),
       signal_adapter_(signal_->createObjectAdapter("")) {
     data_adapter_->activate();

@@ -2,7 +2,9 @@
 #pragma once
 #include <Ice/Ice.h>
 
+#include <map>
 #include <memory>
+#include <string>
 
 namespace axon::entity_manager {
 
@@ -11,8 +13,10 @@ namespace axon::entity_manager {
 /// (performance.md). Destroying it closes every connection and joins the threads, so it outlives its Entity Managers.
 class ServerCommunicators {
   public:
-    /// Throws std::runtime_error for settings Ice does not accept.
-    explicit ServerCommunicators(int data_threads = 2, int signal_threads = 1);
+    /// `properties`: of Ice (Ice.*, IceSSL.*), for both. Throws std::runtime_error for settings Ice does not
+    /// accept.
+    explicit ServerCommunicators(int data_threads = 2, int signal_threads = 1,
+                                 const std::map<std::string, std::string>& properties = {});
 
     const std::shared_ptr<Ice::Communicator>& data() const { return data_.communicator(); }
     const std::shared_ptr<Ice::Communicator>& signal() const { return signal_.communicator(); }

@@ -41,6 +41,7 @@ class EntityServer::Rim {
           signal_topic(signal->createObjectAdapter("")) {
         const auto gate = Ice::stringToIdentity("EntityGate");
         data_lane.logins = settings.logins;
+        data_lane.server = signal_lane.server = settings.name;
         data_lane.signal_host = transport::hostOf(*signal_adapter);
         data_lane.signal_port = transport::portOf(*signal_adapter);
         data_adapter->add(std::make_shared<EntityGateServant>(data_lane), gate);
@@ -52,6 +53,14 @@ class EntityServer::Rim {
         };
         data_subscriber = subscriber(*data_topic);
         signal_subscriber = subscriber(*signal_topic);
+        if (!settings.router_endpoint.empty()) {
+            routers = std::make_unique<transport::RouterConnections>(settings.logins);
+            door = std::make_unique<transport::RouterDoor>(
+                doorForRouters(data_lane, data_adapter, signal_lane, signal_adapter, *routers));
+            door->neighbours = transport::neighboursOf(*data, settings.neighbours);
+            router_adapter =
+                transport::listenForRouters(*data, "EntityServerRouter", settings.router_endpoint, *door);
+        }
         data_topic->activate();
         signal_topic->activate();
         timer = std::make_unique<transport::TimerThread>(
@@ -86,6 +95,9 @@ class EntityServer::Rim {
     EntityLane signal_lane;
     std::shared_ptr<Ice::ObjectAdapter> data_adapter;
     std::shared_ptr<Ice::ObjectAdapter> signal_adapter;
+    std::unique_ptr<transport::RouterConnections> routers;
+    std::unique_ptr<transport::RouterDoor> door;
+    std::shared_ptr<Ice::ObjectAdapter> router_adapter;
     std::shared_ptr<Ice::ObjectAdapter> data_topic;
     std::shared_ptr<Ice::ObjectAdapter> signal_topic;
     std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> data_subscriber;
@@ -115,6 +127,11 @@ void EntityServer::publishTo(std::shared_ptr<Axon::EntityComm::EntityToFrontEndC
 void EntityServer::activate() {
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
+    if (rim_->router_adapter) rim_->router_adapter->activate();
+}
+
+std::string EntityServer::routerAddress() const {
+    return rim_->router_adapter ? transport::addressOf(*rim_->router_adapter) : std::string();
 }
 
 void EntityServer::end() {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 
@@ -30,6 +31,12 @@ struct EntityServerSettings {
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10413";
     /// Who may come in. Outlives the communicators. Null: anybody.
     transport::Logins* logins = nullptr;
+    /// Where Glacier2 routers ask for passwords and sessions (EntityServerRouter); empty: none may.
+    std::string router_endpoint = {};
+    /// Of this server, where there are several; letters, digits, '-', '_' and '.'.
+    std::string name = {};
+    /// Session managers of the other servers of this kind, by name, as stringified proxies.
+    std::map<std::string, std::string> neighbours = {};
     /// The front-end server in this process, called in the caller's thread. Outlives the communicators and
     /// end(). Null: publishTo() says where.
     FrontEndTopic* here = nullptr;
@@ -58,6 +65,8 @@ class EntityServer {
     void end();
     /// "127.0.0.1:10412", with the port that was taken where 0 was asked for.
     std::string address(Lane lane) const;
+    /// Of the adapter for routers; empty where there is none.
+    std::string routerAddress() const;
     EntityServerCore& core();
 
   private:

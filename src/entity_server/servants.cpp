@@ -16,67 +16,74 @@ using transport::toRange;
 using transport::toView;
 using transport::Traffic;
 using Prx = Axon::EntityComm::EntityCallbackPrx;
+using Answered = std::function<void()>;
 using Failed = std::function<void(std::exception_ptr)>;
 using Sent = std::function<void(bool)>;
 using IceHeader = Axon::CommUtil::Header;
 
-IceEntityOutbox::IceEntityOutbox(std::shared_ptr<Prx> callback, transport::OutboxLimits limits,
+IceEntityOutbox::IceEntityOutbox(const std::shared_ptr<Prx>& callback, transport::OutboxLimits limits,
                                  std::shared_ptr<transport::PeerConnection> peer)
-    : peer_(std::move(peer)), sender_(std::move(callback), limits, [peer = peer_](const std::string& why) {
-          peer->disconnect({true, why}, false);
-      }) {}
+    : peer_(std::move(peer)),
+      sender_(callback, limits, transport::untilOf(*peer_),
+              [peer = peer_](bool improper, const std::string& why) {
+                  peer->disconnect({improper, why}, false);
+              }) {}
 
 void IceEntityOutbox::newClientMsg(const Header& head, std::string_view message) {
     sender_.send(Traffic::Control, head, message,
-                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Failed f, Sent s) {
-                     prx.newClientMsgAsync(h, bytes, nullptr, std::move(f), std::move(s));
+                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                     prx.newClientMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
                  });
 }
 
 void IceEntityOutbox::newClientMsgDataSeq(const Header& head, std::string_view data) {
     sender_.send(Traffic::Data, head, data,
-                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Failed f, Sent s) {
-                     prx.newClientMsgDataSeqAsync(h, bytes, nullptr, std::move(f), std::move(s));
+                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                     prx.newClientMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
                  });
 }
 
 void IceEntityOutbox::stopSignal(const Header& head, StopCause cause) {
-    sender_.send(Traffic::Signal, head, {},
-                 [its_cause = toIce(cause)](Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
-                     prx.stopSignalAsync(h, its_cause, nullptr, std::move(f), std::move(s));
-                 });
+    sender_.send(
+        Traffic::Signal, head, {},
+        [its_cause = toIce(cause)](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+            prx.stopSignalAsync(h, its_cause, std::move(a), std::move(f), std::move(s));
+        });
 }
 
 void IceEntityOutbox::resetSignal(const Header& head) {
-    sender_.send(Traffic::Signal, head, {}, [](Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
-        prx.resetSignalAsync(h, nullptr, std::move(f), std::move(s));
-    });
+    sender_.send(Traffic::Signal, head, {},
+                 [](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+                     prx.resetSignalAsync(h, std::move(a), std::move(f), std::move(s));
+                 });
 }
 
 void IceEntityOutbox::clearSignal(const Header& head) {
-    sender_.send(Traffic::Signal, head, {}, [](Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
-        prx.clearSignalAsync(h, nullptr, std::move(f), std::move(s));
-    });
+    sender_.send(Traffic::Signal, head, {},
+                 [](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+                     prx.clearSignalAsync(h, std::move(a), std::move(f), std::move(s));
+                 });
 }
 
 void IceEntityOutbox::newClientUpdate(const Header& head, ClientChange change) {
-    sender_.send(Traffic::Signal, head, {},
-                 [its_change = toIce(change)](Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
-                     prx.newClientUpdateAsync(h, its_change, nullptr, std::move(f), std::move(s));
-                 });
+    sender_.send(
+        Traffic::Signal, head, {},
+        [its_change = toIce(change)](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+            prx.newClientUpdateAsync(h, its_change, std::move(a), std::move(f), std::move(s));
+        });
 }
 
 void IceEntityOutbox::newRefusalMsg(const Header& head, const Refusal& refusal) {
     sender_.send(Traffic::Control, head, {},
                  [code = static_cast<int>(refusal.code), reason = refusal.message](
-                     Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
-                     prx.newRefusalMsgAsync(h, code, reason, nullptr, std::move(f), std::move(s));
+                     Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+                     prx.newRefusalMsgAsync(h, code, reason, std::move(a), std::move(f), std::move(s));
                  });
 }
 
 void IceEntityOutbox::newHeartbeat(std::int64_t sequence) {
-    sender_.send(Traffic::Heartbeat, 0, [sequence](Prx& prx, Failed f, Sent s) {
-        prx.newHeartbeatAsync(static_cast<double>(sequence), nullptr, std::move(f), std::move(s));
+    sender_.send(Traffic::Heartbeat, 0, [sequence](Prx& prx, Answered a, Failed f, Sent s) {
+        prx.newHeartbeatAsync(static_cast<double>(sequence), std::move(a), std::move(f), std::move(s));
     });
 }
 
@@ -142,14 +149,15 @@ Axon::EntityComm::SessionFacts EntitySessionServant::setCallback(std::shared_ptr
         lane_.core.open(std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer()));
     const auto token = EntityServerCore::token(*session);
     session_.adopt(std::move(session));
-    return {token, lane_.signalEndpoint(*session_.peer())};
+    return {lane_.toPeer(token), lane_.signalEndpoint(*session_.peer())};
 }
 
 void EntitySessionServant::attachSignalLane(std::string token, std::shared_ptr<Prx> callback,
                                             const Ice::Current& current) {
     auto proxy = session_.newCallback(callback, lane_.lane == Lane::Signal, current);
     session_.adopt(transport::valueOrThrow(lane_.core.attach(
-        token, std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer()))));
+        EntityLane::fromPeer(token),
+        std::make_shared<IceEntityOutbox>(std::move(proxy), lane_.limits, session_.peer()))));
 }
 
 void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registration, ByteRange profile,
@@ -185,15 +193,23 @@ void EntitySessionServant::keepAlive(double, const Ice::Current& current) {
     lane_.core.keepAlive(session_.of(current));
 }
 
-void EntitySessionServant::destroy(const Ice::Current& current) {
+void EntitySessionServant::leave(const Ice::Current& current) {
     session_.peer()->require(current);
     session_.end({true, "it ended its session"});
     session_.peer()->disconnect({false, "it ended its session"}, true);
 }
 
+// A router calls it for any end of its side, so there it means that the Entity Manager is lost.
+void EntitySessionServant::destroy(const Ice::Current& current) {
+    const auto routed = std::dynamic_pointer_cast<transport::RoutedConnection>(session_.peer());
+    if (!routed) return leave(current);
+    routed->require(current);
+    routed->ended("the router ended its session: the Entity Manager is gone, or silent");
+}
+
 void EntityGateServant::openAsync(std::string user, std::string password, Opened opened, Refused refused,
                                   const Ice::Current& current) {
-    const auto peer = std::make_shared<transport::PeerConnection>(current.con);
+    const auto peer = std::make_shared<transport::DirectConnection>(current.con);
     transport::openSession(
         lane_, peer, {std::move(user), std::move(password), {}, {}}, std::move(opened), std::move(refused),
         current,
@@ -203,6 +219,33 @@ void EntityGateServant::openAsync(std::string user, std::string password, Opened
         [](transport::Logins& logins, transport::LoginRequest request, transport::Logins::Answer answer) {
             logins.entity(std::move(request), std::move(answer));
         });
+}
+
+transport::RouterDoor doorForRouters(EntityLane& data,
+                                     const std::shared_ptr<Ice::ObjectAdapter>& data_adapter,
+                                     EntityLane& signal,
+                                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter,
+                                     transport::RouterConnections& routers) {
+    auto* const logins = data.logins;
+    transport::RouterDoor door{routers, {}, {}, {}, data.server, {}};
+    door.verify = [logins](transport::LoginRequest request, transport::Logins::Answer answer) {
+        if (logins == nullptr) return answer(transport::LoggedIn{});
+        logins->entity(std::move(request), std::move(answer));
+    };
+    door.vouched = [logins](const std::string& user) -> Result<transport::LoggedIn> {
+        if (logins == nullptr) return transport::LoggedIn{};
+        return logins->vouchedEntity(user);
+    };
+    door.open = [&data, &signal, data_adapter, signal_adapter](
+                    Lane lane, const transport::LoggedIn&, const std::string&,
+                    const std::shared_ptr<transport::RoutedConnection>& peer)
+        -> std::shared_ptr<Glacier2::SessionPrx> {
+        auto& its = lane == Lane::Signal ? signal : data;
+        return transport::addSession<Axon::EntityComm::EntitySessionPrx>(
+            its, peer, std::make_shared<EntitySessionServant>(its, peer),
+            lane == Lane::Signal ? signal_adapter : data_adapter);
+    };
+    return door;
 }
 
 void FrontEndToEntityServant::clientMsg(IceHeader head, ByteRange message, const Ice::Current&) {

@@ -10,6 +10,7 @@
 #include "entity_server/ports.hpp"
 #include "transport/callback_sender.hpp"
 #include "transport/lane_session.hpp"
+#include "transport/router_servants.hpp"
 
 // The rim of the entity server: Ice's calls in, EntityServerCore's effects out. No decisions are made here
 // but whether a call came over the right connection.
@@ -18,7 +19,7 @@ namespace axon::entity_server {
 /// EntityOutbox over an EM's callback proxy.
 class IceEntityOutbox final : public EntityOutbox {
   public:
-    IceEntityOutbox(std::shared_ptr<Axon::EntityComm::EntityCallbackPrx> callback,
+    IceEntityOutbox(const std::shared_ptr<Axon::EntityComm::EntityCallbackPrx>& callback,
                     transport::OutboxLimits limits, std::shared_ptr<transport::PeerConnection> peer);
     void newClientMsg(const Header& head, std::string_view message) override;
     void newClientMsgDataSeq(const Header& head, std::string_view data) override;
@@ -88,6 +89,7 @@ class EntitySessionServant final : public Axon::EntityComm::EntitySession {
     void sendToPeer(Axon::CommUtil::Header head, transport::ByteRange message,
                     const Ice::Current& current) override;
     void keepAlive(double sequence, const Ice::Current& current) override;
+    void leave(const Ice::Current& current) override;
     void destroy(const Ice::Current& current) override;
 
   private:
@@ -115,6 +117,14 @@ class EntityGateServant final : public Axon::EntityComm::EntityGate {
   private:
     EntityLane& lane_;
 };
+
+/// How Entity Managers behind a router come in: makes their sessions, on the lanes' own adapters. All outlive
+/// what it returns.
+transport::RouterDoor doorForRouters(EntityLane& data,
+                                     const std::shared_ptr<Ice::ObjectAdapter>& data_adapter,
+                                     EntityLane& signal,
+                                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter,
+                                     transport::RouterConnections& routers);
 
 /// Listens to the front-end servers on one lane (thesis figure 3.15).
 class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntityComm {

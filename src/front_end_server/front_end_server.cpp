@@ -37,6 +37,7 @@ class FrontEndServer::Rim {
           signal_topic(signal->createObjectAdapter("")) {
         const auto gate = Ice::stringToIdentity("ClientGate");
         data_lane.logins = settings.logins;
+        data_lane.server = signal_lane.server = settings.name;
         data_lane.signal_host = transport::hostOf(*signal_adapter);
         data_lane.signal_port = transport::portOf(*signal_adapter);
         data_adapter->add(std::make_shared<ClientGateServant>(data_lane), gate);
@@ -48,6 +49,14 @@ class FrontEndServer::Rim {
         };
         data_subscriber = subscriber(*data_topic, Lane::Data);
         signal_subscriber = subscriber(*signal_topic, Lane::Signal);
+        if (!settings.router_endpoint.empty()) {
+            routers = std::make_unique<transport::RouterConnections>(settings.logins);
+            door = std::make_unique<transport::RouterDoor>(
+                doorForRouters(data_lane, data_adapter, signal_lane, signal_adapter, *routers));
+            door->neighbours = transport::neighboursOf(*data, settings.neighbours);
+            router_adapter =
+                transport::listenForRouters(*data, "FrontEndServerRouter", settings.router_endpoint, *door);
+        }
         data_topic->activate();
         signal_topic->activate();
         timer = std::make_unique<transport::TimerThread>(
@@ -73,6 +82,9 @@ class FrontEndServer::Rim {
     ClientLane signal_lane;
     std::shared_ptr<Ice::ObjectAdapter> data_adapter;
     std::shared_ptr<Ice::ObjectAdapter> signal_adapter;
+    std::unique_ptr<transport::RouterConnections> routers;
+    std::unique_ptr<transport::RouterDoor> door;
+    std::shared_ptr<Ice::ObjectAdapter> router_adapter;
     std::shared_ptr<Ice::ObjectAdapter> data_topic;
     std::shared_ptr<Ice::ObjectAdapter> signal_topic;
     std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> data_subscriber;
@@ -101,6 +113,11 @@ void FrontEndServer::publishTo(std::shared_ptr<Axon::FrontEndComm::FrontEndToEnt
 void FrontEndServer::activate() {
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
+    if (rim_->router_adapter) rim_->router_adapter->activate();
+}
+
+std::string FrontEndServer::routerAddress() const {
+    return rim_->router_adapter ? transport::addressOf(*rim_->router_adapter) : std::string();
 }
 
 void FrontEndServer::end() {

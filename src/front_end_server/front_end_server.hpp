@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <map>
 #include <memory>
 #include <string>
 
@@ -29,6 +30,12 @@ struct FrontEndServerSettings {
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10411";
     /// Who may come in. Outlives the communicators. Null: anybody, as operator.
     transport::Logins* logins = nullptr;
+    /// Where Glacier2 routers ask for passwords and sessions (FrontEndServerRouter); empty: none may.
+    std::string router_endpoint = {};
+    /// Of this server, where there are several; letters, digits, '-', '_' and '.'.
+    std::string name = {};
+    /// Session managers of the other servers of this kind, by name, as stringified proxies.
+    std::map<std::string, std::string> neighbours = {};
     /// The entity server in this process, called in the caller's thread. Outlives the communicators and
     /// end(). Null: publishTo() says where.
     EntityTopic* here = nullptr;
@@ -55,6 +62,8 @@ class FrontEndServer {
     void activate();
     /// Joins its own threads: nothing is published any more.
     void end();
+    /// Of the adapter for routers; empty where there is none.
+    std::string routerAddress() const;
     /// "127.0.0.1:10410", with the port that was taken where 0 was asked for.
     std::string address(Lane lane) const;
     FrontEndCore& core();

@@ -16,80 +16,83 @@ using transport::toRange;
 using transport::toView;
 using transport::Traffic;
 using Prx = Axon::FrontEndComm::ClientCallbackPrx;
+using Answered = std::function<void()>;
 using Failed = std::function<void(std::exception_ptr)>;
 using Sent = std::function<void(bool)>;
 using IceHeader = Axon::CommUtil::Header;
 
-IceClientOutbox::IceClientOutbox(std::shared_ptr<Prx> callback, transport::OutboxLimits limits,
+IceClientOutbox::IceClientOutbox(const std::shared_ptr<Prx>& callback, transport::OutboxLimits limits,
                                  std::shared_ptr<transport::PeerConnection> peer)
-    : peer_(std::move(peer)), sender_(std::move(callback), limits, [peer = peer_](const std::string& why) {
-          peer->disconnect({true, why}, false);
-      }) {}
+    : peer_(std::move(peer)),
+      sender_(callback, limits, transport::untilOf(*peer_),
+              [peer = peer_](bool improper, const std::string& why) {
+                  peer->disconnect({improper, why}, false);
+              }) {}
 
 void IceClientOutbox::newBasicPrflMsg(Presence presence, const Registration& registration,
                                       std::string_view profile) {
     sender_.send(Traffic::Control, {}, profile,
                  [its_presence = toIce(presence), its_registration = toIce(registration)](
-                     Prx& prx, const IceHeader&, ByteRange bytes, Failed f, Sent s) {
-                     prx.newBasicPrflMsgAsync(its_presence, its_registration, bytes, nullptr, std::move(f),
-                                              std::move(s));
+                     Prx& prx, const IceHeader&, ByteRange bytes, Answered a, Failed f, Sent s) {
+                     prx.newBasicPrflMsgAsync(its_presence, its_registration, bytes, std::move(a),
+                                              std::move(f), std::move(s));
                  });
 }
 
 void IceClientOutbox::newStatusMsg(const EntityStatus& status) {
-    sender_.send(Traffic::Control, 0, [its_status = toIce(status)](Prx& prx, Failed f, Sent s) {
-        prx.newStatusMsgAsync(its_status, nullptr, std::move(f), std::move(s));
+    sender_.send(Traffic::Control, 0, [its_status = toIce(status)](Prx& prx, Answered a, Failed f, Sent s) {
+        prx.newStatusMsgAsync(its_status, std::move(a), std::move(f), std::move(s));
     });
 }
 
 void IceClientOutbox::newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
                                       std::string_view record) {
-    sender_.send(Traffic::Control, head, record,
-                 [record_id, count](Prx& prx, const IceHeader& h, ByteRange bytes, Failed f, Sent s) {
-                     prx.newSvcRecordMsgAsync(h, record_id, count, bytes, nullptr, std::move(f),
-                                              std::move(s));
-                 });
+    sender_.send(
+        Traffic::Control, head, record,
+        [record_id, count](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+            prx.newSvcRecordMsgAsync(h, record_id, count, bytes, std::move(a), std::move(f), std::move(s));
+        });
 }
 
 void IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message) {
     sender_.send(lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
-                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Failed f, Sent s) {
-                     prx.newEntityMsgAsync(h, bytes, nullptr, std::move(f), std::move(s));
+                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                     prx.newEntityMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
                  });
 }
 
 void IceClientOutbox::newEntityMsgDataSeq(const Header& head, std::string_view data) {
     sender_.send(Traffic::Data, head, data,
-                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Failed f, Sent s) {
-                     prx.newEntityMsgDataSeqAsync(h, bytes, nullptr, std::move(f), std::move(s));
+                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                     prx.newEntityMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
                  });
 }
 
 void IceClientOutbox::newRefusalMsg(const Header& head, const Refusal& refusal) {
     sender_.send(Traffic::Control, head, {},
                  [code = static_cast<int>(refusal.code), reason = refusal.message](
-                     Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
-                     prx.newRefusalMsgAsync(h, code, reason, nullptr, std::move(f), std::move(s));
+                     Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+                     prx.newRefusalMsgAsync(h, code, reason, std::move(a), std::move(f), std::move(s));
                  });
 }
 
 void IceClientOutbox::newStopAccepted(const Header& head, std::int32_t entities) {
     sender_.send(Traffic::Signal, head, {},
-                 [entities](Prx& prx, const IceHeader& h, ByteRange, Failed f, Sent s) {
-                     prx.newStopAcceptedAsync(h, entities, nullptr, std::move(f), std::move(s));
+                 [entities](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+                     prx.newStopAcceptedAsync(h, entities, std::move(a), std::move(f), std::move(s));
                  });
 }
 
 void IceClientOutbox::newUpdateMsg(RefusalCode code, const std::string& text) {
     sender_.send(Traffic::Control, text.size(),
-                 [its_code = static_cast<int>(code), text](Prx& prx, Failed f, Sent s) {
-                     prx.newUpdateMsgAsync(its_code, text, nullptr, std::move(f), std::move(s));
+                 [its_code = static_cast<int>(code), text](Prx& prx, Answered a, Failed f, Sent s) {
+                     prx.newUpdateMsgAsync(its_code, text, std::move(a), std::move(f), std::move(s));
                  });
 }
 
 void IceClientOutbox::newHeartbeat(std::int64_t sequence) {
-    sender_.send(Traffic::Heartbeat, 0, [sequence](Prx& prx, Failed f, Sent s) {
-        prx.newHeartbeatAsync(static_cast<double>(sequence), nullptr, std::move(f), std::move(s));
+    sender_.send(Traffic::Heartbeat, 0, [sequence](Prx& prx, Answered a, Failed f, Sent s) {
+        prx.newHeartbeatAsync(static_cast<double>(sequence), std::move(a), std::move(f), std::move(s));
     });
 }
 
@@ -155,7 +158,7 @@ Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_p
         name_, role_, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer())));
     Axon::FrontEndComm::SessionFacts facts;
     facts.me = toIce(FrontEndCore::me(*client));
-    facts.token = FrontEndCore::token(*client);
+    facts.token = lane_.toPeer(FrontEndCore::token(*client));
     facts.entities = static_cast<int>(FrontEndCore::told(*client));
     const auto milliseconds = [](Duration duration) {
         return static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(duration).count());
@@ -171,7 +174,8 @@ void ClientSessionServant::attachSignalLane(std::string token, std::shared_ptr<P
                                             const Ice::Current& current) {
     auto proxy = session_.newCallback(callback, lane_.lane == Lane::Signal, current);
     session_.adopt(transport::valueOrThrow(lane_.core.attach(
-        token, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer()))));
+        ClientLane::fromPeer(token),
+        std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer()))));
 }
 
 void ClientSessionServant::sendRequest(IceHeader head, ByteRange, const Ice::Current& current) {
@@ -212,10 +216,18 @@ void ClientSessionServant::keepAlive(double, const Ice::Current& current) {
     lane_.core.keepAlive(session_.of(current));
 }
 
-void ClientSessionServant::destroy(const Ice::Current& current) {
+void ClientSessionServant::leave(const Ice::Current& current) {
     session_.peer()->require(current);
     session_.end({Ending::Ended, "it ended its session"});
     session_.peer()->disconnect({false, "it ended its session"}, true);
+}
+
+// A router calls it for any end of its side, so there it means that the client is lost.
+void ClientSessionServant::destroy(const Ice::Current& current) {
+    const auto routed = std::dynamic_pointer_cast<transport::RoutedConnection>(session_.peer());
+    if (!routed) return leave(current);
+    routed->require(current);
+    routed->ended("the router ended its session: the client is gone, or silent");
 }
 
 namespace {
@@ -231,7 +243,7 @@ std::string nameOf(const transport::LoggedIn& who, const std::string& display_na
 
 void ClientGateServant::openAsync(std::string user, std::string password, std::string display_name,
                                   Opened opened, Refused refused, const Ice::Current& current) {
-    const auto peer = std::make_shared<transport::PeerConnection>(current.con);
+    const auto peer = std::make_shared<transport::DirectConnection>(current.con);
     transport::openSession(
         lane_, peer, {std::move(user), std::move(password), {}, {}}, std::move(opened), std::move(refused),
         current,
@@ -241,6 +253,33 @@ void ClientGateServant::openAsync(std::string user, std::string password, std::s
         [](transport::Logins& logins, transport::LoginRequest request, transport::Logins::Answer answer) {
             logins.client(std::move(request), std::move(answer));
         });
+}
+
+transport::RouterDoor doorForRouters(ClientLane& data,
+                                     const std::shared_ptr<Ice::ObjectAdapter>& data_adapter,
+                                     ClientLane& signal,
+                                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter,
+                                     transport::RouterConnections& routers) {
+    auto* const logins = data.logins;
+    transport::RouterDoor door{routers, {}, {}, {}, data.server, {}};
+    door.verify = [logins](transport::LoginRequest request, transport::Logins::Answer answer) {
+        if (logins == nullptr) return answer(transport::LoggedIn{});
+        logins->client(std::move(request), std::move(answer));
+    };
+    door.vouched = [logins](const std::string& user) -> Result<transport::LoggedIn> {
+        if (logins == nullptr) return transport::LoggedIn{};
+        return logins->vouchedClient(user);
+    };
+    door.open = [&data, &signal, data_adapter, signal_adapter](
+                    Lane lane, const transport::LoggedIn& who, const std::string& display_name,
+                    const std::shared_ptr<transport::RoutedConnection>& peer)
+        -> std::shared_ptr<Glacier2::SessionPrx> {
+        auto& its = lane == Lane::Signal ? signal : data;
+        return transport::addSession<Axon::FrontEndComm::ClientSessionPrx>(
+            its, peer, std::make_shared<ClientSessionServant>(its, peer, nameOf(who, display_name), who.role),
+            lane == Lane::Signal ? signal_adapter : data_adapter);
+    };
+    return door;
 }
 
 void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence presence,

@@ -10,6 +10,7 @@
 #include "front_end_server/ports.hpp"
 #include "transport/callback_sender.hpp"
 #include "transport/lane_session.hpp"
+#include "transport/router_servants.hpp"
 
 // The rim of the front-end server: Ice's calls in, FrontEndCore's effects out. No decisions are made here but
 // whether a call came over the right connection.
@@ -18,7 +19,7 @@ namespace axon::front_end_server {
 /// ClientOutbox over a client's callback proxy.
 class IceClientOutbox final : public ClientOutbox {
   public:
-    IceClientOutbox(std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx> callback,
+    IceClientOutbox(const std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx>& callback,
                     transport::OutboxLimits limits, std::shared_ptr<transport::PeerConnection> peer);
     void newBasicPrflMsg(Presence presence, const Registration& registration,
                          std::string_view profile) override;
@@ -99,6 +100,7 @@ class ClientSessionServant final : public Axon::FrontEndComm::ClientSession {
     void sendResetSignal(Axon::CommUtil::Header head, const Ice::Current& current) override;
     void sendClearSignal(Axon::CommUtil::Header head, const Ice::Current& current) override;
     void keepAlive(double sequence, const Ice::Current& current) override;
+    void leave(const Ice::Current& current) override;
     void destroy(const Ice::Current& current) override;
 
   private:
@@ -128,6 +130,14 @@ class ClientGateServant final : public Axon::FrontEndComm::ClientGate {
   private:
     ClientLane& lane_;
 };
+
+/// How clients behind a router come in: makes their sessions, on the lanes' own adapters. All outlive what it
+/// returns.
+transport::RouterDoor doorForRouters(ClientLane& data,
+                                     const std::shared_ptr<Ice::ObjectAdapter>& data_adapter,
+                                     ClientLane& signal,
+                                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter,
+                                     transport::RouterConnections& routers);
 
 /// Listens to the entity servers on one lane (thesis figure 3.14).
 class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndComm {

@@ -53,6 +53,34 @@ class LoginDeskTest : public testing::Test {
     std::optional<LoginDesk> desk;
 };
 
+TEST_F(LoginDeskTest, WhoARouterVouchesForHasTheRoleOfTheFileAtTheRightDoor) {
+    withUsers();
+    EXPECT_EQ(desk->vouchedClient("boss").value().role, Role::Admin);
+    EXPECT_EQ(desk->vouchedClient("boss").value().user, "boss");
+    EXPECT_TRUE(desk->vouchedEntity("left").ok());
+    EXPECT_EQ(desk->vouchedClient("left").refusal().code, RefusalCode::PermissionDenied);
+    EXPECT_EQ(desk->vouchedEntity("boss").refusal().code, RefusalCode::PermissionDenied);
+    EXPECT_THAT(desk->vouchedClient("nobody").refusal().message, HasSubstr("users.cfg"));
+}
+
+TEST_F(LoginDeskTest, BehindARouterWithoutUsersEverybodyIsOperator) {
+    make(std::nullopt);
+    owner = 0;  // of the router's process, not of the client's
+    EXPECT_EQ(desk->vouchedClient("boss").value().role, Role::Operator);
+    EXPECT_EQ(desk->vouchedClient("boss").value().user, "");
+}
+
+TEST_F(LoginDeskTest, ARouterIsAProcessOfTheServersUserOrOfRoot) {
+    withUsers();
+    EXPECT_FALSE(desk->mayVouch("127.0.0.1:1", "127.0.0.1:2")) << "nobody knows whose it is";
+    owner = ::geteuid() + 1;
+    EXPECT_FALSE(desk->mayVouch("127.0.0.1:1", "127.0.0.1:2"));
+    owner = ::geteuid();
+    EXPECT_TRUE(desk->mayVouch("127.0.0.1:1", "127.0.0.1:2"));
+    owner = 0;
+    EXPECT_TRUE(desk->mayVouch("127.0.0.1:1", "127.0.0.1:2"));
+}
+
 TEST_F(LoginDeskTest, TheRoleIsThatOfTheFile) {
     withUsers();
     EXPECT_EQ(client("watcher", "secret1").value().role, Role::Observer);

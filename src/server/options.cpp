@@ -1,12 +1,10 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "server/options.hpp"
 
-#include <Ice/Ice.h>
 #include <CLI/CLI.hpp>
 
 #include <charconv>
 #include <cstdio>
-#include <fstream>
 #include <functional>
 #include <map>
 #include <regex>
@@ -15,6 +13,7 @@
 #include "server/users.hpp"
 #include "server/version.hpp"
 #include "transport/communicator.hpp"
+#include "transport/properties.hpp"
 
 namespace axon::server {
 namespace {
@@ -50,15 +49,7 @@ void addUser(const std::string& file, const std::string& name, const std::string
 }  // namespace
 
 void readConfiguration(const std::string& file, ServerSettings& settings) {
-    if (!std::ifstream(file))
-        throw std::runtime_error(file + ": cannot be read; expected a file of lines KEY=VALUE");
-    const auto properties = Ice::createProperties();
-    try {
-        properties->load(file);
-    } catch (const Ice::Exception& error) {
-        throw std::runtime_error(file + ": not understood (" + error.ice_id() +
-                                 "); expected lines KEY=VALUE");
-    }
+    const auto properties = transport::readProperties(file);
     const auto milliseconds = [](Duration& to, long most) {
         return [&to, most](const std::string& where, const std::string& text) {
             to = std::chrono::milliseconds{number(where, text, 10, most)};
@@ -83,6 +74,16 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         {"EntityServer.Endpoints", endpoint(settings.entity_endpoint)},
         {"EntityServerSignal.Endpoints", endpoint(settings.entity_signal_endpoint)},
         {"EntityServerSignal.PublishedEndpoints", published("EntityServerSignal")},
+        {"FrontEndServerRouter.Endpoints", endpoint(settings.client_router_endpoint)},
+        {"EntityServerRouter.Endpoints", endpoint(settings.entity_router_endpoint)},
+        {"Server.Name",
+         [&](const auto& where, const auto& text) {
+             if (!isUserName(text))
+                 throw std::runtime_error(
+                     where + ": '" + text +
+                     "': expected at most 64 letters, digits, '.', '-' and '_', such as fe1");
+             settings.name = text;
+         }},
         {"FrontEndServer.WatchdogBusyMs", milliseconds(settings.front_end.watchdog_busy, 2000)},
         {"FrontEndServer.WatchdogIdleMs", milliseconds(settings.front_end.watchdog_idle, 600'000)},
         {"FrontEndServer.ClientsMax",
@@ -109,7 +110,12 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
              settings.signal_threads = static_cast<int>(number(where, text, 1, 256));
          }},
     };
-    for (const auto& [key, value] : properties->getPropertiesForPrefix("")) {
+    constexpr std::string_view kPeer = "Server.Peer.";
+    for (const auto& [key, value] : properties) {
+        if (key.rfind(kPeer, 0) == 0 && key.size() > kPeer.size()) {
+            settings.neighbours[key.substr(kPeer.size())] = value;
+            continue;
+        }
         if (key.rfind("Ice.", 0) == 0 || key.rfind("IceSSL.", 0) == 0) {
             settings.ice_properties[key] = value;
             continue;

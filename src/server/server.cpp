@@ -55,8 +55,9 @@ std::optional<Users> usersOf(const ServerSettings& settings) {
     const bool has_users = !settings.users_file.empty();
     bool open = false;
     for (const auto* endpoint : {&settings.client_endpoint, &settings.client_signal_endpoint,
-                                 &settings.entity_endpoint, &settings.entity_signal_endpoint})
-        open = checkEndpoint(*endpoint, has_users) || open;
+                                 &settings.entity_endpoint, &settings.entity_signal_endpoint,
+                                 &settings.client_router_endpoint, &settings.entity_router_endpoint})
+        open = (!endpoint->empty() && checkEndpoint(*endpoint, has_users)) || open;
     if (open) {
         spdlog::warn(
             "other machines can reach this server, and what they send, passwords included, is not encrypted: "
@@ -79,6 +80,14 @@ transport::CommunicatorSettings communicatorSettings(const ServerSettings& setti
     }
     for (const auto& [key, value] : settings.ice_properties) its.properties[key] = value;
     return its;
+}
+
+std::string routerEndpoint(const std::string& endpoint) {
+    return endpoint.empty() ? endpoint : transport::tcpEndpoint(endpoint);
+}
+
+std::string named(const char* name, const std::string& address) {
+    return address.empty() ? address : name + address;
 }
 
 /// What comes from the entities' signal lane are receipts and signs of life, which give way to stops.
@@ -150,10 +159,12 @@ class Server::Parts {
           receipts(transport::makeCommunicator(receiptSettings(settings))),
           entity({settings.entity, transport::tcpEndpoint(settings.entity_endpoint),
                   transport::tcpEndpoint(settings.entity_signal_endpoint), &logins,
+                  routerEndpoint(settings.entity_router_endpoint), settings.name, settings.neighbours,
                   settings.joined_by_proxies ? nullptr : &clients_here},
                  data.communicator(), receipts.communicator(), clock, random, note),
           front_end({settings.front_end, transport::tcpEndpoint(settings.client_endpoint),
                      transport::tcpEndpoint(settings.client_signal_endpoint), &logins,
+                     routerEndpoint(settings.client_router_endpoint), settings.name, settings.neighbours,
                      settings.joined_by_proxies ? nullptr : &entities_here},
                     data.communicator(), signal.communicator(), clock, random, note) {
         clients_here.set(front_end.core());
@@ -198,9 +209,17 @@ std::string Server::entityAddress(Lane lane) const {
     return parts_->entity.address(lane);
 }
 
+std::string Server::clientRouterAddress() const {
+    return parts_->front_end.routerAddress();
+}
+std::string Server::entityRouterAddress() const {
+    return parts_->entity.routerAddress();
+}
+
 std::string Server::readyLine() const {
     return "ready client=" + clientAddress(Lane::Data) + " client-signal=" + clientAddress(Lane::Signal) +
-           " entity=" + entityAddress(Lane::Data) + " entity-signal=" + entityAddress(Lane::Signal);
+           " entity=" + entityAddress(Lane::Data) + " entity-signal=" + entityAddress(Lane::Signal) +
+           named(" client-router=", clientRouterAddress()) + named(" entity-router=", entityRouterAddress());
 }
 
 std::vector<std::string> Server::margins() const {

@@ -16,6 +16,10 @@ struct ServerSettings {
     std::string client_signal_endpoint = "127.0.0.1:10411";
     std::string entity_endpoint = "127.0.0.1:10412";
     std::string entity_signal_endpoint = "127.0.0.1:10413";
+    /// For Glacier2 routers; empty: none.
+    std::string client_router_endpoint, entity_router_endpoint;
+    std::string name;                               ///< of this server, where there are several: fe1, es1
+    std::map<std::string, std::string> neighbours;  ///< their session managers, for routers, by name
     int data_threads = 1;    ///< of each adapter of the data lane
     int signal_threads = 1;  ///< of each adapter of the signal lane
     front_end_server::CoreSettings front_end;
@@ -48,7 +52,11 @@ class Server {
     /// The addresses that were taken, as HOST:PORT.
     std::string clientAddress(Lane lane) const;
     std::string entityAddress(Lane lane) const;
-    /// "ready client=… client-signal=… entity=… entity-signal=…".
+    /// For routers; empty where none are let in.
+    std::string clientRouterAddress() const;
+    std::string entityRouterAddress() const;
+    /// "ready client=… client-signal=… entity=… entity-signal=…", and client-router=… entity-router=… where
+    /// routers are let in.
     std::string readyLine() const;
 
     /// For people: how near each watchdog came to its end in the last minute, and how long stops take.

@@ -208,6 +208,11 @@ std::optional<UserRole> Users::verify(const std::string& name, const std::string
     return user->role;
 }
 
+std::optional<UserRole> Users::roleOf(const std::string& name) const {
+    const auto* user = find(name);
+    return user == nullptr ? std::nullopt : std::optional(user->role);
+}
+
 std::string hashPassword(const std::string& password) {
     if (password.empty() || password.size() > kPasswordMax || password.find('\0') != std::string::npos)
         throw std::runtime_error("expected a password of 1 to 511 bytes without a zero byte");

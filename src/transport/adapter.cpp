@@ -29,12 +29,13 @@ std::shared_ptr<Ice::IPEndpointInfo> publishedOf(const Ice::ObjectAdapter& adapt
 }  // namespace
 
 std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, const std::string& name,
-                                           const std::string& endpoint) {
+                                           const std::string& endpoint, int threads) {
     // Threads of its own, so that no adapter waits for another; in order on each connection.
     const auto properties = communicator.getProperties();
-    const auto threads = properties->getPropertyAsIntWithDefault("Ice.ThreadPool.Server.Size", 1);
+    const bool in_order = threads == 0;
+    if (in_order) threads = properties->getPropertyAsIntWithDefault("Ice.ThreadPool.Server.Size", 1);
     properties->setProperty(name + ".ThreadPool.Size", std::to_string(threads));
-    properties->setProperty(name + ".ThreadPool.Serialize", threads > 1 ? "1" : "0");
+    properties->setProperty(name + ".ThreadPool.Serialize", in_order && threads > 1 ? "1" : "0");
     try {
         return communicator.createObjectAdapterWithEndpoints(name, endpoint);
     } catch (const Ice::SocketException& error) {

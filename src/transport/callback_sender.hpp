@@ -9,39 +9,50 @@
 
 namespace axon::transport {
 
-/// A oneway proxy and the Outbox in front of it: what each callback adapter sends with. Threads: any.
+/// A callback proxy and the Outbox in front of it: what each callback adapter sends with. Oneway, but where
+/// messages are answered (Until). Threads: any.
 template <class Prx>
 class CallbackSender {
   public:
-    CallbackSender(std::shared_ptr<Prx> proxy, OutboxLimits limits, Outbox::Disconnect disconnect)
-        : proxy_(std::move(proxy)), outbox_(std::make_shared<Outbox>(limits, std::move(disconnect))) {}
+    CallbackSender(const std::shared_ptr<Prx>& oneway, OutboxLimits limits, Until until,
+                   Outbox::Disconnect disconnect)
+        : way_{oneway, oneway->ice_twoway()},
+          outbox_(std::make_shared<Outbox>(limits, std::move(disconnect), until)) {}
 
-    /// `call(prx, head, bytes, failed, sent)` makes the asynchronous call. It is copied when the message must
-    /// wait, so it captures by value.
+    /// `call(prx, head, bytes, answered, failed, sent)` makes the asynchronous call. It is copied when the
+    /// message must wait, so it captures by value.
     template <class Call>
     void send(Traffic traffic, const Header& head, std::string_view bytes, Call call) const {
         outbox_->post(
             traffic, kOverhead + stringBytes(head) + bytes.size(),
             [&](SendCallbacks&& back) {
-                call(*proxy_, toIce(head), toRange(bytes), std::move(back.failed), std::move(back.sent));
+                auto& prx = way_.of(back);  // before `answered` is moved from
+                call(prx, toIce(head), toRange(bytes), std::move(back.answered), std::move(back.failed),
+                     std::move(back.sent));
             },
             [&] {
-                return Outbox::Parcel([proxy = proxy_, call, its_head = toIce(head),
+                return Outbox::Parcel([way = way_, call, its_head = toIce(head),
                                        its_bytes = std::string(bytes)](SendCallbacks&& back) {
-                    call(*proxy, its_head, toRange(its_bytes), std::move(back.failed), std::move(back.sent));
+                    auto& prx = way.of(back);
+                    call(prx, its_head, toRange(its_bytes), std::move(back.answered), std::move(back.failed),
+                         std::move(back.sent));
                 });
             });
     }
 
-    /// `call(prx, failed, sent)`, for operations without a header.
+    /// `call(prx, answered, failed, sent)`, for operations without a header.
     template <class Call>
     void send(Traffic traffic, std::size_t bytes, Call call) const {
         outbox_->post(
             traffic, kOverhead + bytes,
-            [&](SendCallbacks&& back) { call(*proxy_, std::move(back.failed), std::move(back.sent)); },
+            [&](SendCallbacks&& back) {
+                auto& prx = way_.of(back);  // before `answered` is moved from
+                call(prx, std::move(back.answered), std::move(back.failed), std::move(back.sent));
+            },
             [&] {
-                return Outbox::Parcel([proxy = proxy_, call](SendCallbacks&& back) {
-                    call(*proxy, std::move(back.failed), std::move(back.sent));
+                return Outbox::Parcel([way = way_, call](SendCallbacks&& back) {
+                    auto& prx = way.of(back);
+                    call(prx, std::move(back.answered), std::move(back.failed), std::move(back.sent));
                 });
             });
     }
@@ -52,7 +63,11 @@ class CallbackSender {
   private:
     static constexpr std::size_t kOverhead = 256;  // Ice's header and ours, about
 
-    const std::shared_ptr<Prx> proxy_;
+    struct Way {
+        std::shared_ptr<Prx> oneway, twoway;
+        Prx& of(const SendCallbacks& back) const { return back.answered ? *twoway : *oneway; }
+    };
+    const Way way_;
     const std::shared_ptr<Outbox> outbox_;
 };
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "transport/communicator.hpp"
 
+#include <Glacier2/Router.h>
 #include <axon/commutil.h>
 #include <pthread.h>
 #include <sched.h>
@@ -27,6 +28,17 @@ void requestRealTime(int priority, std::atomic<bool>& said) {
                 "slower under "
                 "full load (to mend: LimitRTPRIO=30 in the systemd unit, or 'ulimit -r 30')");
     }
+}
+
+/// What a router says of every exception of the servers behind it.
+constexpr const char* kRouterWithoutServer = "internal server error";
+
+Refusal noServerBehind() {
+    return {RefusalCode::Unavailable,
+            "the router answers, but no server behind it does; is axon-server running, with the endpoints "
+            "for routers that "
+            "the router's configuration names (Glacier2.SessionManager, Glacier2.PermissionsVerifier)?",
+            {}};
 }
 
 }  // namespace
@@ -75,6 +87,18 @@ Refusal translate(std::exception_ptr error) {
         std::rethrow_exception(std::move(error));
     } catch (const Axon::CommUtil::RequestRefused& refused) {
         return {static_cast<RefusalCode>(refused.code), refused.reason, {}};
+    } catch (const Glacier2::PermissionDeniedException& denied) {
+        // That of a router whose verifier of passwords does not answer.
+        if (denied.reason == kRouterWithoutServer) return noServerBehind();
+        return {RefusalCode::PermissionDenied,
+                denied.reason.empty() ? "the router does not let this user in; is the password right?"
+                                      : denied.reason,
+                {}};
+    } catch (const Glacier2::CannotCreateSessionException& cannot) {
+        if (cannot.reason == kRouterWithoutServer) return noServerBehind();
+        return {RefusalCode::Unavailable, "the router answers, but gives no session: " + cannot.reason, {}};
+    } catch (const Glacier2::SessionNotExistException&) {
+        return {RefusalCode::NotConnected, "the session has ended; connect again", {}};
     } catch (const Ice::TimeoutException&) {
         return {
             RefusalCode::TimedOut, "the other side did not answer in time; is it overloaded or stopped?", {}};
@@ -85,7 +109,7 @@ Refusal translate(std::exception_ptr error) {
             {}};
     } catch (const Ice::ConnectFailedException&) {
         return {RefusalCode::NotConnected,
-                "nothing listens there; is axon-server running, and is the port right?",
+                "nothing listens there; is it running (axon-server, or the router), and is the port right?",
                 {}};
     } catch (const Ice::DNSException& unknown) {
         return {

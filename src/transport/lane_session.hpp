@@ -17,6 +17,7 @@
 #include "transport/open_sessions.hpp"
 #include "transport/outbox.hpp"
 #include "transport/peer_connection.hpp"
+#include "transport/routed_connection.hpp"
 
 // A session of two lanes, on the server's side: what a client's and an Entity Manager's have in common.
 namespace axon::transport {
@@ -33,12 +34,19 @@ struct SessionLane {
     /// Of the data lane. Null on the signal lane: there the token of a session is the proof, and no stop
     /// waits for a password.
     Logins* logins = nullptr;
+    std::string server = {};  ///< its name, where there are several
 
-    /// Where this peer finds the signal lane.
+    /// Where this peer finds the signal lane; empty behind a router, which knows.
     std::string signalEndpoint(const PeerConnection& peer) const {
+        if (peer.routed()) return {};
         const auto host = signal_host.empty() ? peer.localAddress() : signal_host;
         return host.empty() ? host : "tcp -h " + host + " -p " + std::to_string(signal_port);
     }
+    /// The core's token as the peer gets it: behind a router it leads to this server (router_servants.hpp).
+    std::string toPeer(const std::string& token) const {
+        return server.empty() ? token : server + "/" + token;
+    }
+    static std::string fromPeer(const std::string& token) { return token.substr(token.rfind('/') + 1); }
 };
 
 /// What a servant keeps of its session on one lane. `Ref` is the core's reference to it, `End` says how it
@@ -111,32 +119,42 @@ class LaneSession {
     std::atomic<bool> ready_{false};
 };
 
+/// Puts a session's servant behind a proxy; it ends with its peer (`closed(reason)`).
+template <class SessionPrx, class Core, class Servant>
+std::shared_ptr<SessionPrx> addSession(SessionLane<Core, Servant>& lane,
+                                       const std::shared_ptr<PeerConnection>& peer,
+                                       const std::shared_ptr<Servant>& servant,
+                                       const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+    valueOrThrow(lane.sessions.add(peer->key(), servant));
+    auto proxy = Ice::uncheckedCast<SessionPrx>(adapter->addWithUUID(servant));
+    peer->onClosed([&lane, servant, key = peer->key(), adapter,
+                    id = proxy->ice_getIdentity()](const CloseReason& reason) {
+        lane.sessions.remove(key);
+        servant->closed(reason);
+        try {
+            adapter->remove(id);
+        } catch (const Ice::LocalException&) {  // the adapter is being destroyed, with its servants
+        }
+    });
+    return proxy;
+}
+
 /// How a gate answers open(): when the log-in is decided, the servant that `make(who)` returns is put behind
-/// a session proxy, and ends with its connection (`closed(reason)`). For the data lane `ask(request, answer)`
+/// a session proxy, and ends with its connection. For the data lane `ask(request, answer)`
 /// asks Logins.
 template <class SessionPrx, class Core, class Servant, class Make, class Ask>
-void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<PeerConnection>& peer,
+void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<DirectConnection>& peer,
                  LoginRequest request, std::function<void(const std::shared_ptr<SessionPrx>&)> opened,
                  std::function<void(std::exception_ptr)> refused, const Ice::Current& current, Make make,
                  Ask ask) {
-    request.peer = peer->peer();
-    request.local = peer->local();
+    request.peer = DirectConnection::peerOf(*peer->get());
+    request.local = DirectConnection::localOf(*peer->get());
     Logins::Answer answer = [&lane, peer, adapter = current.adapter, opened = std::move(opened),
                              refused = std::move(refused), make = std::move(make)](Result<LoggedIn> who) {
         try {
             const std::shared_ptr<Servant> servant = make(valueOrThrow(std::move(who)));
-            valueOrThrow(lane.sessions.add(peer->get(), servant));
+            auto proxy = addSession<SessionPrx, Core, Servant>(lane, peer, servant, adapter);
             if (lane.lane == Lane::Signal) prepareSignalLane(*peer->get());
-            auto proxy = Ice::uncheckedCast<SessionPrx>(adapter->addWithUUID(servant));
-            peer->onClosed([&lane, servant, peer, adapter,
-                            id = proxy->ice_getIdentity()](const CloseReason& reason) {
-                lane.sessions.remove(peer->get());
-                servant->closed(reason);
-                try {
-                    adapter->remove(id);
-                } catch (const Ice::LocalException&) {  // the adapter is being destroyed, with its servants
-                }
-            });
             opened(proxy);
         } catch (...) {
             refused(std::current_exception());

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <Ice/Ice.h>
-
 #include <algorithm>
 #include <deque>
 #include <memory>
@@ -14,8 +12,8 @@
 
 namespace axon::transport {
 
-/// The sessions that a gate has opened: one for each connection, and each must be taken into use (`ready()`)
-/// within ten seconds or is disconnected. Threads: any.
+/// The sessions that have been opened: one for each connection (PeerConnection::key()), and each must be
+/// taken into use (`ready()`) within ten seconds or is disconnected. Threads: any.
 template <class Servant>
 class OpenSessions {
   public:
@@ -23,7 +21,7 @@ class OpenSessions {
 
     explicit OpenSessions(const Clock& clock) : clock_(clock) {}
 
-    Result<void> add(const Ice::Connection* connection, const std::shared_ptr<Servant>& servant) {
+    Result<void> add(const void* connection, const std::shared_ptr<Servant>& servant) {
         const std::lock_guard lock(mutex_);
         if (!connections_.insert(connection).second) {
             return Refusal{RefusalCode::Duplicate,
@@ -34,7 +32,7 @@ class OpenSessions {
         return {};
     }
 
-    void remove(const Ice::Connection* connection) {
+    void remove(const void* connection) {
         const std::lock_guard lock(mutex_);
         connections_.erase(connection);
     }
@@ -65,7 +63,7 @@ class OpenSessions {
     };
     const Clock& clock_;
     std::mutex mutex_;
-    std::set<const Ice::Connection*> connections_;  // guarded by mutex_
+    std::set<const void*> connections_;             // guarded by mutex_
     std::deque<Opening> opening_;                   // guarded by mutex_, earliest first
 };
 

@@ -25,6 +25,16 @@ void Outbox::onSent(Traffic traffic, std::size_t bytes) {
     }
 }
 
+void Outbox::fail() {
+    bool was_open = false;
+    {
+        const std::lock_guard lock(mutex_);
+        was_open = !core_.closed();
+        core_.close();
+    }
+    if (was_open && until_ == Until::Answered) disconnect_(false, "what it is sent does not arrive");
+}
+
 void Outbox::close() {
     const std::lock_guard lock(mutex_);
     core_.close();

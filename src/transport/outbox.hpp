@@ -10,10 +10,20 @@
 
 namespace axon::transport {
 
-/// Given to each asynchronous oneway call of Ice: exactly one of the two is called.
+/// Given to each asynchronous call of Ice, which uses a twoway proxy where `answered` is set, a oneway proxy
+/// where `sent` is. `failed` or that one is called, once.
 struct SendCallbacks {
+    std::function<void()> answered;
     std::function<void(std::exception_ptr)> failed;
     std::function<void(bool)> sent;
+};
+
+/// When a message has left an outbox.
+enum class Until : std::uint8_t {
+    Written,  ///< to the socket
+    /// Control and data: answered by the consumer. A router takes whatever it is sent, and its memory has no
+    /// bound but this one. Signals and heartbeats never wait for an answer.
+    Answered
 };
 
 /// Messages on their way to one consumer over one lane. Servants' callback adapters (EntityOutbox,
@@ -22,14 +32,16 @@ struct SendCallbacks {
 /// Flow: post() asks OutboxCore. Usually nothing is in the way, and the message goes to Ice from the caller's
 /// thread without a copy of our own; otherwise an owning copy waits until Ice has written enough. Threads:
 /// any. One mutex, never held across a call of Ice or of `disconnect`. Lifetime: held by shared_ptr; Ice's
-/// callbacks keep it alive. Failure: a failed send closes it. An overflow calls `disconnect(why)`, once.
+/// callbacks keep it alive. Failure: a failed send closes it; where messages are answered it
+/// also calls `disconnect`, because no connection that ends says so. An overflow calls that, once.
 class Outbox : public std::enable_shared_from_this<Outbox> {
   public:
     /// Must not call back into the outbox's owner before it returns: closing a connection is what it is for.
-    using Disconnect = std::function<void(const std::string& why)>;
+    using Disconnect = std::function<void(bool improper, const std::string& why)>;
     using Parcel = std::function<void(SendCallbacks&&)>;
 
-    Outbox(OutboxLimits limits, Disconnect disconnect) : disconnect_(std::move(disconnect)), core_(limits) {}
+    Outbox(OutboxLimits limits, Disconnect disconnect, Until until = Until::Written)
+        : disconnect_(std::move(disconnect)), until_(until), core_(limits) {}
     /// Whoever used it last held the mutex; that its reference was let go of before this one is counted in libIce,
     /// out of ThreadSanitizer's sight.
     ~Outbox() { const std::lock_guard lock(mutex_); }
@@ -47,8 +59,8 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
         if (verdict == Verdict::Send) {
             launch(traffic, bytes, send);
         } else if (verdict == Verdict::Overflow) {
-            disconnect_(traffic == Traffic::Signal ? "it does not take signals"
-                                                   : "it does not read its messages");
+            disconnect_(true, traffic == Traffic::Signal ? "it does not take signals"
+                                                         : "it does not read its messages");
         }
     }
 
@@ -58,17 +70,24 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
   private:
     template <class Send>
     void launch(Traffic traffic, std::size_t bytes, Send& send) {
+        SendCallbacks back;
+        back.failed = [self = shared_from_this()](std::exception_ptr) { self->fail(); };
+        if (until_ == Until::Answered && (traffic == Traffic::Control || traffic == Traffic::Data)) {
+            back.answered = [self = shared_from_this(), traffic, bytes] { self->onSent(traffic, bytes); };
+        } else {
+            back.sent = [self = shared_from_this(), traffic, bytes](bool) { self->onSent(traffic, bytes); };
+        }
         try {
-            send(SendCallbacks{
-                [self = shared_from_this()](std::exception_ptr) { self->close(); },
-                [self = shared_from_this(), traffic, bytes](bool) { self->onSent(traffic, bytes); }});
+            send(std::move(back));
         } catch (const std::exception&) {
-            close();  // the connection or the communicator is gone; its close callback tells the owner
+            fail();  // the connection or the communicator is gone; its close callback tells the owner
         }
     }
     void onSent(Traffic traffic, std::size_t bytes);
+    void fail();
 
     const Disconnect disconnect_;
+    const Until until_;
     mutable std::mutex mutex_;
     OutboxCore<Parcel> core_;  // guarded by mutex_
 };

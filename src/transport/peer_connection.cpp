@@ -39,7 +39,7 @@ std::shared_ptr<Ice::IPConnectionInfo> ipOf(const Ice::Connection& connection) {
 
 }  // namespace
 
-void PeerConnection::onClosed(std::function<void(const CloseReason&)> closed) {
+void DirectConnection::onClosed(std::function<void(const CloseReason&)> closed) {
     connection_->setCloseCallback(
         [closed = std::move(closed), told = told_](const std::shared_ptr<Ice::Connection>& connection) {
             CloseReason reason;
@@ -51,7 +51,7 @@ void PeerConnection::onClosed(std::function<void(const CloseReason&)> closed) {
         });
 }
 
-void PeerConnection::disconnect(CloseReason reason, bool orderly) {
+void DirectConnection::disconnect(CloseReason reason, bool orderly) {
     {
         const std::lock_guard lock(told_->mutex);
         if (!told_->reason) told_->reason = std::make_unique<CloseReason>(std::move(reason));
@@ -59,7 +59,7 @@ void PeerConnection::disconnect(CloseReason reason, bool orderly) {
     connection_->close(orderly ? Ice::ConnectionClose::Gracefully : Ice::ConnectionClose::Forcefully);
 }
 
-void PeerConnection::require(const Ice::Current& current) const {
+void DirectConnection::require(const Ice::Current& current) {
     if (current.con != connection_) {
         throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
     }
@@ -75,17 +75,17 @@ Header PeerConnection::properHead(ice::Header&& head, const Ice::Current& curren
     return its;
 }
 
-std::string PeerConnection::peer() const {
-    const auto ip = ipOf(*connection_);
+std::string DirectConnection::peerOf(const Ice::Connection& connection) {
+    const auto ip = ipOf(connection);
     return ip ? ip->remoteAddress + ":" + std::to_string(ip->remotePort) : "an unknown address";
 }
 
-std::string PeerConnection::local() const {
-    const auto ip = ipOf(*connection_);
+std::string DirectConnection::localOf(const Ice::Connection& connection) {
+    const auto ip = ipOf(connection);
     return ip ? ip->localAddress + ":" + std::to_string(ip->localPort) : std::string();
 }
 
-std::string PeerConnection::localAddress() const {
+std::string DirectConnection::localAddress() const {
     const auto ip = ipOf(*connection_);
     return ip ? ip->localAddress : std::string();
 }

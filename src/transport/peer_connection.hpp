@@ -19,34 +19,53 @@ struct CloseReason {
     std::string text;
 };
 
-/// The connection under one session. A session answers only on the connection that opened it; when the
-/// connection ends, the session does. States: open, closed. Threads: any; disconnect() does not wait.
+/// What carries one session: a session answers only over it, and ends when it does. Two kinds: a connection
+/// of the peer itself, and the way through a router (routed_connection.hpp). States: open, closed. Threads:
+/// any; disconnect() does not wait.
 class PeerConnection {
   public:
-    explicit PeerConnection(std::shared_ptr<Ice::Connection> connection)
-        : connection_(std::move(connection)) {}
+    virtual ~PeerConnection() = default;
 
-    /// `closed` is called once, on a thread of Ice, with no lock held. Replaces the callback of the
-    /// connection, of which there is one: one session for each connection.
-    void onClosed(std::function<void(const CloseReason&)> closed);
-
+    /// `closed` is called once, on a thread of Ice, with no lock held. Replaces the one before.
+    virtual void onClosed(std::function<void(const CloseReason&)> closed) = 0;
     /// Closes: orderly, after the replies that are under way, or at once. Does not wait. The first reason
     /// given is the one that is reported.
-    void disconnect(CloseReason reason, bool orderly);
+    virtual void disconnect(CloseReason reason, bool orderly) = 0;
+    /// Throws Ice::ObjectNotExistException when the call came another way: to others there is no session.
+    virtual void require(const Ice::Current& current) = 0;
+    /// There is a router between: nothing that is written to a socket here has reached the peer.
+    virtual bool routed() const = 0;
+    /// Of which there is one session.
+    virtual const void* key() const = 0;
+    /// "127.0.0.1:50122", for logs.
+    virtual std::string peer() const = 0;
+    /// The address of this side that the peer connected to; empty when not TCP.
+    virtual std::string localAddress() const = 0;
 
-    /// Throws Ice::ObjectNotExistException when the call came over another connection: to others there is no
-    /// session.
-    void require(const Ice::Current& current) const;
     /// The head as the cores take it. A peer whose head is not proper (convert.hpp) is disconnected for its
     /// behaviour, and the call ends with Ice::ObjectNotExistException.
     Header properHead(ice::Header&& head, const Ice::Current& current);
+};
+
+/// A connection of the peer's own: one session for each.
+class DirectConnection final : public PeerConnection {
+  public:
+    explicit DirectConnection(std::shared_ptr<Ice::Connection> connection)
+        : connection_(std::move(connection)) {}
+
+    /// Replaces the callback of the connection, of which there is one.
+    void onClosed(std::function<void(const CloseReason&)> closed) override;
+    void disconnect(CloseReason reason, bool orderly) override;
+    void require(const Ice::Current& current) override;
+    bool routed() const override { return false; }
+    const void* key() const override { return connection_.get(); }
+    std::string peer() const override { return peerOf(*connection_); }
+    std::string localAddress() const override;
+
     const Ice::Connection* get() const { return connection_.get(); }
-    /// "127.0.0.1:50122", for logs.
-    std::string peer() const;
-    /// The address of this side that the peer connected to; empty when not TCP.
-    std::string localAddress() const;
-    /// This side with its port, as peer().
-    std::string local() const;
+    /// The two ends of a connection as "127.0.0.1:50122".
+    static std::string peerOf(const Ice::Connection& connection);
+    static std::string localOf(const Ice::Connection& connection);
 
   private:
     struct Told {

@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <functional>
+#include <future>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -13,6 +14,7 @@
 
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
+#include "transport/routed_session.hpp"
 
 namespace axon::test {
 
@@ -78,6 +80,24 @@ class RawPeer {
     std::shared_ptr<CallbackPrx> openSignal(const std::string& gate, const Open& open,
                                             const std::shared_ptr<Ice::Object>& servant) {
         return openLane(*signal_.communicator(), gate, open, servant, signal_session_);
+    }
+
+    std::shared_ptr<CallbackPrx> openThrough(Lane lane, const std::string& router, const std::string& token,
+                                             const std::shared_ptr<Ice::Object>& servant) {
+        auto& communicator = lane == Lane::Signal ? *signal_.communicator() : *data_.communicator();
+        std::promise<transport::RoutedSession> promise;
+        transport::openRoutedSession(
+            transport::routerProxy(communicator, router), {"client1", "secret1", "client1@lab", token, 5000},
+            [&](transport::RoutedSession session) { promise.set_value(std::move(session)); },
+            [&](const std::exception_ptr& error) { promise.set_exception(error); });
+        const auto routed = promise.get_future().get();
+        const auto adapter = communicator.createObjectAdapter("");
+        auto callback = Ice::uncheckedCast<CallbackPrx>(routed.callback(*adapter, servant));
+        adapter->activate();
+        routed.connection->setAdapter(adapter);
+        (lane == Lane::Signal ? signal_session_ : data_session_) =
+            Ice::uncheckedCast<SessionPrx>(routed.session);
+        return callback;
     }
 
     /// To be called by the destructors of derived classes, whose members the callbacks use.
@@ -226,6 +246,18 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
         if (!with_signal_lane) return;
         const auto signal_callback = openSignal("ClientGate:" + facts.signalEndpoint, open,
                                                 std::make_shared<Callback>(*this, "signal"));
+        signal()->attachSignalLane(facts.token, signal_callback);
+    }
+    /// Behind a router: `first` for the data lane, `second` for the signal lane.
+    struct Routers {
+        std::string first, second;
+    };
+    explicit RawClient(const Routers& routers) {
+        const auto callback =
+            openThrough(Lane::Data, routers.first, {}, std::make_shared<Callback>(*this, "data"));
+        facts = data()->setCallback(callback);
+        const auto signal_callback = openThrough(Lane::Signal, routers.second, facts.token,
+                                                 std::make_shared<Callback>(*this, "signal"));
         signal()->attachSignalLane(facts.token, signal_callback);
     }
     ~RawClient() override {

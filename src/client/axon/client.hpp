@@ -183,8 +183,10 @@ struct Sample {
 };
 
 struct Options {
+    /// HOST:PORT of a front-end server; or a Glacier2 router, as Axon.Clients/router:tcp -h HOST -p PORT.
     std::string server = "127.0.0.1:10410";
     std::string user, password;
+    std::map<std::string, std::string> properties;  ///< of Ice (Ice.*, IceSSL.*), for both connections
     std::string display_name;  ///< empty = user@host
     Seconds timeout{5};        ///< of every request that waits for an answer; never infinite
     bool reconnect = true;
@@ -198,6 +200,11 @@ struct Options {
     /// is not a live operator). Called on the library's heartbeat thread.
     std::function<bool()> keep_running;
 };
+
+/// The options with what a file of lines KEY=VALUE says: Ice.Default.Router or Axon.Server, Axon.User,
+/// Axon.Password, and properties Ice.* and IceSSL.* (docs/reference/routers.md). MALFORMED or
+/// PERMISSION_DENIED with the mend.
+Result<Options> readConfiguration(const std::filesystem::path& file, Options options = {});
 
 class Client;
 

@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "transport/routed_connection.hpp"
+
+#include <IceSSL/IceSSL.h>
+#include <spdlog/spdlog.h>
+
+#include <utility>
+
+namespace axon::transport {
+namespace {
+
+/// The verified certificate of the other end; null where there is none.
+IceSSL::CertificatePtr certificateOf(const Ice::Connection& connection) {
+    for (auto layer = connection.getInfo(); layer; layer = layer->underlying) {
+        const auto tls = std::dynamic_pointer_cast<IceSSL::ConnectionInfo>(layer);
+        if (tls && tls->verified && !tls->certs.empty()) return tls->certs.front();
+    }
+    return nullptr;
+}
+
+bool isLoopback(const std::string& peer) {
+    return peer.rfind("127.", 0) == 0;
+}
+
+}  // namespace
+
+Result<void> RouterConnections::admit(const Ice::Connection& connection) const {
+    const auto peer = DirectConnection::peerOf(connection);
+    std::string why = "no certificate of a router";
+    try {
+        if (const auto certificate = certificateOf(connection)) {
+            const auto name = certificate->getSubjectDN();
+            if (name.match("OU=router") || name.match("OU=server")) return {};
+            why = "its certificate is that of " + std::string(name);
+        } else if (isLoopback(peer)) {
+            if (logins_ == nullptr || logins_->mayVouch(peer, DirectConnection::localOf(connection)))
+                return {};
+            why = "another user's process";
+        }
+    } catch (const Ice::Exception& error) {  // the connection has closed meanwhile
+        why = error.what();
+    }
+    return Refusal{
+        RefusalCode::PermissionDenied,
+        "only a router may ask for this: on this machine a glacier2router of the server's own user, from "
+        "elsewhere one with a certificate of OU=router (" +
+            why + ")",
+        {}};
+}
+
+void RouterConnections::add(const std::shared_ptr<Ice::Connection>& connection,
+                            const std::shared_ptr<RoutedConnection>& session) {
+    bool first = false;
+    {
+        const std::lock_guard lock(mutex_);
+        auto& its = sessions_[connection.get()];
+        first = its.empty();
+        its.emplace(session.get(), session);
+    }
+    if (!first) return;
+    connection->setCloseCallback([this](const std::shared_ptr<Ice::Connection>& it) { closed(it.get()); });
+    // A router closes what is idle for a minute, unless it is configured not to; its sessions would be lost
+    // with it.
+    connection->setACM(Ice::nullopt, Ice::nullopt, Ice::ACMHeartbeat::HeartbeatAlways);
+}
+
+void RouterConnections::remove(const Ice::Connection* connection, const RoutedConnection* session) {
+    const std::lock_guard lock(mutex_);
+    const auto found = sessions_.find(connection);
+    if (found != sessions_.end()) found->second.erase(session);
+}
+
+void RouterConnections::closed(const Ice::Connection* connection) {
+    decltype(sessions_)::mapped_type its;
+    {
+        const std::lock_guard lock(mutex_);
+        const auto found = sessions_.find(connection);
+        if (found == sessions_.end()) return;
+        its = std::move(found->second);
+        sessions_.erase(found);
+    }
+    for (const auto& [key, session] : its) {
+        if (const auto alive = session.lock()) alive->ended("the router is gone");
+    }
+}
+
+void RoutedConnection::onClosed(std::function<void(const CloseReason&)> closed) {
+    const std::lock_guard lock(mutex_);
+    closed_ = std::move(closed);
+}
+
+void RoutedConnection::disconnect(CloseReason reason,
+                                  bool /*orderly: the router has what it is to deliver*/) {
+    {
+        const std::lock_guard lock(mutex_);
+        if (told_ || over_and_out_) return;
+        told_ = std::move(reason);
+    }
+    try {
+        control_->destroyAsync([self = shared_from_this()] { self->ended({}); },
+                               // Also when it knows no such session any more, or does not answer.
+                               [self = shared_from_this()](const std::exception_ptr&) { self->ended({}); });
+    } catch (const Ice::Exception&) {  // this server is shutting down
+    }
+}
+
+void RoutedConnection::ended(const std::string& otherwise) {
+    std::function<void(const CloseReason&)> closed;
+    CloseReason reason{false, otherwise};
+    std::shared_ptr<Ice::Connection> over;
+    {
+        const std::lock_guard lock(mutex_);
+        if (std::exchange(over_and_out_, true)) return;
+        closed = std::exchange(closed_, nullptr);
+        if (told_) reason = *told_;
+        over = over_;
+    }
+    if (over) routers_.remove(over.get(), this);
+    if (closed) closed(reason);
+}
+
+void RoutedConnection::require(const Ice::Current& current) {
+    const auto refuse = [&] {
+        throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
+    };
+    {
+        const std::lock_guard lock(mutex_);
+        if (over_and_out_) refuse();
+        if (over_) {
+            if (over_ != current.con) refuse();
+            return;
+        }
+    }
+    if (!current.con) refuse();
+    if (const auto may = routers_.admit(*current.con); !may) {
+        spdlog::warn("a call to a session behind a router came from {} and was refused: {}",
+                     DirectConnection::peerOf(*current.con), may.refusal().message);
+        refuse();
+    }
+    {
+        const std::lock_guard lock(mutex_);
+        if (over_and_out_ || (over_ && over_ != current.con)) refuse();
+        if (over_) return;
+        over_ = current.con;
+    }
+    routers_.add(current.con, shared_from_this());
+}
+
+Until untilOf(const PeerConnection& peer) {
+    return peer.routed() ? Until::Answered : Until::Written;
+}
+
+}  // namespace axon::transport

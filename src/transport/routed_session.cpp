@@ -1,0 +1,164 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "transport/routed_session.hpp"
+
+#include <Glacier2/Router.h>
+
+#include <atomic>
+#include <mutex>
+#include <stdexcept>
+#include <utility>
+
+#include "transport/router_servants.hpp"
+
+namespace axon::transport {
+namespace {
+
+/// The steps after the session stands, asked for all at once.
+class Opening : public std::enable_shared_from_this<Opening> {
+  public:
+    Opening(std::shared_ptr<Glacier2::RouterPrx> router, int timeout_ms,
+            std::function<void(RoutedSession)> opened, std::function<void(std::exception_ptr)> failed)
+        : router_(std::move(router)),
+          timeout_ms_(timeout_ms),
+          opened_(std::move(opened)),
+          failed_(std::move(failed)) {}
+
+    void begin(const RoutedLogin& login) {
+        Ice::Context context;
+        if (!login.display_name.empty()) context[kContextName] = login.display_name;
+        if (!login.token.empty()) context[kContextToken] = login.token;
+        attempt([&] {
+            router_->createSessionAsync(
+                login.user, login.password,
+                [self = shared_from_this()](const std::shared_ptr<Glacier2::SessionPrx>& session) {
+                    self->attempt([&] { self->prepare(session); });
+                },
+                [self = shared_from_this()](const std::exception_ptr& error) {
+                    self->fail(ofSession(error));
+                },
+                nullptr, context);
+        });
+    }
+
+  private:
+    static constexpr int kSteps = 4;
+
+    /// A router closes the connection of who calls something else than a router on it.
+    static std::exception_ptr ofSession(const std::exception_ptr& error) {
+        try {
+            std::rethrow_exception(error);
+        } catch (const Ice::ConnectionLostException&) {
+            return std::make_exception_ptr(Glacier2::CannotCreateSessionException(
+                "it closed the connection; is its name right (Ice.Default.Router here, Glacier2.InstanceName "
+                "there), or "
+                "is it going down?"));
+        } catch (...) {
+            return error;
+        }
+    }
+
+    void prepare(const std::shared_ptr<Glacier2::SessionPrx>& session) {
+        result_.connection = router_->ice_getCachedConnection();
+        if (!session || !result_.connection) throw Ice::ConnectionLostException(__FILE__, __LINE__);
+        result_.session =
+            result_.connection->createProxy(session->ice_getIdentity())->ice_invocationTimeout(timeout_ms_);
+        const auto self = shared_from_this();
+        router_->getCategoryForClientAsync(
+            [self](std::string category) {
+                self->result_.category = std::move(category);
+                self->step();
+            },
+            failure());
+        router_->getServerProxyAsync(
+            [self](std::shared_ptr<Ice::ObjectPrx> proxy) {
+                self->result_.way_back = std::move(proxy);
+                self->step();
+            },
+            failure());
+        router_->addProxiesAsync(
+            {session}, [self](const Ice::ObjectProxySeq&) { self->step(); }, failure());
+        router_->getACMTimeoutAsync(
+            [self](int seconds) {
+                if (seconds > 0)
+                    self->result_.connection->setACM(seconds, Ice::nullopt,
+                                                     Ice::ACMHeartbeat::HeartbeatAlways);
+                self->step();
+            },
+            failure());
+    }
+
+    void step() {
+        if (--left_ > 0) return;
+        if (!result_.way_back) {
+            return fail(std::make_exception_ptr(Glacier2::CannotCreateSessionException(
+                "the router has no way back: set Glacier2.Server.Endpoints in its configuration")));
+        }
+        if (!over_.exchange(true)) opened_(std::move(result_));
+    }
+
+    void fail(const std::exception_ptr& error) {
+        if (over_.exchange(true)) return;
+        if (const auto connection = router_->ice_getCachedConnection())
+            connection->close(Ice::ConnectionClose::Forcefully);
+        failed_(error);
+    }
+    std::function<void(std::exception_ptr)> failure() {
+        return [self = shared_from_this()](const std::exception_ptr& error) { self->fail(error); };
+    }
+    template <class What>
+    void attempt(What&& what) {
+        try {
+            what();
+        } catch (const std::exception&) {
+            fail(std::current_exception());
+        }
+    }
+
+    const std::shared_ptr<Glacier2::RouterPrx> router_;
+    const int timeout_ms_;
+    const std::function<void(RoutedSession)> opened_;
+    const std::function<void(std::exception_ptr)> failed_;
+    RoutedSession result_;  // each step writes a member of its own; read when all are done
+    std::atomic<int> left_{kSteps};
+    std::atomic<bool> over_{false};
+};
+
+}  // namespace
+
+std::shared_ptr<Ice::ObjectPrx> RoutedSession::callback(Ice::ObjectAdapter& adapter,
+                                                        const std::shared_ptr<Ice::Object>& servant) const {
+    const Ice::Identity identity{Ice::generateUUID(), category};
+    adapter.add(servant, identity);
+    return way_back->ice_identity(identity);
+}
+
+void openRoutedSession(const std::shared_ptr<Ice::ObjectPrx>& router, const RoutedLogin& login,
+                       std::function<void(RoutedSession)> opened,
+                       std::function<void(std::exception_ptr)> failed) {
+    // A connection identifier of its own: a router has one session for each connection.
+    const auto its = Ice::uncheckedCast<Glacier2::RouterPrx>(
+        router->ice_connectionId(Ice::generateUUID())->ice_invocationTimeout(login.timeout_ms));
+    std::make_shared<Opening>(its, login.timeout_ms, std::move(opened), std::move(failed))->begin(login);
+}
+
+bool isRouter(const std::string& server) {
+    return server.find('/') != std::string::npos;
+}
+
+std::shared_ptr<Ice::ObjectPrx> routerProxy(const Ice::Communicator& communicator, const std::string& text) {
+    std::shared_ptr<Ice::ObjectPrx> proxy;
+    std::string why;
+    try {
+        proxy = communicator.stringToProxy(text);
+    } catch (const Ice::Exception& error) {
+        why = error.ice_id();
+    }
+    if (!proxy || proxy->ice_getEndpoints().empty()) {
+        throw std::invalid_argument("'" + text + "'" + (why.empty() ? why : " (" + why + ")") +
+                                    ": expected the proxy of a router, such as "
+                                    "Axon.Clients/router:tcp -h 127.0.0.1 -p 10414 (Ice.Default.Router)");
+    }
+    return proxy;
+}
+
+}  // namespace axon::transport

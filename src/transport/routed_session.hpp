@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+#include <exception>
+#include <functional>
+#include <memory>
+#include <string>
+
+namespace axon::transport {
+
+/// One lane's session with a server behind a Glacier2 router, as the one who asked for it has it. It lives
+/// and dies with the connection to the router, which nothing else uses.
+struct RoutedSession {
+    std::shared_ptr<Ice::Connection> connection;
+    std::shared_ptr<Ice::ObjectPrx> session;   ///< twoway, over that connection
+    std::shared_ptr<Ice::ObjectPrx> way_back;  ///< the router's endpoint for the server's calls
+    std::string category;                      ///< of the objects that may be called through it
+
+    /// Puts a callback's servant into the adapter, which has no endpoints; the proxy is for the server.
+    std::shared_ptr<Ice::ObjectPrx> callback(Ice::ObjectAdapter& adapter,
+                                             const std::shared_ptr<Ice::Object>& servant) const;
+};
+
+struct RoutedLogin {
+    std::string user, password;
+    std::string display_name;  ///< of a client; empty for an Entity Manager
+    std::string token;         ///< of the other lane's session; empty for the first
+    int timeout_ms = 5000;     ///< of each call
+};
+
+/// Asks a router for a session. Exactly one of the two is called, on a thread of the communicator's client
+/// pool, or of the caller. What was opened before a failure is closed. translate() makes a refusal of it.
+///
+/// Afterwards the connection sends the signs of life that the router wants, without which it ends the
+/// session.
+void openRoutedSession(const std::shared_ptr<Ice::ObjectPrx>& router, const RoutedLogin& login,
+                       std::function<void(RoutedSession)> opened,
+                       std::function<void(std::exception_ptr)> failed);
+
+/// "Axon.Clients/router:tcp -h 127.0.0.1 -p 10414" and not "127.0.0.1:10410".
+bool isRouter(const std::string& server);
+
+/// Its proxy. Throws std::invalid_argument with the mend for a text that is none.
+std::shared_ptr<Ice::ObjectPrx> routerProxy(const Ice::Communicator& communicator, const std::string& text);
+
+}  // namespace axon::transport

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Glacier2/PermissionsVerifier.h>
+#include <Glacier2/Session.h>
+#include <Ice/Ice.h>
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "common/routed.hpp"
+#include "transport/login.hpp"
+#include "transport/routed_connection.hpp"
+
+// What a Glacier2 router asks a server: who may come in, and for a session (thesis: SessionManager). The
+// front-end server and the entity server have the same two servants, each on an adapter for routers alone,
+// whose threads wait for passwords and for neighbours.
+namespace axon::transport {
+
+/// Request context of Glacier2::Router::createSession, which the router passes on. What it adds itself
+/// (_con.…) a client can put there too, so nothing is believed.
+inline constexpr const char* kContextName = "axon-name";  ///< what a client calls itself: client1@host
+inline constexpr const char* kContextToken =
+    "axon-token";  ///< this session is the signal lane of the one with it
+
+/// The identities a router's configuration names.
+inline constexpr const char* kSessionManager = "SessionManager";
+inline constexpr const char* kPermissionsVerifier = "PermissionsVerifier";
+
+/// What the two servants know of their server; outlives them.
+struct RouterDoor {
+    RouterConnections& routers;
+    std::function<void(LoginRequest, Logins::Answer)> verify;
+    std::function<Result<LoggedIn>(const std::string& user)> vouched;
+    /// Makes the session; may throw RequestRefused.
+    std::function<std::shared_ptr<Glacier2::SessionPrx>(
+        Lane, const LoggedIn&, const std::string& display_name, const std::shared_ptr<RoutedConnection>&)>
+        open;
+    std::string server;  ///< its name; a token begins with that of the server that gave it
+    /// The session managers of the other servers of this kind, by name.
+    std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> neighbours;
+};
+
+class PermissionsVerifierServant final : public Glacier2::PermissionsVerifier {
+  public:
+    explicit PermissionsVerifierServant(RouterDoor& door) : door_(door) {}
+    bool checkPermissions(std::string user, std::string password, std::string& reason,
+                          const Ice::Current& current) const override;
+
+  private:
+    RouterDoor& door_;
+};
+
+class SessionManagerServant final : public Glacier2::SessionManager {
+  public:
+    explicit SessionManagerServant(RouterDoor& door) : door_(door) {}
+    /// Both sessions of a peer must be at one server: asked for one with another server's token, it passes
+    /// the request on to that one.
+    std::shared_ptr<Glacier2::SessionPrx> create(std::string user,
+                                                 std::shared_ptr<Glacier2::SessionControlPrx> control,
+                                                 const Ice::Current& current) override;
+
+  private:
+    RouterDoor& door_;
+};
+
+/// The adapter for routers, with both servants; not active yet. Throws std::runtime_error where it cannot
+/// listen.
+std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communicator, const std::string& name,
+                                                     const std::string& endpoint, RouterDoor& door);
+
+/// By name, of the stringified proxies of a configuration. Throws std::runtime_error with the mend.
+std::map<std::string, std::shared_ptr<Glacier2::SessionManagerPrx>> neighboursOf(
+    const Ice::Communicator& communicator, const std::map<std::string, std::string>& proxies);
+
+}  // namespace axon::transport

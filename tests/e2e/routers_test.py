@@ -1,0 +1,286 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Clients and Entity Managers that know nothing but a Glacier2 router: what they can do, and what is true when one dies.
+
+    python3 tests/e2e/routers_test.py --bin build/dev/bin [unittest options]
+
+Real processes: axon-server, two glacier2router, the Entity Manager of hello-entity, the axon command.
+"""
+import os
+import pathlib
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import unittest
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT / "tools"))
+from laboratory import Laboratory, addresses, wait_until  # noqa: E402
+
+BIN = ROOT / "build" / "dev" / "bin"
+ROUTER = shutil.which("glacier2router")
+WATCHDOG_S = 0.25
+STOPPED_WITHIN_S = WATCHDOG_S + 0.1
+USABLE_WITHIN_S = 5
+
+
+def free_ports(count):
+    """Ports that nobody had a moment ago, for what must come back at its place."""
+    sockets = [socket.socket() for _ in range(count)]
+    for one in sockets:
+        one.bind(("127.0.0.1", 0))
+    ports = [one.getsockname()[1] for one in sockets]
+    for one in sockets:
+        one.close()
+    return ports
+
+
+class RoutersTest(unittest.TestCase):
+    serial = 0
+
+    def setUp(self):
+        RoutersTest.serial += 1
+        low = 6000 + (os.getpid() * 7 + RoutersTest.serial * 13) % 1900
+        self.lab = Laboratory(BIN, application="Greeter", ports=f"{low}-{low + 5}")
+        self.addCleanup(self.tidy)
+        self.ports = dict(zip(("client", "client-signal", "entity", "entity-signal", "client-router", "entity-router",
+                               "clients", "clients-back", "entities", "entities-back"), free_ports(10)))
+        self.write("users.cfg", "")
+        (self.lab.folder / "users.cfg").unlink()
+        for name, role in (("client1", "operator"), ("client2", "admin"), ("hello", "entity")):
+            subprocess.run([BIN / "axon-server", "--users", self.lab.folder / "users.cfg", "--add-user", name,
+                            "--role", role], input=f"word of {name}\n", text=True, check=True, capture_output=True)
+        at = {name: f"127.0.0.1:{port}" for name, port in self.ports.items()}
+        self.write("server.cfg", f"""
+FrontEndServer.Endpoints={at["client"]}
+FrontEndServerSignal.Endpoints={at["client-signal"]}
+FrontEndServerRouter.Endpoints={at["client-router"]}
+EntityServer.Endpoints={at["entity"]}
+EntityServerSignal.Endpoints={at["entity-signal"]}
+EntityServerRouter.Endpoints={at["entity-router"]}
+Server.Users={self.lab.folder}/users.cfg
+""")
+        example = (ROOT / "deploy/config/clientrouter.cfg").read_text()
+        for name, instance, front, back, server in (
+                ("clientrouter.cfg", "Axon.Clients", "clients", "clients-back", "client-router"),
+                ("entityrouter.cfg", "Axon.Entities", "entities", "entities-back", "entity-router")):
+            text = example.replace("Axon.Clients", instance)
+            for usual, port in (("10414", front), ("10415", back), ("10416", server)):
+                text = text.replace(f"-p {usual}", f"-p {self.ports[port]}")
+            self.write(name, text + "Ice.PrintAdapterReady=1\n")
+        self.write("client.cfg", f"""
+Ice.Default.Router=Axon.Clients/router:tcp -h 127.0.0.1 -p {self.ports["clients"]}
+Axon.User=client2
+Axon.Password=word of client2
+""")
+        self.write("entitygl2client.cfg", f"""
+Ice.Default.Router=Axon.Entities/router:tcp -h 127.0.0.1 -p {self.ports["entities"]}
+Axon.User=hello
+Axon.Password=word of hello
+Axon.Application=Greeter
+Axon.Ports={self.lab.ports}
+""")
+        self.write("ports.cfg", f"Axon.Ports = {self.lab.ports}\n")
+        self.lab.env["AXON_CONFIG"] = str(self.lab.folder / "client.cfg")
+
+    def write(self, name, text):
+        file = self.lab.folder / name
+        file.write_text(text)
+        file.chmod(0o600)
+
+    def tidy(self):
+        for process in self.lab.processes:
+            if process.child.poll() is None:
+                process.child.send_signal(signal.SIGCONT)
+        self.lab.end()
+        result = self._outcome.result
+        if any(test is self for test, _ in result.failures + result.errors):
+            print(f"logs of {self.id()}: {self.lab.folder}", file=sys.stderr)
+        else:
+            shutil.rmtree(self.lab.folder, ignore_errors=True)
+
+    def start_server(self):
+        self.server = self.lab.start(f"server-{len(self.lab.processes)}", "axon-server", "--config",
+                                     self.lab.folder / "server.cfg")
+        ready = addresses(self.server.wait_for("ready "))
+        self.assertEqual(ready["client-router"], f"127.0.0.1:{self.ports['client-router']}")
+        return self.server
+
+    def start_router(self, name):
+        router = self.lab.start(f"{name}-{len(self.lab.processes)}", ROUTER,
+                                f"--Ice.Config={self.lab.folder / name}.cfg")
+        router.wait_for("Glacier2.Client ready")
+        return router
+
+    def start_all(self):
+        self.start_server()
+        self.client_router = self.start_router("clientrouter")
+        self.entity_router = self.start_router("entityrouter")
+        self.app = self.lab.start("hello", "hello-entity", ROOT / "examples/01_hello_entity",
+                                  self.lab.folder / "ports.cfg")
+        self.manager = self.lab.start("em", "axon-entity-manager", "--config", self.lab.folder / "entitygl2client.cfg")
+        self.lab.wait_for_entity("Greeter")
+
+    def start_waiting(self):
+        """A client process of its own whose task runs for a minute."""
+        client = self.lab.axon_in_background("wait", "run", "Greeter", "Wait", "Seconds=60")
+        wait_until(lambda: "RUNNING" in client.text(), "the task runs")
+        self.lab.wait_for_entity("Greeter", state="BUSY")  # by then the beats are fast
+        return client
+
+    def stops(self):
+        return [line for line in self.app.text().splitlines() if line]
+
+    def seconds_until_stopped(self, before, since):
+        wait_until(lambda: len(self.stops()) > before, "the application is stopped", 12)
+        return time.monotonic() - since
+
+    def assert_usable(self, since=None):
+        """A short task runs; within five seconds of `since`."""
+        def ran():
+            self.lab.axon("rearm", "Greeter")
+            status, lines, errors = self.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=1")
+            self.said = f"{status} {lines[-1:]} {errors}"
+            return status == 0
+        wait_until(ran, "a task runs again", 20)
+        if since is not None:
+            self.assertLess(time.monotonic() - since, USABLE_WITHIN_S, self.said)
+
+    def assert_latched(self):
+        wait_until(lambda: [e for e in self.lab.entities() if e["latched"]], "the entity is latched")
+
+    # -- the ordinary life --------------------------------------------------------------------------------------
+
+    def test_list_check_out_run_stop_and_release_through_two_routers(self):
+        self.start_all()
+        status, lines, errors = self.lab.axon("checkout", "Greeter")
+        self.assertEqual(status, 0, errors)
+        status, lines, errors = self.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=2")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        self.assertIn("Hello, you!", str(lines))
+        self.start_waiting_kept()
+        status, lines, errors = self.lab.axon("stop", "Greeter")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        self.assertIn("callback_returned", str(lines))
+        self.assert_latched()
+        self.assert_usable()
+        held = self.lab.entities()[0]["holder"]
+        self.assertIn("client2", str(held), "the name is the one that logged in")
+        status, _, errors = self.lab.axon("release", "Greeter")
+        self.assertEqual(status, 0, errors)
+        self.lab.wait_for_entity("Greeter", state="IDLE")
+
+    def start_waiting_kept(self):
+        task = self.lab.axon_in_background("kept", "run", "Greeter", "Wait", "Seconds=60")
+        wait_until(lambda: "RUNNING" in task.text(), "the task runs")
+
+    # -- who is not let in --------------------------------------------------------------------------------------
+
+    def test_who_is_not_let_in_is_told_what_to_do(self):
+        self.start_server()
+        status, _, errors = self.lab.axon("ls")
+        self.assertEqual(status, 3, errors)
+        router = self.start_router("clientrouter")
+
+        env = dict(self.lab.env, AXON_USER="client1", AXON_PASSWORD="wrong")
+        status, lines, errors = self.lab.axon("ls", env=env)
+        self.assertEqual(status, 1, errors)
+        self.assertIn("PERMISSION_DENIED", str(lines) + errors)
+        self.assertIn("wrong user or password", str(lines) + errors)
+        wait_until(lambda: "failed log-in of 'client1'" in self.server.text(), "the server's log has it")
+        env = dict(self.lab.env, AXON_USER="hello", AXON_PASSWORD="word of hello")
+        status, lines, errors = self.lab.axon("ls", env=env)
+        self.assertIn("role entity", str(lines) + errors)
+
+        other = (self.lab.folder / "client.cfg").read_text().replace("Axon.Clients", "Axon.Strangers")
+        self.write("other.cfg", other)
+        status, lines, errors = self.lab.axon("--config", str(self.lab.folder / "other.cfg"), "ls")
+        self.assertEqual(status, 3, errors)
+        self.assertIn("Glacier2.InstanceName", str(lines) + errors)
+
+        self.server.end()
+        status, lines, errors = self.lab.axon("ls")
+        self.assertEqual(status, 3, errors)
+        self.assertIn("no server behind it", str(lines) + errors)
+        router.end()
+        status, lines, errors = self.lab.axon("ls")
+        self.assertEqual(status, 3, errors)
+        self.assertIn("nothing listens there", str(lines) + errors)
+
+        self.write("two.cfg", other + "Axon.Server=127.0.0.1:1\n")
+        status, lines, errors = self.lab.axon("--config", str(self.lab.folder / "two.cfg"), "ls")
+        self.assertEqual(status, 2, errors)
+        self.assertIn("one of them", errors)
+
+    # -- what dies in the middle --------------------------------------------------------------------------------
+
+    def test_a_killed_client_and_a_frozen_one_are_lost_within_the_watchdog(self):
+        self.start_all()
+        for how in (signal.SIGKILL, signal.SIGSTOP):
+            client = self.start_waiting()
+            before = len(self.stops())
+            since = time.monotonic()
+            os.kill(client.child.pid, how)
+            took = self.seconds_until_stopped(before, since)
+            print(f"\n{how.name}: the application's stop callback after {took * 1000:.0f} ms", file=sys.stderr)
+            self.assertLess(took, STOPPED_WITHIN_S)
+            self.assertIn("client is lost", self.stops()[-1])
+            self.assert_latched()
+            client.kill()
+            self.lab.wait_for_entity("Greeter", state="IDLE")
+            self.assert_usable()
+
+    def test_a_killed_client_router_stops_what_runs_and_the_agent_comes_back_through_its_successor(self):
+        self.start_all()
+        status, _, errors = self.lab.axon("checkout", "Greeter")
+        self.assertEqual(status, 0, errors)
+        self.start_waiting_kept()
+        before, since = len(self.stops()), time.monotonic()
+        self.client_router.kill()
+        took = self.seconds_until_stopped(before, since)
+        print(f"\nclient router killed: stopped after {took * 1000:.0f} ms", file=sys.stderr)
+        self.assertLess(took, STOPPED_WITHIN_S)
+        self.start_router("clientrouter")
+        self.assert_usable(time.monotonic())
+
+    def test_a_killed_entity_router_stops_what_runs_and_the_manager_comes_back_through_its_successor(self):
+        self.start_all()
+        client = self.start_waiting()
+        before, since = len(self.stops()), time.monotonic()
+        self.entity_router.kill()
+        took = self.seconds_until_stopped(before, since)
+        print(f"\nentity router killed: stopped after {took * 1000:.0f} ms", file=sys.stderr)
+        self.assertLess(took, STOPPED_WITHIN_S)
+        client.child.wait(20)
+        self.start_router("entityrouter")
+        self.assert_usable(time.monotonic())
+
+    def test_a_killed_server_is_noticed_behind_the_routers_and_its_successor_is_used(self):
+        self.start_all()
+        self.lab.axon("checkout", "Greeter")  # an agent, which nobody touches
+        self.start_waiting_kept()
+        before, since = len(self.stops()), time.monotonic()
+        self.server.kill()
+        took = self.seconds_until_stopped(before, since)
+        print(f"\nserver killed: stopped after {took * 1000:.0f} ms", file=sys.stderr)
+        self.assertLess(took, STOPPED_WITHIN_S)
+        self.start_server()
+        self.assert_usable(time.monotonic())
+
+    def test_an_idle_client_and_manager_notice_a_server_that_was_restarted(self):
+        self.start_all()
+        self.lab.axon("checkout", "Greeter")
+        self.server.kill()
+        self.start_server()
+        self.assert_usable(time.monotonic())
+
+
+if __name__ == "__main__":
+    if "--bin" in sys.argv:
+        place = sys.argv.index("--bin")
+        BIN = pathlib.Path(sys.argv[place + 1]).resolve()
+        del sys.argv[place:place + 2]
+    unittest.main(verbosity=2)
