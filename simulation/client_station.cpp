@@ -45,6 +45,7 @@ void ClientStation::start() {
 }
 
 void ClientStation::kill() {
+    if (on_kill) on_kill();
     if (life_ && life_->up) observer_.sessionEnded(life_->me.id);
     process_.die();
     life_.reset();
@@ -74,12 +75,18 @@ void ClientStation::onBeat() {
     settle();
 }
 
+void ClientStation::readSlowly(Duration each) {
+    reading_ = each;
+    if (life_ && life_->data != nullptr) life_->data->readSlowly(process_, each);
+}
+
 // -- the session
 
 void ClientStation::establish() {
     const auto attempt = ++attempts_;
     life_->listening = attempt;
     auto& data = network_.connect(path_, process_, server_.process());
+    data.readSlowly(process_, reading_);
     life_->data = &data;
     life_->signal = nullptr;
     life_->session = nullptr;
@@ -181,6 +188,21 @@ void ClientStation::newHeartbeat(std::uint64_t attempt) {
 
 void ClientStation::onLost(const client::Held&, const Refusal& why) {
     timeline_.tell(process_.name(), [&] { return "loses a lease: " + why.message; });
+}
+
+void ClientStation::onOrphaned(const client::Held& held) {
+    timeline_.tell(process_.name(),
+                   [&] { return "keeps the key of lease " + std::to_string(held.lease.number); });
+}
+void ClientStation::onResumed(const client::Held& held) {
+    timeline_.tell(process_.name(),
+                   [&] { return "has lease " + std::to_string(held.lease.number) + " again"; });
+}
+void ClientStation::onHandOver(const client::Held& held, const client::HandOverRequest& request) {
+    timeline_.tell(process_.name(), [&] {
+        return request.withdrawn ? "is asked no longer" : "is asked by " + request.by + " to hand over";
+    });
+    if (!request.withdrawn && on_hand_over) on_hand_over(held);
 }
 
 // -- to the server

@@ -35,9 +35,12 @@ class ClientStation final : public client::ServerLink,
     /// After calls of core() and desk(): their deadlines.
     void settle();
     bool connected() const { return life_ && life_->up; }
+    /// From now on it takes so long to read a message on the data lane; zero = no time.
+    void readSlowly(Duration each);
 
-    /// Called at each start, as this process.
-    std::function<void()> on_start;
+    /// Called at each start, as this process; and before it is killed, for what it has on its disk by then.
+    std::function<void()> on_start, on_kill;
+    std::function<void(const client::Held&)> on_hand_over;
     std::function<void(const client::TaskReport&)> on_task;
 
     // From the server, as this process.
@@ -74,6 +77,9 @@ class ClientStation final : public client::ServerLink,
     void onRaw(const client::Held&, const std::string&) override {}
     void onService(const client::Held&, const client::Service&) override {}
     void onLost(const client::Held& held, const Refusal& why) override;
+    void onOrphaned(const client::Held& held) override;
+    void onResumed(const client::Held& held) override;
+    void onHandOver(const client::Held& held, const client::HandOverRequest& request) override;
     void onSample(const client::Sample&) override {}
     void onTransferCredit(const Id128&, std::uint64_t, std::uint64_t) override {}
     void onServerText(int, const std::string&) override {}
@@ -115,6 +121,7 @@ class ClientStation final : public client::ServerLink,
     SeededRandom random_;
     Alarm alarm_, beat_;
     std::uint64_t attempts_ = 0;
+    Duration reading_{};  ///< of each message on the data lane
     std::unique_ptr<Life> life_;
 };
 

@@ -216,6 +216,10 @@ void EntityManagerStation::stopSignal(std::uint64_t attempt, const Header& head,
                         [this, attempt, head, cause] { stopSignal(attempt, head, cause, true); });
     }
     // As EntityManager::stopSignal does it.
+    if (cause == StopCause::ClientLost && life.gate.sparesClientLoss()) {
+        newClientUpdate(attempt, head, ClientChange::Lost);
+        return;
+    }
     const bool drill = cause == StopCause::Drill;
     if (drill && life.inbox.signalsFull()) return;
     const auto generation = life.gate.raise(head.sender.id, head.sequence);

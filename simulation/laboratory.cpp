@@ -3,8 +3,10 @@
 
 namespace axon::simulation {
 
+using namespace std::chrono_literals;
+
 const char* const kServicesProfile = R"(<?xml version="1.0" encoding="UTF-8"?>
-<ServiceProfile count="3">
+<ServiceProfile count="5">
   <Service name="Driving" type="SMPL" blocking="true" pausable="true" parameter_count="1">
     <Parameters>
       <Param name="Speed" type="CONFIG" data_type="INT" value="200" savable="true"/>
@@ -12,8 +14,14 @@ const char* const kServicesProfile = R"(<?xml version="1.0" encoding="UTF-8"?>
   </Service>
   <Service name="Turning" type="SMPL" blocking="true" pausable="false"/>
   <Service name="Light" type="SMPL" blocking="false"/>
+  <Service name="Lift" type="SMPL" blocking="true" pausable="true" on_client_loss="hold"/>
+  <Service name="Dock" type="SMPL" blocking="true" on_client_loss="finish" max_duration="2"/>
 </ServiceProfile>
 )";
+
+Duration aloneFor(std::string_view service) {
+    return service == "Lift" ? 1s : service == "Dock" ? 2s : Duration{};
+}
 
 std::string basicProfile(const std::string& name) {
     return R"(<?xml version="1.0" encoding="UTF-8"?>

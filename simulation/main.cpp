@@ -21,7 +21,7 @@ using namespace axon::simulation;
 constexpr const char* kUsage =
     R"(axon-simulate: the product's own cores on virtual time and a simulated network
   --seeds A..B     these seeds, both included (default 1..1000)
-  --faults PROFILE none, delay, loss, duplication, reorder, partition, crash, pause, drift, all (default: all);
+  --faults PROFILE none, delay, loss, duplication, reorder, partition, crash, pause, slow, drift, all (default: all);
                    "each" takes them in turn, seed by seed
   --story SEED     play this one seed and tell what happens in it
   --json FILE      write the figures
@@ -133,7 +133,7 @@ void tell(std::uint64_t seed, Faults faults, const Outcome& outcome, std::size_t
 
 struct Totals {
     std::uint64_t seeds = 0, events = 0;
-    Observer::Counts counts;
+    Counts counts;
     std::map<std::string, std::uint64_t> broken;
     std::optional<std::uint64_t> first_broken;
 };
@@ -146,10 +146,9 @@ void writeJson(const std::string& file, const Options& options, const Totals& to
         << "\",\n  \"jobs\": " << options.jobs << ",\n  \"seeds\": " << totals.seeds
         << ",\n  \"seconds\": " << seconds
         << ",\n  \"seeds_per_minute\": " << static_cast<double>(totals.seeds) * 60 / seconds
-        << ",\n  \"events\": " << totals.events << ",\n  \"tasks\": " << totals.counts.tasks
-        << ",\n  \"dispatches\": " << totals.counts.dispatches << ",\n  \"stops\": " << totals.counts.stops
-        << ",\n  \"grants\": " << totals.counts.grants << ",\n  \"rearms\": " << totals.counts.rearms
-        << ",\n  \"broken\": {";
+        << ",\n  \"events\": " << totals.events;
+    for (const auto& each : kCounts) out << ",\n  \"" << each.name << "\": " << totals.counts.*each.count;
+    out << ",\n  \"broken\": {";
     bool first = true;
     for (const auto& [name, count] : totals.broken) {
         out << (first ? "" : ", ") << '"' << name << "\": " << count;
@@ -174,11 +173,7 @@ int simulate(const Options& options) {
             const auto outcome = World(seed, faults).run();
             ++mine.seeds;
             mine.events += outcome.events;
-            mine.counts.tasks += outcome.counts.tasks;
-            mine.counts.dispatches += outcome.counts.dispatches;
-            mine.counts.stops += outcome.counts.stops;
-            mine.counts.grants += outcome.counts.grants;
-            mine.counts.rearms += outcome.counts.rearms;
+            mine.counts.add(outcome.counts);
             if (!outcome.violation) continue;
             ++mine.broken[toString(outcome.violation->invariant)];
             const std::lock_guard lock(mutex);
@@ -196,11 +191,7 @@ int simulate(const Options& options) {
         const std::lock_guard lock(mutex);
         totals.seeds += mine.seeds;
         totals.events += mine.events;
-        totals.counts.tasks += mine.counts.tasks;
-        totals.counts.dispatches += mine.counts.dispatches;
-        totals.counts.stops += mine.counts.stops;
-        totals.counts.grants += mine.counts.grants;
-        totals.counts.rearms += mine.counts.rearms;
+        totals.counts.add(mine.counts);
         for (const auto& [name, count] : mine.broken) totals.broken[name] += count;
     };
     std::vector<std::thread> threads;
@@ -208,16 +199,14 @@ int simulate(const Options& options) {
     work();
     for (auto& thread : threads) thread.join();
     const auto seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - began).count();
-    std::printf(
-        "%llu seeds, %llu events in %.2f s: %.0f seeds a minute, %.0f events a second; %llu tasks, %llu "
-        "dispatched, %llu stops, %llu grants, %llu rearms\n",
-        static_cast<unsigned long long>(totals.seeds), static_cast<unsigned long long>(totals.events),
-        seconds, static_cast<double>(totals.seeds) * 60 / seconds,
-        static_cast<double>(totals.events) / seconds, static_cast<unsigned long long>(totals.counts.tasks),
-        static_cast<unsigned long long>(totals.counts.dispatches),
-        static_cast<unsigned long long>(totals.counts.stops),
-        static_cast<unsigned long long>(totals.counts.grants),
-        static_cast<unsigned long long>(totals.counts.rearms));
+    std::printf("%llu seeds, %llu events in %.2f s: %.0f seeds a minute, %.0f events a second\n",
+                static_cast<unsigned long long>(totals.seeds), static_cast<unsigned long long>(totals.events),
+                seconds, static_cast<double>(totals.seeds) * 60 / seconds,
+                static_cast<double>(totals.events) / seconds);
+    for (const auto& each : kCounts)
+        std::printf("%s%s %llu", &each == kCounts.begin() ? "" : ", ", each.name,
+                    static_cast<unsigned long long>(totals.counts.*each.count));
+    std::printf("\n");
     for (const auto& [name, count] : totals.broken)
         std::printf("broken: %s, in %llu seeds\n", name.c_str(), static_cast<unsigned long long>(count));
     if (totals.first_broken)

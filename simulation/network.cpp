@@ -8,9 +8,17 @@ namespace axon::simulation {
 TimePoint Connection::arrival(std::size_t to) {
     auto way = dice_.between(path_.fastest, path_.slowest);
     if (extra > Duration{}) way += dice_.between(Duration{}, extra);
-    const auto when = std::max(timeline_.now() + way, last_[to] + Duration{1});
+    const auto when = std::max(timeline_.now() + way, last_[to] + std::max(pace_[to], Duration{1}));
     last_[to] = when;
     return when;
+}
+
+void Connection::noteRead(std::size_t at) {
+    const auto from = 1 - at;
+    if (unread_[at]-- <= kBuffered || !written_[from]) return;
+    timeline_.after(Duration{}, *ends_[from], [this, from] {
+        if (!closed_[from]) written_[from]();
+    });
 }
 
 void Connection::notice(std::size_t to) {

@@ -24,8 +24,9 @@ struct Path {
 
 /// One TCP connection: what is sent arrives once and in order, or the connection ends. A silent cut holds
 /// back what is sent, and what is held arrives when the cut is mended (retransmission), unless an end has
-/// given up meanwhile. Ends are processes; the end of a dead one is closed by its kernel, or falls silent
-/// when its host lost power. Owned by Network until the end of the run.
+/// given up meanwhile. An end may read slowly; then what was sent is not written yet. Ends are processes; the
+/// end of a dead one is closed by its kernel, or falls silent when its host lost power. Owned by Network
+/// until the end of the run.
 class Connection {
   public:
     Connection(Timeline& timeline, Dice& dice, Path& path, Process& client, Process& server)
@@ -34,21 +35,26 @@ class Connection {
     /// Called at an end when it learns that the other one, or the network, has closed the connection.
     void onClosed(Process& at, std::function<void()> told) { told_[side(at)] = std::move(told); }
 
+    /// False: the buffers between the two are full, and onWritten() tells when there is room for it.
     template <class Deliver>
-    void send(Process& from, Deliver deliver) {
+    bool send(Process& from, Deliver deliver) {
         const auto from_side = side(from);
-        if (closed_[from_side]) return;
+        if (closed_[from_side]) return true;
         const auto to = 1 - from_side;
-        if (path_.cut[direction(from_side)]) {
-            held_[to].push_back([this, to, deliver] {
-                if (!closed_[to]) deliver();
-            });
-            return;
-        }
-        timeline_.at(arrival(to), *ends_[to], [this, to, deliver = std::move(deliver)] {
+        auto arrive = [this, to, deliver = std::move(deliver)] {
+            noteRead(to);
             if (!closed_[to]) deliver();
-        });
+        };
+        if (path_.cut[direction(from_side)])
+            held_[to].push_back(std::move(arrive));
+        else
+            timeline_.at(arrival(to), *ends_[to], std::move(arrive));
+        return ++unread_[to] <= kBuffered;
     }
+    /// Called at an end, in the order of sending, for each message that send() has returned false for.
+    void onWritten(Process& at, std::function<void()> written) { written_[side(at)] = std::move(written); }
+    /// From now on this end takes so long for each message; zero = no time.
+    void readSlowly(const Process& at, Duration each) { pace_[side(at)] = each; }
     /// A sign of life that carries nothing: over a quiet connection it arrives at once, which spares an
     /// event.
     template <class Deliver>
@@ -86,7 +92,9 @@ class Connection {
   private:
     std::size_t side(const Process& process) const { return ends_[0] == &process ? 0 : 1; }
     static std::size_t direction(std::size_t from_side) { return from_side; }
+    static constexpr std::size_t kBuffered = 16;  ///< messages that the sockets of both ends take
     TimePoint arrival(std::size_t to);
+    void noteRead(std::size_t at);
     void notice(std::size_t to);
 
     Timeline& timeline_;
@@ -98,6 +106,9 @@ class Connection {
     std::array<TimePoint, 2> last_{};  ///< when the last message to that end arrives
     std::array<std::deque<std::function<void()>>, 2> held_;
     std::array<std::function<void()>, 2> told_;
+    std::array<Duration, 2> pace_{};
+    std::array<std::size_t, 2> unread_{};  ///< messages under way to that end
+    std::array<std::function<void()>, 2> written_;
 };
 
 /// All connections of a run.

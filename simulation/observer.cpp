@@ -6,6 +6,8 @@
 
 #include <algorithm>
 
+#include "simulation/laboratory.hpp"
+
 namespace axon::simulation {
 
 namespace {
@@ -34,6 +36,10 @@ const char* toString(Invariant invariant) {
         "one-lease", "fence", "dead-man",   "latch",   "once",
         "too-late",  "order", "comes-back", "bounded", "journal"};
     return kNames[static_cast<std::size_t>(invariant)];
+}
+
+void Counts::add(const Counts& other) {
+    for (const auto& each : kCounts) this->*each.count += other.*each.count;
 }
 
 void Observer::violated(Invariant invariant, std::string what) {
@@ -67,11 +73,13 @@ void Observer::managerStarts(std::size_t number) {
     auto& entity = entities_[number];
     entity.status.reset();
     entity.present_holder.clear();
+    entity.holder_since = timeline_.now();
 }
 
 void Observer::managerDies(std::size_t number) {
     auto& entity = entities_[number];
     entity.present_holder.clear();
+    entity.holder_since = timeline_.now();
     entity.ended = true;  // what it had granted ends with it
     entity.stops_to_note.clear();
     entity.status.reset();
@@ -95,12 +103,14 @@ void Observer::taskArrives(std::size_t number, const Header& head, const proto::
 
 void Observer::inHand(std::size_t number, const Header* head) {
     auto& entity = entities_[number];
+    entity.in_hand = head != nullptr;
     entity.rearm_in_hand = head != nullptr && head->msg_type == kMsgRearm;
     entity.stale_in_hand = head != nullptr && head->held != LeaseNumber{} && head->held < entity.highest;
 }
 
 void Observer::toApplication(std::size_t number, const proto::EmToEi& message, TimePoint local) {
     auto& entity = entities_[number];
+    if (message.has_pause() && !message.pause().resume() && !entity.in_hand) ++counts_.held;
     if (message.has_pause() && message.pause().resume() && entity.latch_wanted)
         violated(Invariant::Latch, entity.name + ": a task is resumed after a stop and before a rearm");
     if (entity.stale_in_hand && (message.has_param() || message.has_raw() || message.has_text() ||
@@ -185,8 +195,15 @@ void Observer::stopGoesOut(std::size_t number, std::uint32_t generation, StopCau
 
 void Observer::toClient(std::size_t number, const Header& head, const proto::ToClient& message) {
     auto& entity = entities_[number];
+    if (message.has_hand_over() && !message.hand_over().withdrawn()) ++counts_.questions;
+    if (message.has_lease_ended())
+        entity.end_told = std::max(
+            entity.end_told, LeaseNumber{static_cast<std::int32_t>(message.lease_ended().lease().epoch()),
+                                         static_cast<std::int32_t>(message.lease_ended().lease().number())});
     if (message.has_check_out()) {
         const auto& reply = message.check_out();
+        if (reply.place() > 0) ++counts_.waits;
+        if (reply.refusal().code() == proto::HAND_OVER_REFUSED) ++counts_.kept;
         if (!reply.has_lease()) return;
         ++counts_.grants;
         const LeaseNumber lease{static_cast<std::int32_t>(reply.lease().epoch()),
@@ -204,7 +221,11 @@ void Observer::toClient(std::size_t number, const Header& head, const proto::ToC
             violated(Invariant::OneLease,
                      entity.name + ": lease " + text(lease) + " is granted again after its end");
         if (lease > entity.highest) {
-            if (!entity.ended && entity.holder != head.sender.id)
+            // Handed over in one step: it never was free, but its holder must have been told, and the
+            // journal.
+            const bool ended =
+                entity.ended || (entity.end_told >= entity.highest && entity.lease_ended >= entity.highest);
+            if (!ended && entity.holder != head.sender.id)
                 violated(Invariant::OneLease, entity.name + ": lease " + text(lease) +
                                                   " is granted, and the end of " + text(entity.highest) +
                                                   " was not told");
@@ -217,6 +238,8 @@ void Observer::toClient(std::size_t number, const Header& head, const proto::ToC
             violated(Invariant::OneLease,
                      entity.name + ": two live clients were granted lease " + text(lease));
         }
+        // Each session counts its messages from one.
+        if (entity.holder != head.sender.id) entity.last_sequence.erase(lease);
         entity.holder = head.sender.id;
         entity.ended = false;
     } else if (message.has_task() && message.task().state() >= proto::TASK_SUCCEEDED) {
@@ -247,6 +270,9 @@ void Observer::managerIs(std::size_t number, const EntityStatus& status) {
         violated(Invariant::Fence, entity.name + ": its stop generation fell from " +
                                        std::to_string(entity.status->stop_generation) + " to " +
                                        std::to_string(status.stop_generation));
+    if (status.orphaned && status.state == EntityState::BUSY && entity.status && !entity.status->orphaned &&
+        entity.moves && entity.alone == aloneFor("Dock"))
+        ++counts_.finished;
     if (status.latched) entity.latch_told = true;
     const bool handled = static_cast<std::uint32_t>(status.stop_generation) >= entity.voided;
     if (!status.latched && entity.latch_wanted && (handled || entity.latch_told)) {
@@ -283,6 +309,7 @@ void Observer::holderIs(std::size_t number, const std::string& holder) {
     auto& entity = entities_[number];
     if (entity.present_holder == holder) return;
     entity.present_holder = holder;
+    entity.holder_since = timeline_.now();
     if (entity.moves) watchMotion(number, kClientWatchdog + kAllowance);
 }
 
@@ -300,12 +327,20 @@ void Observer::noted(std::size_t number, const entity_manager::JournalRecord& re
     using Kind = entity_manager::JournalRecord::Kind;
     auto& entity = entities_[number];
     switch (record.kind) {
-        case Kind::Granted:
         case Kind::TakenOver:
+            ++(record.text.find(" hands it over to ") == std::string::npos ? counts_.forced
+                                                                           : counts_.handed_over);
+            entity.granted = std::max(entity.granted, record.lease);
+            return;
         case Kind::Resumed:
+            ++counts_.resumed;
+            entity.granted = std::max(entity.granted, record.lease);
+            return;
+        case Kind::Granted:
             entity.granted = std::max(entity.granted, record.lease);
             return;
         case Kind::LeaseEnded:
+            if (record.code == "EXPIRED") ++counts_.lost_for_good;
             entity.lease_ended = std::max(entity.lease_ended, record.lease);
             return;
         case Kind::Stopped:
@@ -333,8 +368,13 @@ void Observer::dispatched(std::size_t number, const std::string& task_id) {
                  entities_[number].name + ": " + label(task_id) + " has reached the application twice");
 }
 
-void Observer::moves(std::size_t number, bool moves) {
+void Observer::moves(std::size_t number, bool moves, Duration alone) {
     auto& entity = entities_[number];
+    if (moves && (!entity.moves || alone != entity.alone)) {
+        // A stricter one has begun to move, or the strict one has ended: from now on it counts.
+        if (!entity.moves || alone < entity.alone) entity.alone_since = timeline_.now();
+        entity.alone = alone;
+    }
     if (entity.moves == moves) return;
     entity.moves = moves;
     timeline_.mark(moves ? 3 : 5);
@@ -375,12 +415,13 @@ void Observer::judgeMotion(std::size_t number) {
     };
     if (!hops.application->running()) return;
     bool broken = false;
+    auto moves_since = entity.moves_since;
 
     // 3: the Entity Manager, watched by the Entity Interfacer.
     const auto manager_bound = bound(kManagerWatchdog);
     const auto judge = [&](TimePoint since, Duration limit, bool rest_works, const char* what) {
         broken = true;
-        const auto from = std::max(since, entity.moves_since);
+        const auto from = std::max(since, moves_since);
         if (now - from < limit || !rest_works) return;
         violated(
             Invariant::DeadMan,
@@ -408,14 +449,20 @@ void Observer::judgeMotion(std::size_t number) {
         worksFor(*hops.server, client_bound) && !hops.server_path->cut[0] && !hops.server_path->cut[1] &&
         now - hops.server_path->changed_at[0] >= client_bound &&
         now - hops.server_path->changed_at[1] >= client_bound;
+    moves_since = std::max(moves_since, entity.alone_since);
+    const auto alone_bound =
+        client_bound +
+        Duration{static_cast<Duration::rep>(static_cast<double>(entity.alone.count()) * (1 + drift_))};
+    if (entity.present_holder.empty())
+        judge(entity.holder_since, client_bound, below_client, "nobody held it any more");
     if (const auto found = sessions_.find(entity.present_holder); found != sessions_.end()) {
         const auto& session = found->second;
         if (session.ended_at)
-            judge(*session.ended_at, client_bound, below_client, "its client's session ended");
+            judge(*session.ended_at, alone_bound, below_client, "its client's session ended");
         else if (!session.process->running())
-            judge(session.process->changedAt(), client_bound, below_client, "its client failed");
+            judge(session.process->changedAt(), alone_bound, below_client, "its client failed");
         else if (session.path->cut[0])
-            judge(session.path->changed_at[0], client_bound, below_client, "the way from its client was cut");
+            judge(session.path->changed_at[0], alone_bound, below_client, "the way from its client was cut");
     }
     if (broken && !violation_) watchMotion(number, kLookAgain);
 }

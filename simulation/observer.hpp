@@ -44,6 +44,46 @@ struct Violation {
     std::string what;
 };
 
+/// What happened in a run: a promise that was never put to the test is not one that was kept.
+struct Counts {
+    std::uint64_t tasks = 0, dispatches = 0, stops = 0, grants = 0, rearms = 0;
+    std::uint64_t waits = 0;        ///< somebody was told a place in a wait list, or that the holder is asked
+    std::uint64_t questions = 0;    ///< a holder was asked
+    std::uint64_t kept = 0;         ///< … and has kept it
+    std::uint64_t handed_over = 0;  ///< … and has not
+    std::uint64_t forced = 0;       ///< an administrator took what somebody held
+    std::uint64_t resumed = 0;      ///< a holder that was lost came back within its grace
+    std::uint64_t tickets = 0;      ///< … of them: in another process, with the key that was written down
+    std::uint64_t lost_for_good = 0;  ///< … and did not
+    std::uint64_t held = 0;           ///< a client was lost, and its task is paused instead of stopped
+    std::uint64_t finished = 0;       ///< a client was lost, and its task moved on for its time
+    std::uint64_t slow_dropped = 0;   ///< data that a slow reader did not get
+    std::uint64_t slow_lost = 0;      ///< slow readers that the server has given up
+
+    void add(const Counts& other);
+};
+struct CountName {
+    const char* name;
+    std::uint64_t Counts::*count;
+};
+inline constexpr std::array<CountName, 17> kCounts{{{"tasks", &Counts::tasks},
+                                                    {"dispatches", &Counts::dispatches},
+                                                    {"stops", &Counts::stops},
+                                                    {"grants", &Counts::grants},
+                                                    {"rearms", &Counts::rearms},
+                                                    {"waits", &Counts::waits},
+                                                    {"questions", &Counts::questions},
+                                                    {"kept", &Counts::kept},
+                                                    {"handed_over", &Counts::handed_over},
+                                                    {"forced", &Counts::forced},
+                                                    {"resumed", &Counts::resumed},
+                                                    {"tickets", &Counts::tickets},
+                                                    {"lost_for_good", &Counts::lost_for_good},
+                                                    {"held", &Counts::held},
+                                                    {"finished", &Counts::finished},
+                                                    {"slow_dropped", &Counts::slow_dropped},
+                                                    {"slow_lost", &Counts::slow_lost}}};
+
 /// A client's session as the dead-man sees it: the process behind it, and the way to the server.
 struct SessionHealth {
     std::string id;
@@ -96,16 +136,15 @@ class Observer {
 
     // At a robot application.
     void dispatched(std::size_t entity, const std::string& task_id);
-    void moves(std::size_t entity, bool moves);
+    /// `alone`: how long after the loss of its client all that moves may go on.
+    void moves(std::size_t entity, bool moves, Duration alone = {});
     bool moving(std::size_t entity) const { return entities_[entity].moves; }
 
     void violated(Invariant invariant, std::string what);
     const std::optional<Violation>& violation() const { return violation_; }
 
-    struct Counts {
-        std::uint64_t tasks = 0, dispatches = 0, stops = 0, grants = 0, rearms = 0;
-    };
     const Counts& counts() const { return counts_; }
+    Counts& counts() { return counts_; }
 
   private:
     struct Facts {
@@ -129,6 +168,8 @@ class Observer {
         Hops hops{};
         bool moves = false;
         TimePoint moves_since;
+        Duration alone{};       ///< of what moves now …
+        TimePoint alone_since;  ///< … since when it has been no longer than that
         LeaseNumber highest;
         std::string holder;        ///< of the highest lease
         bool ended = true;         ///< that lease, as far as was told
@@ -138,10 +179,13 @@ class Observer {
         bool latch_wanted = false;  ///< a stop that latches has been given, and no rearm since
         bool latch_told = false;    ///< the core has said so since
         std::uint64_t rearmed_order = 0;
+        bool in_hand = false;  ///< a client's message is being handled
         bool rearm_in_hand = false;
         bool stale_in_hand = false;  ///< it was sent under an older lease than the newest
         std::optional<EntityStatus> status;
         std::string present_holder;
+        TimePoint holder_since;
+        LeaseNumber end_told;  ///< newest lease whose end was told to its holder
         std::map<LeaseNumber, std::int64_t> last_sequence;
         // What the journal says.
         LeaseNumber granted;

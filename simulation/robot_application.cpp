@@ -255,9 +255,14 @@ void RobotApplication::endStopped() {
 }
 
 void RobotApplication::showMotion() {
-    const auto& tasks = life_->tasks;
-    observer_.moves(
-        entity_, std::any_of(tasks.begin(), tasks.end(), [](const auto& task) { return task.second.moves; }));
+    bool moves = false;
+    auto alone = Duration::max();  // of tasks side by side the strictest counts
+    for (const auto& [id, task] : life_->tasks) {
+        if (!task.moves) continue;
+        moves = true;
+        alone = std::min(alone, aloneFor(task.service));
+    }
+    observer_.moves(entity_, moves, alone);
 }
 
 void RobotApplication::finish(const std::string& id) {
@@ -383,7 +388,9 @@ void RobotApplication::begin(const std::string& id) {
     task.waits = false;
     task.moves = true;
     answer(task, proto::OK, "");
-    const auto takes = dice_.chance(0.3) ? dice_.between(2ms, 60ms) : dice_.between(100ms, 2500ms);
+    const auto takes = task.service == "Dock" ? dice_.between(300ms, 4s)
+                       : dice_.chance(0.3)    ? dice_.between(2ms, 60ms)
+                                              : dice_.between(100ms, 2500ms);
     task.ends_at = timeline_.now() + takes;
     if (dice_.chance(0.3)) chat(id, dice_.chance(0.15) ? dice_.between(20ms, 90ms) : takes / 2);
     timeline_.at(task.ends_at, process_, [this, id, turn = task.turn] {
@@ -399,6 +406,9 @@ void RobotApplication::chat(const std::string& id, Duration period) {
         const auto at = life_->tasks.find(id);
         if (at == life_->tasks.end() || !at->second.moves) return;
         report(at->second, proto::TASK_RUNNING, 0.5);
+        proto::EiToEm seen;
+        seen.mutable_raw()->add_data("what the camera sees");
+        if (dice_.chance(0.6)) sendData(seen);
         chat(id, period);
     });
 }

@@ -25,62 +25,123 @@ entity_server::CoreSettings settings() {
     return settings;
 }
 
-/// One lane to one client.
-class ToClientOutbox final : public front_end_server::ClientOutbox {
+/// One lane to one client, behind the product's OutboxCore: who reads slowly fills it, as in
+/// transport/outbox.hpp.
+class ToClientOutbox final : public front_end_server::ClientOutbox,
+                             public std::enable_shared_from_this<ToClientOutbox> {
   public:
-    ToClientOutbox(Process& server, Connection& connection, ClientStation& to, std::uint64_t attempt)
-        : server_(server), connection_(connection), to_(to), attempt_(attempt) {}
+    /// `give_up`: it does not read, and is to be disconnected.
+    ToClientOutbox(Process& server, Connection& connection, ClientStation& to, std::uint64_t attempt,
+                   transport::OutboxLimits limits, Counts& counts, std::function<void()> give_up)
+        : server_(server),
+          connection_(connection),
+          to_(to),
+          attempt_(attempt),
+          counts_(counts),
+          give_up_(std::move(give_up)),
+          core_(limits) {}
     void newBasicPrflMsg(Presence presence, const Registration& registration,
                          std::string_view profile) override {
         send(
+            Traffic::Control, profile.size(),
             [presence, registration, bytes = std::string(profile)](ClientStation& to, std::uint64_t attempt) {
                 to.newBasicPrflMsg(attempt, presence, registration, bytes);
             });
     }
     void newStatusMsg(const EntityStatus& status) override {
-        send([status](ClientStation& to, std::uint64_t attempt) { to.newStatusMsg(attempt, status); });
+        send(Traffic::Control, 0,
+             [status](ClientStation& to, std::uint64_t attempt) { to.newStatusMsg(attempt, status); });
     }
     void newSvcRecordMsg(const Header& head, std::int32_t, std::int32_t, std::string_view record) override {
-        send([head, bytes = std::string(record)](ClientStation& to, std::uint64_t attempt) {
-            to.newSvcRecordMsg(attempt, head, bytes);
-        });
+        send(Traffic::Control, record.size(),
+             [head, bytes = std::string(record)](ClientStation& to, std::uint64_t attempt) {
+                 to.newSvcRecordMsg(attempt, head, bytes);
+             });
     }
-    void newEntityMsg(Lane, const Header& head, std::string_view message) override {
-        send([head, bytes = std::string(message)](ClientStation& to, std::uint64_t attempt) {
-            to.newEntityMsg(attempt, head, bytes);
-        });
+    void newEntityMsg(Lane lane, const Header& head, std::string_view message) override {
+        entityMsg(lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message);
     }
     void newEntityMsgDataSeq(const Header& head, std::string_view data) override {
-        newEntityMsg(Lane::Data, head, data);
+        entityMsg(Traffic::Data, head, data);
     }
     void newRefusalMsg(const Header& head, const Refusal& refusal) override {
-        send([head, refusal](ClientStation& to, std::uint64_t attempt) {
+        send(Traffic::Control, 0, [head, refusal](ClientStation& to, std::uint64_t attempt) {
             to.newRefusalMsg(attempt, head, refusal);
         });
     }
     void newStopAccepted(const Header& head, std::int32_t entities) override {
-        send([sequence = head.sequence, entity = head.entity, entities](ClientStation& to,
+        send(Traffic::Signal, 0,
+             [sequence = head.sequence, entity = head.entity, entities](ClientStation& to,
                                                                         std::uint64_t attempt) {
-            to.newStopAccepted(attempt, sequence, entity, entities);
-        });
+                 to.newStopAccepted(attempt, sequence, entity, entities);
+             });
     }
     void newUpdateMsg(RefusalCode, const std::string&) override {}
     void newHeartbeat(std::int64_t) override {
+        if (core_.offer(Traffic::Heartbeat, 0, [] { return Parcel{}; }) != Core::Verdict::Send) return;
         connection_.beat(server_, [to = &to_, attempt = attempt_] { to->newHeartbeat(attempt); });
+        core_.sent(Traffic::Heartbeat, 0);
     }
-    void disconnect(bool, const std::string&) override { connection_.close(server_); }
+    void disconnect(bool, const std::string&) override {
+        core_.close();
+        connection_.close(server_);
+    }
 
   private:
-    template <class Deliver>
-    void send(Deliver deliver) {
-        connection_.send(server_, [to = &to_, attempt = attempt_, deliver = std::move(deliver)] {
-            deliver(*to, attempt);
-        });
+    using Traffic = transport::Traffic;
+    using Parcel = std::function<void(ClientStation& to, std::uint64_t attempt)>;
+    using Core = transport::OutboxCore<Parcel>;
+    static constexpr std::size_t kOverhead = 256;  // as in transport/callback_sender.hpp
+
+    void entityMsg(Traffic traffic, const Header& head, std::string_view message) {
+        send(traffic, message.size(),
+             [head, bytes = std::string(message)](ClientStation& to, std::uint64_t attempt) {
+                 to.newEntityMsg(attempt, head, bytes);
+             });
     }
+    template <class Deliver>
+    void send(Traffic traffic, std::size_t bytes, Deliver deliver) {
+        const auto dropped = core_.counts().dropped;
+        const auto verdict = core_.offer(traffic, kOverhead + bytes, [&] { return Parcel(deliver); });
+        counts_.slow_dropped += core_.counts().dropped - dropped;
+        if (verdict == Core::Verdict::Send) {
+            launch(traffic, kOverhead + bytes, std::move(deliver));
+        } else if (verdict == Core::Verdict::Overflow) {
+            ++counts_.slow_lost;
+            give_up_();
+        }
+    }
+    template <class Deliver>
+    void launch(Traffic traffic, std::size_t bytes, Deliver deliver) {
+        if (connection_.send(server_, [to = &to_, attempt = attempt_, deliver = std::move(deliver)] {
+                deliver(*to, attempt);
+            })) {
+            core_.sent(traffic, bytes);
+            return;
+        }
+        if (unwritten_.empty())
+            connection_.onWritten(server_, [weak = weak_from_this()] {
+                if (const auto self = weak.lock()) self->onWritten();
+            });
+        unwritten_.emplace_back(traffic, bytes);
+    }
+    void onWritten() {
+        if (unwritten_.empty()) return;
+        const auto [traffic, bytes] = unwritten_.front();
+        unwritten_.pop_front();
+        core_.sent(traffic, bytes);
+        if (!core_.startPump()) return;
+        while (auto item = core_.next()) launch(item->traffic, item->bytes, std::move(item->parcel));
+    }
+
     Process& server_;
     Connection& connection_;
     ClientStation& to_;
     const std::uint64_t attempt_;
+    Counts& counts_;
+    const std::function<void()> give_up_;
+    Core core_;
+    std::deque<std::pair<Traffic, std::size_t>> unwritten_;  ///< sent, and the sockets have no room yet
 };
 
 /// One lane to one Entity Manager.
@@ -240,9 +301,8 @@ void ServerStation::clientHello(ClientStation& who, std::uint64_t attempt, Conne
     session.who = &who;
     session.attempt = attempt;
     session.data = &data;
-    data.onClosed(process_, [this, &session] { clientGone(session, false, "its connection closed"); });
-    auto joined = life_->front_end.setCallback(
-        who.process().name(), role, std::make_shared<ToClientOutbox>(process_, data, who, attempt));
+    data.onClosed(process_, [this, &session] { clientGone(session, Ending::Lost, "its connection closed"); });
+    auto joined = life_->front_end.setCallback(who.process().name(), role, outboxTo(session, data));
     if (!joined) {
         data.close(process_);
         return;
@@ -260,20 +320,21 @@ void ServerStation::clientHello(ClientStation& who, std::uint64_t attempt, Conne
         who.welcomed(attempt, *to, me, token, static_cast<int>(told));
     });
     timeline_.after(kSetUp, process_, [this, &session] {
-        if (session.signal == nullptr && !session.ended) clientGone(session, false, "it has no signal lane");
+        if (session.signal == nullptr && !session.ended)
+            clientGone(session, Ending::Lost, "it has no signal lane");
     });
 }
 
 /// A second connection becomes the signal lane of a session of either kind.
-template <class Outbox, class Core, class Session, class Gone>
+template <class Core, class Session, class Outbox, class Gone>
 void ServerStation::attachLane(Core& core, Session& session, Connection& signal, const std::string& token,
-                               Gone gone) {
+                               std::shared_ptr<Outbox> outbox, Gone gone) {
     if (session.ended) {
         signal.close(process_);
         return;
     }
     signal.onClosed(process_, std::move(gone));
-    if (!core.attach(token, std::make_shared<Outbox>(process_, signal, *session.who, session.attempt))) {
+    if (!core.attach(token, std::move(outbox))) {
         signal.close(process_);
         return;
     }
@@ -282,14 +343,27 @@ void ServerStation::attachLane(Core& core, Session& session, Connection& signal,
 }
 
 void ServerStation::clientAttach(ClientSession& session, Connection& signal, const std::string& token) {
-    attachLane<ToClientOutbox>(life_->front_end, session, signal, token,
-                               [this, &session] { clientGone(session, false, "its signal lane closed"); });
+    attachLane(life_->front_end, session, signal, token, outboxTo(session, signal),
+               [this, &session] { clientGone(session, Ending::Lost, "its signal lane closed"); });
 }
 
-void ServerStation::clientGone(ClientSession& session, bool orderly, const char* why) {
-    if (std::exchange(session.ended, true)) return;
+std::shared_ptr<front_end_server::ClientOutbox> ServerStation::outboxTo(ClientSession& session,
+                                                                        Connection& connection) {
+    return std::make_shared<ToClientOutbox>(
+        process_, connection, *session.who, session.attempt, outbox_limits, observer_.counts(),
+        // Posted, because the core is in the middle of sending.
+        [this, &session] {
+            timeline_.after(Duration{}, process_, [this, &session] {
+                clientGone(session, Ending::Improper, "it does not read its messages");
+            });
+        });
+}
+
+void ServerStation::clientGone(ClientSession& session, Ending ending, const char* why) {
+    if (!session.ref || std::exchange(session.ended, true)) return;
+    timeline_.tell(process_.name(), [&] { return session.who->process().name() + " is gone: " + why; });
     observer_.sessionEnded(FrontEndCore::me(*session.ref).id);
-    life_->front_end.leave(session.ref, orderly ? Ending::Ended : Ending::Lost, why);
+    life_->front_end.leave(session.ref, ending, why);
     session.data->close(process_);
     if (session.signal != nullptr) session.signal->close(process_);
 }
@@ -339,8 +413,9 @@ void ServerStation::entityHello(EntityManagerStation& who, std::uint64_t attempt
 }
 
 void ServerStation::entityAttach(EntitySession& session, Connection& signal, const std::string& token) {
-    attachLane<ToEntityOutbox>(life_->entities, session, signal, token,
-                               [this, &session] { entityGone(session, false, "its signal lane closed"); });
+    attachLane(life_->entities, session, signal, token,
+               std::make_shared<ToEntityOutbox>(process_, signal, *session.who, session.attempt),
+               [this, &session] { entityGone(session, false, "its signal lane closed"); });
 }
 
 void ServerStation::entityGone(EntitySession& session, bool orderly, const char* why) {

@@ -9,6 +9,7 @@
 #include "front_end_server/front_end_core.hpp"
 #include "simulation/network.hpp"
 #include "simulation/observer.hpp"
+#include "transport/outbox_core.hpp"
 
 namespace axon::simulation {
 
@@ -49,7 +50,7 @@ class ServerStation {
     // What arrives from clients; runs as this process.
     void clientHello(ClientStation& who, std::uint64_t attempt, Connection& data, Role role);
     void clientAttach(ClientSession& session, Connection& signal, const std::string& token);
-    void clientGone(ClientSession& session, bool orderly, const char* why);
+    void clientGone(ClientSession& session, front_end_server::Ending ending, const char* why);
     void sendToEntity(ClientSession& session, const Header& head, const std::string& bytes);
     void sendToEntityDataSeq(ClientSession& session, const Header& head, const std::string& bytes);
     void sendRequest(ClientSession& session, const Header& head);
@@ -73,9 +74,14 @@ class ServerStation {
     std::size_t clients() const;
     std::size_t entities() const;
 
+    /// Of the outboxes to clients; before start().
+    transport::OutboxLimits outbox_limits;
+
   private:
-    template <class Outbox, class Core, class Session, class Gone>
-    void attachLane(Core& core, Session& session, Connection& signal, const std::string& token, Gone gone);
+    template <class Core, class Session, class Outbox, class Gone>
+    void attachLane(Core& core, Session& session, Connection& signal, const std::string& token,
+                    std::shared_ptr<Outbox> outbox, Gone gone);
+    std::shared_ptr<front_end_server::ClientOutbox> outboxTo(ClientSession& session, Connection& connection);
 
     struct Life;
     void wake();

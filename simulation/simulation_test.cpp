@@ -118,6 +118,22 @@ TEST_F(Wire, WhoGivesUpDuringACutIsBelievedWhenItIsMended) {
     EXPECT_EQ(came, "x!");  // sent before the end; what came for the one that had gone is dropped
 }
 
+TEST_F(Wire, WhatASlowReaderDoesNotTakeIsWrittenLater) {
+    auto& connection = network.connect(path, a, b);
+    connection.readSlowly(b, 100ms);
+    int later = 0, written = 0;
+    connection.onWritten(a, [&] { ++written; });
+    for (int i = 0; i < 20; ++i)
+        if (!connection.send(a, [this] { came += 'x'; })) ++later;
+    EXPECT_EQ(later, 4) << "sixteen are in the buffers";
+    run(350ms);
+    EXPECT_EQ(came.size(), 4U) << "the first at once, then one each 100 ms";
+    EXPECT_EQ(written, 4);
+    run(2s);
+    EXPECT_EQ(came.size(), 20U) << "nothing is lost";
+    EXPECT_EQ(written, 4);
+}
+
 TEST_F(Wire, AHostWithoutPowerSaysNothingUntilItIsBack) {
     auto& connection = network.connect(path, a, b);
     connection.onClosed(b, [this] { came += '!'; });
@@ -275,6 +291,63 @@ TEST_F(Judge, FindsARobotThatMovesOnWithoutItsClient) {
     run(50ms);
     EXPECT_EQ(broken(), "dead-man");
 }
+TEST_F(Judge, AllowsATaskToGoOnWithoutItsClientForAsLongAsItsPolicySays) {
+    isHeld();
+    observer.moves(0, true, 2s);
+    run(1s);
+    client.die();
+    observer.faultBegins();
+    run(2300ms);
+    EXPECT_EQ(broken(), "none");
+    run(150ms);
+    EXPECT_EQ(broken(), "dead-man");
+}
+TEST_F(Judge, TheStrictestOfTasksSideBySideCounts) {
+    isHeld();
+    observer.moves(0, true, 2s);
+    run(1s);
+    observer.moves(0, true, 0s);
+    client.die();
+    observer.faultBegins();
+    run(450ms);
+    EXPECT_EQ(broken(), "dead-man");
+}
+TEST_F(Judge, NoPolicyAllowsToGoOnWithoutTheServer) {
+    isHeld();
+    observer.moves(0, true, 2s);
+    run(1s);
+    server.freeze();
+    observer.faultBegins();
+    run(450ms);
+    EXPECT_EQ(broken(), "dead-man");
+}
+TEST_F(Judge, FindsARobotThatMovesAndNobodyHoldsIt) {
+    isHeld();
+    observer.moves(0, true);
+    run(1s);
+    observer.holderIs(0, "");
+    run(300ms);
+    EXPECT_EQ(broken(), "none");
+    run(150ms);
+    EXPECT_EQ(broken(), "dead-man");
+}
+TEST_F(Judge, FindsALeaseThatGoesToAnotherAndItsHolderWasNotTold) {
+    isHeld();
+    entity_manager::JournalRecord record;
+    record.kind = entity_manager::JournalRecord::Kind::LeaseEnded;
+    record.lease = {1, 1};
+    observer.noted(0, record);
+    record.kind = entity_manager::JournalRecord::Kind::Granted;
+    record.lease = {1, 2};
+    observer.noted(0, record);
+    proto::ToClient grant;
+    grant.mutable_check_out()->mutable_lease()->set_epoch(1);
+    grant.mutable_check_out()->mutable_lease()->set_number(2);
+    Header head;
+    head.sender = {"other", "client2", Role::Operator};
+    observer.toClient(0, head, grant);
+    EXPECT_EQ(broken(), "one-lease");
+}
 TEST_F(Judge, FindsALeaseThatIsGrantedTwice) {
     isHeld();
     proto::ToClient grant;
@@ -310,21 +383,20 @@ TEST(Simulation, ASeedReplaysToTheLastEvent) {
 
 TEST(Simulation, NoPromiseIsBroken) {
     const auto seeds = setting("AXON_SEEDS", 300);
-    Observer::Counts counts;
+    Counts counts;
     for (std::uint64_t seed = 1; seed <= seeds; ++seed) {
         const auto faults = static_cast<Faults>(seed % kFaults);
         const auto outcome = World(seed, faults).run();
         ASSERT_FALSE(outcome.violation)
             << toString(outcome.violation->invariant) << ": " << outcome.violation->what
             << "\nagain: axon-simulate --story " << seed << " --faults " << toString(faults);
-        counts.dispatches += outcome.counts.dispatches;
-        counts.stops += outcome.counts.stops;
-        counts.rearms += outcome.counts.rearms;
+        counts.add(outcome.counts);
     }
     // Promises that are never put to the test hold too.
     EXPECT_GT(counts.dispatches, seeds * 20);
     EXPECT_GT(counts.stops, seeds * 10);
     EXPECT_GT(counts.rearms, seeds);
+    for (const auto& each : kCounts) EXPECT_GT(counts.*each.count, 0U) << each.name << " has not occurred";
 }
 
 }  // namespace

@@ -14,7 +14,7 @@ using namespace std::chrono_literals;
 constexpr std::size_t kTasksKnown = 8;
 constexpr Duration kStopDeadline = 1s;
 constexpr Duration kAnswerWithin = 5500ms;  // the library's time-out, and what clocks may differ
-constexpr const char* kServices[] = {"Driving", "Driving", "Turning", "Light", "Light"};
+constexpr const char* kServices[] = {"Driving", "Turning", "Light", "Light", "Lift", "Lift", "Dock"};
 
 }  // namespace
 
@@ -24,8 +24,49 @@ User::User(Timeline& timeline, ClientStation& client, std::uint64_t seed, TimePo
         open_ = 0;
         ++life_;
         tasks_.clear();
+        if (dice_.chance(0.3)) tickets_.clear();  // who sits there now does not know of them
+        useTickets();
         comeBack(dice_.between(1ms, 400ms));
     };
+    client_.on_kill = [this] {
+        const auto* core = client_.core();
+        if (core == nullptr) return;
+        for (const auto& held : core->held())
+            if (auto ticket = core->ticket(held)) tickets_.push_back(std::move(ticket).value());
+    };
+    client_.on_hand_over = [this](const client::Held& held) {
+        if (dice_.chance(0.2)) return;  // says nothing; the policy decides
+        timeline_.after(dice_.between(2ms, 1500ms), client_.process(),
+                        [this, held] { answerHandOver(held); });
+    };
+}
+
+void User::useTickets() {
+    if (tickets_.empty() || timeline_.now() >= retires_at_) return tickets_.clear();
+    auto& core = *client_.core();
+    std::erase_if(tickets_, [&](const client::LeaseTicket& ticket) {
+        if (!client_.connected() || !core.entity(ticket.entity)) return false;
+        timeline_.tell(client_.process().name(),
+                       [&] { return "has a ticket for lease " + std::to_string(ticket.lease.number); });
+        ++open_;
+        core.resume(ticket, [this, life = life_](const Result<std::vector<client::Held>>& result) {
+            if (life != life_) return;
+            --open_;
+            if (result) ++tickets_resumed_;
+        });
+        return true;
+    });
+    client_.settle();
+    timeline_.after(50ms, client_.process(), [this] { useTickets(); });
+}
+
+void User::answerHandOver(const client::Held& held) {
+    auto& core = *client_.core();
+    if (!core.question(held)) return;
+    const bool accept = dice_.chance(0.5);
+    timeline_.tell(client_.process().name(), [&] { return accept ? "hands it over" : "keeps it"; });
+    (void)core.answerHandOver(held, accept, "").ok();
+    client_.settle();
 }
 
 void User::comeBack(Duration in) {
@@ -96,17 +137,34 @@ void User::checkOut() {
         const auto& other = entities[dice_.roll(entities.size())].id;
         if (other != names.front()) names.push_back(other);
     }
+    client::CheckOutOptions options;
+    options.hand_over.answer_within = client::Seconds(0.3 + static_cast<double>(dice_.roll(30)) / 10);
+    options.hand_over.yield = dice_.chance(0.5);
+    options.hand_over.refuse = dice_.chance(0.15);
+    const auto way = dice_.roll(10);
+    options.ask = way >= 6 && way < 9 && names.size() == 1;
+    options.force = way == 9 && client_.role() == Role::Admin;
+    if ((way >= 3 && way < 6) || (options.ask && dice_.chance(0.4)))
+        options.wait = client::Seconds(0.5 + static_cast<double>(dice_.roll(80)) / 10);
     timeline_.tell(client_.process().name(), [&] {
-        return "checks out " + std::to_string(names.size()) + ": " + core.entity(names.front()).value().name;
+        return "checks out " + std::to_string(names.size()) + ": " + core.entity(names.front()).value().name +
+               (options.ask ? ", asks" : "") + (options.wait ? ", waits" : "") +
+               (options.force ? ", by force" : "");
     });
     ++open_;
     spring();
-    core.checkOut(names, [this, life = life_](const Result<std::vector<client::Held>>& result) {
-        if (life == life_) --open_;
-        if (!result)
-            timeline_.tell(client_.process().name(),
-                           [&] { return "is refused the check-out: " + result.refusal().message; });
-    });
+    const auto id =
+        core.checkOut(names, options, [this, life = life_](const Result<std::vector<client::Held>>& result) {
+            if (life == life_) --open_;
+            if (!result)
+                timeline_.tell(client_.process().name(),
+                               [&] { return "is refused the check-out: " + result.refusal().message; });
+        });
+    if (options.wait && dice_.chance(0.2))
+        timeline_.after(dice_.between(100ms, 3s), client_.process(), [this, id] {
+            client_.core()->giveUp(id);
+            client_.settle();
+        });
 }
 
 void User::work(const client::Held& held) {

@@ -9,13 +9,17 @@
 
 namespace axon::simulation {
 
-/// Somebody at a client who does this and that: checks out, runs tasks, pauses, cancels, stops, rearms,
-/// resets, clears, releases. From `retires_at` on only releases.
+/// Somebody at a client who does this and that: checks out, waits, asks the holder and is asked, takes by
+/// force (an administrator), runs tasks, pauses, cancels, stops, rearms, resets, clears, releases; and after
+/// the death of the client's process resumes what it held, with the tickets it has on its disk. From
+/// `retires_at` on only releases.
 class User {
   public:
     User(Timeline& timeline, ClientStation& client, std::uint64_t seed, TimePoint retires_at);
     /// Questions that nobody has answered; a client that died has none.
     int open() const { return open_; }
+    /// Leases that a later life of the client has resumed.
+    std::uint64_t ticketsResumed() const { return tickets_resumed_; }
     /// Somebody lies in wait: called once, when this user next checks something out or runs a task.
     std::function<void()> ambush;
     /// Called when a request was answered later than the library promises.
@@ -27,6 +31,8 @@ class User {
     void retire();
     void spring();
     void checkOut();
+    void useTickets();
+    void answerHandOver(const client::Held& held);
     void work(const client::Held& held);
     client::SessionCore::Done answered();
 
@@ -37,6 +43,8 @@ class User {
     int open_ = 0;
     std::uint64_t life_ = 0;
     std::deque<Id128> tasks_;
+    std::vector<client::LeaseTicket> tickets_;
+    std::uint64_t tickets_resumed_ = 0;
 };
 
 /// The one who comes when all faults are over, and must be able to use everything: each entity is there, can

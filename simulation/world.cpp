@@ -31,6 +31,7 @@ constexpr std::array<Named, kFaults> kNames{{
     {"crash",
      "processes of clients, server, Entity Managers and applications die and start again; hosts lose power"},
     {"pause", "processes are frozen for up to 9 s"},
+    {"slow", "clients read slowly, from servers whose outboxes are small"},
     {"drift", "clocks run at different rates, up to 2 percent, and processes are frozen"},
     {"all", "all of these in one run"},
 }};
@@ -81,6 +82,11 @@ World::World(std::uint64_t seed, Faults faults)
         process.setClock(fault_dice_.between(Duration{}, 100'000s), 1 + by);
     };
     setClock(server_.process());
+    if (faults == Faults::Slow || faults == Faults::All) {
+        server_.outbox_limits.window_bytes = 2048;
+        server_.outbox_limits.control_messages = 24;
+        server_.outbox_limits.data_messages = 1;
+    }
     server_.start();
     for (std::size_t i = 0; i < entities; ++i) {
         auto& robot = *robots_.emplace_back(std::make_unique<Robot>(
@@ -128,6 +134,7 @@ Outcome World::run(bool story) {
     outcome.digest = timeline_.digest();
     outcome.events = timeline_.events();
     outcome.counts = observer_.counts();
+    for (const auto& user : users_) outcome.counts.tickets += user->ticketsResumed();
     outcome.story.assign(timeline_.lines().begin(), timeline_.lines().end());
     return outcome;
 }
@@ -163,7 +170,7 @@ void World::planFaults(Faults faults) {
     for (std::uint64_t i = 0; i < count; ++i) {
         const auto at = begin + fault_dice_.between(kFaultsFrom, kFaultsUntil - 1s);
         auto kind = faults;
-        if (faults == Faults::All) kind = static_cast<Faults>(1 + fault_dice_.roll(7));
+        if (faults == Faults::All) kind = static_cast<Faults>(1 + fault_dice_.roll(8));
         if (faults == Faults::Drift) kind = Faults::Pause;
         timeline_.at(at, outside_, [this, kind, at] { injectOne(kind, at); });
     }
@@ -301,6 +308,17 @@ void World::injectOne(Faults kind, TimePoint at) {
         case Faults::Pause:
             atSomeMoment([this, victim = anyVictim(), length] { freeze(victim, length); });
             return;
+        case Faults::Slow: {
+            auto& client = *clients_[fault_dice_.roll(users_.size())];
+            const auto each = fault_dice_.between(50ms, 400ms);
+            timeline_.tell("FAULT", [&] {
+                return client.process().name() + " reads a message each " + ms(each) + " for " +
+                       ms(length * 3);
+            });
+            client.readSlowly(each);
+            timeline_.after(atMost(length * 3), outside_, [&client] { client.readSlowly({}); });
+            return;
+        }
         case Faults::None:
         case Faults::Drift:
         case Faults::All:

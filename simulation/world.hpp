@@ -26,10 +26,11 @@ enum class Faults : std::uint8_t {
     Partition,
     Crash,
     Pause,
+    Slow,
     Drift,
     All
 };
-inline constexpr std::size_t kFaults = 10;
+inline constexpr std::size_t kFaults = 11;
 const char* toString(Faults faults);
 const char* describe(Faults faults);
 std::optional<Faults> faultsOf(std::string_view name);
@@ -39,7 +40,7 @@ struct Outcome {
     std::optional<Violation> violation;
     std::uint64_t digest = 0;
     std::uint64_t events = 0;
-    Observer::Counts counts;
+    Counts counts;
     std::vector<std::string> story;  ///< where it was asked for
 };
 
