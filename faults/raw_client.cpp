@@ -31,6 +31,7 @@ using transport::toView;
 
 constexpr std::size_t kKept = 4096;
 constexpr auto kBeat = 50ms;
+constexpr auto kStatusTime = 500ms;
 
 }  // namespace
 
@@ -123,6 +124,18 @@ class RawClient::Session {
         changed_.notify_all();
     }
 
+    void refused(std::int64_t sequence) {
+        const std::lock_guard lock(mutex_);
+        ++undelivered_;
+        refused_ = sequence;
+        changed_.notify_all();
+    }
+    void ended() {
+        const std::lock_guard lock(mutex_);
+        connected_ = false;
+        changed_.notify_all();
+    }
+
     struct Entity {
         std::string name;
         EntityState state = EntityState::UNAV;
@@ -140,6 +153,8 @@ class RawClient::Session {
     std::condition_variable changed_;
     // Guarded by mutex_:
     bool closing_ = false;
+    bool connected_ = true;
+    std::int64_t refused_ = 0;  // the newest message that the server could not deliver
     std::map<std::string, Entity> entities_;
     std::map<std::string, LeaseNumber> leases_;
     std::deque<std::pair<std::string, proto::ToClient>> messages_heard_;
@@ -163,8 +178,9 @@ class RawClient::Session {
                 session->hear(transport::fromIce(std::move(head)), message);
         }
         void newEntityMsgDataSeq(::Axon::CommUtil::Header, ByteRange, const Ice::Current&) override {}
-        void newRefusalMsg(::Axon::CommUtil::Header, int, std::string, const Ice::Current&) override {
-            if (const auto session = session_.lock()) ++session->undelivered_;
+        void newRefusalMsg(::Axon::CommUtil::Header head, int, std::string, const Ice::Current&) override {
+            if (const auto session = session_.lock())
+                session->refused(transport::fromIce(std::move(head)).sequence);
         }
         void newStopAccepted(::Axon::CommUtil::Header, int, const Ice::Current&) override {}
         void newUpdateMsg(int, std::string, const Ice::Current&) override {}
@@ -186,6 +202,10 @@ class RawClient::Session {
             Ice::uncheckedCast<ClientCallbackPrx>(adapter->addWithUUID(std::make_shared<Callback>(self)));
         adapter->activate();
         connection->setAdapter(adapter);
+        connection->setCloseCallback(
+            [weak = std::weak_ptr<Session>(self)](const std::shared_ptr<Ice::Connection>&) {
+                if (const auto still = weak.lock()) still->ended();
+            });
         session = Ice::uncheckedCast<ClientSessionPrx>(
             connection->createProxy(opened->ice_getIdentity())->ice_invocationTimeout(3000));
         return callback;
@@ -209,6 +229,10 @@ RawClient::~RawClient() {
     session_->close();
 }
 
+bool RawClient::connected() const {
+    const std::lock_guard lock(session_->mutex_);
+    return session_->connected_;
+}
 const std::string& RawClient::name() const {
     return session_->name_;
 }
@@ -357,10 +381,16 @@ std::optional<proto::EntityStatus> RawClient::status(const std::string& entity) 
     const auto id = newId();
     body.mutable_status_request()->set_request_id(id);
     send(entity, kMsgStatus, body);
-    const auto answer =
-        await(entity, [&](const auto& m) { return m.has_status() && m.status().request_id() == id; });
-    if (!answer) return std::nullopt;
-    return answer->status();
+    const auto sent = session_->messages_.load();
+    std::unique_lock lock(session_->mutex_);
+    std::optional<proto::EntityStatus> status;
+    session_->changed_.wait_for(lock, kStatusTime, [&] {
+        for (const auto& [from, message] : session_->messages_heard_)
+            if (from == entity && message.has_status() && message.status().request_id() == id)
+                status = message.status();
+        return status || session_->refused_ == sent || !session_->connected_;
+    });
+    return status;
 }
 
 std::string newId() {

@@ -37,6 +37,8 @@ class RawClient {
     RawClient(const RawClient&) = delete;
     RawClient& operator=(const RawClient&) = delete;
 
+    /// Both connections stand; false once the server has given it up.
+    bool connected() const;
     const std::string& name() const;
     const std::string& id() const;
     /// The UUID of the entity of this name once it is there and free or held; empty when the time is up.
@@ -70,6 +72,8 @@ class RawClient {
     /// The state of the task once it runs or has ended.
     std::optional<proto::TaskEvent> run(const std::string& entity, const proto::TaskRequest& task,
                                         LeaseNumber lease, std::int32_t generation, bool until_final = false);
+    /// Nothing when the question or its answer was lost: at once where the server says so, else in half a
+    /// second.
     std::optional<proto::EntityStatus> status(const std::string& entity);
 
   private:

@@ -16,7 +16,9 @@
 #include <deque>
 #include <map>
 #include <mutex>
+#include <random>
 #include <set>
+#include <string_view>
 #include <system_error>
 #include <thread>
 #include <utility>
@@ -111,6 +113,11 @@ class Relay::Pump {
         const std::lock_guard lock(mutex_);
         delay_[index(hop)] = by;
         wake();
+    }
+    void impair(Hop hop, const Impairment& how) {
+        const std::lock_guard lock(mutex_);
+        impaired_[index(hop)] = how;
+        random_.seed(how.seed);
     }
     std::size_t count(Hop hop) const {
         const std::lock_guard lock(mutex_);
@@ -240,8 +247,7 @@ class Relay::Pump {
                 const auto got = ::recv(fd, bytes, sizeof bytes, 0);
                 if (got > 0) {
                     if (mode(pair) == Mode::Cut) continue;
-                    other.waiting.push_back({Steady::now() + delay_[index(pair.hop)],
-                                             std::string(bytes, static_cast<std::size_t>(got))});
+                    queue(other, pair.hop, {bytes, static_cast<std::size_t>(got)});
                     other.bytes += static_cast<std::size_t>(got);
                     if (other.bytes > kWaitingMax) break;
                     continue;
@@ -262,6 +268,31 @@ class Relay::Pump {
             }
         }
         flush(pair);
+    }
+
+    std::size_t roll(std::size_t most) {
+        return std::uniform_int_distribution<std::size_t>(0, most)(random_);
+    }
+    bool chance(double part) { return std::bernoulli_distribution(part)(random_); }
+
+    /// In pieces, each of which is due at its own time; a piece waits for all before it.
+    void queue(Side& to, Hop hop, std::string_view bytes) {
+        const auto& how = impaired_[index(hop)];
+        const auto now = Steady::now() + delay_[index(hop)];
+        while (!bytes.empty()) {
+            const auto size = how.piece == 0 ? bytes.size() : std::min(bytes.size(), 1 + roll(how.piece - 1));
+            std::chrono::microseconds late{0};
+            if (how.late.count() > 0)
+                late = std::chrono::microseconds(roll(static_cast<std::size_t>(how.late.count()) * 1000));
+            if (how.lost > 0 && chance(how.lost)) {
+                const auto retry = static_cast<std::size_t>(how.retry.count()) * 500;
+                auto wait = std::chrono::microseconds(retry + roll(retry));
+                late += wait;
+                while (chance(how.lost_again)) late += wait *= 2;
+            }
+            to.waiting.push_back({now + late, std::string(bytes.substr(0, size))});
+            bytes.remove_prefix(size);
+        }
     }
 
     void flush(Pair& pair) {
@@ -336,6 +367,8 @@ class Relay::Pump {
     std::set<Pair*> pairs_;
     std::array<Mode, kHops> mode_{};
     std::array<std::chrono::milliseconds, kHops> delay_{};
+    std::array<Impairment, kHops> impaired_{};
+    std::mt19937_64 random_;
     std::thread thread_;
 };
 
@@ -360,6 +393,9 @@ void Relay::reset(Hop hop) {
 }
 void Relay::delay(Hop hop, std::chrono::milliseconds by) {
     pump_->delay(hop, by);
+}
+void Relay::impair(Hop hop, Impairment how) {
+    pump_->impair(hop, how);
 }
 std::size_t Relay::connections(Hop hop) const {
     return pump_->count(hop);

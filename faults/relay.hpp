@@ -12,6 +12,19 @@ namespace axon::faults {
 enum class Hop : std::size_t { Client, Manager, Link };
 inline constexpr std::size_t kHops = 3;
 
+/// What a bad cable does to a TCP connection, as its peers see it: TCP repeats what was lost and puts in
+/// order what was not, so nothing is missing and nothing overtakes; but the stream comes in pieces, late, and
+/// with all that is behind a late piece later still. This is on the stream, not on packets: those are for
+/// axon-channel.
+struct Impairment {
+    std::size_t piece = 0;  ///< bytes of a piece at most, from one on; 0 = as they come
+    double lost = 0;        ///< part of the pieces that must be repeated …
+    double lost_again = 0;  ///< … and of those that must be once more, each after twice the time
+    std::chrono::milliseconds retry{0};  ///< until the first repetition, at most; at least half of it
+    std::chrono::milliseconds late{0};   ///< each piece, at most
+    std::uint64_t seed = 1;
+};
+
 /// Stands in the middle of TCP connections and spoils them, one cable (hop) at a time.
 ///
 /// | state of a hop | bytes | ends of connections |
@@ -42,6 +55,8 @@ class Relay {
     void reset(Hop hop);
     /// Each piece arrives so much later.
     void delay(Hop hop, std::chrono::milliseconds by);
+    /// From now on; {} = the cable is good again. What is on its way comes as it was to come.
+    void impair(Hop hop, Impairment how);
     std::size_t connections(Hop hop) const;
 
   private:

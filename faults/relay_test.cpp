@@ -146,6 +146,47 @@ TEST_F(RelayTest, ADelayIsAtLeastSoLongAndKeepsTheOrder) {
     EXPECT_EQ(both, "bc");
 }
 
+/// All that arrives until nothing has for a while, or so many bytes have.
+std::string all(int fd, std::size_t bytes) {
+    std::string got;
+    while (got.size() < bytes) {
+        const auto more = heard(fd);
+        if (more.empty() || more == "nothing") break;
+        got += more;
+    }
+    return got;
+}
+
+TEST_F(RelayTest, ALostPieceIsRepeatedAndEverythingBehindItWaits) {
+    const auto near = connect();
+    const auto far = accept();
+    Impairment lossy;
+    lossy.lost = 1;
+    lossy.retry = 60ms;
+    relay.impair(Hop::Link, lossy);
+    const auto begin = std::chrono::steady_clock::now();
+    say(near, "first");
+    EXPECT_EQ(heard(far.fd, 25ms), "nothing");
+    relay.impair(Hop::Link, {});
+    say(near, "second");
+    EXPECT_EQ(all(far.fd, 11), "firstsecond");
+    EXPECT_GE(std::chrono::steady_clock::now() - begin, 30ms);
+}
+
+TEST_F(RelayTest, WhatIsSplitAndLateIsWholeAndInOrder) {
+    const auto near = connect();
+    const auto far = accept();
+    Impairment crooked;
+    crooked.piece = 3;
+    crooked.late = 5ms;
+    relay.impair(Hop::Link, crooked);
+    std::string words;
+    for (int i = 0; i < 200; ++i) words += std::to_string(i) + " ";
+    say(near, words.substr(0, 300));
+    say(near, words.substr(300));
+    EXPECT_EQ(all(far.fd, words.size()), words);
+}
+
 TEST_F(RelayTest, AResetReachesBothSides) {
     const auto near = connect();
     const auto far = accept();

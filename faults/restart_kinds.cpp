@@ -40,11 +40,21 @@ class Hardship {
     /// The UUID once the robot can be used again; empty when it did not come back by itself.
     std::string robot(RawClient& client, std::size_t r) {
         const auto id = client.entity(robotName(r), 15s);
-        if (id.empty()) {
+        if (!id.empty()) return id;
+        // Nobody tells anything to a client that the server has given up, on a host that stood still.
+        if (client.connected())
             ++run_.report.not_recovered;
-            run_.lab.keepLogs();
-        }
+        else
+            ++run_.report.counts["robots not seen by a client that the server had given up"];
+        run_.lab.keepLogs();
         return id;
+    }
+    void keepConnected() {
+        for (const bool first : {true, false}) {
+            if ((first ? first_ : second_)->connected()) continue;
+            ++run_.report.counts["clients that the server had given up"];
+            rejoin(first);
+        }
     }
     void killManager(std::size_t r) {
         run_.lab.manager(r).kill();
@@ -71,8 +81,9 @@ class Hardship {
             }
             if (const auto mine = client.lease(id)) {
                 // Held since an earlier trial, or before something happened that did not end it.
+                // An orphaned lease is its name's, and nobody commands under it.
                 const auto now = client.status(id);
-                if (now && now->holder() == client.name()) {
+                if (now && now->holder() == client.name() && !now->orphaned()) {
                     const auto generation = static_cast<std::int32_t>(now->stop_generation());
                     const auto armed = now->latched() ? client.rearm(id, *mine, generation) : Result<void>();
                     if (armed) return Grant{*mine, generation, false};
@@ -129,6 +140,7 @@ class Latch : private Hardship {
     bool sequence() {
         const auto r = static_cast<std::size_t>(run_.among(0, run_.lab.entities() - 1));
         auto& slot = run_.lab.board()[r];
+        keepConnected();
         for (auto* client : {first_.get(), second_.get()}) client->forget();
         // It drives, or has driven; then it is stopped. A reset of the sequence before may reach this robot's
         // Entity Manager only now: it has lost us then, says so, and is taken again.
@@ -312,6 +324,7 @@ class Retries : private Hardship {
 
     bool trial() {
         const auto r = static_cast<std::size_t>(run_.among(0, run_.lab.entities() - 1));
+        keepConnected();
         for (auto* client : {first_.get(), second_.get()}) client->forget();
         auto grant = takeReady(*first_, r);
         if (!grant) return false;

@@ -7,6 +7,7 @@
 
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 #include "kinds.hpp"
+#include "raw_client.hpp"
 
 namespace axon::faults {
 
@@ -27,7 +28,8 @@ struct Fault {
     std::function<void(Run&, const Robots& victims)> heal;
     bool one_victim = false;  ///< each trial strikes one robot; else all of them
     bool told = false;        ///< measured is when the client was told, for the application is struck itself
-    std::chrono::milliseconds thaw{0};  ///< so long after healing nothing may move
+    std::chrono::milliseconds thaw{0};   ///< so long after healing nothing may move
+    std::function<void(Run&)> before{};  ///< what takes time and is not the fault
 };
 
 std::string causeName(std::uint32_t cause) {
@@ -58,6 +60,7 @@ void trial(Run& run, const Fault& fault) {
     auto& board = run.lab.board();
     Robots victims(board.size());
     std::iota(victims.begin(), victims.end(), 0);
+    if (fault.before) fault.before(run);
     if (fault.one_victim) victims = {static_cast<std::size_t>(run.among(0, board.size() - 1))};
     std::vector<std::uint32_t> stops(board.size()), starts(board.size());
     for (std::size_t i = 0; i < board.size(); ++i) {
@@ -132,6 +135,28 @@ void carryOut(Run& run, const Fault& fault) {
         }
         trial(run, fault);
     }
+}
+
+/// A client asks for a stop of everything while the cable between server and Entity Managers is bad. Whether
+/// it arrives or the dead-man is first: the robots stop.
+void stopOverBadCable(Run& run, const Impairment& how) {
+    std::unique_ptr<RawClient> stopper;
+    Fault fault;
+    fault.before = [&](Run& now) {
+        stopper = std::make_unique<RawClient>(now.lab.clientAddress(), "stopper@faults");
+        auto impairment = how;
+        impairment.seed = now.random.next();
+        now.lab.relay().impair(Hop::Manager, impairment);
+        // Some beats and reports are late already when it comes. Who has been stopped by that, was so without
+        // reason.
+        std::this_thread::sleep_for(std::chrono::microseconds(now.among(100'000, 400'000)));
+        if (const auto stood = standing(now.lab.board()); stood > 0)
+            now.report.violation(std::to_string(stood) + " robots stopped, and nobody had asked for it");
+    };
+    fault.inject = [&](Run&, const Robots&) { stopper->stop(""); };
+    fault.heal = [](Run& now, const Robots&) { now.lab.relay().impair(Hop::Manager, {}); };
+    fault.thaw = 50ms;
+    carryOut(run, fault);
 }
 
 /// Cables whose delay changes ten times a second.
@@ -283,6 +308,32 @@ std::vector<Kind> stopKinds() {
     add("freeze-application", 4, "SIGSTOP of the application of all robots", client_told, {},
         {[](Run& run, const Robots&) { run.lab.application().freeze(); },
          [](Run& run, const Robots&) { run.lab.application().thaw(); }, false, true, 150ms});
+
+    // What a radio link does to TCP.
+    const auto addBadCable = [&all](std::string name, std::string what, Impairment how) {
+        all.push_back(
+            {std::move(name),
+             kNoTrial,
+             std::move(what),
+             {kServerHop_ms, 0, "every robot stops within 350 ms of a stop by a client, and none before"},
+             {.relay_managers = true},
+             "stops",
+             20,
+             1,
+             [how](Run& run) { stopOverBadCable(run, how); }});
+    };
+    addBadCable(
+        "loss",
+        "the cable between server and Entity Managers loses 3 % of what it carries; as TCP shows it, in the "
+        "relay: nothing is missing, but it is late by 10 to 20 ms and twice that each time it is lost again, "
+        "and all behind it waits (packets: axon-channel)",
+        {.piece = 1448, .lost = 0.03, .lost_again = 0.2, .retry = 20ms});
+    addBadCable(
+        "reorder",
+        "likewise the cable changes the order of packets; as TCP shows it, in the relay: the order is "
+        "mended, "
+        "but the stream comes in pieces of 1 to 64 bytes, each up to 5 ms late (packets: axon-channel)",
+        {.piece = 64, .late = 5ms});
 
     const std::string what =
         "nothing is struck: for --seconds every robot moves, and whatever stops is a false trip";
