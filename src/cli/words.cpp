@@ -189,7 +189,7 @@ Json usageEvent(const std::string& message, const std::string& mend) {
 Json noServerEvent(const Refusal& refusal, const std::string& server) {
     Json json{{"event", "error"}, {"code", refusalName(refusal.code)}, {"message", refusal.message}};
     if (json["message"].get_ref<const std::string&>().empty()) json["message"] = "no server at " + server;
-    if (refusal.code != RefusalCode::PermissionDenied) {
+    if (refusal.code != RefusalCode::PermissionDenied && refusal.code != RefusalCode::Malformed) {
         json["mend"] =
             server.find('/') == std::string::npos
                 ? "start one with: axon-server, or name another with --server HOST:PORT (or AXON_SERVER)"

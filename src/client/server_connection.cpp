@@ -248,16 +248,21 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
     connection->attempt_ = login.attempt;
     connection->routed_ = data.router != nullptr;
     try {
-        connection->data_ = openLane(data, dataLimits(), login.endpoint, {}, login, events);
+        connection->data_ = openLane(data, dataLimits(), login.endpoint.text(), {}, login, events);
         const auto facts = connection->data_.session->setCallback(connection->data_.callback);
         connection->me_ = transport::fromIce(Axon::CommUtil::Sender(facts.me));
         connection->entities_ = facts.entities;
-        const auto& endpoint = facts.signalEndpoint.empty() ? login.endpoint : facts.signalEndpoint;
+        const auto endpoint =
+            facts.signalEndpoint.empty()
+                ? login.endpoint.text()
+                : transport::asCalled(
+                      facts.signalEndpoint, login.endpoint,
+                      transport::DirectConnection::remoteAddressOf(*connection->data_.connection->get()));
         connection->signal_ = openLane(signal, signalLimits(), endpoint, facts.token, login, events);
         transport::prepareSignalLane(*connection->signal_.connection->get());
         connection->signal_.session->attachSignalLane(facts.token, connection->signal_.callback);
     } catch (...) {
-        const auto refusal = transport::translate(std::current_exception());
+        const auto refusal = transport::translate(std::current_exception(), login.endpoint.tls);
         connection->drop();
         return refusal;
     }

@@ -15,6 +15,7 @@
 #include "common/clock.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
+#include "transport/endpoint.hpp"
 #include "transport/outbox.hpp"
 #include "transport/peer_connection.hpp"
 
@@ -47,7 +48,7 @@ struct LaneHome {
 
 /// Where and as whom to log in.
 struct Login {
-    std::string endpoint;  ///< "tcp -h 127.0.0.1 -p 10410"; of no use where there is a router
+    transport::Endpoint endpoint;  ///< of no use where there is a router
     std::string user, password, display_name;
     std::uint64_t attempt = 0;
     Duration timeout{};

@@ -13,6 +13,7 @@
 #include "client/log.hpp"
 #include "transport/communicator.hpp"
 #include "transport/routed_session.hpp"
+#include "transport/tls.hpp"
 
 namespace axon::client {
 namespace {
@@ -267,6 +268,10 @@ Result<void> Client::Session::connect() {
             1, std::chrono::duration_cast<std::chrono::milliseconds>(toDuration(options_.timeout)).count());
         auto properties = options_.properties;
         properties["Ice.Override.ConnectTimeout"] = std::to_string(milliseconds);
+        const bool routed = transport::isRouter(options_.server);
+        if (!routed && transport::parseEndpoint(options_.server).tls && !transport::speaksTls(properties))
+            return Refusal{
+                RefusalCode::Malformed, transport::certificateMissing(options_.server, "client"), {}};
         data_communicator_ = transport::makeCommunicator({"axon-client", Lane::Data, 1, 1, properties});
         signal_communicator_ = transport::makeCommunicator(
             {"axon-signal", Lane::Signal, 1, 1, properties, transport::kReceiptPriority});
@@ -278,7 +283,6 @@ Result<void> Client::Session::connect() {
             if (transport::isRouter(options_.server))
                 home->router = transport::routerProxy(*home->communicator, options_.server);
         }
-        if (!data_.router) transport::tcpEndpoint(options_.server);
     } catch (const std::invalid_argument& error) {
         return Refusal{RefusalCode::Malformed, error.what(), {}};
     } catch (const std::exception& error) {
@@ -291,6 +295,10 @@ Result<void> Client::Session::connect() {
     const auto established = establish();
     if (!established) {
         auto refusal = established.refusal();
+        // A port of TLS waits for the other side to begin, and so does a client of TCP.
+        if (refusal.code == RefusalCode::TimedOut && !data_.router &&
+            !transport::parseEndpoint(options_.server).tls)
+            refusal.message += " Or is TLS spoken there (ssl://HOST:PORT)?";
         if (refusal.code == RefusalCode::NotConnected || refusal.code == RefusalCode::TimedOut) {
             refusal.code = RefusalCode::Unavailable;
         }
@@ -313,7 +321,7 @@ Result<void> Client::Session::connect() {
 
 Result<void> Client::Session::establish() {
     Login login;
-    if (!data_.router) login.endpoint = transport::tcpEndpoint(options_.server);
+    if (!data_.router) login.endpoint = transport::parseEndpoint(options_.server);
     login.user = options_.user;
     login.password = options_.password;
     login.display_name = options_.display_name.empty() ? userAtHost() : options_.display_name;

@@ -11,6 +11,9 @@
 #include <set>
 #include <stdexcept>
 
+#include "transport/endpoint.hpp"
+#include "transport/tls.hpp"
+
 namespace axon::entity_manager {
 
 namespace {
@@ -164,11 +167,18 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
             "to the entity server is either through a router or direct");
     if (server.empty()) options.server.router = chosen("", kRouter, "");
     const auto at = chosen(server, "Axon.Server", "127.0.0.1:10412");
-    const auto colon = at.rfind(':');
-    if (colon == std::string::npos || colon == 0)
-        throw std::runtime_error("--server: expected host:port, as 127.0.0.1:10412, not '" + at + "'");
-    options.server.host = at.substr(0, colon);
-    options.server.port = static_cast<std::uint16_t>(integerBetween("--server, the port", at.substr(colon + 1), 1, 65535));
+    try {
+        const auto called = transport::parseEndpoint(at);
+        options.server.host = called.host;
+        options.server.port = called.port;
+        options.server.tls = called.tls;
+    } catch (const std::invalid_argument& error) {
+        throw std::runtime_error(std::string("--server: ") + error.what());
+    }
+    if (options.server.port == 0)
+        throw std::runtime_error("--server: expected host:port with a port from 1 to 65535, as 127.0.0.1:10412, not '" + at + "'");
+    if (options.server.tls && !transport::speaksTls(options.ice_properties))
+        throw std::runtime_error("--server: " + transport::certificateMissing(at, "entity"));
     options.server.user = chosen("", "Axon.User", "");
     options.server.password = chosen("", "Axon.Password", "");
 

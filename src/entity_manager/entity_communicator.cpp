@@ -14,6 +14,7 @@
 #include "entity_manager/server_communicators.hpp"
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
+#include "transport/endpoint.hpp"
 #include "transport/lane_socket.hpp"
 #include "transport/peer_connection.hpp"
 #include "transport/routed_session.hpp"
@@ -215,7 +216,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         return [weak = weak_from_this(), attempt, what = std::move(what)](const std::exception_ptr& problem) {
             const auto self = weak.lock();
             if (!self) return;
-            const auto reason = what + ": " + transport::translate(problem).message;
+            const auto reason = what + ": " + transport::translate(problem, self->address_.tls).message;
             self->post([attempt, reason](Connection& me) { me.failed(attempt, reason); });
         };
     }
@@ -224,9 +225,11 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         if (attempt == attempt_) lost(reason);
     }
 
+    transport::Endpoint called() const { return {address_.host, address_.port, address_.tls}; }
+
     void login() {
         const auto attempt = ++attempt_;
-        open(attempt, Lane::Data, "tcp -h " + address_.host + " -p " + std::to_string(address_.port), {},
+        open(attempt, Lane::Data, called().text(), {},
              [attempt](Connection& self, const Opened& opened) {
                  self.data_connection_ = opened.connection;
                  self.session_ = opened.session;
@@ -341,7 +344,13 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     }
 
     void loginSignalLane(std::uint64_t attempt, const ::Axon::EntityComm::SessionFacts& facts) {
-        open(attempt, Lane::Signal, facts.signalEndpoint, facts.token,
+        // Behind a router it is empty.
+        const auto endpoint =
+            facts.signalEndpoint.empty()
+                ? facts.signalEndpoint
+                : transport::asCalled(facts.signalEndpoint, called(),
+                                      transport::DirectConnection::remoteAddressOf(*data_connection_));
+        open(attempt, Lane::Signal, endpoint, facts.token,
              [attempt, token = facts.token](Connection& self, const Opened& opened) {
                  self.signal_connection_ = opened.connection;
                  transport::prepareSignalLane(*self.signal_connection_);

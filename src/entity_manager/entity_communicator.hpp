@@ -16,13 +16,16 @@ class ServerCommunicators;
 struct ServerAddress {
     std::string host = "127.0.0.1";
     std::uint16_t port = 10412;
+    bool tls = false;
     std::string user;
     std::string password;
     std::string
         router;  ///< "Axon.Entities/router:tcp -h 127.0.0.1 -p 10415" instead of the two above; empty: none
 
     /// For people.
-    std::string text() const { return router.empty() ? host + ":" + std::to_string(port) : router; }
+    std::string text() const {
+        return router.empty() ? (tls ? "ssl://" : "") + host + ":" + std::to_string(port) : router;
+    }
 };
 
 /// What the server pushes. Called on Ice threads (signals on those of the signal lane); serverUp and serverDown on the

@@ -28,13 +28,9 @@ class EntityServer::Rim {
               [this] {
                   if (auto* thread = publisher_ready.load()) thread->wake();
               }),
-          data_lane{core, Lane::Data, {}, {}, 0, transport::OpenSessions<EntitySessionServant>(clock)},
-          signal_lane{core,
-                      Lane::Signal,
-                      signalLimits(),
-                      {},
-                      0,
-                      transport::OpenSessions<EntitySessionServant>(clock)},
+          data_lane{core, Lane::Data, {}, {}, transport::OpenSessions<EntitySessionServant>(clock)},
+          signal_lane{
+              core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<EntitySessionServant>(clock)},
           data_adapter(transport::listen(*data, "EntityServer", settings.data_endpoint)),
           signal_adapter(transport::listen(*signal, "EntityServerSignal", settings.signal_endpoint)),
           data_topic(data->createObjectAdapter("")),
@@ -42,8 +38,7 @@ class EntityServer::Rim {
         const auto gate = Ice::stringToIdentity("EntityGate");
         data_lane.logins = settings.logins;
         data_lane.server = signal_lane.server = settings.name;
-        data_lane.signal_host = transport::hostOf(*signal_adapter);
-        data_lane.signal_port = transport::portOf(*signal_adapter);
+        data_lane.signal_endpoints = transport::publishedEndpoints(*signal_adapter);
         data_adapter->add(std::make_shared<EntityGateServant>(data_lane), gate);
         signal_adapter->add(std::make_shared<EntityGateServant>(signal_lane), gate);
         const auto subscriber = [this](Ice::ObjectAdapter& adapter) {

@@ -166,8 +166,16 @@ void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registrati
         session_.of(current);
         throw toIce(Refusal{RefusalCode::WrongState, "sendBasicPrfl belongs on the data lane's session", {}});
     }
-    transport::valueOrThrow(
-        lane_.core.sendBasicPrfl(session_.of(current), fromIce(std::move(registration)), toView(profile)));
+    const auto& its_session = session_.of(current);
+    auto its = fromIce(std::move(registration));
+    if (!certified_.empty() && its.name != certified_) {
+        const auto refusal = "the certificate that was shown is the entity '" + certified_ +
+                             "'s; expected its name in the basic profile, not '" + its.name +
+                             "': axon certs issue --entity NAME makes one for another name";
+        spdlog::warn("audit: registration refused, from {}: {}", session_.peer()->peer(), refusal);
+        throw toIce(Refusal{RefusalCode::PermissionDenied, refusal, {}});
+    }
+    transport::valueOrThrow(lane_.core.sendBasicPrfl(its_session, std::move(its), toView(profile)));
 }
 void EntitySessionServant::sendStatus(Axon::CommUtil::EntityStatus status, const Ice::Current& current) {
     const auto& its_session = session_.of(current);
@@ -213,8 +221,8 @@ void EntityGateServant::openAsync(std::string user, std::string password, Opened
     transport::openSession(
         lane_, peer, {std::move(user), std::move(password), {}, {}}, std::move(opened), std::move(refused),
         current,
-        [&lane = lane_, peer](const transport::LoggedIn&) {
-            return std::make_shared<EntitySessionServant>(lane, peer);
+        [&lane = lane_, peer](const transport::LoggedIn& who) {
+            return std::make_shared<EntitySessionServant>(lane, peer, who.entity);
         },
         [](transport::Logins& logins, transport::LoginRequest request, transport::Logins::Answer answer) {
             logins.entity(std::move(request), std::move(answer));

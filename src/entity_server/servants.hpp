@@ -64,8 +64,12 @@ using EntityLane = transport::SessionLane<EntityServerCore, EntitySessionServant
 /// attachSignalLane), closed. Answers only on the connection that opened it.
 class EntitySessionServant final : public Axon::EntityComm::EntitySession {
   public:
-    EntitySessionServant(EntityLane& lane, std::shared_ptr<transport::PeerConnection> peer)
-        : lane_(lane), session_(std::move(peer), [&lane](const auto& session, const Farewell& farewell) {
+    /// `certified`: the only name that it may register, by its certificate; empty: any.
+    EntitySessionServant(EntityLane& lane, std::shared_ptr<transport::PeerConnection> peer,
+                         std::string certified = {})
+        : lane_(lane),
+          certified_(std::move(certified)),
+          session_(std::move(peer), [&lane](const auto& session, const Farewell& farewell) {
               lane.core.leave(session, farewell.orderly, farewell.why);
           }) {}
 
@@ -102,6 +106,7 @@ class EntitySessionServant final : public Axon::EntityComm::EntitySession {
     }
 
     EntityLane& lane_;
+    const std::string certified_;
     transport::LaneSession<EntityServerCore::SessionRef, Farewell> session_;
 };
 

@@ -24,13 +24,9 @@ class FrontEndServer::Rim {
         FrontEndCore::Note note)
         : core(settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
                [this] { wake(); }),
-          data_lane{core, Lane::Data, {}, {}, 0, transport::OpenSessions<ClientSessionServant>(clock)},
-          signal_lane{core,
-                      Lane::Signal,
-                      signalLimits(),
-                      {},
-                      0,
-                      transport::OpenSessions<ClientSessionServant>(clock)},
+          data_lane{core, Lane::Data, {}, {}, transport::OpenSessions<ClientSessionServant>(clock)},
+          signal_lane{
+              core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<ClientSessionServant>(clock)},
           data_adapter(transport::listen(*data, "FrontEndServer", settings.data_endpoint)),
           signal_adapter(transport::listen(*signal, "FrontEndServerSignal", settings.signal_endpoint)),
           data_topic(data->createObjectAdapter("")),
@@ -38,8 +34,7 @@ class FrontEndServer::Rim {
         const auto gate = Ice::stringToIdentity("ClientGate");
         data_lane.logins = settings.logins;
         data_lane.server = signal_lane.server = settings.name;
-        data_lane.signal_host = transport::hostOf(*signal_adapter);
-        data_lane.signal_port = transport::portOf(*signal_adapter);
+        data_lane.signal_endpoints = transport::publishedEndpoints(*signal_adapter);
         data_adapter->add(std::make_shared<ClientGateServant>(data_lane), gate);
         signal_adapter->add(std::make_shared<ClientGateServant>(signal_lane), gate);
         const auto subscriber = [this](Ice::ObjectAdapter& adapter, Lane lane) {

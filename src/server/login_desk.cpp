@@ -21,6 +21,11 @@ constexpr std::size_t kWaitingMax = 4096;
 constexpr std::size_t kWaitingOfOneMax = 256;
 constexpr std::size_t kUserShown = 64;
 
+/// For logs and refusals.
+std::string cut(const std::string& name) {
+    return std::string(cutUtf8(validUtf8(name.substr(0, 2 * kUserShown)), kUserShown));
+}
+
 Refusal refuse(RefusalCode code, std::string message) {
     return {code, std::move(message), {}};
 }
@@ -51,12 +56,35 @@ void LoginDesk::close() {
     if (thread_.joinable()) thread_.join();
 }
 
+std::optional<Refusal> LoginDesk::wrongCertificate(Door door, const LoginRequest& request) const {
+    if (!request.certificate) return std::nullopt;
+    const std::string expected = door == Door::Client ? "client" : "entity";
+    const auto& [name, unit] = *request.certificate;
+    if (unit == expected && !name.empty()) return std::nullopt;
+    note_("audit: failed log-in from " + request.peer + " (its certificate, " + cut(name) +
+          ", has OU=" + cut(unit) + "; expected OU=" + expected + ")");
+    return refuse(RefusalCode::PermissionDenied, "the certificate that was shown is of the kind '" +
+                                                     cut(unit) + "'; expected one of the kind '" + expected +
+                                                     "' at this port: axon certs issue --" + expected +
+                                                     " NAME");
+}
+
 void LoginDesk::client(LoginRequest request, Answer answer) {
+    if (auto wrong = wrongCertificate(Door::Client, request)) return answer(std::move(*wrong));
     enqueue(Door::Client, std::move(request), std::move(answer));
 }
 
 void LoginDesk::entity(LoginRequest request, Answer answer) {
-    if (!users_) return answer(LoggedIn{});
+    if (auto wrong = wrongCertificate(Door::Entity, request)) return answer(std::move(*wrong));
+    const auto name = request.certificate ? request.certificate->name : std::string();
+    if (!users_ || (request.certificate && request.user.empty()))
+        return answer(LoggedIn{{}, Role::Operator, name});
+    answer = [answer = std::move(answer), name](Result<LoggedIn> who) {
+        if (!who) return answer(std::move(who));
+        auto its = std::move(who).value();
+        its.entity = name;
+        answer(std::move(its));
+    };
     enqueue(Door::Entity, std::move(request), std::move(answer));
 }
 
@@ -112,20 +140,37 @@ Result<LoggedIn> LoginDesk::decide(const Job& job) {
     const auto& request = job.request;
     if (!users_) {
         const auto uid = owner_of_(request.peer, request.local);
-        return LoggedIn{{}, uid && (*uid == 0 || *uid == ::geteuid()) ? Role::Admin : Role::Operator};
+        const auto name = request.certificate ? request.certificate->name : std::string();
+        return LoggedIn{name, uid && (*uid == 0 || *uid == ::geteuid()) ? Role::Admin : Role::Operator};
     }
-    const std::string user(cutUtf8(validUtf8(request.user.substr(0, 2 * kUserShown)), kUserShown));
+    const bool certified = request.certificate && job.door == Door::Client;
+    const auto& its_user = certified && request.user.empty() ? request.certificate->name : request.user;
+    const auto user = cut(its_user);
     const auto failed = [&](const std::string& why) {
         note_("audit: failed log-in of '" + user + "' from " + request.peer + " (" + why + ")");
     };
-    if (const auto wait = guard_.mustWait(job.address, user); wait > Duration{}) {
+    if (certified && its_user != request.certificate->name) {
+        failed("its certificate is '" + cut(request.certificate->name) + "'s");
+        return refuse(RefusalCode::PermissionDenied,
+                      "the certificate that was shown is the user '" + cut(request.certificate->name) +
+                          "'s, who cannot log in as '" + user +
+                          "'; leave the user out, or use the certificate of '" + user + "'");
+    }
+    if (const auto wait = guard_.mustWait(job.address, user); !certified && wait > Duration{}) {
         failed("tried too early");
         const auto seconds = std::chrono::ceil<std::chrono::seconds>(wait).count();
         return refuse(RefusalCode::PermissionDenied, "too many wrong passwords for '" + user + "' from " +
                                                          job.address + "; try again in " +
                                                          std::to_string(seconds) + " s");
     }
-    const auto role = verify(request.user, request.password);
+    const auto role = certified ? users_->roleOf(its_user) : verify(request.user, request.password);
+    if (certified && !role) {
+        failed("not in users.cfg");
+        return refuse(RefusalCode::PermissionDenied,
+                      "the certificate is right, but the server has no user '" + user +
+                          "': whoever runs it says what '" + user +
+                          "' may do, with axon-server --add-user, and restarts it");
+    }
     if (!role) {
         guard_.failed(job.address, user);
         failed("wrong name or password");

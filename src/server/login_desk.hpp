@@ -19,6 +19,9 @@ namespace axon::server {
 
 /// Who may open a session of this server, and as what.
 ///
+/// A certificate must be of the door's kind (OU=client, OU=entity). A client's stands for the password of the
+/// user whose name it bears; an entity's for user and password, and binds the Entity Manager to its name.
+///
 /// With users: name and password must be in users.cfg; the role `entity` is for Entity Managers, the other
 /// three for clients. Without (the server listens on loopback only): whoever has the server's own uid, or
 /// root's, is admin, everybody else operator; where the uid cannot be found out, operator. An Entity Manager
@@ -36,7 +39,8 @@ class LoginDesk final : public transport::Logins {
     using OwnerOf =
         std::function<std::optional<std::uint32_t>(const std::string& peer, const std::string& local)>;
 
-    /// `note` gets the lines of the audit; `owner_of` finds the uid of a connection's other end.
+    /// `note` gets the lines of the audit, on any thread; `owner_of` finds the uid of a connection's other
+    /// end.
     LoginDesk(std::optional<Users> users, const Clock& clock, Note note, OwnerOf owner_of);
     ~LoginDesk() override;
     LoginDesk(const LoginDesk&) = delete;
@@ -66,6 +70,8 @@ class LoginDesk final : public transport::Logins {
     Result<transport::LoggedIn> decide(const Job& job);
     Result<transport::LoggedIn> vouched(Door door, const std::string& user) const;
     static Result<transport::LoggedIn> admit(UserRole role, Door door, const std::string& user);
+    /// Whether its certificate, if it showed one, is for this door.
+    std::optional<Refusal> wrongCertificate(Door door, const transport::LoginRequest& request) const;
     std::optional<UserRole> verify(const std::string& user, const std::string& password);
     Digest digestOf(const std::string& password) const;
 

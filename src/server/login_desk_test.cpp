@@ -40,6 +40,22 @@ class LoginDeskTest : public testing::Test {
                      [&](Result<LoggedIn> who) { promise.set_value(std::move(who)); });
         return promise.get_future().get();
     }
+    Result<LoggedIn> certified(const std::string& name, const std::string& unit, const std::string& user = {},
+                               const std::string& password = {}) {
+        std::promise<Result<LoggedIn>> promise;
+        desk->client(
+            {user, password, "10.0.0.1:50122", "10.0.0.9:10410", transport::PeerCertificate{name, unit}},
+            [&](Result<LoggedIn> who) { promise.set_value(std::move(who)); });
+        return promise.get_future().get();
+    }
+    Result<LoggedIn> certifiedEntity(const std::string& name, const std::string& unit,
+                                     const std::string& user = {}, const std::string& password = {}) {
+        std::promise<Result<LoggedIn>> promise;
+        desk->entity(
+            {user, password, "10.0.0.2:50122", "10.0.0.9:10412", transport::PeerCertificate{name, unit}},
+            [&](Result<LoggedIn> who) { promise.set_value(std::move(who)); });
+        return promise.get_future().get();
+    }
     Result<LoggedIn> entity(const std::string& user, const std::string& password) {
         std::promise<Result<LoggedIn>> promise;
         desk->entity({user, password, "10.0.0.2:50122", "10.0.0.9:10412"},
@@ -89,6 +105,50 @@ TEST_F(LoginDeskTest, TheRoleIsThatOfTheFile) {
     EXPECT_EQ(client("boss", "secret1").value().user, "boss");  // now by its digest
     EXPECT_FALSE(client("boss", "secret2").ok());
     EXPECT_TRUE(entity("left", "secret1").ok());
+}
+
+TEST_F(LoginDeskTest, AClientsCertificateIsItsUserAndTheFileSaysWhatItMayDo) {
+    withUsers();
+    EXPECT_EQ(certified("boss", "client").value().user, "boss");
+    EXPECT_EQ(certified("watcher", "client", "watcher").value().role, Role::Observer);
+    EXPECT_THAT(certified("client1", "client", "boss", "secret1").refusal().message,
+                HasSubstr("the user 'client1's"));
+    EXPECT_THAT(certified("nobody", "client").refusal().message, HasSubstr("no user 'nobody'"));
+    EXPECT_THAT(notes.back(), HasSubstr("failed log-in of 'nobody'"));
+    EXPECT_THAT(certified("left", "client").refusal().message, HasSubstr("for Entity Managers"));
+    make(std::nullopt);
+    EXPECT_EQ(certified("anybody", "client").value().user, "anybody");
+    EXPECT_EQ(certified("anybody", "client").value().role, Role::Operator);
+}
+
+TEST_F(LoginDeskTest, WhoGuessesAPasswordDoesNotHoldUpTheCertificateOfThatUser) {
+    withUsers();
+    for (int i = 0; i < 4; ++i) static_cast<void>(client("boss", "guess").ok());
+    EXPECT_THAT(client("boss", "secret1").refusal().message, HasSubstr("try again in"));
+    EXPECT_TRUE(certified("boss", "client").ok());
+}
+
+TEST_F(LoginDeskTest, AnEntitysCertificateBindsItToItsName) {
+    withUsers();
+    EXPECT_EQ(certifiedEntity("Cyton Arm", "entity").value().entity, "Cyton Arm");
+    EXPECT_EQ(certifiedEntity("Cyton Arm", "entity", "left", "secret1").value().entity, "Cyton Arm");
+    EXPECT_FALSE(certifiedEntity("Cyton Arm", "entity", "left", "guess").ok());
+    EXPECT_EQ(entity("left", "secret1").value().entity, "");
+    make(std::nullopt);
+    EXPECT_EQ(certifiedEntity("right", "entity").value().entity, "right");
+}
+
+TEST_F(LoginDeskTest, ACertificateOfAnotherKindOpensNeitherDoor) {
+    withUsers();
+    for (const auto* unit : {"entity", "server", "router", "", "Client"}) {
+        const auto refusal = certified("boss", unit, "boss", "secret1").refusal();
+        EXPECT_EQ(refusal.code, RefusalCode::PermissionDenied) << unit;
+        EXPECT_THAT(refusal.message, HasSubstr("expected one of the kind 'client'"));
+    }
+    EXPECT_FALSE(certified("", "client").ok()) << "of nobody";
+    EXPECT_FALSE(certifiedEntity("", "entity").ok());
+    EXPECT_THAT(certifiedEntity("boss", "client").refusal().message, HasSubstr("axon certs issue --entity"));
+    EXPECT_THAT(notes.back(), HasSubstr("OU=client; expected OU=entity"));
 }
 
 TEST_F(LoginDeskTest, SaysNoInASentenceAndNotesItForTheAudit) {

@@ -7,23 +7,22 @@
 #include <cstdio>
 #include <functional>
 #include <map>
-#include <regex>
 #include <stdexcept>
 
 #include "server/users.hpp"
 #include "server/version.hpp"
-#include "transport/communicator.hpp"
+#include "transport/endpoint.hpp"
 #include "transport/properties.hpp"
 
 namespace axon::server {
 namespace {
 
-/// HOST:PORT of either "HOST:PORT" or Ice's "tcp -h HOST -p PORT".
-std::string hostAndPort(const std::string& text) {
-    static const std::regex kIce(R"(\s*tcp\s+-h\s+(\S+)\s+-p\s+(\d+)\s*)");
-    std::smatch parts;
-    if (std::regex_match(text, parts, kIce)) return parts[1].str() + ":" + parts[2].str();
-    return text;
+std::vector<transport::Endpoint> endpointsOf(const std::string& where, const std::string& text) {
+    try {
+        return transport::parseEndpoints(text);
+    } catch (const std::invalid_argument& error) {
+        throw std::runtime_error(where + ": " + error.what());
+    }
 }
 
 long number(const std::string& where, const std::string& text, long least, long most) {
@@ -56,15 +55,13 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         };
     };
     const auto endpoint = [](std::string& to) {
-        return [&to](const std::string&, const std::string& text) { to = hostAndPort(text); };
+        return [&to](const std::string& where, const std::string& text) {
+            to = transport::textOf(endpointsOf(where, text));
+        };
     };
     const auto published = [&](const std::string& adapter) {
         return [&settings, key = adapter + ".PublishedEndpoints"](const std::string& where, const std::string& text) {
-            try {
-                settings.ice_properties[key] = transport::tcpEndpoint(hostAndPort(text));
-            } catch (const std::invalid_argument& error) {
-                throw std::runtime_error(where + ": " + error.what());
-            }
+            settings.ice_properties[key] = transport::textOf(endpointsOf(where, text));
         };
     };
     const std::map<std::string, std::function<void(const std::string&, const std::string&)>> keys = {
@@ -99,6 +96,8 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
              settings.entity.drill_period = std::chrono::seconds{number(where, text, 0, 86'400)};
          }},
         {"Server.Users", [&](const auto&, const auto& text) { settings.users_file = text; }},
+        {"Server.PlainTcp",
+         [&](const auto& where, const auto& text) { settings.plain_tcp = number(where, text, 0, 1) != 0; }},
         {"Server.DataThreads",
          [&](const auto& where, const auto& text) {
              settings.data_threads = static_cast<int>(number(where, text, 1, 256));
@@ -141,6 +140,7 @@ Parsed parseOptions(int argc, char** argv) {
     std::string role;
     std::string users;
     std::string user_to_add;
+    bool plain_tcp = false;
     std::map<std::string, std::string> endpoints;
     Options options;
     app.add_option(
@@ -148,13 +148,15 @@ Parsed parseOptions(int argc, char** argv) {
         "frontendserver.cfg, entityserver.cfg: lines KEY=VALUE (docs/reference/server_configuration.md)");
     app.add_option("--listen", listen, "Address for all four ports (127.0.0.1)");
     app.add_option("--client-endpoint", endpoints["client"],
-                   "HOST:PORT for clients (127.0.0.1:10410); port 0 takes a free one");
+                   "HOST:PORT or ssl://HOST:PORT for clients (127.0.0.1:10410); port 0 takes a free one");
     app.add_option("--client-signal-endpoint", endpoints["client-signal"],
                    "HOST:PORT for clients' signal lane (127.0.0.1:10411)");
     app.add_option("--entity-endpoint", endpoints["entity"],
                    "HOST:PORT for Entity Managers (127.0.0.1:10412)");
     app.add_option("--entity-signal-endpoint", endpoints["entity-signal"],
                    "HOST:PORT for Entity Managers' signal lane (127.0.0.1:10413)");
+    app.add_flag("--plain-tcp", plain_tcp,
+                 "Other machines may connect without TLS, in a network that you trust (Server.PlainTcp)");
     app.add_option("--users", users,
                    "users.cfg: who may log in; without it, on loopback only, no password is asked");
     app.add_option(
@@ -175,6 +177,7 @@ Parsed parseOptions(int argc, char** argv) {
     auto& settings = options.settings;
     for (const auto& file : files) readConfiguration(file, settings);
     if (!users.empty()) settings.users_file = users;
+    settings.plain_tcp = settings.plain_tcp || plain_tcp;
     if (!user_to_add.empty()) {
         addUser(settings.users_file, user_to_add, role);
         return {std::nullopt, 0};
@@ -191,9 +194,11 @@ Parsed parseOptions(int argc, char** argv) {
         if (!endpoints[name].empty()) {
             *to = endpoints[name];
         } else if (!listen.empty()) {
-            *to = listen + to->substr(to->rfind(':'));
+            auto all = transport::parseEndpoints(*to);
+            for (auto& endpoint : all) endpoint.host = listen;
+            *to = transport::textOf(all);
         }
-        checkEndpoint(*to, !settings.users_file.empty());
+        checkEndpoints(*to, !settings.users_file.empty(), settings.plain_tcp);
     }
     return {std::move(options), 0};
 }

@@ -34,8 +34,10 @@ std::string complaint(const std::vector<std::string>& words) {
 
 TEST(ServerOptions, ListensElsewhereOnlyWithUsers) {
     EXPECT_THAT(complaint({"--listen", "0.0.0.0"}), HasSubstr("--add-user"));
-    EXPECT_EQ(parse({"--listen", "0.0.0.0", "--users", "users.cfg"}).options->settings.users_file,
-              "users.cfg");
+    EXPECT_THAT(complaint({"--listen", "0.0.0.0", "--users", "users.cfg"}), HasSubstr("axon certs issue"));
+    EXPECT_EQ(
+        parse({"--listen", "0.0.0.0", "--users", "users.cfg", "--plain-tcp"}).options->settings.users_file,
+        "users.cfg");
 }
 
 TEST(ServerOptions, SaysWhatAddUserNeeds) {

@@ -5,6 +5,7 @@
 #include <arpa/inet.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <optional>
 #include <stdexcept>
 #include <utility>
@@ -16,33 +17,74 @@
 #include "server/login_desk.hpp"
 #include "server/socket_owner.hpp"
 #include "transport/communicator.hpp"
+#include "transport/endpoint.hpp"
+#include "transport/tls.hpp"
 
 namespace axon::server {
 
-bool checkEndpoint(const std::string& endpoint, bool has_users) {
+namespace {
+
+std::vector<transport::Endpoint> parsed(const std::string& endpoints) {
     try {
-        transport::tcpEndpoint(endpoint);
+        return transport::parseEndpoints(endpoints);
     } catch (const std::invalid_argument& error) {
         throw std::runtime_error(error.what());
     }
-    const auto host = endpoint.substr(0, endpoint.rfind(':'));
-    in_addr address{};
-    const bool numeric = inet_pton(AF_INET, host.c_str(), &address) == 1;
-    const bool name = host.find_first_not_of("0123456789.") != std::string::npos;
-    if (!numeric && !name) {
-        throw std::runtime_error("'" + endpoint +
-                                 "': expected an address of four numbers, such as 127.0.0.1:10410");
+}
+
+std::string iceForm(const std::string& endpoints) {
+    return transport::textOf(parsed(endpoints));
+}
+
+/// Whoever comes to the data lane by a protocol is told a signal lane by the same one.
+void checkLanes(const std::string& data, const std::string& signal) {
+    for (const auto& wanted : parsed(data)) {
+        const auto offered = parsed(signal);
+        if (std::none_of(offered.begin(), offered.end(),
+                         [&](const transport::Endpoint& one) { return one.tls == wanted.tls; }))
+            throw std::runtime_error("the data lane listens at '" + wanted.address() +
+                                     "', and its signal lane ('" + signal + "') at no endpoint of " +
+                                     (wanted.tls ? "ssl" : "tcp") +
+                                     ": give it one, as stops come by the protocol of the data");
     }
-    const bool loopback = host == "localhost" || (numeric && (ntohl(address.s_addr) >> 24U) == 127);
-    if (!loopback && !has_users) {
-        throw std::runtime_error(
-            "'" + endpoint +
-            "' is reachable from other machines, and the server has no users: anybody there could move the "
-            "robots. Name who may log in (axon-server --users FILE --add-user NAME --role ROLE, then --users "
-            "FILE), or listen on 127.0.0.1 and let other machines in through an SSH tunnel (ssh -L "
-            "10410:127.0.0.1:10410 -L 10411:127.0.0.1:10411 HOST)");
+}
+
+}  // namespace
+
+bool checkEndpoints(const std::string& endpoints, bool has_users, bool plain_tcp) {
+    bool open = false;
+    for (const auto& endpoint : parsed(endpoints)) {
+        const auto& host = endpoint.host;
+        in_addr address{};
+        const bool numeric = inet_pton(AF_INET, host.c_str(), &address) == 1;
+        const bool name = host.find_first_not_of("0123456789.") != std::string::npos;
+        if (!numeric && !name) {
+            throw std::runtime_error("'" + endpoints +
+                                     "': expected an address of four numbers, such as 127.0.0.1:10410");
+        }
+        if (host == "localhost" || (numeric && (ntohl(address.s_addr) >> 24U) == 127)) continue;
+        if (!has_users) {
+            throw std::runtime_error(
+                "'" + endpoints +
+                "' is reachable from other machines, and the server has no users: anybody there could move "
+                "the robots. Name who may log in (axon-server --users FILE --add-user NAME --role ROLE, then "
+                "--users FILE), or listen on 127.0.0.1 and let other machines in through an SSH tunnel (ssh "
+                "-L 10410:127.0.0.1:10410 -L 10411:127.0.0.1:10411 HOST)");
+        }
+        if (endpoint.tls) continue;
+        if (!plain_tcp) {
+            throw std::runtime_error("'" + endpoints +
+                                     "' is reachable from other machines without TLS: what they send, "
+                                     "passwords included, could be "
+                                     "read and changed on the way. Listen by TLS (ssl://HOST:PORT, with a "
+                                     "certificate of axon certs "
+                                     "issue --server HOST; docs/reference/tls.md), or say that this network "
+                                     "is trusted: --plain-tcp, "
+                                     "or Server.PlainTcp=1");
+        }
+        open = true;
     }
-    return !loopback;
+    return open;
 }
 
 namespace {
@@ -56,12 +98,20 @@ std::optional<Users> usersOf(const ServerSettings& settings) {
     bool open = false;
     for (const auto* endpoint : {&settings.client_endpoint, &settings.client_signal_endpoint,
                                  &settings.entity_endpoint, &settings.entity_signal_endpoint,
-                                 &settings.client_router_endpoint, &settings.entity_router_endpoint})
-        open = (!endpoint->empty() && checkEndpoint(*endpoint, has_users)) || open;
+                                 &settings.client_router_endpoint, &settings.entity_router_endpoint}) {
+        if (endpoint->empty()) continue;
+        open = checkEndpoints(*endpoint, has_users, settings.plain_tcp) || open;
+        for (const auto& one : parsed(*endpoint))
+            if (one.tls && !transport::speaksTls(settings.ice_properties))
+                throw std::runtime_error(transport::certificateMissing(one.address(), "server"));
+    }
+    checkLanes(settings.client_endpoint, settings.client_signal_endpoint);
+    checkLanes(settings.entity_endpoint, settings.entity_signal_endpoint);
     if (open) {
         spdlog::warn(
-            "other machines can reach this server, and what they send, passwords included, is not encrypted: "
-            "use it in a network that you trust, or through an SSH tunnel");
+            "other machines can reach this server without TLS (Server.PlainTcp), and what they send, "
+            "passwords "
+            "included, can be read and changed on the way: use it in a network that you trust");
     }
     if (!has_users) return std::nullopt;
     return Users::read(settings.users_file);
@@ -83,7 +133,7 @@ transport::CommunicatorSettings communicatorSettings(const ServerSettings& setti
 }
 
 std::string routerEndpoint(const std::string& endpoint) {
-    return endpoint.empty() ? endpoint : transport::tcpEndpoint(endpoint);
+    return endpoint.empty() ? endpoint : iceForm(endpoint);
 }
 
 std::string named(const char* name, const std::string& address) {
@@ -157,13 +207,13 @@ class Server::Parts {
           signal(transport::makeCommunicator(
               communicatorSettings(settings, Lane::Signal, {"FrontEndServerSignal"}))),
           receipts(transport::makeCommunicator(receiptSettings(settings))),
-          entity({settings.entity, transport::tcpEndpoint(settings.entity_endpoint),
-                  transport::tcpEndpoint(settings.entity_signal_endpoint), &logins,
-                  routerEndpoint(settings.entity_router_endpoint), settings.name, settings.neighbours,
-                  settings.joined_by_proxies ? nullptr : &clients_here},
-                 data.communicator(), receipts.communicator(), clock, random, note),
-          front_end({settings.front_end, transport::tcpEndpoint(settings.client_endpoint),
-                     transport::tcpEndpoint(settings.client_signal_endpoint), &logins,
+          entity(
+              {settings.entity, iceForm(settings.entity_endpoint), iceForm(settings.entity_signal_endpoint),
+               &logins, routerEndpoint(settings.entity_router_endpoint), settings.name, settings.neighbours,
+               settings.joined_by_proxies ? nullptr : &clients_here},
+              data.communicator(), receipts.communicator(), clock, random, note),
+          front_end({settings.front_end, iceForm(settings.client_endpoint),
+                     iceForm(settings.client_signal_endpoint), &logins,
                      routerEndpoint(settings.client_router_endpoint), settings.name, settings.neighbours,
                      settings.joined_by_proxies ? nullptr : &entities_here},
                     data.communicator(), signal.communicator(), clock, random, note) {

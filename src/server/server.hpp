@@ -12,6 +12,7 @@ namespace axon::server {
 
 /// Settings of `axon-server`; docs/reference/ports.md and server_configuration.md.
 struct ServerSettings {
+    // HOST:PORT, ssl://HOST:PORT, or Ice's form, of which there may be several with ':' between them.
     std::string client_endpoint = "127.0.0.1:10410";
     std::string client_signal_endpoint = "127.0.0.1:10411";
     std::string entity_endpoint = "127.0.0.1:10412";
@@ -25,6 +26,7 @@ struct ServerSettings {
     front_end_server::CoreSettings front_end;
     entity_server::CoreSettings entity;
     std::string users_file;                             ///< users.cfg; empty: none, and loopback only
+    bool plain_tcp = false;                             ///< also where other machines can reach it
     std::map<std::string, std::string> ice_properties;  ///< win over the defaults
     bool lock_memory = true;                            ///< of the process of axon-server, where permitted
     /// The two servers call each other through proxies of the topics, as they would in processes of their
@@ -32,10 +34,10 @@ struct ServerSettings {
     bool joined_by_proxies = false;
 };
 
-/// Throws std::runtime_error, with the mend, for an endpoint that is no HOST:PORT, or not on loopback while
-/// the server has no users: nobody from outside may move a robot without a password. Returns whether others
-/// than this machine can reach it.
-bool checkEndpoint(const std::string& endpoint, bool has_users);
+/// Throws std::runtime_error, with the mend, for endpoints that are none, or not on loopback while the server
+/// has no users, as nobody from outside may move a robot without saying who he is, or not on loopback and
+/// without TLS, unless `plain_tcp`. Returns whether others than this machine can reach one without TLS.
+bool checkEndpoints(const std::string& endpoints, bool has_users, bool plain_tcp);
 
 /// Both servers in one process, the embedded default: each publishes to the other by plain calls, which run
 /// in the caller's thread, one lane apart from the other. The only place that knows so.

@@ -30,7 +30,7 @@ class Users {
     /// The role, if there is such a user and this is the password. What an unknown user takes is what a wrong
     /// password takes.
     std::optional<UserRole> verify(const std::string& name, const std::string& password) const;
-    /// Without a password: for who has been verified elsewhere.
+    /// Without a password: for who has been verified otherwise.
     std::optional<UserRole> roleOf(const std::string& name) const;
     std::size_t size() const { return users_.size(); }
 

@@ -6,24 +6,16 @@
 namespace axon::transport {
 namespace {
 
-std::shared_ptr<Ice::IPEndpointInfo> firstOf(const Ice::EndpointSeq& endpoints) {
+std::vector<Endpoint> endpointsOf(const Ice::EndpointSeq& endpoints) {
+    std::vector<Endpoint> all;
     for (const auto& endpoint : endpoints) {
-        for (auto info = endpoint->getInfo(); info; info = info->underlying) {
-            if (auto ip = std::dynamic_pointer_cast<Ice::IPEndpointInfo>(info)) return ip;
+        const auto outer = endpoint->getInfo();
+        for (auto info = outer; info; info = info->underlying) {
+            const auto ip = std::dynamic_pointer_cast<Ice::IPEndpointInfo>(info);
+            if (ip) all.push_back({ip->host, static_cast<std::uint16_t>(ip->port), outer->secure()});
         }
     }
-    throw std::logic_error("an adapter that listens has an endpoint");
-}
-
-std::shared_ptr<Ice::IPEndpointInfo> endpointOf(const Ice::ObjectAdapter& adapter) {
-    return firstOf(adapter.getEndpoints());
-}
-
-/// Only where one was configured: Ice publishes every address of the machine for an adapter that listens on all.
-std::shared_ptr<Ice::IPEndpointInfo> publishedOf(const Ice::ObjectAdapter& adapter) {
-    const auto properties = adapter.getCommunicator()->getProperties();
-    if (properties->getProperty(adapter.getName() + ".PublishedEndpoints").empty()) return endpointOf(adapter);
-    return firstOf(adapter.getPublishedEndpoints());
+    return all;
 }
 
 }  // namespace
@@ -49,18 +41,22 @@ std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, cons
     }
 }
 
-int portOf(const Ice::ObjectAdapter& adapter) {
-    return publishedOf(adapter)->port;
-}
-
-std::string hostOf(const Ice::ObjectAdapter& adapter) {
-    const auto host = publishedOf(adapter)->host;
-    return host == "0.0.0.0" || host == "*" || host == "::" ? std::string() : host;
+std::vector<Endpoint> publishedEndpoints(const Ice::ObjectAdapter& adapter) {
+    // Not asked of Ice where none is configured: it publishes every address of the machine for an adapter that
+    // listens on all.
+    const auto configured =
+        !adapter.getCommunicator()->getProperties()->getProperty(adapter.getName() + ".PublishedEndpoints").empty();
+    auto all = endpointsOf(configured ? adapter.getPublishedEndpoints() : adapter.getEndpoints());
+    for (auto& endpoint : all)
+        if (endpoint.host == "0.0.0.0" || endpoint.host == "*" || endpoint.host == "::") endpoint.host.clear();
+    return all;
 }
 
 std::string addressOf(const Ice::ObjectAdapter& adapter) {
-    const auto endpoint = endpointOf(adapter);
-    return endpoint->host + ":" + std::to_string(endpoint->port);
+    std::string text;
+    for (const auto& endpoint : endpointsOf(adapter.getEndpoints()))
+        text += (text.empty() ? "" : ",") + endpoint.address();
+    return text;
 }
 
 }  // namespace axon::transport

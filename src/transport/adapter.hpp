@@ -4,6 +4,9 @@
 
 #include <memory>
 #include <string>
+#include <vector>
+
+#include "transport/endpoint.hpp"
 
 namespace axon::transport {
 
@@ -13,11 +16,10 @@ namespace axon::transport {
 std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, const std::string& name,
                                            const std::string& endpoint, int threads = 0);
 
-/// The port that was taken, where 0 was asked for.
-int portOf(const Ice::ObjectAdapter& adapter);
-/// The address that it listens on; empty for all of this machine's.
-std::string hostOf(const Ice::ObjectAdapter& adapter);
-/// "127.0.0.1:10410".
+/// Where peers are told to call it: as configured, else as it listens, with the port that was taken where 0
+/// was asked for, and an empty host where it listens on all addresses of this machine.
+std::vector<Endpoint> publishedEndpoints(const Ice::ObjectAdapter& adapter);
+/// "127.0.0.1:10410", and with ',' between them where it listens at several: "ssl://…,127.0.0.1:10410".
 std::string addressOf(const Ice::ObjectAdapter& adapter);
 
 }  // namespace axon::transport

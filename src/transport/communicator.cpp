@@ -7,10 +7,11 @@
 #include <sched.h>
 #include <spdlog/spdlog.h>
 
-#include <algorithm>
 #include <atomic>
-#include <charconv>
 #include <stdexcept>
+
+#include "transport/endpoint.hpp"
+#include "transport/tls.hpp"
 
 namespace axon::transport {
 namespace {
@@ -67,6 +68,8 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
     };
     for (const auto& [key, value] : defaults) init.properties->setProperty(key, value);
     for (const auto& [key, value] : settings.properties) init.properties->setProperty(key, value);
+    const bool tls = speaksTls(settings.properties);
+    if (tls) prepareTls(init, settings.properties);
 
     // Ice runs the hook in each thread that it starts for this communicator.
     auto said = std::make_shared<std::atomic<bool>>(false);
@@ -76,13 +79,20 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
         if (lane == Lane::Signal) requestRealTime(priority, *said);
     };
     try {
-        return Ice::CommunicatorHolder(init);
+        Ice::CommunicatorHolder holder(init);
+        if (tls) checkServers(holder.communicator());
+        return holder;
+    } catch (const Ice::PluginInitializationException& error) {
+        throw std::runtime_error("TLS cannot be used: " + error.reason +
+                                 "; expected the files of IceSSL.CertFile, IceSSL.KeyFile and IceSSL.CAs in "
+                                 "IceSSL.DefaultDir, as axon certs issue writes them: axon certs show FILE");
     } catch (const Ice::Exception& error) {
         throw std::runtime_error(std::string("Ice does not accept its properties: ") + error.what());
     }
 }
 
-Refusal translate(std::exception_ptr error) {
+Refusal translate(std::exception_ptr error, bool setting_up_tls) {
+    if (auto refusal = tlsRefusal(error, setting_up_tls)) return std::move(*refusal);
     try {
         std::rethrow_exception(std::move(error));
     } catch (const Axon::CommUtil::RequestRefused& refused) {
@@ -134,24 +144,7 @@ Refusal translate(std::exception_ptr error) {
 }
 
 std::string tcpEndpoint(const std::string& host_and_port) {
-    const auto colon = host_and_port.rfind(':');
-    const auto fail = [&] {
-        return std::invalid_argument(
-            "'" + host_and_port +
-            "': expected HOST:PORT with a port from 0 to 65535, such as 127.0.0.1:10410");
-    };
-    if (colon == std::string::npos || colon == 0) throw fail();
-    const auto host = host_and_port.substr(0, colon);
-    const auto text = host_and_port.substr(colon + 1);
-    unsigned port = 0;
-    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), port);
-    if (error != std::errc{} || end != text.data() + text.size() || port > 65535) throw fail();
-    // The host becomes part of an endpoint string: nothing that Ice would read as an option may be in it.
-    const bool plain = std::all_of(host.begin(), host.end(), [](unsigned char c) {
-        return std::isalnum(c) != 0 || c == '.' || c == '-' || c == '_';
-    });
-    if (!plain || host.front() == '-') throw fail();
-    return "tcp -h " + host + " -p " + std::to_string(port);
+    return parseEndpoint(host_and_port).text();
 }
 
 }  // namespace axon::transport

@@ -34,18 +34,20 @@ struct CommunicatorSettings {
 
 /// An Ice communicator with the project's defaults: bounded message size, no retries (a new connection has no
 /// session), connections kept alive by their client side and closed by their server side when silent for a
-/// minute, calls in order on each connection, IPv4. The threads of a signal-lane communicator run under
-/// SCHED_RR where that is permitted; where not, that is logged once and they run as ordinary threads.
+/// minute, calls in order on each connection, IPv4, and TLS where the properties name a certificate. The
+/// threads of a signal-lane communicator run under SCHED_RR where that is permitted; where not, that is
+/// logged once and they run as ordinary threads.
 ///
 /// Ownership: the holder destroys it, which closes its connections and joins its threads.
 /// Failure: throws std::runtime_error for properties that Ice does not accept (misconfiguration).
 Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings);
 
 /// The one place where Ice's exceptions become refusals. Also for the contracts' own RequestRefused and for
-/// standard exceptions (INTERNAL).
-Refusal translate(std::exception_ptr error);
+/// standard exceptions (INTERNAL). `setting_up_tls`: a connection over TLS was being made.
+Refusal translate(std::exception_ptr error, bool setting_up_tls = false);
 
-/// "tcp -h 127.0.0.1 -p 10410" of "127.0.0.1:10410". Throws std::invalid_argument with the mend.
+/// "tcp -h 127.0.0.1 -p 10410" of "127.0.0.1:10410", "ssl -h …" of "ssl://…". Throws std::invalid_argument
+/// with the mend.
 std::string tcpEndpoint(const std::string& host_and_port);
 
 /// The callback proxy to send on: an endpoint-less one is bound to the connection it came over, a routed or

@@ -9,15 +9,18 @@
 #include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
+#include "transport/endpoint.hpp"
 #include "transport/lane_socket.hpp"
 #include "transport/login.hpp"
 #include "transport/open_sessions.hpp"
 #include "transport/outbox.hpp"
 #include "transport/peer_connection.hpp"
 #include "transport/routed_connection.hpp"
+#include "transport/tls.hpp"
 
 // A session of two lanes, on the server's side: what a client's and an Entity Manager's have in common.
 namespace axon::transport {
@@ -28,19 +31,24 @@ struct SessionLane {
     Core& core;
     Lane lane;
     OutboxLimits limits;
-    std::string signal_host;  ///< of the signal lane's adapter; empty where it listens on all addresses
-    int signal_port = 0;
+    /// Of the signal lane's adapter; without a host where it listens on all addresses.
+    std::vector<Endpoint> signal_endpoints;
     OpenSessions<Servant> sessions;
     /// Of the data lane. Null on the signal lane: there the token of a session is the proof, and no stop
     /// waits for a password.
     Logins* logins = nullptr;
     std::string server = {};  ///< its name, where there are several
 
-    /// Where this peer finds the signal lane; empty behind a router, which knows.
+    /// Where this peer finds the signal lane, by the protocol that it came by; empty behind a
+    /// router, which knows.
     std::string signalEndpoint(const PeerConnection& peer) const {
         if (peer.routed()) return {};
-        const auto host = signal_host.empty() ? peer.localAddress() : signal_host;
-        return host.empty() ? host : "tcp -h " + host + " -p " + std::to_string(signal_port);
+        for (auto endpoint : signal_endpoints) {
+            if (endpoint.tls != peer.tls()) continue;
+            if (endpoint.host.empty()) endpoint.host = peer.localAddress();
+            return endpoint.host.empty() ? endpoint.host : endpoint.text();
+        }
+        return {};
     }
     /// The core's token as the peer gets it: behind a router it leads to this server (router_servants.hpp).
     std::string toPeer(const std::string& token) const {
@@ -149,6 +157,7 @@ void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<DirectC
                  Ask ask) {
     request.peer = DirectConnection::peerOf(*peer->get());
     request.local = DirectConnection::localOf(*peer->get());
+    request.certificate = certificateOf(*peer->get());
     Logins::Answer answer = [&lane, peer, adapter = current.adapter, opened = std::move(opened),
                              refused = std::move(refused), make = std::move(make)](Result<LoggedIn> who) {
         try {

@@ -62,7 +62,7 @@ TEST_F(LaneSocketTest, BothEndsOfAConnectionAreFoundAndNotTakenForEachOther) {
     sockaddr_in peer{};
     socklen_t size = sizeof peer;
     ASSERT_EQ(::getpeername(near, reinterpret_cast<sockaddr*>(&peer), &size), 0);
-    EXPECT_EQ(ntohs(peer.sin_port), portOf(*adapter_));
+    EXPECT_EQ(ntohs(peer.sin_port), publishedEndpoints(*adapter_).front().port);
 }
 
 TEST_F(LaneSocketTest, AConnectionIsFoundBehindAHundredYoungerDescriptors) {

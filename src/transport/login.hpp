@@ -1,12 +1,19 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <functional>
+#include <optional>
 #include <string>
 
 #include "common/result.hpp"
 #include "common/routed.hpp"
 
 namespace axon::transport {
+
+/// What a verified certificate says of who showed it (docs/reference/tls.md).
+struct PeerCertificate {
+    std::string name;  ///< CN
+    std::string unit;  ///< OU: server, router, entity, client
+};
 
 /// What somebody who opens a session says of himself, and the two ends of his connection as
 /// "127.0.0.1:50122".
@@ -15,12 +22,14 @@ struct LoginRequest {
     std::string password;
     std::string peer;
     std::string local;
+    std::optional<PeerCertificate> certificate;
 };
 
 /// Who it is. `user` is empty where the server runs without users.
 struct LoggedIn {
     std::string user;
     Role role = Role::Operator;
+    std::string entity;  ///< the only name that it may register, by its certificate; empty: any
 };
 
 /// Decides who may open a session; the two gates ask it. A password takes its time to verify, so the answer

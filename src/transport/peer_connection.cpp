@@ -2,6 +2,7 @@
 #include "transport/peer_connection.hpp"
 
 #include "transport/communicator.hpp"
+#include "transport/tls.hpp"
 
 namespace axon::transport {
 namespace {
@@ -83,6 +84,15 @@ std::string DirectConnection::peerOf(const Ice::Connection& connection) {
 std::string DirectConnection::localOf(const Ice::Connection& connection) {
     const auto ip = ipOf(connection);
     return ip ? ip->localAddress + ":" + std::to_string(ip->localPort) : std::string();
+}
+
+std::string DirectConnection::remoteAddressOf(const Ice::Connection& connection) {
+    const auto ip = ipOf(connection);
+    return ip ? ip->remoteAddress : std::string();
+}
+
+bool DirectConnection::tls() const {
+    return isTls(*connection_);
 }
 
 std::string DirectConnection::localAddress() const {

@@ -41,6 +41,8 @@ class PeerConnection {
     virtual std::string peer() const = 0;
     /// The address of this side that the peer connected to; empty when not TCP.
     virtual std::string localAddress() const = 0;
+    /// The peer itself, or its router, came by TLS.
+    virtual bool tls() const = 0;
 
     /// The head as the cores take it. A peer whose head is not proper (convert.hpp) is disconnected for its
     /// behaviour, and the call ends with Ice::ObjectNotExistException.
@@ -61,11 +63,14 @@ class DirectConnection final : public PeerConnection {
     const void* key() const override { return connection_.get(); }
     std::string peer() const override { return peerOf(*connection_); }
     std::string localAddress() const override;
+    bool tls() const override;
 
     const Ice::Connection* get() const { return connection_.get(); }
     /// The two ends of a connection as "127.0.0.1:50122".
     static std::string peerOf(const Ice::Connection& connection);
     static std::string localOf(const Ice::Connection& connection);
+    /// The peer's own address; empty when not TCP.
+    static std::string remoteAddressOf(const Ice::Connection& connection);
 
   private:
     struct Told {

@@ -1,22 +1,14 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "transport/routed_connection.hpp"
 
-#include <IceSSL/IceSSL.h>
 #include <spdlog/spdlog.h>
 
 #include <utility>
 
+#include "transport/tls.hpp"
+
 namespace axon::transport {
 namespace {
-
-/// The verified certificate of the other end; null where there is none.
-IceSSL::CertificatePtr certificateOf(const Ice::Connection& connection) {
-    for (auto layer = connection.getInfo(); layer; layer = layer->underlying) {
-        const auto tls = std::dynamic_pointer_cast<IceSSL::ConnectionInfo>(layer);
-        if (tls && tls->verified && !tls->certs.empty()) return tls->certs.front();
-    }
-    return nullptr;
-}
 
 bool isLoopback(const std::string& peer) {
     return peer.rfind("127.", 0) == 0;
@@ -29,9 +21,8 @@ Result<void> RouterConnections::admit(const Ice::Connection& connection) const {
     std::string why = "no certificate of a router";
     try {
         if (const auto certificate = certificateOf(connection)) {
-            const auto name = certificate->getSubjectDN();
-            if (name.match("OU=router") || name.match("OU=server")) return {};
-            why = "its certificate is that of " + std::string(name);
+            if (certificate->unit == "router" || certificate->unit == "server") return {};
+            why = "its certificate is that of the " + certificate->unit + " " + certificate->name;
         } else if (isLoopback(peer)) {
             if (logins_ == nullptr || logins_->mayVouch(peer, DirectConnection::localOf(connection)))
                 return {};

@@ -69,6 +69,7 @@ class RoutedConnection final : public PeerConnection, public std::enable_shared_
     const void* key() const override { return this; }
     std::string peer() const override { return peer_; }
     std::string localAddress() const override { return {}; }
+    bool tls() const override { return false; }
 
     /// The session is over; `otherwise` is why, unless disconnect() has said it.
     void ended(const std::string& otherwise);

@@ -142,7 +142,7 @@ void openRoutedSession(const std::shared_ptr<Ice::ObjectPrx>& router, const Rout
 }
 
 bool isRouter(const std::string& server) {
-    return server.find('/') != std::string::npos;
+    return server.find('/') != std::string::npos && server.rfind("ssl://", 0) != 0;
 }
 
 std::shared_ptr<Ice::ObjectPrx> routerProxy(const Ice::Communicator& communicator, const std::string& text) {

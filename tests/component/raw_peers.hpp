@@ -6,6 +6,7 @@
 #include <atomic>
 #include <functional>
 #include <future>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <string>
@@ -51,9 +52,9 @@ class Log {
 template <class GatePrx, class SessionPrx, class CallbackPrx>
 class RawPeer {
   public:
-    RawPeer()
-        : data_(transport::makeCommunicator({"raw-data", Lane::Data, 1, 1, {}})),
-          signal_(transport::makeCommunicator({"raw-signal", Lane::Signal, 1, 1, {}})) {}
+    explicit RawPeer(const std::map<std::string, std::string>& properties = {})
+        : data_(transport::makeCommunicator({"raw-data", Lane::Data, 1, 1, properties})),
+          signal_(transport::makeCommunicator({"raw-signal", Lane::Signal, 1, 1, properties})) {}
     virtual ~RawPeer() = default;
     RawPeer(const RawPeer&) = delete;
     RawPeer& operator=(const RawPeer&) = delete;
@@ -133,7 +134,9 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
                                  Axon::EntityComm::EntityCallbackPrx> {
   public:
     explicit RawEntity(const std::string& address, std::string uuid, const std::string& name = "Robot",
-                       const std::string& user = {}, const std::string& password = {}) {
+                       const std::string& user = {}, const std::string& password = {},
+                       const std::map<std::string, std::string>& properties = {})
+        : RawPeer(properties) {
         const auto open = [&](const std::shared_ptr<Axon::EntityComm::EntityGatePrx>& gate) {
             return gate->open(user, password);
         };
@@ -236,7 +239,9 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
   public:
     explicit RawClient(const std::string& address, const std::string& name = "client1@lab",
                        bool with_signal_lane = true, const std::string& user = {},
-                       const std::string& password = {}) {
+                       const std::string& password = {},
+                       const std::map<std::string, std::string>& properties = {})
+        : RawPeer(properties) {
         const auto open = [&](const std::shared_ptr<Axon::FrontEndComm::ClientGatePrx>& gate) {
             return gate->open(user, password, name);
         };

@@ -56,14 +56,20 @@ TEST(ServerStart, RefusesToListenElsewhereThanOnLoopback) {
     EXPECT_THROW(server::Server{settings}, std::runtime_error);
     settings.client_endpoint = "no-port";
     EXPECT_THROW(server::Server{settings}, std::runtime_error);
-    EXPECT_FALSE(server::checkEndpoint("localhost:10410", false));
-    EXPECT_TRUE(server::checkEndpoint("0.0.0.0:10410", true));
-    EXPECT_THROW(server::checkEndpoint("laboratory:10410", false), std::runtime_error);
+    EXPECT_FALSE(server::checkEndpoints("localhost:10410", false, false));
+    EXPECT_TRUE(server::checkEndpoints("0.0.0.0:10410", true, true));
+    EXPECT_FALSE(server::checkEndpoints("ssl://0.0.0.0:10410", true, false));
+    EXPECT_FALSE(server::checkEndpoints("ssl -h 0.0.0.0 -p 4063:tcp -h 127.0.0.1 -p 10410", true, false));
+    EXPECT_THROW(server::checkEndpoints("laboratory:10410", false, true), std::runtime_error);
+    EXPECT_THROW(server::checkEndpoints("0.0.0.0:10410", true, false), std::runtime_error) << "not silently";
+    EXPECT_THROW(server::checkEndpoints("ssl -h 0.0.0.0 -p 4063:tcp -h 0.0.0.0 -p 10410", true, false),
+                 std::runtime_error);
+    EXPECT_THROW(server::checkEndpoints("ssl://0.0.0.0:10410", false, false), std::runtime_error);
 }
 
 TEST(ServerStart, SaysThatAnAddressHasFourNumbers) {
     try {
-        server::checkEndpoint("127.1:10410", false);
+        server::checkEndpoints("127.1:10410", false, false);
         FAIL() << "expected a misconfiguration";
     } catch (const std::runtime_error& error) {
         EXPECT_NE(std::string(error.what()).find("four numbers"), std::string::npos) << error.what();

@@ -257,7 +257,7 @@ class ChainTest(unittest.TestCase):
         for program, options, mend in (
                 ("axon-entity-manager", [], "--application"),
                 ("axon-entity-manager", ["--application", "x", "--ports", "80-90"], "5500"),
-                ("axon-entity-manager", ["--application", "x", "--server", "nonsense"], "host:port"),
+                ("axon-entity-manager", ["--application", "x", "--server", "nonsense"], "HOST:PORT"),
                 ("axon-server", ["--client-endpoint", "127.0.0.1:99999"], "65535"),
                 ("axon-server", ["--listen", "0.0.0.0"], "127.0.0.1")):
             process = self.lab.start(f"wrong-{len(self.lab.processes)}", program, *options)

@@ -1,0 +1,112 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""The whole chain over TLS, with certificates that `axon certs` made: what works, and what a wrong one is told.
+
+    python3 tests/e2e/tls_test.py --bin build/dev/bin [unittest options]
+"""
+import os
+import pathlib
+import shutil
+import sys
+import unittest
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT / "tools"))
+from laboratory import Laboratory, addresses, wait_until  # noqa: E402
+
+BIN = ROOT / "build" / "dev" / "bin"
+
+
+class TlsTest(unittest.TestCase):
+    serial = 0
+
+    def setUp(self):
+        TlsTest.serial += 1
+        low = 5600 + (os.getpid() * 7 + TlsTest.serial * 13) % 1900
+        self.lab = Laboratory(BIN, application="Greeter", ports=f"{low}-{low + 5}")
+        self.addCleanup(self.tidy)
+        self.certs("init")
+        # By its name only: the signal lanes' certificates are checked for the name that was called, too.
+        self.certs("issue", "--server", "localhost")
+        self.certs("issue", "--entity", "Greeter")
+        self.certs("issue", "--client", "client1")
+        self.start_server()
+
+    def tidy(self):
+        self.lab.end()
+        result = self._outcome.result
+        if any(test is self for test, _ in result.failures + result.errors):
+            print(f"logs of {self.id()}: {self.lab.folder}", file=sys.stderr)
+        else:
+            shutil.rmtree(self.lab.folder, ignore_errors=True)
+
+    def certs(self, *words, folder="certs"):
+        status, lines, errors = self.lab.axon("certs", *words, "--folder", str(self.lab.folder / folder))
+        self.assertEqual(status, 0, f"{words}: {lines} {errors}")
+
+    def configuration(self, name, *more, folder="certs"):
+        """The file that `axon certs issue` wrote, with more lines."""
+        file = self.lab.folder / f"{name}-{len(self.lab.processes)}.cfg"
+        file.write_text("\n".join([(self.lab.folder / folder / f"{name}.cfg").read_text(), *more, ""]))
+        return file
+
+    def start_server(self):
+        self.server = self.lab.start("server", "axon-server", "--config", self.configuration(
+            "server-localhost",
+            *[f"{key}.Endpoints=ssl -h 127.0.0.1 -p 0"
+              for key in ("FrontEndServer", "FrontEndServerSignal", "EntityServer", "EntityServerSignal")]))
+        ready = addresses(self.server.wait_for("ready "))
+        self.at = {name: address.replace("127.0.0.1", "localhost") for name, address in ready.items()}
+        self.assertTrue(self.at["client"].startswith("ssl://"), ready)
+        self.use(self.configuration("client-client1", f"Axon.Server={self.at['client']}"))
+
+    def use(self, file):
+        self.lab.env["AXON_CONFIG"] = str(file)
+
+    def start_entity(self, certificate, folder="certs"):
+        ports = self.lab.folder / "ports.cfg"
+        ports.write_text(f"Axon.Ports = {self.lab.ports}\n")
+        self.lab.start("hello", "hello-entity", ROOT / "examples/01_hello_entity", ports)
+        return self.lab.start("em", "axon-entity-manager", "--config", self.configuration(
+            certificate, "Axon.Application=Greeter", f"Axon.Ports={self.lab.ports}",
+            f"Axon.Server={self.at['entity']}", folder=folder))
+
+    def test_list_run_and_stop(self):
+        self.start_entity("entity-Greeter")
+        self.lab.wait_for_entity("Greeter")
+        status, lines, errors = self.lab.axon("run", "Greeter", "Greet", "Name=you", "Times=1")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        status, lines, errors = self.lab.axon("stop", "Greeter")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        self.assertIn("callback_returned", str(lines))
+
+    def test_a_client_of_another_ca_is_told_what_to_do_and_the_server_logs_it(self):
+        self.certs("init", folder="others")
+        self.certs("issue", "--client", "client1", folder="others")
+        self.use(self.configuration("client-client1", f"Axon.Server={self.at['client']}",
+                                    f"IceSSL.CAs={self.lab.folder}/certs/ca.cert.pem", folder="others"))
+        status, lines, errors = self.lab.axon("ls")
+        self.assertEqual(status, 1, f"{lines} {errors}")
+        self.assertIn("Its log says why", str(lines) + errors)
+        wait_until(lambda: "the certificate is of another CA" in self.server.text(), "the server's log has it")
+
+    def test_who_has_no_certificate_is_told_how_to_get_one(self):
+        self.lab.env.pop("AXON_CONFIG")
+        status, lines, errors = self.lab.axon("--server", self.at["client"], "ls")
+        self.assertNotEqual(status, 0)
+        self.assertIn("axon certs issue --client", str(lines) + errors)
+
+    def test_an_entity_of_another_name_does_not_register(self):
+        self.certs("issue", "--entity", "left")
+        manager = self.start_entity("entity-left")
+        wait_until(lambda: "the entity 'left's" in manager.text(), "the Entity Manager's log has it")
+        wait_until(lambda: "registration refused" in self.server.text(), "the server's log has it")
+        self.assertEqual(self.lab.entities(), [])
+
+
+if __name__ == "__main__":
+    if "--bin" in sys.argv:
+        at = sys.argv.index("--bin")
+        BIN = pathlib.Path(sys.argv[at + 1]).resolve()
+        del sys.argv[at:at + 2]
+    unittest.main(verbosity=2)
