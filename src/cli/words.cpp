@@ -191,7 +191,7 @@ Json noServerEvent(const Refusal& refusal, const std::string& server) {
     if (json["message"].get_ref<const std::string&>().empty()) json["message"] = "no server at " + server;
     if (refusal.code != RefusalCode::PermissionDenied && refusal.code != RefusalCode::Malformed) {
         json["mend"] =
-            server.find('/') == std::string::npos
+            server.find("/router:") == std::string::npos
                 ? "start one with: axon-server, or name another with --server HOST:PORT (or AXON_SERVER)"
                 : "look whether the router and a server behind it run where --config (or AXON_CONFIG) says: "
                   "axon-cluster status, or the logs of glacier2router and axon-server";

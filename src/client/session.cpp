@@ -268,10 +268,11 @@ Result<void> Client::Session::connect() {
             1, std::chrono::duration_cast<std::chrono::milliseconds>(toDuration(options_.timeout)).count());
         auto properties = options_.properties;
         properties["Ice.Override.ConnectTimeout"] = std::to_string(milliseconds);
-        const bool routed = transport::isRouter(options_.server);
-        if (!routed && transport::parseEndpoint(options_.server).tls && !transport::speaksTls(properties))
-            return Refusal{
-                RefusalCode::Malformed, transport::certificateMissing(options_.server, "client"), {}};
+        const auto& server = options_.server;
+        const bool tls = transport::isRouter(server) ? transport::isTlsRouter(server)
+                                                     : transport::parseEndpoint(server).tls;
+        if (tls && !transport::speaksTls(properties))
+            return Refusal{RefusalCode::Malformed, transport::certificateMissing(server, "client"), {}};
         data_communicator_ = transport::makeCommunicator({"axon-client", Lane::Data, 1, 1, properties});
         signal_communicator_ = transport::makeCommunicator(
             {"axon-signal", Lane::Signal, 1, 1, properties, transport::kReceiptPriority});
@@ -280,8 +281,8 @@ Result<void> Client::Session::connect() {
             home->communicator = holder->communicator();
             home->adapter = home->communicator->createObjectAdapter("");
             home->adapter->activate();
-            if (transport::isRouter(options_.server))
-                home->router = transport::routerProxy(*home->communicator, options_.server);
+            if (transport::isRouter(server))
+                home->router = transport::routerProxy(*home->communicator, server);
         }
     } catch (const std::invalid_argument& error) {
         return Refusal{RefusalCode::Malformed, error.what(), {}};
@@ -321,7 +322,11 @@ Result<void> Client::Session::connect() {
 
 Result<void> Client::Session::establish() {
     Login login;
-    if (!data_.router) login.endpoint = transport::parseEndpoint(options_.server);
+    if (data_.router) {
+        login.endpoint.tls = transport::isTlsRouter(options_.server);
+    } else {
+        login.endpoint = transport::parseEndpoint(options_.server);
+    }
     login.user = options_.user;
     login.password = options_.password;
     login.display_name = options_.display_name.empty() ? userAtHost() : options_.display_name;

@@ -12,6 +12,7 @@
 #include <stdexcept>
 
 #include "transport/endpoint.hpp"
+#include "transport/routed_session.hpp"
 #include "transport/tls.hpp"
 
 namespace axon::entity_manager {
@@ -175,10 +176,11 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     } catch (const std::invalid_argument& error) {
         throw std::runtime_error(std::string("--server: ") + error.what());
     }
+    if (!options.server.router.empty()) options.server.tls = transport::isTlsRouter(options.server.router);
     if (options.server.port == 0)
         throw std::runtime_error("--server: expected host:port with a port from 1 to 65535, as 127.0.0.1:10412, not '" + at + "'");
     if (options.server.tls && !transport::speaksTls(options.ice_properties))
-        throw std::runtime_error("--server: " + transport::certificateMissing(at, "entity"));
+        throw std::runtime_error(transport::certificateMissing(options.server.text(), "entity"));
     options.server.user = chosen("", "Axon.User", "");
     options.server.password = chosen("", "Axon.Password", "");
 

@@ -16,11 +16,11 @@ class ServerCommunicators;
 struct ServerAddress {
     std::string host = "127.0.0.1";
     std::uint16_t port = 10412;
-    bool tls = false;
     std::string user;
     std::string password;
-    std::string
-        router;  ///< "Axon.Entities/router:tcp -h 127.0.0.1 -p 10415" instead of the two above; empty: none
+    /// "Axon.Entities/router:tcp -h 127.0.0.1 -p 10415" instead of the first two; empty: none.
+    std::string router = {};
+    bool tls = false;  ///< what of these is called is called by TLS
 
     /// For people.
     std::string text() const {

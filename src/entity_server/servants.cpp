@@ -240,17 +240,20 @@ transport::RouterDoor doorForRouters(EntityLane& data,
         if (logins == nullptr) return answer(transport::LoggedIn{});
         logins->entity(std::move(request), std::move(answer));
     };
-    door.vouched = [logins](const std::string& user) -> Result<transport::LoggedIn> {
+    door.vouched =
+        [logins](
+            const std::string& user,
+            const std::optional<transport::PeerCertificate>& certificate) -> Result<transport::LoggedIn> {
         if (logins == nullptr) return transport::LoggedIn{};
-        return logins->vouchedEntity(user);
+        return logins->vouchedEntity(user, certificate);
     };
     door.open = [&data, &signal, data_adapter, signal_adapter](
-                    Lane lane, const transport::LoggedIn&, const std::string&,
+                    Lane lane, const transport::LoggedIn& who, const std::string&,
                     const std::shared_ptr<transport::RoutedConnection>& peer)
         -> std::shared_ptr<Glacier2::SessionPrx> {
         auto& its = lane == Lane::Signal ? signal : data;
         return transport::addSession<Axon::EntityComm::EntitySessionPrx>(
-            its, peer, std::make_shared<EntitySessionServant>(its, peer),
+            its, peer, std::make_shared<EntitySessionServant>(its, peer, who.entity),
             lane == Lane::Signal ? signal_adapter : data_adapter);
     };
     return door;

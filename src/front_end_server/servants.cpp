@@ -266,9 +266,12 @@ transport::RouterDoor doorForRouters(ClientLane& data,
         if (logins == nullptr) return answer(transport::LoggedIn{});
         logins->client(std::move(request), std::move(answer));
     };
-    door.vouched = [logins](const std::string& user) -> Result<transport::LoggedIn> {
+    door.vouched =
+        [logins](
+            const std::string& user,
+            const std::optional<transport::PeerCertificate>& certificate) -> Result<transport::LoggedIn> {
         if (logins == nullptr) return transport::LoggedIn{};
-        return logins->vouchedClient(user);
+        return logins->vouchedClient(user, certificate);
     };
     door.open = [&data, &signal, data_adapter, signal_adapter](
                     Lane lane, const transport::LoggedIn& who, const std::string& display_name,

@@ -14,12 +14,14 @@ namespace axon::server {
 
 using transport::LoggedIn;
 using transport::LoginRequest;
+using transport::PeerCertificate;
 
 namespace {
 
 constexpr std::size_t kWaitingMax = 4096;
 constexpr std::size_t kWaitingOfOneMax = 256;
 constexpr std::size_t kUserShown = 64;
+constexpr const char* kBehindARouter = "somebody behind a router";
 
 /// For logs and refusals.
 std::string cut(const std::string& name) {
@@ -56,13 +58,15 @@ void LoginDesk::close() {
     if (thread_.joinable()) thread_.join();
 }
 
-std::optional<Refusal> LoginDesk::wrongCertificate(Door door, const LoginRequest& request) const {
-    if (!request.certificate) return std::nullopt;
+std::optional<Refusal> LoginDesk::wrongCertificate(Door door,
+                                                   const std::optional<PeerCertificate>& certificate,
+                                                   const std::string& peer) const {
+    if (!certificate) return std::nullopt;
     const std::string expected = door == Door::Client ? "client" : "entity";
-    const auto& [name, unit] = *request.certificate;
+    const auto& [name, unit] = *certificate;
     if (unit == expected && !name.empty()) return std::nullopt;
-    note_("audit: failed log-in from " + request.peer + " (its certificate, " + cut(name) +
-          ", has OU=" + cut(unit) + "; expected OU=" + expected + ")");
+    note_("audit: failed log-in from " + peer + " (its certificate, " + cut(name) + ", has OU=" + cut(unit) +
+          "; expected OU=" + expected + ")");
     return refuse(RefusalCode::PermissionDenied, "the certificate that was shown is of the kind '" +
                                                      cut(unit) + "'; expected one of the kind '" + expected +
                                                      "' at this port: axon certs issue --" + expected +
@@ -70,12 +74,14 @@ std::optional<Refusal> LoginDesk::wrongCertificate(Door door, const LoginRequest
 }
 
 void LoginDesk::client(LoginRequest request, Answer answer) {
-    if (auto wrong = wrongCertificate(Door::Client, request)) return answer(std::move(*wrong));
+    if (auto wrong = wrongCertificate(Door::Client, request.certificate, request.peer))
+        return answer(std::move(*wrong));
     enqueue(Door::Client, std::move(request), std::move(answer));
 }
 
 void LoginDesk::entity(LoginRequest request, Answer answer) {
-    if (auto wrong = wrongCertificate(Door::Entity, request)) return answer(std::move(*wrong));
+    if (auto wrong = wrongCertificate(Door::Entity, request.certificate, request.peer))
+        return answer(std::move(*wrong));
     const auto name = request.certificate ? request.certificate->name : std::string();
     if (!users_ || (request.certificate && request.user.empty()))
         return answer(LoggedIn{{}, Role::Operator, name});
@@ -190,16 +196,22 @@ Result<LoggedIn> LoginDesk::vouched(Door door, const std::string& user) const {
     if (!users_) return LoggedIn{};
     if (const auto role = users_->roleOf(user)) return admit(*role, door, user);
     return refuse(RefusalCode::PermissionDenied,
-                  "this server has no user " +
-                      std::string(cutUtf8(validUtf8(user.substr(0, 2 * kUserShown)), kUserShown)) +
+                  "this server has no user " + cut(user) +
                       ", whom another let in; give all servers behind the router the same users.cfg");
 }
 
-Result<LoggedIn> LoginDesk::vouchedClient(const std::string& user) {
-    return vouched(Door::Client, user);
+Result<LoggedIn> LoginDesk::vouchedClient(const std::string& user,
+                                          const std::optional<PeerCertificate>& certificate) {
+    if (auto wrong = wrongCertificate(Door::Client, certificate, kBehindARouter)) return std::move(*wrong);
+    const auto& its = certificate ? certificate->name : user;
+    if (!users_ && certificate) return LoggedIn{its, Role::Operator, {}};
+    return vouched(Door::Client, its);
 }
 
-Result<LoggedIn> LoginDesk::vouchedEntity(const std::string& user) {
+Result<LoggedIn> LoginDesk::vouchedEntity(const std::string& user,
+                                          const std::optional<PeerCertificate>& certificate) {
+    if (auto wrong = wrongCertificate(Door::Entity, certificate, kBehindARouter)) return std::move(*wrong);
+    if (certificate) return LoggedIn{{}, Role::Operator, certificate->name};
     return vouched(Door::Entity, user);
 }
 

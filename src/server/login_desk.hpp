@@ -49,8 +49,10 @@ class LoginDesk final : public transport::Logins {
     void client(transport::LoginRequest request, Answer answer) override;
     void entity(transport::LoginRequest request, Answer answer) override;
     /// Any thread; nothing is verified here.
-    Result<transport::LoggedIn> vouchedClient(const std::string& user) override;
-    Result<transport::LoggedIn> vouchedEntity(const std::string& user) override;
+    Result<transport::LoggedIn> vouchedClient(
+        const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
+    Result<transport::LoggedIn> vouchedEntity(
+        const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
     /// A process of the server's own uid, or root's. Reads /proc/net/tcp.
     bool mayVouch(const std::string& peer, const std::string& local) override;
     void close();
@@ -71,7 +73,9 @@ class LoginDesk final : public transport::Logins {
     Result<transport::LoggedIn> vouched(Door door, const std::string& user) const;
     static Result<transport::LoggedIn> admit(UserRole role, Door door, const std::string& user);
     /// Whether its certificate, if it showed one, is for this door.
-    std::optional<Refusal> wrongCertificate(Door door, const transport::LoginRequest& request) const;
+    std::optional<Refusal> wrongCertificate(Door door,
+                                            const std::optional<transport::PeerCertificate>& certificate,
+                                            const std::string& peer) const;
     std::optional<UserRole> verify(const std::string& user, const std::string& password);
     Digest digestOf(const std::string& password) const;
 

@@ -79,6 +79,16 @@ TEST_F(LoginDeskTest, WhoARouterVouchesForHasTheRoleOfTheFileAtTheRightDoor) {
     EXPECT_THAT(desk->vouchedClient("nobody").refusal().message, HasSubstr("users.cfg"));
 }
 
+TEST_F(LoginDeskTest, ACertificateThatARouterHasSeenIsWhoItSays) {
+    withUsers();
+    using Certificate = transport::PeerCertificate;
+    EXPECT_EQ(desk->vouchedClient({}, Certificate{"boss", "client"}).value().role, Role::Admin);
+    EXPECT_EQ(desk->vouchedEntity({}, Certificate{"PeopleBot", "entity"}).value().entity, "PeopleBot");
+    EXPECT_THAT(desk->vouchedClient({}, Certificate{"boss", "entity"}).refusal().message,
+                HasSubstr("'client'"));
+    EXPECT_FALSE(desk->vouchedClient({}, Certificate{"nobody", "client"}).ok());
+}
+
 TEST_F(LoginDeskTest, BehindARouterWithoutUsersEverybodyIsOperator) {
     make(std::nullopt);
     owner = 0;  // of the router's process, not of the client's

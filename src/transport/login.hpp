@@ -43,10 +43,12 @@ class Logins {
     /// An Entity Manager.
     virtual void entity(LoginRequest request, Answer answer) = 0;
 
-    /// Behind a router: somebody whose password it has had verified by one of the two above, here or at
-    /// another server, by the name alone.
-    virtual Result<LoggedIn> vouchedClient(const std::string& user) = 0;
-    virtual Result<LoggedIn> vouchedEntity(const std::string& user) = 0;
+    /// Behind a router: somebody whom it has had verified by one of the two above, here or at another server,
+    /// by the name alone; or by the certificate that it has seen, where it is one.
+    virtual Result<LoggedIn> vouchedClient(const std::string& user,
+                                           const std::optional<PeerCertificate>& certificate = {}) = 0;
+    virtual Result<LoggedIn> vouchedEntity(const std::string& user,
+                                           const std::optional<PeerCertificate>& certificate = {}) = 0;
     /// Whether the process at the other end of a connection on this machine (`peer`, `local` as above) may be
     /// a router, and vouch for others.
     virtual bool mayVouch(const std::string& peer, const std::string& local) = 0;

@@ -28,20 +28,28 @@ class Opening : public std::enable_shared_from_this<Opening> {
         if (!login.display_name.empty()) context[kContextName] = login.display_name;
         if (!login.token.empty()) context[kContextToken] = login.token;
         attempt([&] {
-            router_->createSessionAsync(
-                login.user, login.password,
+            const auto opened =
                 [self = shared_from_this()](const std::shared_ptr<Glacier2::SessionPrx>& session) {
                     self->attempt([&] { self->prepare(session); });
-                },
-                [self = shared_from_this()](const std::exception_ptr& error) {
-                    self->fail(ofSession(error));
-                },
-                nullptr, context);
+                };
+            const auto failed = [self = shared_from_this()](const std::exception_ptr& error) {
+                self->fail(ofSession(error));
+            };
+            if (login.user.empty() && isSecure(*router_)) {
+                router_->createSessionFromSecureConnectionAsync(opened, failed, nullptr, context);
+            } else {
+                router_->createSessionAsync(login.user, login.password, opened, failed, nullptr, context);
+            }
         });
     }
 
   private:
     static constexpr int kSteps = 4;
+
+    static bool isSecure(const Ice::ObjectPrx& proxy) {
+        const auto endpoints = proxy.ice_getEndpoints();
+        return !endpoints.empty() && endpoints.front()->getInfo()->secure();
+    }
 
     /// A router closes the connection of who calls something else than a router on it.
     static std::exception_ptr ofSession(const std::exception_ptr& error) {
@@ -59,7 +67,11 @@ class Opening : public std::enable_shared_from_this<Opening> {
 
     void prepare(const std::shared_ptr<Glacier2::SessionPrx>& session) {
         result_.connection = router_->ice_getCachedConnection();
-        if (!session || !result_.connection) throw Ice::ConnectionLostException(__FILE__, __LINE__);
+        if (!session)
+            throw Glacier2::CannotCreateSessionException(
+                "it has no session manager for this: set Glacier2.SessionManager, and for certificates "
+                "Glacier2.SSLSessionManager, in its configuration");
+        if (!result_.connection) throw Ice::ConnectionLostException(__FILE__, __LINE__);
         result_.session =
             result_.connection->createProxy(session->ice_getIdentity())->ice_invocationTimeout(timeout_ms_);
         const auto self = shared_from_this();
@@ -143,6 +155,10 @@ void openRoutedSession(const std::shared_ptr<Ice::ObjectPrx>& router, const Rout
 
 bool isRouter(const std::string& server) {
     return server.find('/') != std::string::npos && server.rfind("ssl://", 0) != 0;
+}
+
+bool isTlsRouter(const std::string& router) {
+    return router.find(":ssl ") != std::string::npos;
 }
 
 std::shared_ptr<Ice::ObjectPrx> routerProxy(const Ice::Communicator& communicator, const std::string& text) {

@@ -29,7 +29,8 @@ struct RoutedLogin {
     int timeout_ms = 5000;     ///< of each call
 };
 
-/// Asks a router for a session. Exactly one of the two is called, on a thread of the communicator's client
+/// Asks a router for a session: of the user, or, where none is named and the router is reached by TLS, of
+/// whom our certificate names. Exactly one of the two is called, on a thread of the communicator's client
 /// pool, or of the caller. What was opened before a failure is closed. translate() makes a refusal of it.
 ///
 /// Afterwards the connection sends the signs of life that the router wants, without which it ends the
@@ -40,6 +41,9 @@ void openRoutedSession(const std::shared_ptr<Ice::ObjectPrx>& router, const Rout
 
 /// "Axon.Clients/router:tcp -h 127.0.0.1 -p 10414" and not "127.0.0.1:10410".
 bool isRouter(const std::string& server);
+
+/// Whether such a one is reached by TLS.
+bool isTlsRouter(const std::string& router);
 
 /// Its proxy. Throws std::invalid_argument with the mend for a text that is none.
 std::shared_ptr<Ice::ObjectPrx> routerProxy(const Ice::Communicator& communicator, const std::string& text);

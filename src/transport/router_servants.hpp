@@ -14,7 +14,7 @@
 #include "transport/routed_connection.hpp"
 
 // What a Glacier2 router asks a server: who may come in, and for a session (thesis: SessionManager). The
-// front-end server and the entity server have the same two servants, each on an adapter for routers alone,
+// front-end server and the entity server have the same servants, each on an adapter for routers alone,
 // whose threads wait for passwords and for neighbours.
 namespace axon::transport {
 
@@ -27,12 +27,14 @@ inline constexpr const char* kContextToken =
 /// The identities a router's configuration names.
 inline constexpr const char* kSessionManager = "SessionManager";
 inline constexpr const char* kPermissionsVerifier = "PermissionsVerifier";
+inline constexpr const char* kSslSessionManager = "SSLSessionManager";
+inline constexpr const char* kSslPermissionsVerifier = "SSLPermissionsVerifier";
 
 /// What the two servants know of their server; outlives them.
 struct RouterDoor {
     RouterConnections& routers;
     std::function<void(LoginRequest, Logins::Answer)> verify;
-    std::function<Result<LoggedIn>(const std::string& user)> vouched;
+    std::function<Result<LoggedIn>(const std::string& user, const std::optional<PeerCertificate>&)> vouched;
     /// Makes the session; may throw RequestRefused.
     std::function<std::shared_ptr<Glacier2::SessionPrx>(
         Lane, const LoggedIn&, const std::string& display_name, const std::shared_ptr<RoutedConnection>&)>
@@ -52,6 +54,16 @@ class PermissionsVerifierServant final : public Glacier2::PermissionsVerifier {
     RouterDoor& door_;
 };
 
+/// The same for who shows the router a certificate and gives no user: the certificate says who it is.
+class CertificateVerifierServant final : public Glacier2::SSLPermissionsVerifier {
+  public:
+    explicit CertificateVerifierServant(RouterDoor& door) : door_(door) {}
+    bool authorize(Glacier2::SSLInfo info, std::string& reason, const Ice::Current& current) const override;
+
+  private:
+    RouterDoor& door_;
+};
+
 class SessionManagerServant final : public Glacier2::SessionManager {
   public:
     explicit SessionManagerServant(RouterDoor& door) : door_(door) {}
@@ -65,7 +77,18 @@ class SessionManagerServant final : public Glacier2::SessionManager {
     RouterDoor& door_;
 };
 
-/// The adapter for routers, with both servants; not active yet. Throws std::runtime_error where it cannot
+class CertificateSessionManagerServant final : public Glacier2::SSLSessionManager {
+  public:
+    explicit CertificateSessionManagerServant(RouterDoor& door) : door_(door) {}
+    std::shared_ptr<Glacier2::SessionPrx> create(Glacier2::SSLInfo info,
+                                                 std::shared_ptr<Glacier2::SessionControlPrx> control,
+                                                 const Ice::Current& current) override;
+
+  private:
+    RouterDoor& door_;
+};
+
+/// The adapter for routers, with these servants; not active yet. Throws std::runtime_error where it cannot
 /// listen.
 std::shared_ptr<Ice::ObjectAdapter> listenForRouters(Ice::Communicator& communicator, const std::string& name,
                                                      const std::string& endpoint, RouterDoor& door);

@@ -215,6 +215,53 @@ Axon.Ports={self.lab.ports}
         self.assertEqual(status, 2, errors)
         self.assertIn("one of them", errors)
 
+    def over_tls(self, name, kind, whose, line):
+        """`line` with the certificate of `whose` instead of a user."""
+        self.write(name, line + (self.lab.folder / f"certs/{kind}-{whose}.cfg").read_text())
+
+    def test_over_tls_everybody_is_who_his_certificate_says(self):
+        certs = self.lab.folder / "certs"
+        for words in (["init"], ["issue", "--router", "127.0.0.1"], ["issue", "--entity", "Greeter"],
+                      ["issue", "--entity", "Other"], ["issue", "--client", "client2"]):
+            status, _, errors = self.lab.axon("certs", *words, "--folder", str(certs))
+            self.assertEqual(status, 0, errors)
+        for name, server in (("clientrouter", "client-router"), ("entityrouter", "entity-router")):
+            file = self.lab.folder / f"{name}.cfg"
+            at = f"tcp -h 127.0.0.1 -p {self.ports[server]}"
+            self.over_tls(f"{name}.cfg", "router", "127.0.0.1", f"""{file.read_text()}
+Glacier2.SSLSessionManager=SSLSessionManager:{at}
+Glacier2.SSLPermissionsVerifier=SSLPermissionsVerifier:{at}
+Ice.Plugin.IceSSL=IceSSL:createIceSSL
+IceSSL.VerifyPeer=2
+""".replace("Glacier2.Client.Endpoints=tcp", "Glacier2.Client.Endpoints=ssl"))
+        clients = f"Ice.Default.Router=Axon.Clients/router:ssl -h 127.0.0.1 -p {self.ports['clients']}\n"
+        entities = (f"Ice.Default.Router=Axon.Entities/router:ssl -h 127.0.0.1 -p {self.ports['entities']}\n"
+                    f"Axon.Application=Greeter\nAxon.Ports={self.lab.ports}\n")
+        self.over_tls("client.cfg", "client", "client2", clients)
+        self.over_tls("entitygl2client.cfg", "entity", "Greeter", entities)
+        self.start_all()
+        self.assert_usable()
+        status, _, errors = self.lab.axon("checkout", "Greeter")
+        self.assertEqual(status, 0, errors)
+        self.assertIn("client2", str(self.lab.entities()[0]["holder"]))
+        self.lab.axon("release", "Greeter")
+
+        self.over_tls("wrong.cfg", "entity", "Greeter", clients)
+        status, lines, errors = self.lab.axon("--config", str(self.lab.folder / "wrong.cfg"), "ls")
+        self.assertNotEqual(status, 0)
+        self.assertIn("axon certs issue --client", str(lines) + errors)
+        self.write("none.cfg", clients)
+        status, lines, errors = self.lab.axon("--config", str(self.lab.folder / "none.cfg"), "ls")
+        self.assertNotEqual(status, 0)
+        self.assertIn("no certificate is configured", str(lines) + errors)
+
+        self.manager.end()
+        self.over_tls("other.cfg", "entity", "Other", entities)
+        other = self.lab.start("other", "axon-entity-manager", "--config", self.lab.folder / "other.cfg")
+        wait_until(lambda: "the entity 'Other's" in other.text(), "it is told that the name is another's")
+        wait_until(lambda: "registration refused" in self.server.text(), "the server's log has it")
+        self.assertEqual(self.lab.entities(), [])
+
     # -- what dies in the middle --------------------------------------------------------------------------------
 
     def test_a_killed_client_and_a_frozen_one_are_lost_within_the_watchdog(self):
