@@ -211,8 +211,9 @@ struct ServerStation::Life final : public front_end_server::EntityTopic, public 
               }) {}
 
     // To the entity server.
-    void clientMsg(const Header& head, std::string_view message) override {
+    Result<void> clientMsg(const Header& head, std::string_view message) override {
         entities.clientMsg(head, message);
+        return {};
     }
     void clientMsgDataSeq(const Header& head, std::string_view data) override {
         entities.clientMsgDataSeq(head, data);

@@ -36,6 +36,9 @@ ICE_ALLOWED = (
     "bench/*",
     "faults/raw_client.*",
 )
+# Where IceStorm may be named. No server knows whether it talks to a topic or to its neighbour.
+STORM_ALLOWED = ("src/transport/storm_topics.*",)
+STORM_NAMED = re.compile(r"\bIceStorm\b|TopicManager|storm_topics|StormTopics")
 # Pure cores besides every *_core.* file (invariant 10). The rims beside them do the I/O.
 CORES = (
     "src/common/*",
@@ -213,6 +216,18 @@ def rule_ice_in_its_place(tree):
                     "go through src/transport, or keep it in a servant; the allow-list is in ARCHITECTURE.md"
 
 
+def rule_servers_do_not_know_the_topic(tree):
+    for path in tree.code():
+        for line, header, _ in tree.includes(path):
+            if header.startswith("IceStorm/") and not matches(path, STORM_ALLOWED) and not is_test(path):
+                yield path, line, f"T IceStorm is seen here ({header})", "keep it in src/transport/storm_topics, which hands out proxies"
+        if matches(path, SERVERS[:2]):
+            for number, line in enumerate(tree.text(path).splitlines(), 1):
+                if STORM_NAMED.search(line):
+                    yield path, number, "T a server knows what carries its topic", \
+                        "take proxies to publish to (publishTo); src/server decides whose they are"
+
+
 def rule_cores_without_io(tree):
     for path in tree.code():
         if not matches(path, CORES) or is_test(path) or path in CORE_EXCEPTIONS:
@@ -261,6 +276,7 @@ RULES = (
     rule_no_sleep_in_tests,
     rule_no_singletons,
     rule_ice_in_its_place,
+    rule_servers_do_not_know_the_topic,
     rule_cores_without_io,
     rule_licence_lines,
     rule_mit_stays_mit,

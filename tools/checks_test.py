@@ -37,6 +37,14 @@ class Invariants(TreeCase):
     def assertFound(self, start):
         self.assertTrue([f for f in self.found() if f.startswith(start)], f"{start!r} not in {self.found()}")
 
+    def test_a_server_that_knows_what_carries_its_topic(self):
+        self.write("src/front_end_server/servants.cpp", GPL + "// asks the TopicManager\n")
+        self.write("src/entity_server/entity_server.cpp", GPL + '#include "transport/storm_topics.hpp"\n')
+        self.write("src/transport/adapter.cpp", GPL + "#include <IceStorm/IceStorm.h>\n")
+        self.write("src/transport/storm_topics.cpp", GPL + "#include <IceStorm/IceStorm.h>\n")
+        self.assertEqual(sorted(f.split(" ")[0] for f in self.found()),
+                         ["src/entity_server/entity_server.cpp:2:", "src/front_end_server/servants.cpp:2:", "src/transport/adapter.cpp:2:"])
+
     def test_a_clean_tree_has_no_findings(self):
         self.write("src/entity_server/entity_monitor.cpp", GPL + '#include "common/routed.hpp"\n// never sleep_for( here\n')
         self.write("src/common/routed.hpp", MIT + "#include <string>\n")

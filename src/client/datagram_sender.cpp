@@ -20,7 +20,7 @@ DatagramSender::~DatagramSender() {
 void DatagramSender::admit(const std::string& entity, LeaseNumber lease, std::string_view endpoint,
                            const std::string& key, std::string_view sender) {
     const auto to = radio::Endpoint::parse(endpoint);
-    const auto self = Id128::parse(sender);
+    const auto self = Id128::parse(uuidOf(sender));
     if (!to || to->port == 0 || !self) return forget(entity, lease);
     if (!lane()) return;
     const std::lock_guard lock(mutex_);

@@ -206,7 +206,9 @@ void StopDesk::onStopAccepted(std::int64_t sequence, const std::string& entity, 
 void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& incoming) {
     const auto generation = static_cast<std::int32_t>(incoming.stop_generation());
     marks_.raise(entity, generation);
-    if (!incoming.stop_id().starts_with(self_.id)) return;
+    // By a datagram it comes with the UUID alone.
+    const auto whose = std::string_view(incoming.stop_id()).substr(0, incoming.stop_id().rfind(':'));
+    if (uuidOf(whose) != uuidOf(self_.id)) return;
     Order* order = find(sequenceOf(incoming.stop_id()));
     if (order == nullptr) return;
     const auto entry = order->receipts.find(entity);

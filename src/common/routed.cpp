@@ -71,4 +71,21 @@ const char* toString(Role role) {
     return "?";
 }
 
+ClientOrigin originOf(std::string_view client_id) {
+    const auto first = client_id.find(':');
+    const auto last = client_id.rfind(':');
+    if (first == std::string_view::npos || first == last) return {};
+    return {client_id.substr(0, first), client_id.substr(first + 1, last - first - 1)};
+}
+
+std::string_view uuidOf(std::string_view client_id) {
+    return client_id.substr(client_id.rfind(':') + 1);
+}
+
+bool isServerName(std::string_view name) {
+    constexpr std::string_view kAllowed =
+        "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-_";
+    return !name.empty() && name.size() <= 32 && name.find_first_not_of(kAllowed) == std::string_view::npos;
+}
+
 }  // namespace axon

@@ -2,6 +2,7 @@
 #pragma once
 #include <cstdint>
 #include <string>
+#include <string_view>
 
 namespace axon {
 
@@ -75,6 +76,7 @@ struct Registration {
     std::int32_t heartbeat_busy_ms = 50;
     std::int32_t heartbeat_idle_ms = 2000;
     std::string direct_endpoint;
+    std::string server;  ///< which of several entity servers it is connected to; empty where there is one
 
     bool operator==(const Registration&) const = default;
 };
@@ -91,9 +93,31 @@ struct EntityStatus {
     bool orphaned = false;
     std::int32_t waiting = 0;
     std::int32_t stop_latency_us = 0;
+    std::string server;  ///< as in the registration
 
     bool operator==(const EntityStatus&) const = default;
 };
+
+/// What a server of several tells those of the other kind of itself.
+struct ServerAnnouncement {
+    std::string name;
+    std::string instance;        ///< another one at each start
+    std::string signals;         ///< where it takes signals directly; for the transport layer
+    std::int64_t published = 0;  ///< registrations and statuses, by an entity server until now
+
+    bool operator==(const ServerAnnouncement&) const = default;
+};
+
+/// The id of a client of one of several front-end servers is `name:instance:uuid`, so that whoever misses the
+/// server knows whom it served; of the only one it is `uuid`.
+struct ClientOrigin {
+    std::string_view server;
+    std::string_view instance;
+};
+ClientOrigin originOf(std::string_view client_id);
+std::string_view uuidOf(std::string_view client_id);
+/// 1 to 32 letters, digits, '-', '_'.
+bool isServerName(std::string_view name);
 
 // Routing keys (thesis: msgType). Towards an entity:
 inline constexpr const char* kMsgCheckOut = "CHECKOUT";
@@ -121,5 +145,7 @@ inline constexpr const char* kMsgDrill = "DRILL";
 /// Sequence numbers from here on are those of stops that a server gives in the name of a client that is gone;
 /// a client's own are below. A stop is known by sender and number, so neither may look like the other.
 inline constexpr std::int64_t kServerSequences = std::int64_t{1} << 52U;
+/// From here on those of entity servers that have lost the front-end server of a client.
+inline constexpr std::int64_t kEntityServerSequences = kServerSequences + (std::int64_t{1} << 51U);
 
 }  // namespace axon

@@ -318,6 +318,41 @@ TEST_F(Held, ARepeatedStopIsAnsweredWithItsReceiptAndStopsNothingMore) {
     EXPECT_EQ(lines[0].find("client2 (signal): StopReceipt client2:1 CALLBACK_RETURNED gen=1"), 0U) << lines[0];
 }
 
+TEST_F(Held, ALateCopyOfAStopAfterTheRearmStopsAndLatchesNothing) {
+    const auto head = rig.headOf("client2");
+    const auto raised = rig.gate.raise("client2", head.sequence);
+    rig.core().onStopSignal(head, StopCause::Requested, *raised);
+    rig.stopDone(*raised);
+    rig.rearm("client1", "r2");
+    ASSERT_FALSE(rig.core().latched());
+    rig.task("client1", "t1", "Turning");
+    rig.grant("t1");
+    rig.stop("client2", StopCause::Requested, head.sequence);
+    EXPECT_FALSE(rig.core().latched());
+    EXPECT_EQ(rig.core().state(), EntityState::BUSY);
+    EXPECT_EQ(rig.gate.generation(), *raised);
+}
+
+TEST_F(Held, ALateCopyOfAResetOrClearEndsNotTheNextTask) {
+    for (const bool reset : {true, false}) {
+        rig.task("client1", reset ? "t1" : "t3", "Turning");
+        rig.grant(reset ? "t1" : "t3");
+        const auto head = rig.headOf("client1");
+        const auto signal = [&] { reset ? rig.core().onResetSignal(head) : rig.core().onClearSignal(head); };
+        signal();
+        rig.stopDone(rig.gate.generation());
+        rig.update(reset ? "t1" : "t3", proto::TASK_STOPPED);
+        rig.task("client1", reset ? "t2" : "t4", "Turning");
+        rig.grant(reset ? "t2" : "t4");
+        ASSERT_EQ(rig.core().state(), EntityState::BUSY);
+        const auto generation = rig.gate.generation();
+        signal();
+        EXPECT_EQ(rig.core().state(), EntityState::BUSY);
+        EXPECT_EQ(rig.gate.generation(), generation);
+        rig.update(reset ? "t2" : "t4", proto::TASK_SUCCEEDED);
+    }
+}
+
 TEST(StopGate, AStopWithoutASequenceNumberIsAlwaysNew) {
     StopGate gate;
     for (const std::int64_t sequence : {0, 0, -1, -1}) EXPECT_TRUE(gate.raise("browser", sequence));

@@ -754,7 +754,7 @@ void EntityManagerCore::Machine::onStopSignal(const Header& head, StopCause caus
 }
 
 void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
-    if (quit_) return;
+    if (quit_ || passed_.seen(head)) return;
     process(event, head, nullptr);
     settle();
 }

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <array>
+#include <algorithm>
 #include <axon/link.pb.h>
 #include <axon/messages.pb.h>
 
@@ -315,6 +317,21 @@ class EntityManagerCore::Machine {
     StreamWatches watches_;
     bool streams_off_ = false;  ///< the application has been told to send only what is watched by name
     TimePoint raw_refused_{};
+
+    /// The resets and clears that were taken last. Between servers each goes two ways, and the second one, late,
+    /// would end the next task.
+    struct PassedSignals {
+        bool seen(const Header& head) {
+            if (head.sequence <= 0) return false;
+            const std::pair key{head.sender.id, head.sequence};
+            if (std::find(recent.begin(), recent.end(), key) != recent.end()) return true;
+            recent[next++ % recent.size()] = key;
+            return false;
+        }
+        std::array<std::pair<std::string, std::int64_t>, 32> recent;
+        std::size_t next = 0;
+    };
+    PassedSignals passed_;
 
     std::int64_t sequence_ = 0;
     proto::ToEntity from_client_;  ///< kept for its memory

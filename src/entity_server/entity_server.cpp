@@ -22,7 +22,8 @@ class EntityServer::Rim {
     Rim(EntityServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
         const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
         EntityServerCore::Note note)
-        : core(
+        : topic(data, settings.topic_signals),
+          core(
               settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this] { wake(); },
               [this] {
@@ -32,22 +33,13 @@ class EntityServer::Rim {
           signal_lane{
               core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<EntitySessionServant>(clock)},
           data_adapter(transport::listen(*data, "EntityServer", settings.data_endpoint)),
-          signal_adapter(transport::listen(*signal, "EntityServerSignal", settings.signal_endpoint)),
-          data_topic(data->createObjectAdapter("")),
-          signal_topic(signal->createObjectAdapter("")) {
+          signal_adapter(transport::listen(*signal, "EntityServerSignal", settings.signal_endpoint)) {
         const auto gate = Ice::stringToIdentity("EntityGate");
         data_lane.logins = settings.logins;
         data_lane.server = signal_lane.server = settings.name;
         data_lane.signal_endpoints = transport::publishedEndpoints(*signal_adapter);
         data_adapter->add(std::make_shared<EntityGateServant>(data_lane), gate);
         signal_adapter->add(std::make_shared<EntityGateServant>(signal_lane), gate);
-        const auto subscriber = [this](Ice::ObjectAdapter& adapter) {
-            return Ice::uncheckedCast<Axon::FrontEndComm::FrontEndToEntityCommPrx>(
-                       adapter.addWithUUID(std::make_shared<FrontEndToEntityServant>(core)))
-                ->ice_invocationTimeout(-1);
-        };
-        data_subscriber = subscriber(*data_topic);
-        signal_subscriber = subscriber(*signal_topic);
         if (!settings.router_endpoint.empty()) {
             routers = std::make_unique<transport::RouterConnections>(settings.logins);
             door = std::make_unique<transport::RouterDoor>(
@@ -56,8 +48,7 @@ class EntityServer::Rim {
             router_adapter =
                 transport::listenForRouters(*data, "EntityServerRouter", settings.router_endpoint, *door);
         }
-        data_topic->activate();
-        signal_topic->activate();
+        if (settings.here == nullptr) listenToFrontEnds(settings, *data);
         timer = std::make_unique<transport::TimerThread>(
             // Thousands of idle entities are served in batches, not with a wake-up for each.
             "axon-ent-timer", Lane::Signal, std::chrono::milliseconds{5}, clock, [this] {
@@ -71,6 +62,18 @@ class EntityServer::Rim {
                                                              });
         publisher_ready = publisher.get();
         publisher->wake();  // for what was left before it could be woken
+    }
+
+    void listenToFrontEnds(const EntityServerSettings& settings, Ice::Communicator& data) {
+        data_topic = transport::listen(data, "EntityServerTopic", settings.topic_endpoint);
+        signal_topic = transport::listen(*settings.topic_signals, "EntityServerTopicSignal",
+                                         settings.topic_signal_endpoint);
+        const Ice::Identity identity{settings.core.name, "EntityServer"};
+        subscriber =
+            data_topic->add(std::make_shared<FrontEndToEntityServant>(core, Lane::Data), identity)->ice_toString();
+        topic.setSignals(
+            signal_topic->add(std::make_shared<FrontEndToEntityServant>(core, Lane::Signal), identity)
+                ->ice_toString());
     }
 
     void end() {
@@ -93,10 +96,9 @@ class EntityServer::Rim {
     std::unique_ptr<transport::RouterConnections> routers;
     std::unique_ptr<transport::RouterDoor> door;
     std::shared_ptr<Ice::ObjectAdapter> router_adapter;
-    std::shared_ptr<Ice::ObjectAdapter> data_topic;
+    std::shared_ptr<Ice::ObjectAdapter> data_topic;  // null where the front-end server is here, as the next
     std::shared_ptr<Ice::ObjectAdapter> signal_topic;
-    std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> data_subscriber;
-    std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> signal_subscriber;
+    std::string subscriber;
     std::atomic<transport::TimerThread*> timer_ready{nullptr};
     std::atomic<transport::TimerThread*> publisher_ready{nullptr};
     std::unique_ptr<transport::TimerThread> publisher;
@@ -110,19 +112,24 @@ EntityServer::EntityServer(EntityServerSettings settings, const std::shared_ptr<
 
 EntityServer::~EntityServer() = default;
 
-std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> EntityServer::subscriber(Lane lane) const {
-    return lane == Lane::Signal ? rim_->signal_subscriber : rim_->data_subscriber;
+std::string EntityServer::subscriber() const {
+    return rim_->subscriber;
 }
 
-void EntityServer::publishTo(std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> data,
-                             std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> signal) {
-    rim_->topic.set(std::move(data), std::move(signal));
+void EntityServer::publishTo(const std::vector<std::string>& front_ends,
+                             const std::vector<std::string>& entity_servers) {
+    rim_->topic.publishTo(front_ends, entity_servers);
+    if (!front_ends.empty()) rim_->core.topicFound();
 }
 
 void EntityServer::activate() {
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
     if (rim_->router_adapter) rim_->router_adapter->activate();
+    if (rim_->data_topic) {
+        rim_->signal_topic->activate();
+        rim_->data_topic->activate();
+    }
 }
 
 std::string EntityServer::routerAddress() const {

@@ -4,6 +4,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
@@ -11,12 +12,6 @@
 
 namespace Ice {
 class Communicator;
-}
-namespace Axon::EntityComm {
-class EntityToFrontEndCommPrx;
-}
-namespace Axon::FrontEndComm {
-class FrontEndToEntityCommPrx;
 }
 
 namespace axon::transport {
@@ -38,15 +33,23 @@ struct EntityServerSettings {
     /// Session managers of the other servers of this kind, by name, as stringified proxies.
     std::map<std::string, std::string> neighbours = {};
     /// The front-end server in this process, called in the caller's thread. Outlives the communicators and
-    /// end(). Null: publishTo() says where.
+    /// end(). Null: this is one of several servers, and publishTo() says where the others are.
     FrontEndTopic* here = nullptr;
+    // Of one of several: where the topic and, directly, signals of front-end servers reach it, and the
+    // communicator of those signals.
+    std::string topic_endpoint = "tcp -h 127.0.0.1 -p 0";
+    std::string topic_signal_endpoint = "tcp -h 127.0.0.1 -p 0";
+    std::shared_ptr<Ice::Communicator> topic_signals;
 };
 
 /// The entity server on Ice: two adapters, EntityServer and EntityServerSignal, each with a communicator and
 /// threads of its own; the registry behind them; a timer thread and a publisher. Thesis: EntityServer.
 ///
-/// Life: construct, publishTo() where there is nobody `here`, activate(); before it is destroyed, destroy
-/// both communicators, then end().
+/// One of several has two adapters more, EntityServerTopic and EntityServerTopicSignal, for what comes from the
+/// front-end servers.
+///
+/// Life: construct, activate(); where there is nobody `here`, publishTo() now and whenever that changes; before it
+/// is destroyed, destroy the communicators, then end().
 class EntityServer {
   public:
     /// Throws std::runtime_error where it cannot listen (misconfiguration).
@@ -55,11 +58,12 @@ class EntityServer {
                  EntityServerCore::Note note);
     ~EntityServer();
 
-    /// Where front-end servers of other processes reach it: what subscribes to the topic.
-    std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> subscriber(Lane lane) const;
-    /// Where it publishes to: IceStorm's publishers, or the other's subscribers themselves.
-    void publishTo(std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> data,
-                   std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> signal);
+    /// Of one of several: what subscribes to the topic, a stringified proxy. Its identity is the same at each
+    /// start.
+    std::string subscriber() const;
+    /// Where the two topics are, as stringified proxies: publishers, or the servers themselves. None:
+    /// they are down.
+    void publishTo(const std::vector<std::string>& front_ends, const std::vector<std::string>& entity_servers);
     void activate();
     /// Joins its own threads: nothing is published any more.
     void end();

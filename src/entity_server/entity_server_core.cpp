@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <optional>
 #include <utility>
 
 #include "common/life_signs.hpp"
@@ -124,8 +125,10 @@ EntityServerCore::EntityServerCore(CoreSettings settings, const Clock& clock, Ra
       note_(std::move(note)),
       wake_(std::move(wake)),
       pending_(std::move(pending)),
+      instance_(Id128::random(random).toString().substr(0, 8)),
       drill_(settings.drill_period > Duration{} ? "drill-" + Id128::random(random).toString() + "-"
-                                                : std::string()) {}
+                                                : std::string()),
+      front_ends_(settings.front_ends) {}
 
 EntityServerCore::~EntityServerCore() = default;
 
@@ -165,6 +168,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
                           "' is no UUID; remove the Entity Manager's uuid file, it makes a new one");
     }
     registration.entity = id->toString();
+    registration.server = settings_.name;
     if (auto checked = check(registration, profile.size(), settings_.profile_bytes_max); !checked.ok())
         return checked;
     {
@@ -203,6 +207,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         const std::chrono::milliseconds busy_period{registration.heartbeat_busy_ms};
         const std::chrono::milliseconds idle_period{registration.heartbeat_idle_ms};
         record->status.entity = registration.entity;
+        record->status.server = settings_.name;
         record->registration = std::move(registration);
         record->profile = std::make_shared<const std::string>(profile);
         record->session = session->number;
@@ -230,10 +235,13 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
 void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status) {
     if (!session->registered) return;
     status.entity = session->entity;
+    status.server = settings_.name;
     for (auto* text : {&status.holder.id, &status.holder.name, &status.reason}) mend(*text);
     bool became_busy = false;
+    bool late = false;  // granted to a client whose server was gone before the grant was known here
     std::int64_t heartbeat = 0;
     std::string line;
+    EntityStatus given;
     {
         const std::lock_guard lock(mutex_);
         if (session->gone) return;
@@ -244,6 +252,9 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
             line = status.holder.id.empty() ? session->name + " is free, released by " + before.holder.name
                                             : session->name + " is checked out by " + status.holder.name;
         }
+        late = before.holder.id != status.holder.id && !status.orphaned && !front_ends_.serves(status.holder.id);
+        if (late) given = status;
+        countBusy(before, status, now);
         became_busy = busy && !session->watchdog->busy();
         session->listen();
         session->watchdog->setBusy(busy, now);
@@ -263,6 +274,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         session->signal->newHeartbeat(heartbeat);
         wake_();
     }
+    if (late) loseClient(*session->signal, given);
     leaveToPublisher(session->entity);
     publishPending();
     if (!line.empty()) note_(line);
@@ -309,6 +321,8 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Header head, std::s
     head.sender = {session->entity, session->name, Role::Operator};
     if (const auto peer = table_.find(head.entity, kData)) {
         peer->data->newClientMsg(head, message);
+    } else if (!alone()) {
+        topic_.peerMsg(head, message);
     } else {
         session->data->newRefusalMsg(
             head,
@@ -327,6 +341,7 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
         session->gone = true;
         tokens_.erase(session->token);
         if (session->registered) {
+            countBusy(session->record->status, {}, clock_.now());
             registered_.erase(session->entity);
             table_.erase(session->entity);
         }
@@ -341,6 +356,7 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
 }
 
 void EntityServerCore::refuseUnknown(Lane lane, const Header& head) {
+    if (!alone()) return;
     topic_.entityRefusal(
         lane, head,
         refuse(RefusalCode::UnknownEntity, "no entity " + head.entity.substr(0, 64) +
@@ -376,16 +392,104 @@ void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view dat
 
 void EntityServerCore::clientRequest(const Header& head) {
     if (head.msg_type != kMsgStatus) return;
-    std::vector<RecordRef> records;
+    if (head.entity.empty() || head.entity == settings_.name) publishAllAgain();
+}
+
+void EntityServerCore::publishAllAgain() {
     {
         const std::lock_guard lock(mutex_);
-        records.reserve(registered_.size());
-        for (const auto& [entity, session] : registered_) records.push_back(session->record);
+        for (const auto& [entity, session] : registered_) putInQueue(entity, true);
+        list_due_ = !alone();
     }
-    for (const auto& record : records) {
-        topic_.entityBasicPrflUpdate(Presence::Changed, record->registration, *record->profile);
-        topic_.entityUpdate(record->status);
+    publishPending();
+}
+
+void EntityServerCore::topicFound() {
+    {
+        const std::lock_guard lock(mutex_);
+        announcement_due_ = true;
     }
+    publishAllAgain();
+}
+
+// -- the front-end servers
+
+ServerAnnouncement EntityServerCore::announcement() const {
+    return {settings_.name, instance_, {}, 0};
+}
+
+// No lock that a message could hold: this is the signal lane, too.
+void EntityServerCore::frontEndServerUpdate(Lane lane, const ServerAnnouncement& server) {
+    if (!alone() && front_ends_.heard(lane, server, clock_.now())) wake_();
+}
+
+/// Under the registry's mutex.
+void EntityServerCore::countBusy(const EntityStatus& before, const EntityStatus& now, TimePoint at) {
+    if (alone()) return;
+    const auto keeps = [](const EntityStatus& status) {
+        return std::string(status.state == EntityState::BUSY ? originOf(status.holder.id).server
+                                                             : std::string_view());
+    };
+    const auto was = keeps(before);
+    const auto is = keeps(now);
+    if (was == is) return;
+    if (!is.empty() && busy_of_[is]++ == 0) front_ends_.setBusy(is, true, at);
+    if (const auto found = busy_of_.find(was); found != busy_of_.end() && --found->second == 0) {
+        busy_of_.erase(found);
+        front_ends_.setBusy(was, false, at);
+    }
+    if (!is.empty()) wake_();
+}
+
+/// What the front-end server would have said, had it lost its client. The clock makes the number new.
+void EntityServerCore::loseClient(EntityOutbox& signal, const EntityStatus& status) const {
+    Header head;
+    head.sender = status.holder;
+    head.entity = status.entity;
+    head.sent_at_us = toMicroseconds(clock_.now());
+    head.sequence = kEntityServerSequences + head.sent_at_us % (kServerSequences / 2);
+    signal.stopSignal(head, StopCause::ClientLost);
+    signal.newClientUpdate(head, ClientChange::Lost);
+}
+
+TimePoint EntityServerCore::onNeighboursTimer() {
+    constexpr std::chrono::milliseconds kBeat{50};
+    constexpr std::chrono::seconds kAnnounce{1};
+    const auto now = clock_.now();
+    auto news = front_ends_.news(now);
+    std::vector<std::pair<SessionRef, EntityStatus>> left_behind;
+    if (!news.lost.empty()) {
+        const std::lock_guard lock(mutex_);
+        for (const auto& [entity, session] : registered_) {
+            const auto& status = session->record->status;
+            if (!status.orphaned && !front_ends_.serves(status.holder.id))
+                left_behind.emplace_back(session, status);
+        }
+    }
+    // First of all who may be moving.
+    std::stable_partition(left_behind.begin(), left_behind.end(),
+                          [](const auto& one) { return one.second.state == EntityState::BUSY; });
+    for (const auto& [session, status] : left_behind) loseClient(*session->signal, status);
+    if (news.reachable) topic_.reach(*news.reachable);
+    // Whoever is new hears of it at once: its watchdog is short only from then on.
+    if (now >= next_beat_ || news.reachable) {
+        next_beat_ = now + kBeat;
+        topic_.entityServerUpdate(Lane::Signal, announcement());
+    }
+    if (now >= next_announcement_) {
+        next_announcement_ = now + kAnnounce;
+        {
+            const std::lock_guard lock(mutex_);
+            announcement_due_ = true;
+        }
+        pending_();
+    }
+    for (const auto& name : news.lost) {
+        note_("front-end server " + name + " is gone; its clients held " + std::to_string(left_behind.size()) +
+              (left_behind.size() == 1 ? " entity" : " entities") + " here");
+    }
+    for (const auto& name : news.arrived) note_("front-end server " + name + " is there");
+    return std::min({news.next, next_beat_, next_announcement_});
 }
 
 template <class Send>
@@ -478,6 +582,7 @@ TimePoint EntityServerCore::onTimer() {
                   std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count()) +
                   " ms");
     }
+    if (!alone()) next = std::min(next, onNeighboursTimer());
     for (const auto& warning : warnings) note_(warning);
     return drill_.empty() ? next : std::min(next, onDrillTimer());
 }
@@ -609,7 +714,17 @@ std::size_t EntityServerCore::entities() const {
 // that finds another one publishing leaves the entity's name behind and goes.
 void EntityServerCore::leaveToPublisher(const std::string& entity) {
     const std::lock_guard lock(mutex_);
-    if (!std::exchange(waiting_to_publish_[entity], true)) to_publish_.push_back(entity);
+    putInQueue(entity, false);
+}
+
+/// Under the registry's mutex.
+void EntityServerCore::putInQueue(const std::string& entity, bool again) {
+    const auto [waiting, is_new] = waiting_to_publish_.try_emplace(entity, again);
+    if (is_new) {
+        to_publish_.push_back(entity);
+    } else if (again) {
+        waiting->second = true;
+    }
 }
 
 void EntityServerCore::publishPending() {
@@ -622,15 +737,20 @@ void EntityServerCore::publishPending() {
         std::string one;
         RecordRef before;
         RecordRef now;
+        bool again = false;
+        if (publishSummary()) continue;
         {
             const std::lock_guard lock(mutex_);
             if (to_publish_.empty()) {
+                if (list_due_ || announcement_due_) continue;
                 publishing_ = false;
                 return;
             }
             one = std::move(to_publish_.front());
             to_publish_.pop_front();
-            waiting_to_publish_.erase(one);
+            const auto waiting = waiting_to_publish_.find(one);
+            again = waiting->second;
+            waiting_to_publish_.erase(waiting);
             if (const auto found = published_.find(one); found != published_.end()) before = found->second;
             if (const auto found = registered_.find(one); found != registered_.end())
                 now = found->second->record;
@@ -640,21 +760,53 @@ void EntityServerCore::publishPending() {
                 published_.erase(one);
             }
         }
-        publishOne(one, before, now);
+        publishOne(one, before, now, again);
     }
 }
 
-void EntityServerCore::publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now) {
+/// When everything about entities has been said: the list of them, and this server's word of itself, whose count
+/// tells a front-end server whether it has heard everything before it. Returns whether it said one of them.
+bool EntityServerCore::publishSummary() {
+    std::optional<std::vector<std::string>> entities;
+    {
+        const std::lock_guard lock(mutex_);
+        if (!to_publish_.empty() || !(list_due_ || announcement_due_)) return false;
+        if (std::exchange(list_due_, false)) {
+            entities.emplace();
+            for (const auto& [entity, record] : published_) entities->push_back(entity);
+        } else {
+            announcement_due_ = false;
+        }
+    }
+    if (entities) {
+        topic_.entityServerEntities(settings_.name, *entities);
+    } else {
+        auto self = announcement();
+        self.published = publications_;
+        topic_.entityServerUpdate(Lane::Data, self);
+    }
+    return true;
+}
+
+void EntityServerCore::publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now,
+                                  bool again) {
     const bool same_session = before && now && before->session == now->session;
-    if (before && !same_session) topic_.entityBasicPrflUpdate(Presence::Left, before->registration, {});
+    const auto presence = [&](Presence what, const Registration& registration, std::string_view profile) {
+        ++publications_;
+        topic_.entityBasicPrflUpdate(what, registration, profile);
+    };
+    if (before && !same_session) presence(Presence::Left, before->registration, {});
     if (!now) return;
     if (!same_session) {
-        topic_.entityBasicPrflUpdate(Presence::Joined, now->registration, *now->profile);
+        presence(Presence::Joined, now->registration, *now->profile);
         note_(now->registration.name + " joined (" + entity + ")");
-    } else if (now->registration != before->registration || *now->profile != *before->profile) {
-        topic_.entityBasicPrflUpdate(Presence::Changed, now->registration, *now->profile);
+    } else if (again || now->registration != before->registration || *now->profile != *before->profile) {
+        presence(Presence::Changed, now->registration, *now->profile);
     }
-    if (!same_session || now->status != before->status) topic_.entityUpdate(now->status);
+    if (again || !same_session || now->status != before->status) {
+        ++publications_;
+        topic_.entityUpdate(now->status);
+    }
 }
 
 }  // namespace axon::entity_server

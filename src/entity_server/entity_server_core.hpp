@@ -13,6 +13,7 @@
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
+#include "common/neighbours.hpp"
 #include "common/rate_limit.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
@@ -23,6 +24,10 @@
 namespace axon::entity_server {
 
 struct CoreSettings {
+    /// Of one of several entity servers in processes of their own (isServerName); empty: it is the only one, with
+    /// the only front-end server beside it.
+    std::string name;
+    Neighbours::Timeouts front_ends;
     int heartbeats_missed = 5;  ///< periods of its registration until an EM is given up
     std::size_t entities_max = 65536;
     std::size_t profile_bytes_max = 1024 * 1024;
@@ -46,6 +51,11 @@ struct CoreSettings {
 /// `drill_answer`.
 ///
 /// States of a session: opened ─ attach() ► two lanes ─ sendBasicPrfl() ► registered ─ leave() ► gone.
+///
+/// One of several: it announces itself to the front-end servers, and misses them. A front-end server that falls
+/// silent, or has started anew, leaves clients behind that nobody watches: each entity that one of them holds is
+/// stopped and told that it lost its client, also where the grant becomes known later. What is for an entity that
+/// is not here may be another's, and is not refused; the front-end servers know all entities and refuse.
 ///
 /// It holds of each entity: UUID → outboxes, UUID → registration, basic profile bytes and last status.
 /// Payloads are opaque. Threads: any, concurrently; calls for one lane of one session come one after the
@@ -88,14 +98,19 @@ class EntityServerCore {
     // From the front-end servers. `head.sender` has been vouched for.
     void clientMsg(const Header& head, std::string_view message);
     void clientMsgDataSeq(const Header& head, std::string_view data);
-    /// STATUS: everything that is known is published again; for a front-end server in a process of its own
-    /// that comes later than the entities. The embedded one has heard of them all and does not ask.
+    /// STATUS: everything that is known is published again, and a list of it all at the end; for a front-end
+    /// server in a process of its own that comes later than the entities. The embedded one has heard of them all
+    /// and does not ask. `head.entity` names the entity server, empty = all.
     void clientRequest(const Header& head);
     void clientUpdate(const Header& head, ClientChange change);
     void stopSignal(const Header& head, StopCause cause);
     void stopSignals(const Header& head, const std::vector<std::string>& entities, StopCause cause);
     void resetSignal(const Header& head);
     void clearSignal(const Header& head);
+    /// `lane`: Signal = directly, Data = by the topic.
+    void frontEndServerUpdate(Lane lane, const ServerAnnouncement& server);
+    /// The topic has been found, or found again: what was published meanwhile nobody has heard.
+    void topicFound();
 
     /// Sends the heartbeats that are due and gives up silent EMs; returns when it wants to be called again.
     TimePoint onTimer();
@@ -133,12 +148,20 @@ class EntityServerCore {
     bool flooded(const SessionRef& session);
     void schedule(const SessionRef& session, TimePoint at);
     void leaveToPublisher(const std::string& entity);
+    void putInQueue(const std::string& entity, bool again);
     bool isDrill(const Header& head) const;
     void drillAnswered(const SessionRef& session, const Header& head);
     void settleDrills(TimePoint now, std::vector<std::string>& changed, std::vector<std::string>& lines);
     SessionRef nextDrill(TimePoint now);
     TimePoint onDrillTimer();
-    void publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now);
+    void publishOne(const std::string& entity, const RecordRef& before, const RecordRef& now, bool again);
+    bool alone() const { return settings_.name.empty(); }
+    void publishAllAgain();
+    bool publishSummary();
+    ServerAnnouncement announcement() const;
+    void countBusy(const EntityStatus& before, const EntityStatus& now, TimePoint at);
+    void loseClient(EntityOutbox& signal, const EntityStatus& status) const;
+    TimePoint onNeighboursTimer();
 
     const CoreSettings settings_;
     const Clock& clock_;
@@ -148,9 +171,17 @@ class EntityServerCore {
     const std::function<void()> wake_;
     const std::function<void()> pending_;
 
+    const std::string instance_;  // of this start, as the front-end servers know it
     const std::string drill_;  // what the sender ids of drills begin with; nobody else's do
 
     SnapshotTable<SessionRef, 2> table_;  // by entity, for each lane
+
+    Neighbours front_ends_;
+    // Confined to the timer's thread:
+    TimePoint next_beat_;
+    TimePoint next_announcement_;
+    // Confined to whoever publishes:
+    std::int64_t publications_ = 0;
 
     std::mutex refused_mutex_;
     std::unordered_map<std::string, TimePoint> refused_;  // guarded by refused_mutex_: whose data, and when
@@ -163,8 +194,11 @@ class EntityServerCore {
     std::priority_queue<Due> due_;
     std::unordered_map<std::string, RecordRef> published_;
     std::deque<std::string> to_publish_;  // each UUID at most once, so bounded by the number of entities
-    std::unordered_map<std::string, bool> waiting_to_publish_;
+    std::unordered_map<std::string, bool> waiting_to_publish_;  // true: also where nothing has changed
+    bool list_due_ = false;
+    bool announcement_due_ = false;
     bool publishing_ = false;
+    std::unordered_map<std::string, int> busy_of_;  // front-end server → entities that its clients keep busy
     TimePoint next_drill_;
     std::deque<std::weak_ptr<Session>> drill_round_;  // those whose turn is still to come
     std::vector<Drill> drills_;                       // unanswered; at most one for each entity

@@ -87,9 +87,28 @@ class FakeTopic final : public FrontEndTopic {
         lines.push_back("refused " + std::string(refusalName(refusal.code)) + " to " + head.sender.id +
                         " of " + std::to_string(head.sequence));
     }
+    void entityServerEntities(const std::string& server, const std::vector<std::string>& entities) override {
+        lines.push_back("all of " + server + ": " + std::to_string(entities.size()));
+    }
+    void entityServerUpdate(Lane lane, const ServerAnnouncement& self) override {
+        if (lane == Lane::Signal) {
+            ++beats;
+        } else {
+            lines.push_back(self.name + " published " + std::to_string(self.published));
+        }
+    }
+    void reach(const std::vector<ServerAnnouncement>& servers) override {
+        reached.clear();
+        for (const auto& server : servers) reached.push_back(server.signals);
+    }
+    void peerMsg(const Header& head, std::string_view message) override {
+        lines.push_back("peer " + head.sender.name + " " + std::string(message));
+    }
     std::vector<std::string> take() { return std::exchange(lines, {}); }
 
     std::vector<std::string> lines;
+    std::vector<std::string> reached;
+    int beats = 0;
     EntityStatus last;
 };
 
@@ -150,7 +169,9 @@ class EntityServerTest : public testing::Test {
     int woken = 0;
     int pending = 0;
     bool publish_at_once = true;
-    EntityServerCore core{{},
+    CoreSettings settings;
+    explicit EntityServerTest(CoreSettings its = {}) : settings(std::move(its)) {}
+    EntityServerCore core{settings,
                           clock,
                           random,
                           topic,
@@ -593,6 +614,120 @@ TEST(EntityServerFlood, DropsAnEntityThatFloods) {
     for (int i = 0; i < 4; ++i) core.sendToClient(session, Lane::Data, {}, "x");
     EXPECT_EQ(topic.lines.size(), 3U);
     EXPECT_THAT(data->disconnected, HasSubstr("flooded"));
+}
+
+class OneOfSeveral : public EntityServerTest {
+  protected:
+    static CoreSettings named() {
+        CoreSettings settings;
+        settings.name = "es1";
+        settings.heartbeats_missed = 1'000'000;
+        return settings;
+    }
+    OneOfSeveral() : EntityServerTest(named()) {}
+    void announce(Lane lane, const std::string& server, const char* instance = "one") {
+        core.frontEndServerUpdate(lane, {server, instance, "signals of " + server, 0});
+    }
+    /// fe1 and fe2 live for so long.
+    void bothLive(Duration time) {
+        for (const auto end = clock.now() + time; clock.now() < end; pass(50ms)) {
+            announce(Lane::Signal, "fe1");
+            announce(Lane::Signal, "fe2");
+        }
+    }
+};
+
+TEST_F(OneOfSeveral, AFrontEndServerThatFallsSilentHasLostItsClientsAndTheOtherHasNot) {
+    const auto mine = join(kFirst);
+    const auto others = join(kSecond, "Other");
+    status(mine, EntityState::BUSY, "fe1:one:c1");
+    status(others, EntityState::BUSY, "fe2:one:c2");
+    bothLive(1s);
+    EXPECT_THAT(mine.signal->lines, IsEmpty());
+    for (int i = 0; i < 4; ++i) {
+        EXPECT_THAT(mine.signal->lines, IsEmpty()) << "not before 250 ms have passed";
+        announce(Lane::Signal, "fe2");
+        pass(50ms);
+    }
+    EXPECT_THAT(mine.signal->lines, ElementsAre("stop client lost", "client fe1:one:c1"));
+    EXPECT_THAT(others.signal->lines, IsEmpty());
+    EXPECT_GT(mine.signal->last.sequence, kEntityServerSequences);
+    EXPECT_EQ(mine.signal->last.sender.id, "fe1:one:c1");
+}
+
+TEST_F(OneOfSeveral, AFrontEndServerThatStartedAnewHasLostItsClientsOfBefore) {
+    const auto before = join(kFirst);
+    const auto since = join(kSecond, "Other");
+    announce(Lane::Signal, "fe1");
+    status(before, EntityState::BUSY, "fe1:one:c1");
+    status(since, EntityState::BUSY, "fe1:two:c2");
+    announce(Lane::Data, "fe1", "two");
+    pass(1ms);
+    EXPECT_THAT(before.signal->lines, ElementsAre("stop client lost", "client fe1:one:c1"));
+    EXPECT_THAT(since.signal->lines, IsEmpty());
+}
+
+TEST_F(OneOfSeveral, AGrantToAClientOfAServerThatIsGoneIsTakenBackAtOnce) {
+    const auto peer = join(kFirst);
+    announce(Lane::Signal, "fe1");
+    pass(5s);
+    status(peer, EntityState::REG, "fe1:one:c1");
+    EXPECT_THAT(peer.signal->lines, ElementsAre("stop client lost", "client fe1:one:c1"));
+    EntityStatus orphaned;
+    orphaned.holder = {"fe1:one:c9", "c9", Role::Operator};
+    orphaned.orphaned = true;
+    core.sendStatus(peer.session, orphaned);
+    EXPECT_EQ(peer.signal->lines.size(), 2U) << "it knows already";
+}
+
+TEST_F(OneOfSeveral, AnswersAStatusOfItsNameWithEverythingAndTheListAtTheEnd) {
+    join(kFirst);
+    join(kSecond, "Other");
+    topic.take();
+    Header request;
+    request.msg_type = kMsgStatus;
+    request.entity = "es2";
+    core.clientRequest(request);
+    EXPECT_THAT(topic.take(), IsEmpty());
+    request.entity = "es1";
+    core.clientRequest(request);
+    const auto lines = topic.take();
+    ASSERT_EQ(lines.size(), 5U);
+    EXPECT_THAT(lines, testing::IsSupersetOf({"changed Robot", "changed Other", "status UNAV", "status UNAV"}));
+    EXPECT_EQ(lines.back(), "all of es1: 2");
+    EXPECT_EQ(topic.last.server, "es1");
+}
+
+TEST_F(OneOfSeveral, SaysHowMuchItHasPublishedWhenAllOfItIsSaid) {
+    core.topicFound();
+    EXPECT_THAT(topic.take(), ElementsAre("all of es1: 0", "es1 published 0"));
+    const auto peer = join(kFirst);
+    topic.take();
+    pass(1s);
+    EXPECT_THAT(topic.lines, testing::Contains("es1 published 2"));
+    EXPECT_GE(topic.beats, 20);
+}
+
+TEST_F(OneOfSeveral, RefusesNothingThatAnotherMayHave) {
+    const auto peer = join(kFirst, "Master");
+    topic.take();
+    core.clientMsg(head(kSecond), "hello");
+    core.clientMsgDataSeq(head(kSecond), "data");
+    core.stopSignal(head(kSecond), StopCause::Requested);
+    core.stopSignals(head(""), {kSecond}, StopCause::Requested);
+    EXPECT_THAT(topic.take(), IsEmpty());
+    core.sendToPeer(peer.session, head(kSecond), "step");
+    EXPECT_THAT(topic.take(), ElementsAre("peer Master step"));
+    EXPECT_THAT(peer.data->lines, IsEmpty());
+}
+
+TEST_F(OneOfSeveral, ReachesTheFrontEndServersThatItHears) {
+    announce(Lane::Data, "fe1");
+    announce(Lane::Data, "fe2");
+    pass(1ms);
+    EXPECT_THAT(topic.reached, ElementsAre("signals of fe1", "signals of fe2"));
+    pass(4s);
+    EXPECT_THAT(topic.reached, IsEmpty());
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "common/refusal.hpp"
 #include "common/routed.hpp"
@@ -43,6 +44,16 @@ class FrontEndTopic {
     virtual void entityMsg(Lane lane, const Header& head, std::string_view message) = 0;
     virtual void entityMsgDataSeq(const Header& head, std::string_view data) = 0;
     virtual void entityRefusal(Lane lane, const Header& head, const Refusal& refusal) = 0;
+
+    // Of one of several servers; the only one needs none of them.
+    /// Ends an answer to STATUS.
+    virtual void entityServerEntities(const std::string& /*server*/, const std::vector<std::string>& /*entities*/) {}
+    /// Data: to all, by the topic. Signal: straight to each that is reached.
+    virtual void entityServerUpdate(Lane /*lane*/, const ServerAnnouncement& /*self*/) {}
+    /// The front-end servers that signals are sent to directly besides the topic; replaces those named before.
+    virtual void reach(const std::vector<ServerAnnouncement>& /*front_ends*/) {}
+    /// To an entity of another entity server, by the topic of figure 3.15.
+    virtual void peerMsg(const Header& /*head*/, std::string_view /*message*/) {}
 };
 
 }  // namespace axon::entity_server

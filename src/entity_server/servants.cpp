@@ -96,50 +96,84 @@ void IceEntityOutbox::disconnect(bool orderly, const std::string& why) {
     sender_.close();
 }
 
-void IceFrontEndTopic::set(Prx data, Prx signal) {
-    data_ = std::move(data);
-    signal_ = std::move(signal);
-}
-
-namespace {
-
-/// A publication never fails for its publisher; a front-end server that is gone is noticed elsewhere.
-template <class Call>
-void publish(Call&& call) {
-    try {
-        call();
-    } catch (const std::exception&) {
-        spdlog::debug("entity server: not published: {}",
-                      transport::translate(std::current_exception()).message);
-    }
-}
-
-}  // namespace
+using FrontEndPrx = Axon::EntityComm::EntityToFrontEndCommPrx;
 
 void IceFrontEndTopic::entityBasicPrflUpdate(Presence presence, const Registration& registration,
                                              std::string_view profile) {
-    publish([&] { data_->entityBasicPrflUpdate(toIce(presence), toIce(registration), toRange(profile)); });
+    front_ends_.data(Traffic::Control, Header{}, profile,
+                     [its_presence = toIce(presence), its_registration = toIce(registration)](
+                         FrontEndPrx& prx, const IceHeader&, ByteRange bytes, Answered a, Failed f, Sent s) {
+                         prx.entityBasicPrflUpdateAsync(its_presence, its_registration, bytes, std::move(a),
+                                                        std::move(f), std::move(s));
+                     });
 }
 void IceFrontEndTopic::entityUpdate(const EntityStatus& status) {
-    publish([&] { data_->entityUpdate(toIce(status)); });
+    front_ends_.data(Traffic::Control, std::size_t{0},
+                     [its_status = toIce(status)](FrontEndPrx& prx, Answered a, Failed f, Sent s) {
+                         prx.entityUpdateAsync(its_status, std::move(a), std::move(f), std::move(s));
+                     });
 }
 void IceFrontEndTopic::entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
                                        std::string_view record) {
-    publish([&] { data_->entitySvcRecord(toIce(head), record_id, count, toRange(record)); });
+    front_ends_.data(
+        Traffic::Control, head, record,
+        [record_id, count](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+            prx.entitySvcRecordAsync(h, record_id, count, bytes, std::move(a), std::move(f), std::move(s));
+        });
 }
 void IceFrontEndTopic::entityMsg(Lane lane, const Header& head, std::string_view message) {
-    publish([&] {
-        (lane == Lane::Signal ? signal_ : data_)->entityMsg(toIce(lane), toIce(head), toRange(message));
-    });
+    const auto call = [its_lane = toIce(lane)](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes,
+                                               Answered a, Failed f, Sent s) {
+        prx.entityMsgAsync(its_lane, h, bytes, std::move(a), std::move(f), std::move(s));
+    };
+    if (lane == Lane::Signal) {
+        front_ends_.signal(Traffic::Signal, head, message, call);
+    } else {
+        front_ends_.data(Traffic::Control, head, message, call);
+    }
 }
 void IceFrontEndTopic::entityMsgDataSeq(const Header& head, std::string_view data) {
-    publish([&] { data_->entityMsgDataSeq(toIce(head), toRange(data)); });
+    front_ends_.data(Traffic::Data, head, data,
+                     [](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                         prx.entityMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+                     });
 }
 void IceFrontEndTopic::entityRefusal(Lane lane, const Header& head, const Refusal& refusal) {
-    publish([&] {
-        (lane == Lane::Signal ? signal_ : data_)
-            ->entityRefusal(toIce(head), static_cast<int>(refusal.code), refusal.message);
-    });
+    const auto call = [code = static_cast<int>(refusal.code), reason = refusal.message](
+                          FrontEndPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+        prx.entityRefusalAsync(h, code, reason, std::move(a), std::move(f), std::move(s));
+    };
+    if (lane == Lane::Signal) {
+        front_ends_.signal(Traffic::Signal, head, std::string_view(), call);
+    } else {
+        front_ends_.data(Traffic::Control, head, std::string_view(), call);
+    }
+}
+void IceFrontEndTopic::entityServerEntities(const std::string& server,
+                                            const std::vector<std::string>& entities) {
+    front_ends_.data(Traffic::Control, entities.size() * 40,
+                     [server, entities](FrontEndPrx& prx, Answered a, Failed f, Sent s) {
+                         prx.entityServerEntitiesAsync(server, entities, std::move(a), std::move(f), std::move(s));
+                     });
+}
+void IceFrontEndTopic::entityServerUpdate(Lane lane, const ServerAnnouncement& self) {
+    auto announcement = toIce(self);
+    announcement.signals = signals_;
+    const auto call = [announcement = std::move(announcement)](FrontEndPrx& prx, Answered a, Failed f, Sent s) {
+        prx.entityServerUpdateAsync(announcement, std::move(a), std::move(f), std::move(s));
+    };
+    front_ends_.reopen();
+    if (lane == Lane::Signal) return front_ends_.neighbours(Traffic::Heartbeat, std::size_t{0}, call);
+    peers_.reopen();
+    front_ends_.data(Traffic::Control, std::size_t{0}, call);
+}
+void IceFrontEndTopic::reach(const std::vector<ServerAnnouncement>& front_ends) {
+    front_ends_.reach(front_ends);
+}
+void IceFrontEndTopic::peerMsg(const Header& head, std::string_view message) {
+    peers_.data(Traffic::Control, head, message,
+                [](Axon::FrontEndComm::FrontEndToEntityCommPrx& prx, const IceHeader& h, ByteRange bytes,
+                   Answered a, Failed f, Sent s) { prx.clientMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s)); });
 }
 
 Axon::EntityComm::SessionFacts EntitySessionServant::setCallback(std::shared_ptr<Prx> callback,
@@ -285,6 +319,10 @@ void FrontEndToEntityServant::resetSignal(IceHeader head, const Ice::Current&) {
 }
 void FrontEndToEntityServant::clearSignal(IceHeader head, const Ice::Current&) {
     core_.clearSignal(fromIce(std::move(head)));
+}
+void FrontEndToEntityServant::frontEndServerUpdate(Axon::CommUtil::ServerAnnouncement server,
+                                                   const Ice::Current&) {
+    core_.frontEndServerUpdate(lane_, fromIce(std::move(server)));
 }
 
 }  // namespace axon::entity_server

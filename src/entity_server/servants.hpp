@@ -11,6 +11,7 @@
 #include "transport/callback_sender.hpp"
 #include "transport/lane_session.hpp"
 #include "transport/router_servants.hpp"
+#include "transport/topic_publisher.hpp"
 
 // The rim of the entity server: Ice's calls in, EntityServerCore's effects out. No decisions are made here
 // but whether a call came over the right connection.
@@ -36,12 +37,21 @@ class IceEntityOutbox final : public EntityOutbox {
     const transport::CallbackSender<Axon::EntityComm::EntityCallbackPrx> sender_;
 };
 
-/// FrontEndTopic over two publishers, one for each lane: IceStorm's, or of the other server itself.
+/// FrontEndTopic towards front-end servers in other processes: by the topic, and signals besides straight to
+/// each.
 class IceFrontEndTopic final : public FrontEndTopic {
   public:
-    using Prx = std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx>;
-    /// Before anything is published.
-    void set(Prx data, Prx signal);
+    /// `signal`: the communicator of signals between servers.
+    IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
+                     const std::shared_ptr<Ice::Communicator>& signal)
+        : front_ends_(data, signal, "entity server"), peers_(data, signal, "entity server") {}
+    /// As stringified proxies; none: the topic is down.
+    void publishTo(const std::vector<std::string>& front_ends, const std::vector<std::string>& entity_servers) {
+        front_ends_.publishTo(front_ends);
+        peers_.publishTo(entity_servers);
+    }
+    /// Before anything is published: where this server takes signals directly.
+    void setSignals(std::string proxy) { signals_ = std::move(proxy); }
     void entityBasicPrflUpdate(Presence presence, const Registration& registration,
                                std::string_view profile) override;
     void entityUpdate(const EntityStatus& status) override;
@@ -50,10 +60,15 @@ class IceFrontEndTopic final : public FrontEndTopic {
     void entityMsg(Lane lane, const Header& head, std::string_view message) override;
     void entityMsgDataSeq(const Header& head, std::string_view data) override;
     void entityRefusal(Lane lane, const Header& head, const Refusal& refusal) override;
+    void entityServerEntities(const std::string& server, const std::vector<std::string>& entities) override;
+    void entityServerUpdate(Lane lane, const ServerAnnouncement& self) override;
+    void reach(const std::vector<ServerAnnouncement>& front_ends) override;
+    void peerMsg(const Header& head, std::string_view message) override;
 
   private:
-    Prx data_;
-    Prx signal_;
+    transport::TopicPublisher<Axon::EntityComm::EntityToFrontEndCommPrx> front_ends_;
+    transport::TopicPublisher<Axon::FrontEndComm::FrontEndToEntityCommPrx> peers_;
+    std::string signals_;
 };
 
 class EntitySessionServant;
@@ -134,7 +149,7 @@ transport::RouterDoor doorForRouters(EntityLane& data,
 /// Listens to the front-end servers on one lane (thesis figure 3.15).
 class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntityComm {
   public:
-    explicit FrontEndToEntityServant(EntityServerCore& core) : core_(core) {}
+    FrontEndToEntityServant(EntityServerCore& core, Lane lane) : core_(core), lane_(lane) {}
     void clientMsg(Axon::CommUtil::Header head, transport::ByteRange message, const Ice::Current&) override;
     void clientMsgDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,
                           const Ice::Current&) override;
@@ -147,9 +162,11 @@ class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntit
                      Axon::CommUtil::StopCause cause, const Ice::Current&) override;
     void resetSignal(Axon::CommUtil::Header head, const Ice::Current&) override;
     void clearSignal(Axon::CommUtil::Header head, const Ice::Current&) override;
+    void frontEndServerUpdate(Axon::CommUtil::ServerAnnouncement server, const Ice::Current&) override;
 
   private:
     EntityServerCore& core_;
+    const Lane lane_;
 };
 
 }  // namespace axon::entity_server

@@ -62,6 +62,9 @@ Refusal refuse(RefusalCode code, std::string message) {
     return {code, std::move(message), {}};
 }
 
+constexpr auto kData = static_cast<std::size_t>(Lane::Data);
+constexpr auto kSignal = static_cast<std::size_t>(Lane::Signal);
+
 StopCause causeOf(Ending ending) {
     switch (ending) {
         case Ending::Ended:
@@ -83,7 +86,9 @@ FrontEndCore::FrontEndCore(CoreSettings settings, const Clock& clock, RandomSour
       random_(random),
       topic_(topic),
       note_(std::move(note)),
-      wake_(std::move(wake)) {}
+      wake_(std::move(wake)),
+      instance_(Id128::random(random).toString().substr(0, 8)),
+      entity_servers_(settings.entity_servers) {}
 
 FrontEndCore::~FrontEndCore() = default;
 
@@ -109,7 +114,8 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         }
         // A name that is no UTF-8 would make every receipt that carries it unreadable.
         std::string name(cutUtf8(validUtf8(display_name), 256));
-        Sender me{Id128::uuid(random_).toString(), name.empty() ? "unnamed" : std::move(name), role};
+        const auto origin = alone() ? std::string() : settings_.name + ":" + instance_ + ":";
+        Sender me{origin + Id128::uuid(random_).toString(), name.empty() ? "unnamed" : std::move(name), role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
                                           settings_, clock_.now());
         clients_.emplace(client->me.id, client);
@@ -203,7 +209,11 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head) {
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
     if (flooded(client)) return;
     head.sender = client->me;
-    topic_.clientMsg(head, message);
+    if (!alone() && !known_.find(head.entity, kData)) return refuseUnknown(*client->data, head);
+    if (const auto sent = topic_.clientMsg(head, message); !sent.ok()) {
+        client->data->newRefusalMsg(head, sent.refusal());
+        return;
+    }
     if (head.msg_type == kMsgRearm) audit("rearm", client->me, {head.entity});
 }
 
@@ -214,7 +224,7 @@ void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std
 
 std::size_t FrontEndCore::stopTargets(const std::string& entity) const {
     if (entity.empty()) return known_.size();
-    return known_.find(entity) ? 1 : 0;
+    return known_.find(entity, kSignal) ? 1 : 0;
 }
 
 void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCause cause) {
@@ -225,6 +235,7 @@ void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCaus
     topic_.stopSignal(head, cause);
     const auto targets = stopTargets(head.entity);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
+    if (!alone() && targets == 0 && !head.entity.empty()) refuseUnknown(*client->signalOutbox(), head);
     audit(cause == StopCause::Drill ? "drill" : "stop", client->me, {head.entity});
     flooded(client);  // after the stop: also the last one of a flood is a stop
 }
@@ -236,10 +247,17 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     if (cause != StopCause::Drill) cause = StopCause::Requested;
     if (head.sequence >= kServerSequences) head.sequence = 0;
     topic_.stopSignals(head, entities, cause);
-    const auto targets = std::count_if(entities.begin(), entities.end(), [&](const std::string& entity) {
-        return known_.find(entity) != nullptr;
-    });
+    const auto known = [&](const std::string& entity) { return known_.find(entity, kSignal) != nullptr; };
+    const auto targets = std::count_if(entities.begin(), entities.end(), known);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
+    if (!alone() && targets < std::ssize(entities)) {
+        auto refused = head;
+        for (const auto& entity : entities) {
+            if (known(entity)) continue;
+            refused.entity = entity.substr(0, 64);
+            refuseUnknown(*client->signalOutbox(), refused);
+        }
+    }
     audit(cause == StopCause::Drill ? "drill" : "stop", client->me, entities);
     flooded(client);
 }
@@ -349,21 +367,22 @@ void FrontEndCore::updateHolding(const std::string& holder) {
 void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registration,
                                          std::string_view profile) {
     bool told = true;
+    bool disputed = false;
     RecordRef record;
     {
         const std::lock_guard lock(mutex_);
+        hearOf(registration.server);
         const auto found = records_.find(registration.entity);
+        const bool of_another = found != records_.end() && found->second->registration.server != registration.server;
         if (presence == Presence::Left) {
-            if (found == records_.end()) return;
-            record = found->second;
-            const auto holder = record->status.holder.id;
-            records_.erase(found);
-            known_.erase(registration.entity);
-            if (const auto held = holdings_.find(holder); held != holdings_.end()) {
-                held->second.erase(registration.entity);
-                if (held->second.empty()) holdings_.erase(held);
-                updateHolding(holder);
-            }
+            if (found == records_.end() || of_another) return;
+            disputed = disputed_.contains(registration.entity);
+            record = takeOut(registration.entity);
+        } else if (of_another && presence == Presence::Changed) {
+            disputed_.insert(registration.entity);
+            return;
+        } else if (!alone() && entity_servers_.lost(registration.server)) {
+            return;  // late; should the server come back it is asked
         } else if (found != records_.end() && found->second->registration == registration &&
                    *found->second->profile == profile) {
             told = false;  // published again for somebody else
@@ -372,8 +391,10 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
             auto next = known ? std::make_shared<Record>(*found->second) : std::make_shared<Record>();
             next->profile = std::make_shared<const std::string>(profile);
             next->status.entity = registration.entity;
+            next->status.server = registration.server;
             next->registration = std::move(registration);
             record = next;
+            countBusy(known ? found->second.get() : nullptr, record.get());
             records_[record->registration.entity] = record;
             presence = known ? Presence::Changed : Presence::Joined;
             if (!known) known_.put(record->registration.entity, record);
@@ -383,6 +404,147 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
     const std::string_view bytes = presence == Presence::Left ? std::string_view() : *record->profile;
     toClients(Lane::Data, {},
               [&](ClientOutbox& client) { client.newBasicPrflMsg(presence, record->registration, bytes); });
+    if (disputed) ask({});
+}
+
+/// Under the mutex: an entity that has left.
+FrontEndCore::RecordRef FrontEndCore::takeOut(const std::string& entity) {
+    const auto found = records_.find(entity);
+    auto record = found->second;
+    const auto holder = record->status.holder.id;
+    records_.erase(found);
+    known_.erase(record->registration.entity);
+    disputed_.erase(record->registration.entity);
+    countBusy(record.get(), nullptr);
+    if (const auto held = holdings_.find(holder); held != holdings_.end()) {
+        held->second.erase(record->registration.entity);
+        if (held->second.empty()) holdings_.erase(held);
+        updateHolding(holder);
+    }
+    return record;
+}
+
+// -- the entity servers
+
+ServerAnnouncement FrontEndCore::announcement() const {
+    return {settings_.name, instance_, {}, 0};
+}
+
+void FrontEndCore::refuseUnknown(ClientOutbox& to, const Header& head) const {
+    to.newRefusalMsg(head, refuse(RefusalCode::UnknownEntity,
+                                  "no entity " + head.entity.substr(0, 64) +
+                                      " is connected; 'axon ls' shows those that are there"));
+}
+
+/// STATUS of this server, empty = all.
+void FrontEndCore::ask(const std::string& server) {
+    Header head;
+    head.msg_type = kMsgStatus;
+    head.entity = server;
+    topic_.clientRequest(head);
+}
+
+/// Under the mutex: a registration or a status of this server has come.
+void FrontEndCore::hearOf(const std::string& server) {
+    if (alone() || server.empty()) return;
+    if (const auto found = heard_.find(server); found != heard_.end()) ++found->second;
+}
+
+/// Under the mutex.
+void FrontEndCore::countBusy(const Record* before, const Record* now) {
+    if (alone()) return;
+    const auto keeps = [](const Record* record) {
+        return record != nullptr && record->status.state == EntityState::BUSY ? record->registration.server
+                                                                              : std::string();
+    };
+    const auto was = keeps(before);
+    const auto is = keeps(now);
+    if (was == is) return;
+    if (!is.empty() && busy_of_[is]++ == 0) entity_servers_.setBusy(is, true, clock_.now());
+    if (const auto found = busy_of_.find(was); found != busy_of_.end() && --found->second == 0) {
+        busy_of_.erase(found);
+        entity_servers_.setBusy(was, false, clock_.now());
+    }
+}
+
+void FrontEndCore::tellLeft(const std::vector<RecordRef>& records) {
+    for (const auto& record : records) {
+        toClients(Lane::Data, {}, [&](ClientOutbox& client) {
+            client.newBasicPrflMsg(Presence::Left, record->registration, {});
+        });
+    }
+}
+
+void FrontEndCore::forget(const std::string& server, const std::unordered_set<std::string>& but) {
+    std::vector<RecordRef> left;
+    bool disputed = false;
+    {
+        const std::lock_guard lock(mutex_);
+        std::vector<std::string> gone;
+        for (const auto& [entity, record] : records_) {
+            if (record->registration.server == server && !but.contains(entity)) gone.push_back(entity);
+        }
+        for (const auto& entity : gone) {
+            disputed = disputed || disputed_.contains(entity);
+            left.push_back(takeOut(entity));
+        }
+    }
+    tellLeft(left);
+    if (disputed) ask({});
+    if (!left.empty()) {
+        note_("entity server " + server + ": " + std::to_string(left.size()) +
+              (left.size() == 1 ? " entity is" : " entities are") + " gone");
+    }
+}
+
+void FrontEndCore::entityServerEntities(const std::string& server, const std::vector<std::string>& entities) {
+    if (alone() || !isServerName(server)) return;
+    forget(server, {entities.begin(), entities.end()});
+}
+
+void FrontEndCore::entityServerUpdate(Lane lane, const ServerAnnouncement& server) {
+    if (alone()) return;
+    if (entity_servers_.heard(lane, server, clock_.now())) wake_();
+    if (lane == Lane::Signal || !isServerName(server.name)) return;
+    {
+        const std::lock_guard lock(mutex_);
+        if (heard_.size() >= Neighbours::kMost && !heard_.contains(server.name)) return;
+        const auto [heard, is_new] = heard_.try_emplace(server.name, server.published);
+        if (!is_new && heard->second == server.published) return;
+        heard->second = server.published;
+    }
+    ask(server.name);  // something of it was lost on the way, or it was there first
+}
+
+void FrontEndCore::topicFound() {
+    topic_.frontEndServerUpdate(Lane::Data, announcement());
+    ask({});
+}
+
+TimePoint FrontEndCore::onNeighboursTimer() {
+    constexpr std::chrono::milliseconds kBeat{50};
+    constexpr std::chrono::seconds kAnnounce{1};
+    const auto now = clock_.now();
+    const auto news = entity_servers_.news(now);
+    if (news.reachable) topic_.reach(*news.reachable);
+    // Whoever is new hears of it at once: its watchdog is short only from then on.
+    if (now >= next_beat_ || news.reachable) {
+        next_beat_ = now + kBeat;
+        topic_.frontEndServerUpdate(Lane::Signal, announcement());
+    }
+    if (now >= next_announcement_) {
+        next_announcement_ = now + kAnnounce;
+        topic_.frontEndServerUpdate(Lane::Data, announcement());
+    }
+    for (const auto& name : news.lost) {
+        note_("entity server " + name + " is gone");
+        forget(name, {});
+    }
+    for (const auto& name : news.arrived) {
+        note_("entity server " + name + " is there");
+        ask(name);
+    }
+    return std::min({news.next, next_beat_, next_announcement_});
 }
 
 void FrontEndCore::entityUpdate(EntityStatus status) {
@@ -391,13 +553,19 @@ void FrontEndCore::entityUpdate(EntityStatus status) {
     std::string entity;
     {
         const std::lock_guard lock(mutex_);
+        hearOf(status.server);
         const auto found = records_.find(status.entity);
         if (found == records_.end() || found->second->status == status) return;
+        if (found->second->registration.server != status.server) {
+            disputed_.insert(status.entity);
+            return;
+        }
         entity = status.entity;
         const auto before = found->second->status.holder.id;
         const auto holder = status.holder.id;
         auto next = std::make_shared<Record>(*found->second);
         next->status = status;
+        countBusy(found->second.get(), next.get());
         found->second = std::move(next);
         if (before != holder && !before.empty()) {
             if (const auto held = holdings_.find(before); held != holdings_.end()) {
@@ -480,6 +648,7 @@ TimePoint FrontEndCore::onTimer() {
                   " ms");
     }
     for (const auto& [client, sequence] : heartbeats) client->signalOutbox()->newHeartbeat(sequence);
+    if (!alone()) next = std::min(next, onNeighboursTimer());
     for (const auto& warning : warnings) note_(warning);
     return next;
 }

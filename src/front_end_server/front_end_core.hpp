@@ -10,10 +10,12 @@
 #include <string>
 #include <string_view>
 #include <unordered_map>
+#include <unordered_set>
 #include <vector>
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
+#include "common/neighbours.hpp"
 #include "common/rate_limit.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
@@ -25,6 +27,10 @@
 namespace axon::front_end_server {
 
 struct CoreSettings {
+    /// Of one of several front-end servers in processes of their own (isServerName); empty: it is the only one, with
+    /// the only entity server beside it.
+    std::string name;
+    Neighbours::Timeouts entity_servers;
     Duration watchdog_busy = std::chrono::milliseconds{250};  ///< safety.md, "Watchdogs"
     Duration watchdog_idle = std::chrono::seconds{10};
     Duration heartbeat_busy = std::chrono::milliseconds{50};
@@ -52,6 +58,12 @@ enum class Ending : std::uint8_t {
 /// States of a client: setCallback() ► here ─ attach() ► with two lanes ─ leave() ► gone. Its check-outs are
 /// what entities' statuses say of their holders; a client that goes is stopped for on each of them, even
 /// where the status that names it comes late.
+///
+/// One of several: it announces itself to the entity servers, and misses them. The entities of one that falls
+/// silent, or has started anew, have left; so have those that are missing in the list at the end of a STATUS. It
+/// asks for STATUS when it finds a server or the topic, and when it has heard fewer registrations and statuses of
+/// a server than that one has published. An entity belongs to the server that announced its joining last. As it
+/// knows all entities it refuses what is for none; a stop is passed on all the same.
 ///
 /// Threads: any, concurrently; calls for one lane of one client, and those from one entity server about
 /// entities, come one after the other. Routing reads immutable tables, of which each lane has its own
@@ -98,6 +110,11 @@ class FrontEndCore {
     void entityMsg(Lane lane, const Header& head, std::string_view message);
     void entityMsgDataSeq(const Header& head, std::string_view data);
     void entityRefusal(Lane lane, const Header& head, const Refusal& refusal);
+    void entityServerEntities(const std::string& server, const std::vector<std::string>& entities);
+    /// `lane`: Signal = directly, Data = by the topic.
+    void entityServerUpdate(Lane lane, const ServerAnnouncement& server);
+    /// The topic has been found, or found again: what was published meanwhile was not heard here.
+    void topicFound();
 
     /// Gives up silent clients and sends heartbeats; returns when it wants to be called again.
     TimePoint onTimer();
@@ -132,6 +149,16 @@ class FrontEndCore {
     std::size_t stopTargets(const std::string& entity) const;
     void settle(const Sender& client, Ending ending, const std::map<std::string, bool>& held);
     void updateHolding(const std::string& holder);
+    bool alone() const { return settings_.name.empty(); }
+    ServerAnnouncement announcement() const;
+    void refuseUnknown(ClientOutbox& to, const Header& head) const;
+    void ask(const std::string& server);
+    void hearOf(const std::string& server);
+    void countBusy(const Record* before, const Record* now);
+    RecordRef takeOut(const std::string& entity);
+    void forget(const std::string& server, const std::unordered_set<std::string>& but);
+    void tellLeft(const std::vector<RecordRef>& records);
+    TimePoint onNeighboursTimer();
 
     const CoreSettings settings_;
     const Clock& clock_;
@@ -141,8 +168,14 @@ class FrontEndCore {
     const std::function<void()> wake_;
 
     SnapshotTable<ClientRef, 2> table_;  // by session, for each lane
-    SnapshotTable<RecordRef> known_;     // by entity, for stops
+    SnapshotTable<RecordRef, 2> known_;  // by entity, for each lane
     std::atomic<std::int64_t> own_stops_{0};
+
+    const std::string instance_;  // of this start, as the entity servers know it
+    Neighbours entity_servers_;
+    // Confined to the timer's thread:
+    TimePoint next_beat_;
+    TimePoint next_announcement_;
 
     mutable std::mutex mutex_;
     // Guarded by mutex_:
@@ -151,6 +184,10 @@ class FrontEndCore {
     Records records_;
     std::unordered_map<std::string, std::map<std::string, bool>>
         holdings_;  // client → entities, whether BUSY
+    std::unordered_map<std::string, std::int64_t> heard_;  // entity server → registrations and statuses
+    std::unordered_map<std::string, int> busy_of_;         // entity server → entities that are BUSY
+    // Entities that another server than the record's has spoken of; when that one lets go, it is asked.
+    std::unordered_set<std::string> disputed_;
     std::unordered_map<std::string, Gone> gone_;
     std::deque<std::string> gone_order_;
 };

@@ -70,13 +70,23 @@ class FakeOutbox final : public ClientOutbox {
 
 class FakeTopic final : public EntityTopic {
   public:
-    void clientMsg(const Header& head, std::string_view message) override {
+    Result<void> clientMsg(const Header& head, std::string_view message) override {
+        if (down) return Refusal{RefusalCode::NotConnected, "down", {}};
         lines.push_back(head.sender.name + " to " + head.entity + " " + std::string(message));
+        return {};
     }
     void clientMsgDataSeq(const Header& head, std::string_view) override {
         lines.push_back("data to " + head.entity);
     }
-    void clientRequest(const Header&) override { lines.emplace_back("request"); }
+    void clientRequest(const Header& head) override { lines.push_back("request" + head.entity); }
+    void frontEndServerUpdate(Lane lane, const ServerAnnouncement& self) override {
+        ++(lane == Lane::Signal ? beats : announcements);
+        announced = self;
+    }
+    void reach(const std::vector<ServerAnnouncement>& servers) override {
+        reached.clear();
+        for (const auto& server : servers) reached.push_back(server.signals);
+    }
     void clientUpdate(const Header& head, ClientChange change) override {
         lines.push_back((change == ClientChange::Lost ? "lost to " : "ended to ") + head.entity);
     }
@@ -97,6 +107,11 @@ class FakeTopic final : public EntityTopic {
 
     std::vector<std::string> lines;
     std::vector<std::int64_t> numbers;  // of stops
+    bool down = false;
+    int beats = 0;
+    int announcements = 0;
+    ServerAnnouncement announced;
+    std::vector<std::string> reached;
 };
 
 class FrontEndTest : public testing::Test {
@@ -470,6 +485,157 @@ TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
     EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by client1 to e1",
                                           "stop (improper client) by client1 to e1", "lost to e1"));
     EXPECT_TRUE(data->disconnected);
+}
+
+class OneOfSeveral : public FrontEndTest {
+  protected:
+    static CoreSettings named() {
+        CoreSettings settings;
+        settings.name = "fe1";
+        settings.watchdog_busy = settings.watchdog_idle = std::chrono::hours{1};
+        return settings;
+    }
+    void announce(Lane lane, const std::string& server, std::int64_t published, const char* instance = "one") {
+        several.entityServerUpdate(lane, {server, instance, "signals of " + server, published});
+    }
+    void entityAt(const std::string& server, const std::string& id, Presence presence = Presence::Joined) {
+        Registration registration;
+        registration.entity = registration.name = id;
+        registration.server = server;
+        several.entityBasicPrflUpdate(presence, registration, "profile");
+    }
+    void statusAt(const std::string& server, const std::string& id, EntityState state) {
+        EntityStatus out;
+        out.entity = id;
+        out.state = state;
+        out.server = server;
+        several.entityUpdate(out);
+    }
+    void passHere(Duration time) {
+        const auto end = clock.now() + time;
+        while (clock.now() < end) {
+            const auto next = several.onTimer();
+            clock.set(std::min(std::max(next, clock.now() + 1ms), end));
+        }
+        several.onTimer();
+    }
+    std::pair<std::shared_ptr<FakeOutbox>, FrontEndCore::ClientRef> joinHere() {
+        auto data = std::make_shared<FakeOutbox>();
+        auto client = several.setCallback("client1", Role::Operator, data).value();
+        return {data, client};
+    }
+
+    FrontEndCore several{
+        named(), clock, random, topic, [this](const std::string& line) { notes.push_back(line); }, [] {}};
+};
+
+TEST_F(OneOfSeveral, ItsClientsIdsTellTheServerAndItsStart) {
+    passHere(1ms);
+    const auto id = FrontEndCore::me(*joinHere().second).id;
+    EXPECT_EQ(originOf(id).server, "fe1");
+    EXPECT_EQ(originOf(id).instance, topic.announced.instance);
+    EXPECT_TRUE(Id128::parse(uuidOf(id)));
+}
+
+TEST_F(OneOfSeveral, AnnouncesItselfByTheTopicEachSecondAndDirectlyEach50Ms) {
+    passHere(2s);
+    EXPECT_EQ(topic.announcements, 3);
+    EXPECT_EQ(topic.beats, 41);
+    announce(Lane::Data, "es1", 0);
+    passHere(1ms);
+    EXPECT_THAT(topic.reached, ElementsAre("signals of es1"));
+}
+
+TEST_F(OneOfSeveral, TheEntitiesOfASilentServerHaveLeftAndTheOthersHaveNot) {
+    const auto [data, client] = joinHere();
+    entityAt("es1", "e1");
+    entityAt("es2", "e2");
+    statusAt("es1", "e1", EntityState::BUSY);
+    for (int i = 0; i < 20; ++i) {
+        announce(Lane::Signal, "es1", 0);
+        announce(Lane::Signal, "es2", 0);
+        passHere(50ms);
+    }
+    data->take();
+    for (int i = 0; i < 4; ++i) {
+        announce(Lane::Signal, "es2", 0);
+        passHere(50ms);
+    }
+    EXPECT_THAT(data->take(), ElementsAre("left e1")) << "250 ms after its last sign of life";
+    entityAt("es1", "e1", Presence::Changed);
+    EXPECT_THAT(data->take(), IsEmpty()) << "late, out of a queue";
+    topic.take();
+    announce(Lane::Signal, "es1", 0);
+    passHere(1ms);
+    EXPECT_THAT(topic.take(), testing::Contains("requestes1"));
+    entityAt("es1", "e1", Presence::Changed);
+    EXPECT_THAT(data->take(), ElementsAre("joined e1"));
+}
+
+TEST_F(OneOfSeveral, AsksAServerOfWhichItHasHeardLessThanThatHasPublished) {
+    announce(Lane::Data, "es1", 7);
+    EXPECT_THAT(topic.take(), ElementsAre("requestes1")) << "it was there first";
+    entityAt("es1", "e1");
+    statusAt("es1", "e1", EntityState::IDLE);
+    announce(Lane::Data, "es1", 9);
+    EXPECT_THAT(topic.take(), IsEmpty());
+    announce(Lane::Data, "es1", 10);
+    EXPECT_THAT(topic.take(), ElementsAre("requestes1"));
+    announce(Lane::Data, "es1", 10);
+    EXPECT_THAT(topic.take(), IsEmpty());
+}
+
+TEST_F(OneOfSeveral, WhatIsNotInTheListAtTheEndOfAStatusIsForgotten) {
+    const auto [data, client] = joinHere();
+    entityAt("es1", "e1");
+    entityAt("es1", "e2");
+    entityAt("es2", "e3");
+    data->take();
+    several.entityServerEntities("es1", {"e1"});
+    EXPECT_THAT(data->take(), ElementsAre("left e2"));
+    EXPECT_EQ(several.entities(), 2U);
+}
+
+TEST_F(OneOfSeveral, AnEntityThatMovedIsNotTakenAwayByTheServerItCameFrom) {
+    const auto [data, client] = joinHere();
+    entityAt("es1", "e1");
+    entityAt("es2", "e1");
+    statusAt("es2", "e1", EntityState::IDLE);
+    data->take();
+    statusAt("es1", "e1", EntityState::ERR);
+    entityAt("es1", "e1", Presence::Changed);
+    entityAt("es1", "e1", Presence::Left);
+    several.entityServerEntities("es1", {});
+    EXPECT_THAT(data->take(), IsEmpty());
+    topic.take();
+    // Another server has spoken of it, so when this one lets go, that one is asked.
+    entityAt("es2", "e1", Presence::Left);
+    EXPECT_THAT(data->take(), ElementsAre("left e1"));
+    EXPECT_THAT(topic.take(), ElementsAre("request"));
+}
+
+TEST_F(OneOfSeveral, RefusesWhatIsForNobodyAndPassesItsStopOnAllTheSame) {
+    const auto [data, client] = joinHere();
+    entityAt("es1", "e1");
+    data->take();
+    several.sendToEntity(client, to("e2"), "hello");
+    EXPECT_THAT(data->take(), ElementsAre("refused UNKNOWN_ENTITY"));
+    EXPECT_THAT(topic.take(), IsEmpty());
+    several.sendStopSignal(client, to("e2"), StopCause::Requested);
+    EXPECT_THAT(data->take(), ElementsAre("stop accepted 0", "refused UNKNOWN_ENTITY"));
+    several.sendStopSignals(client, to(""), {"e1", "e2"}, StopCause::Requested);
+    EXPECT_THAT(data->take(), ElementsAre("stop accepted 1", "refused UNKNOWN_ENTITY"));
+    EXPECT_THAT(topic.take(),
+                ElementsAre("stop (requested) by client1 to e2", "stop (requested) by client1 to e1 e2"));
+    topic.down = true;
+    several.sendToEntity(client, to("e1"), "hello");
+    EXPECT_THAT(data->take(), ElementsAre("refused NOT_CONNECTED"));
+}
+
+TEST_F(OneOfSeveral, AsksEverybodyWhenTheTopicIsFound) {
+    several.topicFound();
+    EXPECT_THAT(topic.take(), ElementsAre("request"));
+    EXPECT_EQ(topic.announcements, 1);
 }
 
 }  // namespace

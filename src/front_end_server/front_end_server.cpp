@@ -22,28 +22,23 @@ class FrontEndServer::Rim {
     Rim(FrontEndServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
         const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
         FrontEndCore::Note note)
-        : core(settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
+        : topic(data, settings.topic_signals,
+                [this](const Header& head, const Refusal& refusal) {
+                    core.entityRefusal(Lane::Data, head, refusal);
+                }),
+          core(settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
                [this] { wake(); }),
           data_lane{core, Lane::Data, {}, {}, transport::OpenSessions<ClientSessionServant>(clock)},
           signal_lane{
               core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<ClientSessionServant>(clock)},
           data_adapter(transport::listen(*data, "FrontEndServer", settings.data_endpoint)),
-          signal_adapter(transport::listen(*signal, "FrontEndServerSignal", settings.signal_endpoint)),
-          data_topic(data->createObjectAdapter("")),
-          signal_topic(signal->createObjectAdapter("")) {
+          signal_adapter(transport::listen(*signal, "FrontEndServerSignal", settings.signal_endpoint)) {
         const auto gate = Ice::stringToIdentity("ClientGate");
         data_lane.logins = settings.logins;
         data_lane.server = signal_lane.server = settings.name;
         data_lane.signal_endpoints = transport::publishedEndpoints(*signal_adapter);
         data_adapter->add(std::make_shared<ClientGateServant>(data_lane), gate);
         signal_adapter->add(std::make_shared<ClientGateServant>(signal_lane), gate);
-        const auto subscriber = [this](Ice::ObjectAdapter& adapter, Lane lane) {
-            return Ice::uncheckedCast<Axon::EntityComm::EntityToFrontEndCommPrx>(
-                       adapter.addWithUUID(std::make_shared<EntityToFrontEndServant>(core, lane)))
-                ->ice_invocationTimeout(-1);
-        };
-        data_subscriber = subscriber(*data_topic, Lane::Data);
-        signal_subscriber = subscriber(*signal_topic, Lane::Signal);
         if (!settings.router_endpoint.empty()) {
             routers = std::make_unique<transport::RouterConnections>(settings.logins);
             door = std::make_unique<transport::RouterDoor>(
@@ -52,8 +47,7 @@ class FrontEndServer::Rim {
             router_adapter =
                 transport::listenForRouters(*data, "FrontEndServerRouter", settings.router_endpoint, *door);
         }
-        data_topic->activate();
-        signal_topic->activate();
+        if (settings.here == nullptr) listenToEntityServers(settings, *data);
         timer = std::make_unique<transport::TimerThread>(
             // It walks all clients, and each task that begins wakes it: not for every one of them.
             "axon-fe-timer", Lane::Signal, std::chrono::milliseconds{5}, clock, [this] {
@@ -62,9 +56,22 @@ class FrontEndServer::Rim {
         timer_ready = timer.get();
     }
 
+    void listenToEntityServers(const FrontEndServerSettings& settings, Ice::Communicator& data) {
+        data_topic = transport::listen(data, "FrontEndServerTopic", settings.topic_endpoint);
+        signal_topic = transport::listen(*settings.topic_signals, "FrontEndServerTopicSignal",
+                                         settings.topic_signal_endpoint);
+        const Ice::Identity identity{settings.core.name, "FrontEndServer"};
+        subscriber =
+            data_topic->add(std::make_shared<EntityToFrontEndServant>(core, Lane::Data), identity)->ice_toString();
+        topic.setSignals(
+            signal_topic->add(std::make_shared<EntityToFrontEndServant>(core, Lane::Signal), identity)
+                ->ice_toString());
+    }
+
     void end() {
         timer_ready = nullptr;
         timer.reset();
+        if (data_topic) topic.publishTo({});  // what still waits there is refused while there is a core to do it
     }
 
     void wake() {
@@ -80,10 +87,9 @@ class FrontEndServer::Rim {
     std::unique_ptr<transport::RouterConnections> routers;
     std::unique_ptr<transport::RouterDoor> door;
     std::shared_ptr<Ice::ObjectAdapter> router_adapter;
-    std::shared_ptr<Ice::ObjectAdapter> data_topic;
+    std::shared_ptr<Ice::ObjectAdapter> data_topic;  // null where the entity server is here, as the next
     std::shared_ptr<Ice::ObjectAdapter> signal_topic;
-    std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> data_subscriber;
-    std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> signal_subscriber;
+    std::string subscriber;
     std::atomic<transport::TimerThread*> timer_ready{nullptr};
     std::unique_ptr<transport::TimerThread> timer;
 };
@@ -96,19 +102,23 @@ FrontEndServer::FrontEndServer(FrontEndServerSettings settings,
 
 FrontEndServer::~FrontEndServer() = default;
 
-std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> FrontEndServer::subscriber(Lane lane) const {
-    return lane == Lane::Signal ? rim_->signal_subscriber : rim_->data_subscriber;
+std::string FrontEndServer::subscriber() const {
+    return rim_->subscriber;
 }
 
-void FrontEndServer::publishTo(std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> data,
-                               std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> signal) {
-    rim_->topic.set(std::move(data), std::move(signal));
+void FrontEndServer::publishTo(const std::vector<std::string>& entity_servers) {
+    rim_->topic.publishTo(entity_servers);
+    if (!entity_servers.empty()) rim_->core.topicFound();
 }
 
 void FrontEndServer::activate() {
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
     if (rim_->router_adapter) rim_->router_adapter->activate();
+    if (rim_->data_topic) {
+        rim_->signal_topic->activate();
+        rim_->data_topic->activate();
+    }
 }
 
 std::string FrontEndServer::routerAddress() const {

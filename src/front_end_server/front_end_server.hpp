@@ -3,6 +3,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "common/clock.hpp"
 #include "common/ids.hpp"
@@ -10,12 +11,6 @@
 
 namespace Ice {
 class Communicator;
-}
-namespace Axon::EntityComm {
-class EntityToFrontEndCommPrx;
-}
-namespace Axon::FrontEndComm {
-class FrontEndToEntityCommPrx;
 }
 
 namespace axon::transport {
@@ -37,15 +32,23 @@ struct FrontEndServerSettings {
     /// Session managers of the other servers of this kind, by name, as stringified proxies.
     std::map<std::string, std::string> neighbours = {};
     /// The entity server in this process, called in the caller's thread. Outlives the communicators and
-    /// end(). Null: publishTo() says where.
+    /// end(). Null: this is one of several servers, and publishTo() says where the others are.
     EntityTopic* here = nullptr;
+    // Of one of several: where the topic and, directly, signals of entity servers reach it, and the communicator
+    // of those signals.
+    std::string topic_endpoint = "tcp -h 127.0.0.1 -p 0";
+    std::string topic_signal_endpoint = "tcp -h 127.0.0.1 -p 0";
+    std::shared_ptr<Ice::Communicator> topic_signals;
 };
 
 /// The front-end server on Ice: two adapters, FrontEndServer and FrontEndServerSignal, each with a
 /// communicator and threads of its own; the clients behind them; one timer thread. Thesis: FrontEndServer.
 ///
-/// Life: construct, publishTo() where there is nobody `here`, activate(); before it is destroyed, destroy
-/// both communicators, then end().
+/// One of several has two adapters more, FrontEndServerTopic and FrontEndServerTopicSignal, for what comes from
+/// the entity servers.
+///
+/// Life: construct, activate(); where there is nobody `here`, publishTo() now and whenever that changes; before it
+/// is destroyed, destroy the communicators, then end().
 class FrontEndServer {
   public:
     /// Throws std::runtime_error where it cannot listen (misconfiguration).
@@ -54,11 +57,12 @@ class FrontEndServer {
                    FrontEndCore::Note note);
     ~FrontEndServer();
 
-    /// Where entity servers of other processes reach it: what subscribes to the topic.
-    std::shared_ptr<Axon::EntityComm::EntityToFrontEndCommPrx> subscriber(Lane lane) const;
-    /// Where it publishes to: IceStorm's publishers, or the other's subscribers themselves.
-    void publishTo(std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> data,
-                   std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx> signal);
+    /// Of one of several: what subscribes to the topic, a stringified proxy. Its identity is the same at each
+    /// start.
+    std::string subscriber() const;
+    /// Where the topic is, as stringified proxies: its publisher, or the servers themselves. None: it is
+    /// down.
+    void publishTo(const std::vector<std::string>& entity_servers);
     void activate();
     /// Joins its own threads: nothing is published any more.
     void end();

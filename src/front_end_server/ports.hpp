@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "common/refusal.hpp"
+#include "common/result.hpp"
 #include "common/routed.hpp"
 
 namespace axon::front_end_server {
@@ -38,9 +39,11 @@ class ClientOutbox {
 class EntityTopic {
   public:
     virtual ~EntityTopic() = default;
-    virtual void clientMsg(const Header& head, std::string_view message) = 0;
+    /// Refuses where it is known at once that nobody will hear it; the client is told.
+    virtual Result<void> clientMsg(const Header& head, std::string_view message) = 0;
     virtual void clientMsgDataSeq(const Header& head, std::string_view data) = 0;
-    /// For a front-end server in a process of its own; the embedded one keeps a copy and answers itself.
+    /// STATUS of the entity server that `head.entity` names, empty = all. For one of several front-end servers;
+    /// the only one has heard of everything.
     virtual void clientRequest(const Header& head) = 0;
     virtual void clientUpdate(const Header& head, ClientChange change) = 0;
     virtual void stopSignal(const Header& head, StopCause cause) = 0;
@@ -49,6 +52,12 @@ class EntityTopic {
                              StopCause cause) = 0;
     virtual void resetSignal(const Header& head) = 0;
     virtual void clearSignal(const Header& head) = 0;
+
+    // Of one of several servers; the only one needs none of them.
+    /// Data: to all, by the topic. Signal: straight to each that is reached.
+    virtual void frontEndServerUpdate(Lane /*lane*/, const ServerAnnouncement& /*self*/) {}
+    /// The entity servers that signals are sent to directly besides the topic; replaces those named before.
+    virtual void reach(const std::vector<ServerAnnouncement>& /*entity_servers*/) {}
 };
 
 }  // namespace axon::front_end_server

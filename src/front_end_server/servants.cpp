@@ -105,50 +105,102 @@ void IceClientOutbox::disconnect(bool orderly, const std::string& why) {
     sender_.close();
 }
 
-void IceEntityTopic::set(Prx data, Prx signal) {
-    data_ = std::move(data);
-    signal_ = std::move(signal);
-}
+using EntityPrx = Axon::FrontEndComm::FrontEndToEntityCommPrx;
 
 namespace {
 
-/// A publication never fails for its publisher; an entity server that is gone is noticed elsewhere.
-template <class Call>
-void publish(Call&& call) {
-    try {
-        call();
-    } catch (const std::exception&) {
-        spdlog::debug("front-end server: not published: {}",
-                      transport::translate(std::current_exception()).message);
-    }
+Refusal topicDown() {
+    return {RefusalCode::NotConnected,
+            "the topic between the servers is down: stops get through, nothing else; try again in a few seconds, "
+            "and if that lasts, start icebox again",
+            {}};
 }
 
 }  // namespace
 
-void IceEntityTopic::clientMsg(const Header& head, std::string_view message) {
-    publish([&] { data_->clientMsg(toIce(head), toRange(message)); });
+IceEntityTopic::IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
+                               const std::shared_ptr<Ice::Communicator>& signal,
+                               std::function<void(const Header&, const Refusal&)> lost)
+    : lost_([lost = std::move(lost)](const Header& head) { lost(head, topicDown()); }),
+      publisher_(data, signal, "front-end server") {}
+
+Result<void> IceEntityTopic::clientMsg(const Header& head, std::string_view message) {
+    const auto ticket = std::make_shared<transport::PublicationTicket>(lost_, head);
+    publisher_.data(Traffic::Control, head, message,
+                    [ticket](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                        prx.clientMsgAsync(
+                            h, bytes, std::move(a),
+                            [ticket, f = std::move(f)](std::exception_ptr error) {
+                                ticket->fail();
+                                f(std::move(error));
+                            },
+                            std::move(s));
+                        ticket->given();
+                    });
+    if (ticket.use_count() == 1 && ticket->take()) return topicDown();
+    return {};
 }
 void IceEntityTopic::clientMsgDataSeq(const Header& head, std::string_view data) {
-    publish([&] { data_->clientMsgDataSeq(toIce(head), toRange(data)); });
+    publisher_.data(Traffic::Data, head, data,
+                    [](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                        prx.clientMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+                    });
 }
 void IceEntityTopic::clientRequest(const Header& head) {
-    publish([&] { data_->clientRequest(toIce(head)); });
+    publisher_.data(Traffic::Control, head, std::string_view(),
+                    [](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+                        prx.clientRequestAsync(h, std::move(a), std::move(f), std::move(s));
+                    });
 }
 void IceEntityTopic::clientUpdate(const Header& head, ClientChange change) {
-    publish([&] { signal_->clientUpdate(toIce(head), toIce(change)); });
+    publisher_.signal(
+        Traffic::Signal, head, std::string_view(),
+        [its_change = toIce(change)](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+            prx.clientUpdateAsync(h, its_change, std::move(a), std::move(f), std::move(s));
+        });
 }
 void IceEntityTopic::stopSignal(const Header& head, StopCause cause) {
-    publish([&] { signal_->stopSignal(toIce(head), toIce(cause)); });
+    publisher_.signal(
+        Traffic::Signal, head, std::string_view(),
+        [its_cause = toIce(cause)](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+            prx.stopSignalAsync(h, its_cause, std::move(a), std::move(f), std::move(s));
+        });
 }
 void IceEntityTopic::stopSignals(const Header& head, const std::vector<std::string>& entities,
                                  StopCause cause) {
-    publish([&] { signal_->stopSignals(toIce(head), entities, toIce(cause)); });
+    publisher_.signal(Traffic::Signal, head, std::string_view(),
+                      [entities, its_cause = toIce(cause)](EntityPrx& prx, const IceHeader& h, ByteRange,
+                                                           Answered a, Failed f, Sent s) {
+                          prx.stopSignalsAsync(h, entities, its_cause, std::move(a), std::move(f), std::move(s));
+                      });
 }
 void IceEntityTopic::resetSignal(const Header& head) {
-    publish([&] { signal_->resetSignal(toIce(head)); });
+    publisher_.signal(Traffic::Signal, head, std::string_view(),
+                      [](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+                          prx.resetSignalAsync(h, std::move(a), std::move(f), std::move(s));
+                      });
 }
 void IceEntityTopic::clearSignal(const Header& head) {
-    publish([&] { signal_->clearSignal(toIce(head)); });
+    publisher_.signal(Traffic::Signal, head, std::string_view(),
+                      [](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+                          prx.clearSignalAsync(h, std::move(a), std::move(f), std::move(s));
+                      });
+}
+void IceEntityTopic::frontEndServerUpdate(Lane lane, const ServerAnnouncement& self) {
+    auto announcement = toIce(self);
+    announcement.signals = signals_;
+    const auto call = [announcement = std::move(announcement)](EntityPrx& prx, Answered a, Failed f, Sent s) {
+        prx.frontEndServerUpdateAsync(announcement, std::move(a), std::move(f), std::move(s));
+    };
+    publisher_.reopen();
+    if (lane == Lane::Signal) {
+        publisher_.neighbours(Traffic::Heartbeat, std::size_t{0}, call);
+    } else {
+        publisher_.data(Traffic::Control, std::size_t{0}, call);
+    }
+}
+void IceEntityTopic::reach(const std::vector<ServerAnnouncement>& entity_servers) {
+    publisher_.reach(entity_servers);
 }
 
 Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_ptr<Prx> callback,
@@ -308,6 +360,14 @@ void EntityToFrontEndServant::entityRefusal(IceHeader head, int code, std::strin
                                             const Ice::Current&) {
     core_.entityRefusal(lane_, fromIce(std::move(head)),
                         {static_cast<RefusalCode>(code), std::move(reason), {}});
+}
+void EntityToFrontEndServant::entityServerEntities(std::string server, Axon::CommUtil::Entities entities,
+                                                   const Ice::Current&) {
+    core_.entityServerEntities(server, entities);
+}
+void EntityToFrontEndServant::entityServerUpdate(Axon::CommUtil::ServerAnnouncement server,
+                                                 const Ice::Current&) {
+    core_.entityServerUpdate(lane_, fromIce(std::move(server)));
 }
 
 }  // namespace axon::front_end_server

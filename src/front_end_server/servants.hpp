@@ -11,6 +11,7 @@
 #include "transport/callback_sender.hpp"
 #include "transport/lane_session.hpp"
 #include "transport/router_servants.hpp"
+#include "transport/topic_publisher.hpp"
 
 // The rim of the front-end server: Ice's calls in, FrontEndCore's effects out. No decisions are made here but
 // whether a call came over the right connection.
@@ -39,13 +40,19 @@ class IceClientOutbox final : public ClientOutbox {
     const transport::CallbackSender<Axon::FrontEndComm::ClientCallbackPrx> sender_;
 };
 
-/// EntityTopic over two publishers, one for each lane: IceStorm's, or of the other server itself.
+/// EntityTopic towards entity servers in other processes: by the topic, and signals besides straight to each.
 class IceEntityTopic final : public EntityTopic {
   public:
-    using Prx = std::shared_ptr<Axon::FrontEndComm::FrontEndToEntityCommPrx>;
-    /// Before anything is published.
-    void set(Prx data, Prx signal);
-    void clientMsg(const Header& head, std::string_view message) override;
+    /// `signal`: the communicator of signals between servers. `lost` is called for a client's control message that
+    /// found nobody after it was taken; any thread.
+    IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
+                   const std::shared_ptr<Ice::Communicator>& signal,
+                   std::function<void(const Header&, const Refusal&)> lost);
+    /// As stringified proxies; none: the topic is down.
+    void publishTo(const std::vector<std::string>& entity_servers) { publisher_.publishTo(entity_servers); }
+    /// Before anything is published: where this server takes signals directly.
+    void setSignals(std::string proxy) { signals_ = std::move(proxy); }
+    Result<void> clientMsg(const Header& head, std::string_view message) override;
     void clientMsgDataSeq(const Header& head, std::string_view data) override;
     void clientRequest(const Header& head) override;
     void clientUpdate(const Header& head, ClientChange change) override;
@@ -53,10 +60,13 @@ class IceEntityTopic final : public EntityTopic {
     void stopSignals(const Header& head, const std::vector<std::string>& entities, StopCause cause) override;
     void resetSignal(const Header& head) override;
     void clearSignal(const Header& head) override;
+    void frontEndServerUpdate(Lane lane, const ServerAnnouncement& self) override;
+    void reach(const std::vector<ServerAnnouncement>& entity_servers) override;
 
   private:
-    Prx data_;
-    Prx signal_;
+    const transport::PublicationTicket::Lost lost_;
+    transport::TopicPublisher<Axon::FrontEndComm::FrontEndToEntityCommPrx> publisher_;
+    std::string signals_;
 };
 
 class ClientSessionServant;
@@ -154,6 +164,9 @@ class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndC
                           const Ice::Current&) override;
     void entityRefusal(Axon::CommUtil::Header head, int code, std::string reason,
                        const Ice::Current&) override;
+    void entityServerEntities(std::string server, Axon::CommUtil::Entities entities,
+                              const Ice::Current&) override;
+    void entityServerUpdate(Axon::CommUtil::ServerAnnouncement server, const Ice::Current&) override;
 
   private:
     FrontEndCore& core_;

@@ -7,7 +7,7 @@ namespace axon::radio {
 
 void StopSentry::hold(LeaseNumber lease, std::string_view key, const Sender& holder) {
     if (told_ && told_->lease == lease && told_->holders.front().sender.id == holder.id) return;
-    const auto id = Id128::parse(holder.id);
+    const auto id = Id128::parse(uuidOf(holder.id));
     // Who has no session UUID sends no datagrams. Where it resumed a lease, that goes on without them.
     if (!id || key.size() != kLeaseKeyBytes) return end();
     auto next = std::make_shared<Authority>();

@@ -35,11 +35,31 @@ long number(const std::string& where, const std::string& text, long least, long 
     return value;
 }
 
+void setRole(ServerSettings& settings, const std::string& role) {
+    settings.role = role == "front-end" ? ServerRole::FrontEnd
+                    : role == "entity"  ? ServerRole::Entity
+                                        : ServerRole::Both;
+    if (settings.role == ServerRole::Both) {
+        if (settings.topic_manager.empty()) return;
+        throw std::runtime_error(
+            "Server.TopicManager is for one of several servers: add --role front-end or --role entity, or take the "
+            "key out of the configuration");
+    }
+    if (settings.name.empty())
+        throw std::runtime_error("--role " + role +
+                                 ": expected Server.Name in the configuration, a name that no other server has, "
+                                 "such as Server.Name=" + (role == "entity" ? "es1" : "fe1"));
+    if (settings.topic_manager.empty())
+        throw std::runtime_error("--role " + role +
+                                 ": expected Server.TopicManager in the configuration, such as "
+                                 "Server.TopicManager=IceStorm/TopicManager:tcp -h 127.0.0.1 -p 10430");
+}
+
 void addUser(const std::string& file, const std::string& name, const std::string& role) {
     if (file.empty()) throw std::runtime_error("--add-user: expected the file to write to: add --users FILE");
     const auto its_role = userRole(role);
     if (!its_role)
-        throw std::runtime_error("--role '" + role + "': expected observer, operator, admin or entity");
+        throw std::runtime_error("--user-role '" + role + "': expected observer, operator, admin or entity");
     writeUser(file, name, *its_role, readPassword());
     std::fprintf(stderr, "%s: '%s' may log in as %s; restart axon-server to make it so\n", file.c_str(),
                  name.c_str(), toString(*its_role));
@@ -73,14 +93,6 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         {"EntityServerSignal.PublishedEndpoints", published("EntityServerSignal")},
         {"FrontEndServerRouter.Endpoints", endpoint(settings.client_router_endpoint)},
         {"EntityServerRouter.Endpoints", endpoint(settings.entity_router_endpoint)},
-        {"Server.Name",
-         [&](const auto& where, const auto& text) {
-             if (!isUserName(text))
-                 throw std::runtime_error(
-                     where + ": '" + text +
-                     "': expected at most 64 letters, digits, '.', '-' and '_', such as fe1");
-             settings.name = text;
-         }},
         {"FrontEndServer.WatchdogBusyMs", milliseconds(settings.front_end.watchdog_busy, 2000)},
         {"FrontEndServer.WatchdogIdleMs", milliseconds(settings.front_end.watchdog_idle, 600'000)},
         {"FrontEndServer.ClientsMax",
@@ -95,6 +107,18 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
          [&](const auto& where, const auto& text) {
              settings.entity.drill_period = std::chrono::seconds{number(where, text, 0, 86'400)};
          }},
+        {"FrontEndServerTopic.Endpoints", endpoint(settings.topic_endpoint)},
+        {"FrontEndServerTopicSignal.Endpoints", endpoint(settings.topic_signal_endpoint)},
+        {"EntityServerTopic.Endpoints", endpoint(settings.topic_endpoint)},
+        {"EntityServerTopicSignal.Endpoints", endpoint(settings.topic_signal_endpoint)},
+        {"Server.Name",
+         [&](const auto& where, const auto& text) {
+             if (!isServerName(text))
+                 throw std::runtime_error(where + ": '" + text +
+                                          "': expected 1 to 32 letters, digits, '-' or '_', such as fe1");
+             settings.name = text;
+         }},
+        {"Server.TopicManager", [&](const auto&, const auto& text) { settings.topic_manager = text; }},
         {"Server.Users", [&](const auto&, const auto& text) { settings.users_file = text; }},
         {"Server.PlainTcp",
          [&](const auto& where, const auto& text) { settings.plain_tcp = number(where, text, 0, 1) != 0; }},
@@ -137,7 +161,8 @@ Parsed parseOptions(int argc, char** argv) {
     app.set_version_flag("--version", std::string("axon-server ") + kVersion);
     std::vector<std::string> files;
     std::string listen;
-    std::string role;
+    std::string role = "both";
+    std::string user_role;
     std::string users;
     std::string user_to_add;
     bool plain_tcp = false;
@@ -146,7 +171,7 @@ Parsed parseOptions(int argc, char** argv) {
     app.add_option(
         "--config", files,
         "frontendserver.cfg, entityserver.cfg: lines KEY=VALUE (docs/reference/server_configuration.md)");
-    app.add_option("--listen", listen, "Address for all four ports (127.0.0.1)");
+    app.add_option("--listen", listen, "Address for all ports (127.0.0.1)");
     app.add_option("--client-endpoint", endpoints["client"],
                    "HOST:PORT or ssl://HOST:PORT for clients (127.0.0.1:10410); port 0 takes a free one");
     app.add_option("--client-signal-endpoint", endpoints["client-signal"],
@@ -163,10 +188,12 @@ Parsed parseOptions(int argc, char** argv) {
         "--add-user", user_to_add,
         "Write this user into the file of --users, with the password that is asked for or the first "
         "line of standard input, and end");
-    app.add_option(
-        "--role", role,
-        "Of --add-user: observer, operator, admin, or entity (for Entity Managers). Otherwise: both "
-        "(servers in separate processes are not in this version)");
+    app.add_option("--user-role", user_role,
+                   "Of --add-user: observer, operator, admin, or entity (for Entity Managers)");
+    app.add_option("--role", role,
+                   "both (the default), or one of several servers that IceStorm joins: front-end or entity. These need "
+                   "Server.Name and Server.TopicManager in their configuration")
+        ->check(CLI::IsMember({"both", "front-end", "entity"}));
     app.add_option("--log-level", options.log_level, "debug, info, warn or error")
         ->check(CLI::IsMember({"debug", "info", "warn", "error"}));
     try {
@@ -179,13 +206,11 @@ Parsed parseOptions(int argc, char** argv) {
     if (!users.empty()) settings.users_file = users;
     settings.plain_tcp = settings.plain_tcp || plain_tcp;
     if (!user_to_add.empty()) {
-        addUser(settings.users_file, user_to_add, role);
+        addUser(settings.users_file, user_to_add, user_role);
         return {std::nullopt, 0};
     }
-    if (!role.empty() && role != "both") {
-        throw std::runtime_error("--role " + role +
-                                 ": this version runs both servers in one process; leave --role out");
-    }
+    if (!user_role.empty()) throw std::runtime_error("--user-role is for --add-user; leave it out");
+    setRole(settings, role);
     for (const auto& [name, to] :
          std::map<std::string, std::string*>{{"client", &settings.client_endpoint},
                                              {"client-signal", &settings.client_signal_endpoint},
@@ -198,7 +223,9 @@ Parsed parseOptions(int argc, char** argv) {
             for (auto& endpoint : all) endpoint.host = listen;
             *to = transport::textOf(all);
         }
-        checkEndpoints(*to, !settings.users_file.empty(), settings.plain_tcp);
+        const bool unused = name.starts_with("client") ? settings.role == ServerRole::Entity
+                                                       : settings.role == ServerRole::FrontEnd;
+        if (!unused) checkEndpoints(*to, !settings.users_file.empty(), settings.plain_tcp);
     }
     return {std::move(options), 0};
 }

@@ -41,11 +41,32 @@ TEST(ServerOptions, ListensElsewhereOnlyWithUsers) {
 }
 
 TEST(ServerOptions, SaysWhatAddUserNeeds) {
-    EXPECT_THAT(complaint({"--add-user", "client1", "--role", "admin"}), HasSubstr("add --users FILE"));
+    EXPECT_THAT(complaint({"--add-user", "client1", "--user-role", "admin"}), HasSubstr("add --users FILE"));
     EXPECT_THAT(complaint({"--add-user", "client1", "--users", "u"}),
                 HasSubstr("expected observer, operator"));
-    EXPECT_THAT(complaint({"--role", "admin"}), HasSubstr("leave --role out"));
+    EXPECT_THAT(complaint({"--user-role", "admin"}), HasSubstr("for --add-user"));
+}
+
+TEST(ServerOptions, OneOfSeveralServersNeedsANameAndTheTopicManager) {
     EXPECT_EQ(complaint({"--role", "both"}), "accepted");
+    EXPECT_EQ(parse({"--role", "admin"}).exit_code, 2);
+    EXPECT_THAT(complaint({"--role", "front-end"}), HasSubstr("Server.Name=fe1"));
+    std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";
+    const std::string folder = ::mkdtemp(name.data());
+    const auto file = folder + "/frontendserver.cfg";
+    std::ofstream(file) << "Server.Name=fe1\n";
+    EXPECT_THAT(complaint({"--role", "front-end", "--config", file}), HasSubstr("Server.TopicManager="));
+    std::ofstream(file) << "Server.Name=fe1\nServer.TopicManager=IceStorm/TopicManager:tcp -h 127.0.0.1 -p 1\n"
+                        << "FrontEndServerTopic.Endpoints=tcp -h 127.0.0.1 -p 10501\n";
+    EXPECT_THAT(complaint({"--config", file}), HasSubstr("--role front-end"));
+    const auto settings = parse({"--role", "front-end", "--config", file}).options->settings;
+    EXPECT_EQ(settings.role, ServerRole::FrontEnd);
+    EXPECT_EQ(settings.name, "fe1");
+    EXPECT_EQ(settings.topic_manager, "IceStorm/TopicManager:tcp -h 127.0.0.1 -p 1");
+    EXPECT_EQ(settings.topic_endpoint, "127.0.0.1:10501");
+    std::ofstream(file) << "Server.Name=fe:1\n";
+    EXPECT_THAT(complaint({"--role", "front-end", "--config", file}), HasSubstr("letters, digits"));
+    std::filesystem::remove_all(folder);
 }
 
 TEST(ServerOptions, ReadsUsersAndDrillPeriodFromTheFile) {

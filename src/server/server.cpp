@@ -18,6 +18,7 @@
 #include "server/socket_owner.hpp"
 #include "transport/communicator.hpp"
 #include "transport/endpoint.hpp"
+#include "transport/storm_topics.hpp"
 #include "transport/tls.hpp"
 
 namespace axon::server {
@@ -93,20 +94,46 @@ void note(const std::string& line) {
     spdlog::info("{}", line);
 }
 
+std::vector<std::string> endpointsOf(const ServerSettings& settings) {
+    std::vector<std::string> endpoints;
+    if (settings.role != ServerRole::Entity)
+        endpoints = {settings.client_endpoint, settings.client_signal_endpoint};
+    if (settings.role != ServerRole::FrontEnd) {
+        endpoints.push_back(settings.entity_endpoint);
+        endpoints.push_back(settings.entity_signal_endpoint);
+    }
+    for (const auto& router : {settings.client_router_endpoint, settings.entity_router_endpoint})
+        if (!router.empty()) endpoints.push_back(router);
+    return endpoints;
+}
+
+/// What comes from another server is believed without a password.
+void checkBetweenServers(const ServerSettings& settings) {
+    if (settings.role == ServerRole::Both) return;
+    for (const auto& endpoint : {settings.topic_endpoint, settings.topic_signal_endpoint}) {
+        try {
+            checkEndpoints(endpoint, false, false);
+        } catch (const std::runtime_error&) {
+            throw std::runtime_error(
+                "'" + endpoint +
+                "' is for the other servers, whose word is taken without a password: expected an address that only "
+                "this machine can reach, such as 127.0.0.1:0");
+        }
+    }
+}
+
 std::optional<Users> usersOf(const ServerSettings& settings) {
+    checkBetweenServers(settings);
     const bool has_users = !settings.users_file.empty();
     bool open = false;
-    for (const auto* endpoint : {&settings.client_endpoint, &settings.client_signal_endpoint,
-                                 &settings.entity_endpoint, &settings.entity_signal_endpoint,
-                                 &settings.client_router_endpoint, &settings.entity_router_endpoint}) {
-        if (endpoint->empty()) continue;
-        open = checkEndpoints(*endpoint, has_users, settings.plain_tcp) || open;
-        for (const auto& one : parsed(*endpoint))
+    for (const auto& endpoint : endpointsOf(settings)) {
+        open = checkEndpoints(endpoint, has_users, settings.plain_tcp) || open;
+        for (const auto& one : parsed(endpoint))
             if (one.tls && !transport::speaksTls(settings.ice_properties))
                 throw std::runtime_error(transport::certificateMissing(one.address(), "server"));
     }
-    checkLanes(settings.client_endpoint, settings.client_signal_endpoint);
-    checkLanes(settings.entity_endpoint, settings.entity_signal_endpoint);
+    if (settings.role != ServerRole::Entity) checkLanes(settings.client_endpoint, settings.client_signal_endpoint);
+    if (settings.role != ServerRole::FrontEnd) checkLanes(settings.entity_endpoint, settings.entity_signal_endpoint);
     if (open) {
         spdlog::warn(
             "other machines can reach this server without TLS (Server.PlainTcp), and what they send, "
@@ -152,7 +179,10 @@ transport::CommunicatorSettings receiptSettings(const ServerSettings& settings) 
 class EntitiesHere final : public front_end_server::EntityTopic {
   public:
     void set(entity_server::EntityServerCore& core) { core_ = &core; }
-    void clientMsg(const Header& head, std::string_view message) override { core_->clientMsg(head, message); }
+    Result<void> clientMsg(const Header& head, std::string_view message) override {
+        core_->clientMsg(head, message);
+        return {};
+    }
     void clientMsgDataSeq(const Header& head, std::string_view data) override {
         core_->clientMsgDataSeq(head, data);
     }
@@ -195,6 +225,35 @@ class ClientsHere final : public entity_server::FrontEndTopic {
     front_end_server::FrontEndCore* core_ = nullptr;
 };
 
+/// The name and the front-end server's part in the topics.
+front_end_server::FrontEndServerSettings frontEndSettings(const ServerSettings& settings) {
+    front_end_server::FrontEndServerSettings its;
+    its.core = settings.front_end;
+    if (settings.role != ServerRole::Both) its.core.name = settings.name;
+    its.data_endpoint = iceForm(settings.client_endpoint);
+    its.signal_endpoint = iceForm(settings.client_signal_endpoint);
+    its.topic_endpoint = iceForm(settings.topic_endpoint);
+    its.topic_signal_endpoint = iceForm(settings.topic_signal_endpoint);
+    its.router_endpoint = routerEndpoint(settings.client_router_endpoint);
+    its.name = settings.name;
+    its.neighbours = settings.neighbours;
+    return its;
+}
+
+entity_server::EntityServerSettings entitySettings(const ServerSettings& settings) {
+    entity_server::EntityServerSettings its;
+    its.core = settings.entity;
+    if (settings.role != ServerRole::Both) its.core.name = settings.name;
+    its.data_endpoint = iceForm(settings.entity_endpoint);
+    its.signal_endpoint = iceForm(settings.entity_signal_endpoint);
+    its.topic_endpoint = iceForm(settings.topic_endpoint);
+    its.topic_signal_endpoint = iceForm(settings.topic_signal_endpoint);
+    its.router_endpoint = routerEndpoint(settings.entity_router_endpoint);
+    its.name = settings.name;
+    its.neighbours = settings.neighbours;
+    return its;
+}
+
 }  // namespace
 
 class Server::Parts {
@@ -206,34 +265,69 @@ class Server::Parts {
               communicatorSettings(settings, Lane::Data, {"FrontEndServer", "EntityServer"}))),
           signal(transport::makeCommunicator(
               communicatorSettings(settings, Lane::Signal, {"FrontEndServerSignal"}))),
-          receipts(transport::makeCommunicator(receiptSettings(settings))),
-          entity(
-              {settings.entity, iceForm(settings.entity_endpoint), iceForm(settings.entity_signal_endpoint),
-               &logins, routerEndpoint(settings.entity_router_endpoint), settings.name, settings.neighbours,
-               settings.joined_by_proxies ? nullptr : &clients_here},
-              data.communicator(), receipts.communicator(), clock, random, note),
-          front_end({settings.front_end, iceForm(settings.client_endpoint),
-                     iceForm(settings.client_signal_endpoint), &logins,
-                     routerEndpoint(settings.client_router_endpoint), settings.name, settings.neighbours,
-                     settings.joined_by_proxies ? nullptr : &entities_here},
-                    data.communicator(), signal.communicator(), clock, random, note) {
-        clients_here.set(front_end.core());
-        entities_here.set(entity.core());
-        entity.publishTo(front_end.subscriber(Lane::Data), front_end.subscriber(Lane::Signal));
-        front_end.publishTo(entity.subscriber(Lane::Data), entity.subscriber(Lane::Signal));
-        entity.activate();
-        front_end.activate();
+          receipts(transport::makeCommunicator(receiptSettings(settings))) {
+        const bool both = settings.role == ServerRole::Both;
+        if (settings.role != ServerRole::FrontEnd) {
+            auto its = entitySettings(settings);
+            its.logins = &logins;
+            its.here = both ? &clients_here : nullptr;
+            its.topic_signals = signal.communicator();  // stops
+            entity.emplace(std::move(its), data.communicator(), receipts.communicator(), clock, random, note);
+        }
+        if (settings.role != ServerRole::Entity) {
+            auto its = frontEndSettings(settings);
+            its.logins = &logins;
+            its.here = both ? &entities_here : nullptr;
+            its.topic_signals = receipts.communicator();
+            front_end.emplace(std::move(its), data.communicator(), signal.communicator(), clock, random, note);
+        }
+        if (both) {
+            clients_here.set(front_end->core());
+            entities_here.set(entity->core());
+        }
+        if (entity) entity->activate();
+        if (front_end) front_end->activate();
+        if (!settings.topic_manager.empty()) joinTopics(settings.topic_manager);
     }
 
     ~Parts() {
-        front_end.core().shutDown();
+        if (front_end) front_end->core().shutDown();
+        topics.reset();
         logins.close();  // a communicator waits for calls that are not answered
         // First the threads that call the cores, then the cores.
         data.communicator()->destroy();
         signal.communicator()->destroy();
         receipts.communicator()->destroy();
-        entity.end();
-        front_end.end();
+        if (entity) entity->end();
+        if (front_end) front_end->end();
+    }
+
+    /// Each kind listens to the other one's topic. An entity server has something to say on both: messages of its
+    /// entities to those of other entity servers go the way of the clients'.
+    void joinTopics(const std::string& manager) {
+        transport::StormSettings its;
+        its.manager = manager;
+        if (entity) {
+            its.subscribe_to = transport::kFrontEndToEntityTopic;
+            its.publish_to = {transport::kEntityToFrontEndTopic, transport::kFrontEndToEntityTopic};
+        } else {
+            its.subscribe_to = transport::kEntityToFrontEndTopic;
+            its.publish_to = {transport::kFrontEndToEntityTopic};
+        }
+        its.subscriber = entity ? entity->subscriber() : front_end->subscriber();
+        topics.emplace(
+            its, data.communicator(), clock,
+            [this](const std::vector<std::string>& publishers) {
+                if (publishers.empty()) return publishTo({}, {});
+                if (entity) return publishTo({publishers[0]}, {publishers[1]});
+                publishTo({}, {publishers[0]});
+            },
+            note);
+    }
+
+    void publishTo(const std::vector<std::string>& front_ends, const std::vector<std::string>& entity_servers) {
+        if (entity) entity->publishTo(front_ends, entity_servers);
+        if (front_end) front_end->publishTo(entity_servers);
     }
 
     SteadyClock clock;
@@ -244,45 +338,60 @@ class Server::Parts {
     Ice::CommunicatorHolder receipts;
     ClientsHere clients_here;
     EntitiesHere entities_here;
-    entity_server::EntityServer entity;
-    front_end_server::FrontEndServer front_end;
+    std::optional<entity_server::EntityServer> entity;             // none in a front-end server's process
+    std::optional<front_end_server::FrontEndServer> front_end;     // none in an entity server's process
+    std::optional<transport::StormTopics> topics;
 };
 
 Server::Server(ServerSettings settings) : parts_(std::make_unique<Parts>(settings)) {}
 
 Server::~Server() = default;
 
+std::string Server::subscriber() const {
+    return parts_->entity ? parts_->entity->subscriber() : parts_->front_end->subscriber();
+}
+void Server::publishTo(const std::vector<std::string>& front_ends,
+                       const std::vector<std::string>& entity_servers) {
+    parts_->publishTo(front_ends, entity_servers);
+}
+
 std::string Server::clientAddress(Lane lane) const {
-    return parts_->front_end.address(lane);
+    return parts_->front_end.value().address(lane);
 }
 std::string Server::entityAddress(Lane lane) const {
-    return parts_->entity.address(lane);
+    return parts_->entity.value().address(lane);
 }
 
 std::string Server::clientRouterAddress() const {
-    return parts_->front_end.routerAddress();
+    return parts_->front_end ? parts_->front_end->routerAddress() : std::string();
 }
 std::string Server::entityRouterAddress() const {
-    return parts_->entity.routerAddress();
+    return parts_->entity ? parts_->entity->routerAddress() : std::string();
 }
 
 std::string Server::readyLine() const {
-    return "ready client=" + clientAddress(Lane::Data) + " client-signal=" + clientAddress(Lane::Signal) +
-           " entity=" + entityAddress(Lane::Data) + " entity-signal=" + entityAddress(Lane::Signal) +
-           named(" client-router=", clientRouterAddress()) + named(" entity-router=", entityRouterAddress());
+    std::string line = "ready";
+    if (parts_->front_end)
+        line += " client=" + clientAddress(Lane::Data) + " client-signal=" + clientAddress(Lane::Signal);
+    if (parts_->entity)
+        line += " entity=" + entityAddress(Lane::Data) + " entity-signal=" + entityAddress(Lane::Signal);
+    return line + named(" client-router=", clientRouterAddress()) + named(" entity-router=", entityRouterAddress());
 }
 
 std::vector<std::string> Server::margins() const {
-    auto lines = parts_->front_end.core().margins();
-    for (auto& line : parts_->entity.core().margins()) lines.push_back(std::move(line));
+    std::vector<std::string> lines;
+    if (parts_->front_end) lines = parts_->front_end->core().margins();
+    if (parts_->entity) {
+        for (auto& line : parts_->entity->core().margins()) lines.push_back(std::move(line));
+    }
     return lines;
 }
 
 entity_server::EntityServerCore& Server::entityCore() {
-    return parts_->entity.core();
+    return parts_->entity.value().core();
 }
 front_end_server::FrontEndCore& Server::frontEndCore() {
-    return parts_->front_end.core();
+    return parts_->front_end.value().core();
 }
 
 }  // namespace axon::server

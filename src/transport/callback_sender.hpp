@@ -58,6 +58,7 @@ class CallbackSender {
     }
 
     void close() const { outbox_->close(); }
+    bool closed() const { return outbox_->closed(); }
     OutboxCounts counts() const { return outbox_->counts(); }
 
   private:

@@ -38,6 +38,16 @@ Sender fromIce(ice::Sender&& sender) {
     return {std::move(sender.id), std::move(sender.name), static_cast<Role>(sender.role)};
 }
 
+namespace {
+
+// A double from a peer may be anything; converting what does not fit would be undefined.
+std::int64_t whole(double value) {
+    constexpr double kLargest = 9007199254740992.0;  // 2^53
+    return value >= 0 && value <= kLargest ? static_cast<std::int64_t>(value) : std::int64_t{0};
+}
+
+}  // namespace
+
 Header fromIce(ice::Header&& head) {
     Header out;
     out.sender = fromIce(std::move(head.sender));
@@ -45,11 +55,6 @@ Header fromIce(ice::Header&& head) {
     out.msg_type = std::move(head.msgType);
     out.held = {head.held.epoch, head.held.number};
     out.stop_generation = head.stopGeneration;
-    // A double from a peer may be anything; converting what does not fit would be undefined.
-    const auto whole = [](double value) {
-        constexpr double kLargest = 9007199254740992.0;  // 2^53
-        return value >= 0 && value <= kLargest ? static_cast<std::int64_t>(value) : std::int64_t{0};
-    };
     out.sequence = whole(head.seq);
     out.sent_at_us = whole(head.sentAt);
     out.proof.assign(head.proof.begin(), head.proof.end());
@@ -60,7 +65,7 @@ Registration fromIce(ice::Registration&& registration) {
     return {std::move(registration.entity),        std::move(registration.name),
             std::move(registration.category),      std::move(registration.type),
             registration.heartbeatBusyMs,          registration.heartbeatIdleMs,
-            std::move(registration.directEndpoint)};
+            std::move(registration.directEndpoint), std::move(registration.server)};
 }
 
 EntityStatus fromIce(ice::EntityStatus&& status) {
@@ -73,7 +78,13 @@ EntityStatus fromIce(ice::EntityStatus&& status) {
             std::move(status.reason),
             status.orphaned,
             status.waiting,
-            status.stopLatencyUs};
+            status.stopLatencyUs,
+            std::move(status.server)};
+}
+
+ServerAnnouncement fromIce(ice::ServerAnnouncement&& server) {
+    return {std::move(server.name), std::move(server.instance), std::move(server.signals),
+            whole(server.published)};
 }
 
 ice::Sender toIce(const Sender& sender) {
@@ -98,7 +109,8 @@ ice::Registration toIce(const Registration& registration) {
             registration.type,
             registration.heartbeat_busy_ms,
             registration.heartbeat_idle_ms,
-            registration.direct_endpoint};
+            registration.direct_endpoint,
+            registration.server};
 }
 
 ice::EntityStatus toIce(const EntityStatus& status) {
@@ -106,7 +118,12 @@ ice::EntityStatus toIce(const EntityStatus& status) {
             status.latched,       status.stop_generation,
             toIce(status.holder), {status.held.epoch, status.held.number},
             status.reason,        status.orphaned,
-            status.waiting,       status.stop_latency_us};
+            status.waiting,       status.stop_latency_us,
+            status.server};
+}
+
+ice::ServerAnnouncement toIce(const ServerAnnouncement& server) {
+    return {server.name, server.instance, server.signals, static_cast<double>(server.published)};
 }
 
 ice::RequestRefused toIce(const Refusal& refusal) {

@@ -39,11 +39,13 @@ Sender fromIce(ice::Sender&& sender);
 Header fromIce(ice::Header&& head);
 Registration fromIce(ice::Registration&& registration);
 EntityStatus fromIce(ice::EntityStatus&& status);
+ServerAnnouncement fromIce(ice::ServerAnnouncement&& server);
 
 ice::Sender toIce(const Sender& sender);
 ice::Header toIce(const Header& head);
 ice::Registration toIce(const Registration& registration);
 ice::EntityStatus toIce(const EntityStatus& status);
+ice::ServerAnnouncement toIce(const ServerAnnouncement& server);
 
 // The enumerators have the same numbers (convert_test.cpp). What a peer sends has been checked by Ice against
 // the enumeration's range already.

@@ -67,10 +67,12 @@ TEST(Convert, EverythingOfAHeaderGoesThereAndBack) {
     EXPECT_EQ(back.sent_at_us, head.sent_at_us);
     EXPECT_EQ(back.proof, head.proof);
 
-    const EntityStatus status{"uuid", EntityState::BUSY, true, 5, {"c", "n", Role::Operator}, {1, 2}, "why", true, 3, 450};
+    const EntityStatus status{"uuid", EntityState::BUSY, true, 5, {"c", "n", Role::Operator}, {1, 2}, "why", true, 3, 450, "es1"};
     EXPECT_EQ(fromIce(toIce(status)), status);
-    const Registration registration{"uuid", "name", "ROBOT", "MOBILE", 20, 900, "tcp"};
+    const Registration registration{"uuid", "name", "ROBOT", "MOBILE", 20, 900, "tcp", "es1"};
     EXPECT_EQ(fromIce(toIce(registration)), registration);
+    const ServerAnnouncement server{"fe1", "1234abcd", "signals:tcp", 1LL << 40};
+    EXPECT_EQ(fromIce(toIce(server)), server);
 }
 
 TEST(Convert, ANumberThatIsNoneBecomesZero) {

@@ -65,6 +65,7 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
     }
 
     void close();
+    bool closed() const;
     OutboxCounts counts() const;
 
   private:

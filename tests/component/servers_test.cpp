@@ -197,24 +197,6 @@ TEST_F(Servers, AStopOfSeveralIsOneMessageAndReachesNobodyElse) {
     EXPECT_FALSE(second.log.has("signal stop"));
 }
 
-TEST(ServersByProxies, DoTheSame) {
-    auto settings = onLoopback();
-    settings.joined_by_proxies = true;
-    const server::Server server(settings);
-    RawEntity first(server.entityAddress(Lane::Data), kFirst, "First");
-    first.join();
-    RawClient client(server.clientAddress(Lane::Data));
-    ASSERT_TRUE(waitUntil([&] { return client.log.has("joined First"); }));
-    client.text(kFirst, "hello");
-    EXPECT_TRUE(waitUntil([&] { return first.log.has("msg client1@lab TEXT hello"); }));
-    client.stop(kFirst);
-    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 1"); }));
-    client.signalOneway()->sendStopSignals(transport::toIce(client.headTo("", 7)), {kFirst, "nobody"},
-                                           Axon::CommUtil::StopCause::Requested);
-    EXPECT_TRUE(waitUntil([&] { return first.log.count("signal stop requested client1@lab") == 2; }));
-    EXPECT_TRUE(waitUntil([&] { return client.log.has("refused 20 of 7"); }));
-}
-
 TEST_F(Servers, StopOvertakesAFilledDataLane) {
     RawEntity robot(entities(), kFirst);
     robot.join();

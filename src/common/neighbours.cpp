@@ -1,0 +1,126 @@
+// SPDX-License-Identifier: MIT
+#include "common/neighbours.hpp"
+
+#include <algorithm>
+#include <iterator>
+
+namespace axon {
+namespace {
+
+constexpr std::size_t kInstanceMax = 64;
+constexpr std::size_t kSignalsMax = 1024;
+constexpr std::size_t kReplacedKept = 8;
+
+bool contains(const std::vector<std::string>& list, std::string_view one) {
+    return std::find(list.begin(), list.end(), one) != list.end();
+}
+
+}  // namespace
+
+Watchdog Neighbours::watchdogOf(bool direct, bool busy, TimePoint now) const {
+    Watchdog watchdog(direct ? timeouts_.busy : timeouts_.met, direct ? timeouts_.idle : timeouts_.met, now);
+    watchdog.setBusy(busy, now);
+    return watchdog;
+}
+
+Neighbours::Neighbour* Neighbours::findOrAdd(std::string_view server, TimePoint now) {
+    if (const auto found = all_.find(server); found != all_.end()) return &found->second;
+    if (all_.size() >= kMost) return nullptr;
+    return &all_.emplace(std::string(server), Neighbour(watchdogOf(false, false, now))).first->second;
+}
+
+bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePoint now) {
+    if (!isServerName(announcement.name) || announcement.instance.empty() ||
+        announcement.instance.size() > kInstanceMax || announcement.signals.size() > kSignalsMax)
+        return false;
+    const std::lock_guard lock(mutex_);
+    auto* its = findOrAdd(announcement.name, now);
+    if (its == nullptr || contains(its->replaced, announcement.instance)) return false;
+    bool news = false;
+    auto& known = its->announcement;
+    if (known.instance != announcement.instance) {
+        if (!known.instance.empty()) {
+            its->replaced.push_back(known.instance);
+            if (its->replaced.size() > kReplacedKept) its->replaced.erase(its->replaced.begin());
+            its->restarted = true;
+        }
+        its->direct = false;
+        its->alive = true;
+        its->watchdog = watchdogOf(false, its->watchdog.busy(), now);
+        its->arrived = news = true;
+    }
+    if (known.signals != announcement.signals || !its->reached) reach_changed_ = news = true;
+    its->reached = true;
+    its->reachable_until = now + kReach;
+    known = announcement;
+    if (lane == Lane::Signal && !its->direct) {
+        its->direct = true;
+        its->watchdog = watchdogOf(true, its->watchdog.busy(), now);
+        news = true;  // its watchdog is shorter than was said
+    }
+    if (lane == Lane::Signal || !its->direct) {
+        its->watchdog.feed(now);
+        if (!its->alive) its->alive = its->arrived = news = true;
+    }
+    return news;
+}
+
+void Neighbours::setBusy(std::string_view server, bool busy, TimePoint now) {
+    const std::lock_guard lock(mutex_);
+    if (auto* its = findOrAdd(server, now)) its->watchdog.setBusy(busy, now);
+}
+
+Neighbours::News Neighbours::news(TimePoint now) {
+    News news;
+    news.next = now + std::chrono::seconds{1};
+    const std::lock_guard lock(mutex_);
+    for (auto entry = all_.begin(); entry != all_.end();) {
+        auto& [name, its] = *entry;
+        const bool silent = its.alive && its.watchdog.expired(now);
+        if (silent) its.alive = its.arrived = false;
+        if (silent || its.restarted) news.lost.push_back(name);
+        if (its.arrived) news.arrived.push_back(name);
+        its.arrived = its.restarted = false;
+        if (its.alive) news.next = std::min(news.next, its.watchdog.deadline());
+        if (its.reached && now >= its.reachable_until) {
+            its.reached = false;
+            reach_changed_ = true;
+        }
+        const bool forgotten = !its.alive && !its.watchdog.busy() && now >= its.reachable_until + kForget;
+        entry = forgotten ? all_.erase(entry) : std::next(entry);
+    }
+    if (reach_changed_) {
+        reach_changed_ = false;
+        news.reachable.emplace();
+        for (const auto& [name, its] : all_) {
+            if (its.reached && !its.announcement.signals.empty())
+                news.reachable->push_back(its.announcement);
+        }
+    }
+    return news;
+}
+
+bool Neighbours::serves(std::string_view client_id) const {
+    const auto origin = originOf(client_id);
+    if (origin.server.empty()) return true;
+    const std::lock_guard lock(mutex_);
+    const auto found = all_.find(origin.server);
+    if (found == all_.end()) return true;
+    const auto& its = found->second;
+    if (contains(its.replaced, origin.instance)) return false;
+    const auto& present = its.announcement.instance;
+    return its.alive || !(present.empty() || present == origin.instance);
+}
+
+bool Neighbours::lost(std::string_view server) const {
+    const std::lock_guard lock(mutex_);
+    const auto found = all_.find(server);
+    return found != all_.end() && !found->second.alive;
+}
+
+std::size_t Neighbours::size() const {
+    const std::lock_guard lock(mutex_);
+    return all_.size();
+}
+
+}  // namespace axon

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+#include <map>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "common/clock.hpp"
+#include "common/routed.hpp"
+#include "common/watchdog.hpp"
+
+namespace axon {
+
+/// The servers of the other kind as one of several servers sees them: who there is, where they take signals, and
+/// who lives (safety.md, "front-end → entity server").
+///
+/// Where in the flow: both servers' cores feed it what the others announce, by the topic and directly, and their
+/// timers ask for news. States of a neighbour:
+///
+///     met ── heard directly ──► watched ── silent ──► lost ── heard directly ──► watched
+///      └── silent ──► lost ── heard ──► met        another instance: lost and met at once
+///
+/// Before it was heard directly once, its announcements by the topic count as signs of life; from then on only
+/// direct ones do, because that is the way of the signals. An instance that was replaced is never taken for the
+/// present one, however late its announcements come.
+///
+/// Threads: any; a mutex of its own, held for a look into a map of at most `kMost`. It is I/O-free.
+class Neighbours {
+  public:
+    struct Timeouts {
+        Duration busy = std::chrono::milliseconds{250};  ///< while a task runs between us
+        Duration idle = std::chrono::seconds{2};
+        Duration met = std::chrono::seconds{3};  ///< of one that was never heard directly
+    };
+    struct News {
+        std::vector<std::string> lost;     ///< fell silent, or started anew: what came by it is gone
+        std::vector<std::string> arrived;  ///< is there, or there again
+        /// Whom to send signals to directly, where that has changed.
+        std::optional<std::vector<ServerAnnouncement>> reachable;
+        TimePoint next;  ///< when to ask again
+    };
+    static constexpr std::size_t kMost = 256;
+    /// One that was not heard at all for so long is not sent to any more, and after `kForget` forgotten.
+    static constexpr std::chrono::seconds kReach{3};
+    static constexpr std::chrono::seconds kForget{60};
+
+    explicit Neighbours(Timeouts timeouts) : timeouts_(timeouts) {}
+    Neighbours() : Neighbours(Timeouts{}) {}
+
+    /// `lane`: Signal = directly, Data = by the topic. Returns whether there is news to ask for.
+    bool heard(Lane lane, const ServerAnnouncement& announcement, TimePoint now);
+    /// Whether a task runs that hangs on this server. One that was never heard of is awaited from now on.
+    void setBusy(std::string_view server, bool busy, TimePoint now);
+    News news(TimePoint now);
+
+    /// Whether the server that serves this client, by its id, is there. True where nobody has said otherwise.
+    bool serves(std::string_view client_id) const;
+    /// Whether this server was there and is not any more.
+    bool lost(std::string_view server) const;
+    std::size_t size() const;
+
+  private:
+    struct Neighbour {
+        explicit Neighbour(Watchdog its) : watchdog(its) {}
+        ServerAnnouncement announcement;  // its instance is empty until it was heard
+        std::vector<std::string> replaced;  // instances, the last few
+        Watchdog watchdog;
+        TimePoint reachable_until;
+        bool reached = false;
+        bool direct = false;
+        bool alive = true;
+        bool arrived = false;
+        bool restarted = false;
+    };
+    Watchdog watchdogOf(bool direct, bool busy, TimePoint now) const;
+    Neighbour* findOrAdd(std::string_view server, TimePoint now);
+
+    const Timeouts timeouts_;
+    mutable std::mutex mutex_;
+    std::map<std::string, Neighbour, std::less<>> all_;  // guarded by mutex_
+    bool reach_changed_ = false;                         // guarded by mutex_
+};
+
+}  // namespace axon

@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "common/result.hpp"
+#include "common/snapshot.hpp"
+#include "transport/callback_sender.hpp"
+#include "transport/communicator.hpp"
+
+namespace axon::transport {
+
+/// Where one of several servers publishes to: the topic, on a connection for each lane, and for signals each
+/// neighbour besides, straight and first. All that is sent is oneway and asynchronous, behind an Outbox for each
+/// of them, so that nobody who does not read holds up anybody.
+///
+/// States: nowhere ─ publishTo() ► there ─ publishTo({}) ► nowhere; the neighbours come and go by reach(). A
+/// connection that failed stays closed until reopen(), which the owner calls now and then. Threads: any; sending
+/// reads immutable lists, of which each lane has its own.
+template <class Prx>
+class TopicPublisher {
+  public:
+    /// `data`, `signal`: of their connections; null where nothing will be published. `who` is for the log.
+    TopicPublisher(std::shared_ptr<Ice::Communicator> data, std::shared_ptr<Ice::Communicator> signal,
+                   std::string who)
+        : data_communicator_(std::move(data)), signal_communicator_(std::move(signal)), who_(std::move(who)) {}
+
+    /// The publishers of the topic, or its subscribers themselves, as stringified proxies; none: it is down.
+    void publishTo(const std::vector<std::string>& proxies) {
+        const std::lock_guard lock(changes_);
+        store(data_, senders(*data_communicator_, proxies, "axon-topic", {}));
+        store(signal_, senders(*signal_communicator_, proxies, "axon-topic-signal", signalLimits()));
+    }
+    void reach(const std::vector<ServerAnnouncement>& neighbours) {
+        std::vector<std::string> proxies;
+        for (const auto& neighbour : neighbours) proxies.push_back(neighbour.signals);
+        const std::lock_guard lock(changes_);
+        store(direct_, senders(*signal_communicator_, proxies, "axon-direct", signalLimits()));
+    }
+    /// Gives those whose connection failed another one.
+    void reopen() {
+        const std::lock_guard lock(changes_);
+        for (auto* list : {&data_, &signal_, &direct_}) {
+            auto all = *list->load();
+            bool changed = false;
+            for (auto& route : all) {
+                if (!route.sender->closed()) continue;
+                route.sender = sender(route.proxy, list == &data_ ? OutboxLimits{} : signalLimits());
+                changed = true;
+            }
+            if (changed) store(*list, std::move(all));
+        }
+    }
+
+    /// By the topic. `call` as in CallbackSender::send.
+    template <class... Arguments>
+    void data(Arguments&&... arguments) const {
+        for (const auto& route : *data_.load()) route.sender->send(arguments...);
+    }
+    /// To each neighbour, then by the topic.
+    template <class... Arguments>
+    void signal(Arguments&&... arguments) const {
+        neighbours(arguments...);
+        for (const auto& route : *signal_.load()) route.sender->send(arguments...);
+    }
+    template <class... Arguments>
+    void neighbours(Arguments&&... arguments) const {
+        for (const auto& route : *direct_.load()) route.sender->send(arguments...);
+    }
+
+  private:
+    struct Route {
+        std::shared_ptr<Prx> proxy;
+        std::shared_ptr<const CallbackSender<Prx>> sender;
+    };
+    using Routes = std::vector<Route>;
+
+    static OutboxLimits signalLimits() {
+        OutboxLimits limits;
+        limits.window_bytes = 64 * 1024;
+        return limits;
+    }
+    static void store(Snapshot<Routes>& to, Routes routes) {
+        to.store(std::make_shared<const Routes>(std::move(routes)));
+    }
+    std::shared_ptr<const CallbackSender<Prx>> sender(const std::shared_ptr<Prx>& proxy,
+                                                      OutboxLimits limits) const {
+        return std::make_shared<const CallbackSender<Prx>>(
+            proxy, limits, Until::Written, [who = who_](bool, const std::string& why) {
+                spdlog::warn("{}: what it publishes is not taken: {}", who, why);
+            });
+    }
+    Routes senders(Ice::Communicator& communicator, const std::vector<std::string>& proxies,
+                   const std::string& connection, OutboxLimits limits) const {
+        Routes routes;
+        for (const auto& text : proxies) {
+            try {
+                auto proxy = Ice::uncheckedCast<Prx>(communicator.stringToProxy(text))
+                                 ->ice_oneway()
+                                 ->ice_invocationTimeout(-1)
+                                 ->ice_connectionId(connection);
+                routes.push_back({proxy, sender(proxy, limits)});
+            } catch (const Ice::Exception& error) {
+                spdlog::warn("{}: '{}' is no proxy to publish to ({})", who_, text, error.ice_id());
+            }
+        }
+        return routes;
+    }
+
+    const std::shared_ptr<Ice::Communicator> data_communicator_;
+    const std::shared_ptr<Ice::Communicator> signal_communicator_;
+    const std::string who_;
+    std::mutex changes_;  // of the lists, one at a time
+    Snapshot<Routes> data_;
+    Snapshot<Routes> signal_;
+    Snapshot<Routes> direct_;
+};
+
+/// Follows one control message to the network. Where it ends without having been written, `lost` is called:
+/// while the topic is down, when its connection fails, and when it still waited then. Copies of its shared_ptr
+/// travel in the message's call.
+class PublicationTicket {
+  public:
+    using Lost = std::function<void(const Header&)>;
+    PublicationTicket(const Lost& lost, const Header& head) : lost_(lost), head_(head) {}
+    ~PublicationTicket() {
+        if (!given_) fail();
+    }
+    PublicationTicket(const PublicationTicket&) = delete;
+    PublicationTicket& operator=(const PublicationTicket&) = delete;
+
+    void given() { given_ = true; }
+    void fail() {
+        if (!settled_.exchange(true)) lost_(head_);
+    }
+    /// The caller says it instead. Whether there was anything to say.
+    bool take() { return !given_ && !settled_.exchange(true); }
+
+  private:
+    const Lost& lost_;  // outlives the communicators
+    const Header head_;
+    std::atomic<bool> given_{false};
+    std::atomic<bool> settled_{false};
+};
+
+}  // namespace axon::transport

@@ -1,0 +1,370 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// Several servers of each kind: in one process, joined without IceStorm, and as real processes with a real icebox.
+#include <gtest/gtest.h>
+
+#include <fcntl.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <memory>
+#include <sstream>
+
+#include "component/raw_peers.hpp"
+#include "server/server.hpp"
+#include "support/loopback.hpp"
+
+namespace axon::test {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr const char* kFirst = "00000000-0000-4000-8000-000000000001";
+constexpr const char* kSecond = "00000000-0000-4000-8000-000000000002";
+constexpr const char* kThird = "00000000-0000-4000-8000-000000000003";
+const std::string kUnknownEntity = "refused 20";
+const std::string kNotConnected = "refused 63";
+
+server::ServerSettings oneOfSeveral(server::ServerRole role, const std::string& name) {
+    const auto any_port = loopbackAddress() + ":0";
+    server::ServerSettings settings;
+    settings.role = role;
+    settings.name = name;
+    settings.client_endpoint = settings.client_signal_endpoint = any_port;
+    settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
+    settings.topic_endpoint = settings.topic_signal_endpoint = any_port;
+    return settings;
+}
+
+/// Two front-end servers and two entity servers, whose topics are the others themselves.
+class SeveralServers : public testing::Test {
+  protected:
+    SeveralServers() { join(); }
+    void join() {
+        const std::vector<std::string> front_ends = {fe1->subscriber(), fe2->subscriber()};
+        const std::vector<std::string> entity_servers = {es1->subscriber(), es2->subscriber()};
+        for (const auto& one : {fe1.get(), fe2.get(), es1.get(), es2.get()})
+            one->publishTo(front_ends, entity_servers);
+    }
+    std::string clients(const server::Server& at) const { return at.clientAddress(Lane::Data); }
+    std::string entities(const server::Server& at) const { return at.entityAddress(Lane::Data); }
+    /// Signals go directly only to those that have been discovered; then a stop comes twice.
+    static bool reaches(RawClient& client, RawEntity& robot) {
+        return waitUntil([&] {
+            const auto before = robot.log.count("signal stop");
+            client.stop(robot.registration.entity);
+            return waitUntil([&] { return robot.log.count("signal stop") >= before + 2; }, 300ms);
+        });
+    }
+
+    std::unique_ptr<server::Server> fe1 =
+        std::make_unique<server::Server>(oneOfSeveral(server::ServerRole::FrontEnd, "fe1"));
+    std::unique_ptr<server::Server> fe2 =
+        std::make_unique<server::Server>(oneOfSeveral(server::ServerRole::FrontEnd, "fe2"));
+    std::unique_ptr<server::Server> es1 =
+        std::make_unique<server::Server>(oneOfSeveral(server::ServerRole::Entity, "es1"));
+    std::unique_ptr<server::Server> es2 =
+        std::make_unique<server::Server>(oneOfSeveral(server::ServerRole::Entity, "es2"));
+};
+
+TEST_F(SeveralServers, SayInTheirReadyLineWhatTheyHave) {
+    EXPECT_EQ(fe1->readyLine().rfind("ready client=", 0), 0U);
+    EXPECT_EQ(fe1->readyLine().find("entity="), std::string::npos);
+    EXPECT_EQ(es1->readyLine().rfind("ready entity=", 0), 0U);
+}
+
+TEST_F(SeveralServers, PresenceIsTheSameOnEveryFrontEndServer) {
+    RawClient client1(clients(*fe1));
+    RawClient client2(clients(*fe2), "client2@lab");
+    RawEntity left(entities(*es1), kFirst, "Left");
+    RawEntity right(entities(*es2), kSecond, "Right");
+    left.join();
+    right.join();
+    right.status(EntityState::IDLE);
+    for (auto* client : {&client1, &client2}) {
+        EXPECT_TRUE(waitUntil([&] { return client->log.has("joined Left") && client->log.has("joined Right"); }));
+        EXPECT_TRUE(waitUntil([&] { return client->log.has(std::string("status ") + kSecond + " IDLE"); }));
+    }
+    left.data()->destroy();
+    for (auto* client : {&client1, &client2})
+        EXPECT_TRUE(waitUntil([&] { return client->log.has("left Left"); }));
+}
+
+TEST_F(SeveralServers, MessagesFindTheEntityAndTheClientInOrderWhereverTheyAre) {
+    RawEntity left(entities(*es1), kFirst, "Left");
+    RawEntity right(entities(*es2), kSecond, "Right");
+    left.join();
+    right.join();
+    RawClient client(clients(*fe2));
+    ASSERT_TRUE(waitUntil([&] { return client.log.has("joined Left") && client.log.has("joined Right"); }));
+    constexpr int kMessages = 200;
+    for (int i = 0; i < kMessages; ++i) client.text(i % 2 == 0 ? kFirst : kSecond, std::to_string(i), i + 1);
+    ASSERT_TRUE(waitUntil([&] {
+        return left.log.count("msg client1@lab TEXT ") == kMessages / 2 &&
+               right.log.count("msg client1@lab TEXT ") == kMessages / 2;
+    }));
+    int expected = 0;
+    for (const auto& line : left.log.lines()) {
+        if (line.rfind("msg ", 0) != 0) continue;
+        EXPECT_EQ(line, "msg client1@lab TEXT " + std::to_string(expected));
+        expected += 2;
+    }
+    right.dataOneway()->sendToClient(transport::toIce(right.headTo(client.facts.me.id)), toRange("answer"));
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("data msg ") + kSecond + " answer"); }));
+}
+
+TEST_F(SeveralServers, EntitiesReachEachOtherAcrossEntityServers) {
+    RawEntity master(entities(*es1), kFirst, "Master");
+    RawEntity slave(entities(*es2), kSecond, "Slave");
+    master.join();
+    slave.join();
+    Header head;
+    head.entity = kSecond;
+    head.msg_type = kMsgTask;
+    master.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 1"));
+    EXPECT_TRUE(waitUntil([&] { return slave.log.has("msg Master TASK step 1"); }));
+}
+
+TEST_F(SeveralServers, AStopGoesTwoWaysAndOnlyOneIsLeftWhenTheTopicIsDown) {
+    RawEntity robot(entities(*es2), kFirst);
+    robot.join();
+    RawClient client(clients(*fe1));
+    ASSERT_TRUE(waitUntil([&] { return client.log.has("joined"); }));
+    ASSERT_TRUE(reaches(client, robot)) << "once directly, once by the topic";
+
+    fe1->publishTo({}, {});
+    client.text(kFirst, "hello", 77);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(kNotConnected + " of 77"); }));
+    auto before = robot.log.count("signal stop");
+    client.stop(kFirst);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.count("signal stop") == before + 1; }));
+
+    // The receipt goes both ways back, too, while there are two.
+    Header receipt = robot.headTo(client.facts.me.id);
+    receipt.msg_type = kMsgReceipt;
+    robot.signalOneway()->sendToClient(transport::toIce(receipt), toRange("receipt"));
+    EXPECT_TRUE(waitUntil([&] { return client.log.count("signal msg") == 2; }));
+    es2->publishTo({}, {});
+    robot.signalOneway()->sendToClient(transport::toIce(receipt), toRange("receipt"));
+    EXPECT_TRUE(waitUntil([&] { return client.log.count("signal msg") == 3; }));
+
+    join();
+    client.text(kFirst, "hello again");
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg client1@lab TEXT hello again"); }));
+}
+
+TEST_F(SeveralServers, WhatHappenedWhileTheTopicWasDownIsKnownAfterwards) {
+    RawEntity stays(entities(*es1), kFirst, "Stays");
+    RawEntity goes(entities(*es1), kSecond, "Goes");
+    stays.join();
+    goes.join();
+    RawClient client(clients(*fe1));
+    ASSERT_TRUE(waitUntil([&] { return client.log.has("joined Stays") && client.log.has("joined Goes"); }));
+    es1->publishTo({}, {});
+    goes.data()->destroy();
+    RawEntity comes(entities(*es1), kThird, "Comes");
+    comes.join();
+    stays.status(EntityState::ERR);
+    ASSERT_TRUE(waitUntil([&] { return es1->entityCore().entities() == 2; }));
+    EXPECT_FALSE(client.log.has("left Goes"));
+    join();
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("left Goes") && client.log.has("joined Comes"); }));
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("status ") + kFirst + " ERR"); }));
+}
+
+TEST_F(SeveralServers, RefuseWhatIsForNobody) {
+    RawClient client(clients(*fe1));
+    client.text(kFirst, "anybody there?", 77);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(kUnknownEntity + " of 77"); }));
+    client.stop(kFirst);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 0"); }));
+}
+
+// -- real processes
+
+/// A program with its standard output in a file; killed at the end.
+class Program {
+  public:
+    Program(const std::vector<std::string>& words, const std::filesystem::path& log) : log_(log) {
+        std::vector<char*> arguments;
+        for (const auto& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
+        arguments.push_back(nullptr);
+        std::filesystem::remove(log);  // of the program before
+        id_ = ::fork();
+        if (id_ != 0) return;
+        const int file = ::open(log.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
+        ::dup2(file, 1);
+        ::dup2(file, 2);
+        sigset_t none;
+        sigemptyset(&none);
+        sigprocmask(SIG_SETMASK, &none, nullptr);
+        ::execvp(arguments[0], arguments.data());
+        ::_exit(127);
+    }
+    ~Program() { kill(); }
+    Program(const Program&) = delete;
+    Program& operator=(const Program&) = delete;
+
+    void kill() {
+        if (id_ <= 0) return;
+        ::kill(id_, SIGKILL);
+        ::waitpid(id_, nullptr, 0);
+        id_ = 0;
+    }
+    std::string text() const {
+        std::stringstream all;
+        all << std::ifstream(log_).rdbuf();
+        return all.str();
+    }
+    /// What follows `key` in the ready line, up to the next space.
+    std::string ready(const std::string& key) const {
+        std::string value;
+        EXPECT_TRUE(waitUntil([&] { return text().find("ready ") != std::string::npos; })) << text();
+        const auto all = text();
+        const auto line = all.substr(all.find("ready "));
+        const auto at = line.find(" " + key + "=");
+        if (at == std::string::npos) return {};
+        const auto begin = at + key.size() + 2;
+        return line.substr(begin, line.find_first_of(" \n", begin) - begin);
+    }
+
+  private:
+    const std::filesystem::path log_;
+    pid_t id_ = 0;
+};
+
+class RealServers : public testing::Test {
+  protected:
+    RealServers() {
+        std::string name = std::filesystem::temp_directory_path() / "axon-roles-XXXXXX";
+        folder = ::mkdtemp(name.data());
+        const auto host = loopbackAddress();
+        std::ofstream(folder / "icebox.cfg")
+            << "IceBox.Service.IceStorm=IceStormService,37:createIceStorm --Ice.Config=" << (folder / "storm.cfg").string()
+            << "\n";
+        std::ofstream(folder / "storm.cfg") << "IceStorm.InstanceName=IceStorm\nIceStorm.Transient=1\n"
+                                            << "IceStorm.TopicManager.Endpoints=tcp -h " << host << " -p 10430\n"
+                                            << "IceStorm.Publish.Endpoints=tcp -h " << host << " -p 10431\n"
+                                            << "IceStorm.Publish.ThreadPool.Size=4\n"
+                                            << "IceStorm.Publish.ThreadPool.Serialize=1\n"
+                                            << "IceStorm.Send.QueueSizeMax=1000\n"
+                                            << "IceStorm.Send.QueueSizeMaxPolicy=DropEvents\n"
+                                            << "IceStorm.Discard.Interval=1\nIce.MessageSizeMax=4096\n";
+        for (const std::string server : {"fe1", "fe2", "es1"}) {
+            std::ofstream(folder / (server + ".cfg"))
+                << "Server.Name=" << server << "\nServer.TopicManager=IceStorm/TopicManager:tcp -h " << host
+                << " -p 10430\n"
+                // The stubs send no keepAlive; only servers are to be late.
+                << "FrontEndServer.WatchdogBusyMs=2000\n";
+        }
+    }
+    ~RealServers() override {
+        programs.clear();
+        std::filesystem::remove_all(folder);
+    }
+    void startStorm() {
+        programs["icebox"] = std::make_unique<Program>(
+            std::vector<std::string>{"icebox", "--Ice.Config=" + (folder / "icebox.cfg").string()}, folder / "icebox.log");
+    }
+    Program& start(const std::string& name) {
+        const bool front_end = name.rfind("fe", 0) == 0;
+        const std::string kind = front_end ? "client" : "entity";
+        const auto any_port = loopbackAddress() + ":0";
+        programs[name].reset();
+        programs[name] = std::make_unique<Program>(
+            std::vector<std::string>{AXON_SERVER, "--role", front_end ? "front-end" : "entity", "--config",
+                                     (folder / (name + ".cfg")).string(), "--" + kind + "-endpoint", any_port,
+                                     "--" + kind + "-signal-endpoint", any_port},
+            folder / (name + ".log"));
+        return *programs[name];
+    }
+
+    std::filesystem::path folder;
+    std::map<std::string, std::unique_ptr<Program>> programs;
+};
+
+TEST_F(RealServers, IceStormMayComeLaterDieAndComeBack) {
+    auto& front_end = start("fe1");
+    auto& entity_server = start("es1");
+    RawEntity robot(entity_server.ready("entity"), kFirst);
+    robot.join();
+    RawClient client(front_end.ready("client"));
+    client.text(kFirst, "too early", 1);
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(kUnknownEntity + " of 1"); }));
+    startStorm();
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("joined Robot"); }, 5s)) << front_end.text() << entity_server.text();
+    client.text(kFirst, "first", 2);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg client1@lab TEXT first"); }));
+
+    programs["icebox"]->kill();
+    std::int64_t number = 100;
+    EXPECT_TRUE(waitUntil([&] {
+        client.text(kFirst, "lost", ++number);
+        return waitUntil([&] { return client.log.has(kNotConnected + " of " + std::to_string(number)); }, 100ms);
+    }));
+    const auto before = robot.log.count("signal stop");
+    client.stop(kFirst);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.count("signal stop") > before; })) << "directly";
+    robot.status(EntityState::ERR);
+    robot.signalOneway()->keepAlive(1);
+
+    startStorm();
+    EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("status ") + kFirst + " ERR"); }, 5s));
+    client.text(kFirst, "second", 3);
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg client1@lab TEXT second"); }, 5s));
+    EXPECT_FALSE(client.log.has("left Robot"));
+}
+
+TEST_F(RealServers, AKilledFrontEndServerHasLostItsClientsWithinTheWatchdog) {
+    startStorm();
+    auto& entity_server = start("es1");
+    RawEntity robot(entity_server.ready("entity"), kFirst);
+    robot.registration.heartbeat_busy_ms = 2000;
+    robot.join();
+    RawClient client(start("fe1").ready("client"));
+    RawClient other(start("fe2").ready("client"), "client2@lab");
+    const auto id = client.facts.me.id;
+    EXPECT_EQ(id.rfind("fe1:", 0), 0U);
+    for (auto* one : {&client, &other}) ASSERT_TRUE(waitUntil([&] { return one->log.has("joined Robot"); }));
+    // Its watchdog is short once it was heard directly.
+    ASSERT_TRUE(waitUntil([&] { return entity_server.text().find("fe1 is there") != std::string::npos; }));
+    ASSERT_TRUE(waitUntil([&] {
+        client.stop(kFirst);
+        return waitUntil([&] { return robot.log.count("signal stop requested") >= 2; }, 200ms);
+    }));
+    robot.status(EntityState::BUSY, id);
+    ASSERT_TRUE(waitUntil([&] { return other.log.has(std::string("status ") + kFirst + " BUSY"); }));
+    programs["fe1"]->kill();
+    const auto start_of_silence = std::chrono::steady_clock::now();
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop client lost"); }));
+    // The watchdog is 250 ms; what is left is for a machine with a lot else to do. The idle one is 2 s.
+    EXPECT_LT(std::chrono::steady_clock::now() - start_of_silence, 1500ms) << entity_server.text();
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal client lost " + id); }));
+
+    RawClient again(start("fe1").ready("client"), "client1@lab");
+    EXPECT_TRUE(waitUntil([&] { return again.log.has("joined Robot"); }, 5s));
+    again.text(kFirst, "here again");
+    EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg client1@lab TEXT here again"); }, 5s));
+}
+
+TEST_F(RealServers, TheEntitiesOfAKilledEntityServerHaveLeftAndComeBackWithIt) {
+    startStorm();
+    RawClient client(start("fe1").ready("client"));
+    RawClient other(start("fe2").ready("client"), "client2@lab");
+    auto robot = std::make_unique<RawEntity>(start("es1").ready("entity"), kFirst);
+    robot->join();
+    for (auto* one : {&client, &other})
+        ASSERT_TRUE(waitUntil([&] { return one->log.has("joined Robot"); })) << programs["fe1"]->text();
+    programs["es1"]->kill();
+    for (auto* one : {&client, &other}) EXPECT_TRUE(waitUntil([&] { return one->log.has("left Robot"); }, 5s));
+    robot = std::make_unique<RawEntity>(start("es1").ready("entity"), kFirst);
+    robot->join();
+    for (auto* one : {&client, &other}) EXPECT_TRUE(waitUntil([&] { return one->log.count("joined Robot") == 2; }, 5s));
+}
+
+}  // namespace
+}  // namespace axon::test
