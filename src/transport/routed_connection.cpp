@@ -16,43 +16,53 @@ bool isLoopback(const std::string& peer) {
 
 }  // namespace
 
-Result<void> RouterConnections::admit(const Ice::Connection& connection) const {
+std::optional<std::string> RouterConnections::objection(const Ice::Connection& connection) const {
     const auto peer = DirectConnection::peerOf(connection);
-    std::string why = "no certificate of a router";
-    try {
-        if (const auto certificate = certificateOf(connection)) {
-            if (certificate->unit == "router" || certificate->unit == "server") return {};
-            why = "its certificate is that of the " + certificate->unit + " " + certificate->name;
-        } else if (isLoopback(peer)) {
-            if (logins_ == nullptr || logins_->mayVouch(peer, DirectConnection::localOf(connection)))
-                return {};
-            why = "another user's process";
-        }
-    } catch (const Ice::Exception& error) {  // the connection has closed meanwhile
-        why = error.what();
+    if (const auto certificate = certificateOf(connection)) {
+        if (certificate->unit == "router" || certificate->unit == "server") return std::nullopt;
+        return "its certificate is that of the " + certificate->unit + " " + certificate->name;
     }
-    return Refusal{
-        RefusalCode::PermissionDenied,
-        "only a router may ask for this: on this machine a glacier2router of the server's own user, from "
-        "elsewhere one with a certificate of OU=router (" +
-            why + ")",
-        {}};
+    if (!isLoopback(peer)) return "no certificate of a router";
+    if (logins_ == nullptr || logins_->mayVouch(peer, DirectConnection::localOf(connection)))
+        return std::nullopt;
+    return "another user's process";
 }
 
-void RouterConnections::add(const std::shared_ptr<Ice::Connection>& connection,
-                            const std::shared_ptr<RoutedConnection>& session) {
-    bool first = false;
+Result<void> RouterConnections::admit(const std::shared_ptr<Ice::Connection>& connection) {
     {
         const std::lock_guard lock(mutex_);
-        auto& its = sessions_[connection.get()];
-        first = its.empty();
-        its.emplace(session.get(), session);
+        if (sessions_.contains(connection.get())) return {};
     }
-    if (!first) return;
+    if (const auto why = objection(*connection)) {
+        return Refusal{
+            RefusalCode::PermissionDenied,
+            "only a router may ask for this: on this machine a glacier2router of the server's own user, "
+            "from elsewhere one with a certificate of OU=router (" +
+                *why + ")",
+            {}};
+    }
+    {
+        const std::lock_guard lock(mutex_);
+        if (!sessions_.try_emplace(connection.get()).second) return {};
+    }
     connection->setCloseCallback([this](const std::shared_ptr<Ice::Connection>& it) { closed(it.get()); });
     // A router closes what is idle for a minute, unless it is configured not to; its sessions would be lost
     // with it.
     connection->setACM(Ice::nullopt, Ice::nullopt, Ice::ACMHeartbeat::HeartbeatAlways);
+    return {};
+}
+
+void RouterConnections::add(const Ice::Connection* connection,
+                            const std::shared_ptr<RoutedConnection>& session) {
+    {
+        const std::lock_guard lock(mutex_);
+        const auto found = sessions_.find(connection);
+        if (found != sessions_.end()) {
+            found->second.emplace(session.get(), session);
+            return;
+        }
+    }
+    session->ended("the router is gone");  // between its call and now
 }
 
 void RouterConnections::remove(const Ice::Connection* connection, const RoutedConnection* session) {
@@ -123,7 +133,7 @@ void RoutedConnection::require(const Ice::Current& current) {
         }
     }
     if (!current.con) refuse();
-    if (const auto may = routers_.admit(*current.con); !may) {
+    if (const auto may = routers_.admit(current.con); !may) {
         spdlog::warn("a call to a session behind a router came from {} and was refused: {}",
                      DirectConnection::peerOf(*current.con), may.refusal().message);
         refuse();
@@ -134,7 +144,7 @@ void RoutedConnection::require(const Ice::Current& current) {
         if (over_) return;
         over_ = current.con;
     }
-    routers_.add(current.con, shared_from_this());
+    routers_.add(current.con.get(), shared_from_this());
 }
 
 Until untilOf(const PeerConnection& peer) {

@@ -32,18 +32,20 @@ class RouterConnections {
 
     /// Whether the other end may speak for others: on this machine a process that Logins allows, from
     /// elsewhere one whose certificate says OU=router or OU=server. PERMISSION_DENIED otherwise, with the
-    /// reason.
-    Result<void> admit(const Ice::Connection& connection) const;
-    void add(const std::shared_ptr<Ice::Connection>& connection,
-             const std::shared_ptr<RoutedConnection>& session);
+    /// reason. Finding out may take a look at all connections of this machine; each is asked about once, as
+    /// thousands may come back together after a restart.
+    Result<void> admit(const std::shared_ptr<Ice::Connection>& connection);
+    /// An admitted connection has brought this session's first call.
+    void add(const Ice::Connection* connection, const std::shared_ptr<RoutedConnection>& session);
     void remove(const Ice::Connection* connection, const RoutedConnection* session);
 
   private:
+    std::optional<std::string> objection(const Ice::Connection& connection) const;
     void closed(const Ice::Connection* connection);
 
     Logins* const logins_;
     std::mutex mutex_;
-    // Guarded by mutex_:
+    // Guarded by mutex_; an entry for each admitted connection until it closes:
     std::map<const Ice::Connection*, std::map<const RoutedConnection*, std::weak_ptr<RoutedConnection>>>
         sessions_;
 };

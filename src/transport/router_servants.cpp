@@ -40,7 +40,7 @@ std::optional<PeerCertificate> certificateIn(const Glacier2::SSLInfo& info) {
 
 bool mayComeIn(const RouterDoor& door, LoginRequest request, std::string& reason,
                const Ice::Current& current) {
-    if (const auto may = door.routers.admit(*current.con); !may) {
+    if (const auto may = door.routers.admit(current.con); !may) {
         spdlog::warn("audit: somebody was to be verified for {}, which was refused: {}",
                      DirectConnection::peerOf(*current.con), may.refusal().message);
         throw Glacier2::PermissionDeniedException(may.refusal().message);
@@ -61,7 +61,7 @@ std::shared_ptr<Glacier2::SessionPrx> createSession(
     const RouterDoor& door, const std::string& user, const std::optional<PeerCertificate>& certificate,
     const std::shared_ptr<Glacier2::SessionControlPrx>& control, const Ice::Current& current,
     PassOn pass_on) {
-    if (const auto may = door.routers.admit(*current.con); !may) {
+    if (const auto may = door.routers.admit(current.con); !may) {
         spdlog::warn("audit: a session was asked for by {}, which was refused: {}",
                      DirectConnection::peerOf(*current.con), may.refusal().message);
         cannotCreate(may.refusal().message);
