@@ -38,6 +38,9 @@ std::optional<std::string> Disk::load(std::string_view key) {
 void Disk::save(std::string_view key, std::string_view value) {
     values_[std::string(key)] = value;
 }
+void Disk::forget(std::string_view key) {
+    values_.erase(std::string(key));
+}
 Result<std::uint64_t> Disk::begin(const proto::ResourceOffer&) {
     return Refusal{RefusalCode::NotSupported, "The simulation has no resources.", {}};
 }

@@ -22,10 +22,12 @@ class Disk final : public entity_manager::Storage,
   public:
     std::optional<std::string> load(std::string_view key) override;
     void save(std::string_view key, std::string_view value) override;
+    void forget(std::string_view key) override;
     Result<std::uint64_t> begin(const proto::ResourceOffer&) override;
     Result<void> write(std::string_view, std::uint64_t, std::string_view) override { return {}; }
     Result<std::string> finish(std::string_view) override;
     void suspend(std::string_view) override {}
+    void dropSuspended() override {}
     void remove(std::string_view, std::string_view) override {}
     std::optional<std::string> find(std::string_view, std::string_view) override { return std::nullopt; }
     bool append(const entity_manager::JournalRecord& record) override;

@@ -24,6 +24,7 @@
     X(ReleaseKeepsGeneration, "the stop of a release does not raise the generation")                         \
     X(StopNotIdempotent, "the same stop, repeated, is a new one")                                            \
     X(LatchForgotten, "a stop does not latch")                                                               \
+    X(LatchNotKept, "a latch does not outlive the process")                                                  \
     X(LatchUnchecked, "a task is accepted while latched, and starts at the rearm")                           \
     X(QueueNotVoided, "a stop leaves the queue alone, so that a rearm dispatches it")                        \
     X(QueueBackwards, "the newest waiting task goes first")                                                  \

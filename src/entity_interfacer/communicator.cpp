@@ -38,6 +38,7 @@ constexpr int kWatchPriority = 29;
 constexpr std::size_t kNameMax = 255;
 constexpr std::size_t kNotesMax = 32;
 constexpr auto kOutOfDescriptors = 100ms;
+constexpr auto kStopAgain = 200ms;  // a stop callback that threw
 
 TimePoint now() {
     return std::chrono::steady_clock::now();
@@ -292,10 +293,15 @@ void Communicator::stopThread() {
     while (true) {
         std::array<pollfd, 2> wait{pollfd{stop_wake_.fd(), POLLIN, 0},
                                    pollfd{signal_link_ ? signal_link_->signalFd() : -1, POLLIN, 0}};
-        ::poll(wait.data(), wait.size(), -1);
+        int wait_ms = -1;
+        if (owed_ && stop_failed_ && !level_.inside())  // whoever is inside wakes us
+            wait_ms = static_cast<int>(std::max<std::int64_t>((call_again_ - now()) / 1ms + 1, 0));
+        ::poll(wait.data(), wait.size(), wait_ms);
         if (signal_link_ && (wait[1].revents != 0 || signal_link_->lost())) readSignals(*signal_link_);
         if ((wait[0].revents & POLLIN) != 0) stop_wake_.drain();
-        if (owed_ && !level_.inside()) stopAgain();
+        // What was running when the stop came has returned, and may have moved the robot last; or the
+        // callback threw.
+        if (owed_ && !level_.inside() && now() >= call_again_) callStop(*owed_);
         const auto faults = faults_.load();
         const bool fault = std::exchange(faults_seen, faults) != faults;
         // An Entity Manager that knew nothing of the fault would start the next task.
@@ -310,7 +316,7 @@ void Communicator::stopThread() {
         if (end_stop_thread_) {
             dispatchStop(StopSignal::Cause::Shutdown);
             level_.waitUntil(now() + kLastWords, [this] { return !level_.inside(); });
-            if (owed_) stopAgain();
+            if (owed_) callStop(*owed_);
             this_thread_of = nullptr;
             return;
         }
@@ -376,10 +382,7 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
             return owed_ ? void() : acknowledge(link, level_.stopped());
         baseline_known_ = true;
         level_.raise(stop.stop_generation(), stop.cause());
-        const bool returned =
-            callStop({static_cast<StopSignal::Cause>(stop.cause()), stop.stop_generation()});
-        if (returned) acknowledge(link, stop.stop_generation());
-        return;
+        return callStop({static_cast<StopSignal::Cause>(stop.cause()), stop.stop_generation()});
     }
     if (!message.has_beat())
         return link.cut("unexpected message on the signal connection: only beats and stops belong there");
@@ -394,8 +397,7 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
     } else if (beat.stop_generation() > level_.announced()) {
         // The level says that a stop was given which has not arrived as such.
         level_.raise(beat.stop_generation(), proto::STOP_REQUESTED);
-        if (callStop({StopSignal::Cause::Requested, beat.stop_generation()}))
-            acknowledge(link, beat.stop_generation());
+        callStop({StopSignal::Cause::Requested, beat.stop_generation()});
     }
 }
 
@@ -404,38 +406,39 @@ void Communicator::dispatchStop(StopSignal::Cause cause) {
     callStop({cause, level_.stopped()});
 }
 
-bool Communicator::callStop(const StopSignal& signal) {
+void Communicator::callStop(const StopSignal& called) {
+    const auto signal = called;  // it may be what is owed
     in_callback_ = true;
-    bool returned = true;
     std::string thrown;
     if (callbacks_.stop) {
         try {
             callbacks_.stop(signal);
         } catch (const std::exception& error) {
-            returned = false;
-            thrown = error.what();
+            thrown = "it threw: " + validUtf8(error.what());
         } catch (...) {
-            returned = false;
-            thrown = "something that is no std::exception";
+            thrown = "it threw something that is no std::exception";
         }
     }
-    const bool again = level_.inside();
-    owed_ = again ? std::optional(signal) : std::nullopt;
-    if (!again) level_.settle();
+    const bool over = thrown.empty() && !level_.inside();
+    owed_ = over ? std::nullopt : std::optional(signal);
+    call_again_ = thrown.empty() ? TimePoint{} : now() + kStopAgain;
+    const bool failed_before = stop_failed_.exchange(!thrown.empty());
+    if (over) level_.settle();
     heard_ns_ = nanoseconds(now());
     manager_heard_.allow({}, now());  // nobody listened while the callback ran
     in_callback_ = false;
-    if (!returned)
+    if (!thrown.empty() && !failed_before)
         note(LogLevel::Error,
-             "the stop callback threw (" + thrown + "): this stop is not acknowledged; catch inside onStop");
-    return returned && !again;
-}
-
-/// What was running when the stop came has returned, and may have moved the robot last.
-void Communicator::stopAgain() {
-    const auto signal = *owed_;
-    if (callStop(signal) && signal_link_ && !signal_link_->lost())
-        acknowledge(*signal_link_, level_.stopped());
+             "the stop callback has not stopped the robot (" + thrown +
+                 "): it is called again until it returns, and nothing starts before; catch inside onStop");
+    if (thrown.empty() && failed_before) note(LogLevel::Info, "the stop callback that threw has returned");
+    if (!signal_link_ || signal_link_->lost()) return;
+    if (over) return acknowledge(*signal_link_, level_.stopped());
+    if (thrown.empty()) return;
+    proto::EiToEm message;
+    message.mutable_stop_done()->set_stop_generation(level_.stopped());
+    message.mutable_stop_done()->set_fault(thrown);
+    signal_link_->sendSignal(message);
 }
 
 void Communicator::acknowledge(Link& link, std::uint32_t generation) {
@@ -447,7 +450,7 @@ void Communicator::acknowledge(Link& link, std::uint32_t generation) {
 
 void Communicator::standstill() {
     const auto link = currentLink();
-    if (!link) return;
+    if (!link || stop_failed_) return;
     proto::EiToEm message;
     message.mutable_stop_done()->set_stop_generation(level_.announced());
     message.mutable_stop_done()->set_stage(proto::StopReceipt::STANDSTILL);
@@ -573,6 +576,11 @@ bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
     if (!hello.instance().empty() && hello.instance() != options_.instance)
         return no(RefusalCode::UnknownEntity,
                   "this is instance '" + options_.instance + "' of '" + options_.application + "'");
+    // Who links with us takes it that we have stopped.
+    if (stop_failed_)
+        return no(RefusalCode::WrongState, "the stop callback of '" + options_.application +
+                                               "' throws, and is called again until it returns: mend what it "
+                                               "stops, or restart the application");
     if (hello.nonce().size() < 8 || hello.nonce().size() > 64)
         return no(RefusalCode::Malformed, "nonce: expected 8 to 64 bytes, the same on both connections");
     if (watched_ && !watched_->lost())

@@ -118,10 +118,9 @@ class Communicator {
     void readSignals(Link& link);
     void onSignal(Link& link, const proto::EmToEi& message);
     void dispatchStop(StopSignal::Cause cause);
-    /// True when the stop is over: the callback has returned, and nothing older that could move the robot
-    /// runs.
-    bool callStop(const StopSignal& signal);
-    void stopAgain();
+    /// The stop is over, and acknowledged, when the callback has returned, and nothing older that could move
+    /// the robot runs; until then it is owed.
+    void callStop(const StopSignal& signal);
     void acknowledge(Link& link, std::uint32_t generation);
 
     // Watch thread
@@ -202,6 +201,8 @@ class Communicator {
     std::shared_ptr<Link> signal_link_;
     bool baseline_known_ = false;
     std::optional<StopSignal> owed_;  // called, and to be called again
+    TimePoint call_again_{};          // not before, where the callback threw
+    std::atomic<bool> stop_failed_{false};  // the last call threw; read by the watch thread
 
     // Watch thread
     std::shared_ptr<Link> watched_;

@@ -78,24 +78,29 @@ void EntityManager::stopSignal(Header head, StopCause cause) {
         clientUpdate(std::move(head), ClientChange::Lost);  // what that means now, the strand decides
         return;
     }
+    wake(passStop(std::move(head), cause));
+}
+
+Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
     const std::lock_guard in_order(stop_mutex_);
     const bool drill = cause == StopCause::Drill;
     // A generation that the strand never hears of would make every command an old one, so a drill that would be
     // dropped raises none.
-    if (drill && inbox_.signalsFull()) return;
+    if (drill && inbox_.signalsFull()) return Inbox::Verdict::Dropped;
     const auto generation = gate_.raise(head.sender.id, head.sequence);
     if (!generation) {  // the same stop by another path, or repeated because its receipt did not arrive
-        if (const auto known = gate_.raisedBy(head.sender.id, head.sequence))
-            wake(inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head), cause, generation = *known] {
-                core_->onStopRepeated(head, cause, generation);
-            }));
-        return;
+        const auto known = gate_.raisedBy(head.sender.id, head.sequence);
+        if (!known) return Inbox::Verdict::Dropped;
+        return inbox_.pushSignal(Inbox::Signal::Passing,
+                                 [this, head = std::move(head), cause, generation = *known] {
+                                     core_->onStopRepeated(head, cause, generation);
+                                 });
     }
     back_end_.port->stop(*generation, cause);
-    wake(inbox_.pushSignal(drill ? Inbox::Signal::Drill : Inbox::Signal::Stop,
-                           [this, head = std::move(head), cause, generation = *generation] {
-                               core_->onStopSignal(head, cause, generation);
-                           }));
+    return inbox_.pushSignal(drill ? Inbox::Signal::Drill : Inbox::Signal::Stop,
+                             [this, head = std::move(head), cause, generation = *generation] {
+                                 core_->onStopSignal(head, cause, generation);
+                             });
 }
 
 void EntityManager::resetSignal(Header head) {
@@ -133,14 +138,12 @@ void EntityManager::undeliverable(const Header& head, int code, const std::strin
 }
 
 void EntityManager::serverUp() {
-    server_up_ = true;
     if (datagrams_) core_->offerDatagrams(datagrams_->open(server_->localAddress()));
     core_->onServerUp();
     afterEvents();
 }
 
 void EntityManager::serverDown(const std::string& reason) {
-    server_up_ = false;
     core_->onServerDown(reason);
     afterEvents();
 }
@@ -196,7 +199,8 @@ void EntityManager::wake(Inbox::Verdict verdict, Turn turn) {
                 const auto self = weak.lock();
                 if (!self) return;
                 self->leaving_ = false;
-                if (self->stopped_ || !self->server_up_) return;
+                // The core may have given the session up by itself, and be seeking a new one already.
+                if (self->stopped_ || !self->core_->serverUp()) return;
                 spdlog::error("{}: more than the bounded number of control messages wait; leaving the server", self->name_);
                 self->server_->wantConnection(false);
                 self->serverDown("control messages arrived faster than they could be handled");
@@ -234,6 +238,7 @@ void EntityManager::afterEvents() {
     }
     if (const bool latched = core_->latched(); std::exchange(latched_, latched) != latched)
         spdlog::info("{}: {}", name_, latched ? "stopped and latched" : "rearmed");
+    if (const auto warning = core_->takeWarning(); !warning.empty()) spdlog::warn("{}: {}", name_, warning);
     if (datagrams_) datagrams_->hold(core_->held());
     armTimer();
 }
@@ -255,8 +260,6 @@ void EntityManager::armTimer() {
         self->armed_ = TimePoint::max();
         self->hearServer();
         self->core_->onTimer();
-        if (const auto warning = self->core_->takeWarning(); !warning.empty())
-            spdlog::warn("{}: {}", self->name_, warning);
         self->afterEvents();
     });
 }

@@ -84,6 +84,8 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     void onLinkRefused(const Refusal& refusal) override;
     void onLinkSlow(const std::string& what) override;
 
+    /// To the robot, and into the inbox. The executor, whose lock everything takes, is woken after it.
+    Inbox::Verdict passStop(Header head, StopCause cause);
     /// Where the strand's turn is taken: at once in this thread if the strand is free, or by the executor. Signal
     /// threads never do the strand's work.
     enum class Turn : std::uint8_t { Here, Executor };
@@ -97,7 +99,8 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     Strand strand_;
     const std::string name_;
     Inbox inbox_;
-    std::mutex stop_mutex_;  // of the two signal threads: stops reach robot and strand in the order of their generations
+    std::mutex stop_mutex_;  // of the two signal threads: stops reach robot and inbox in the order of their
+                             // generations
     StopGate gate_;
     BackEnd back_end_;
     std::unique_ptr<EntityCommunicator> server_;
@@ -107,7 +110,6 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     std::atomic<EntityState> state_{EntityState::UNAV};
     std::atomic<bool> server_heard_{false};  // a heartbeat that the strand has not counted yet
     std::atomic<bool> leaving_{false};       // a control overflow on its way to the strand
-    bool server_up_ = false;
     bool latched_ = false;
     bool stopped_ = false;
     std::unique_ptr<DatagramDesk> datagrams_;  // last, so that its thread ends first

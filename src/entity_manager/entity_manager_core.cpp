@@ -73,6 +73,9 @@ EntityState EntityManagerCore::state() const {
 bool EntityManagerCore::latched() const {
     return machine_->latched();
 }
+bool EntityManagerCore::serverUp() const {
+    return machine_->serverUp();
+}
 const std::string& EntityManagerCore::uuid() const {
     return machine_->uuid();
 }

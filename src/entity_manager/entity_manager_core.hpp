@@ -97,6 +97,8 @@ class EntityManagerCore {
 
     EntityState state() const;
     bool latched() const;
+    /// Whether it counts on a session with the server; a silent one it has given up.
+    bool serverUp() const;
     const std::string& uuid() const;
     /// The present lease; null when nobody holds the entity.
     const LeaseBook::Held* held() const;

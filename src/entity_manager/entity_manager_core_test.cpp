@@ -100,6 +100,28 @@ TEST_F(Held, TheAnswerToADrillIsNoReceiptOfTheStopBeforeIt) {
     EXPECT_EQ(returned(), 1);
 }
 
+TEST_F(Held, AStopCallbackThatThrowsIsSaidInTheReceiptAndConfirmsNothing) {
+    rig.stop("client2");
+    proto::EiToEm done;
+    done.mutable_stop_done()->set_stop_generation(1);
+    done.mutable_stop_done()->set_fault("it threw: no brake");
+    rig.to_clients.clear();
+    rig.fromApplication(done);
+    ASSERT_FALSE(rig.to_clients.empty());
+    for (const auto& told : rig.to_clients) {
+        EXPECT_EQ(told.message.receipt().stage(), proto::StopReceipt::MANAGER);
+        EXPECT_EQ(told.message.receipt().fault(), "it threw: no brake");
+    }
+    EXPECT_NE(rig.core().takeWarning().find("no brake"), std::string::npos);
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    rig.take("client2", "r2");
+    EXPECT_EQ(rig.core().held(), nullptr) << "a robot that has not stopped is handed over";
+    rig.stopDone(2);
+    EXPECT_NE(rig.core().held(), nullptr);
+}
+
 TEST_F(Held, TheAnswerToADrillDoesNotLetTheRobotBeGivenToTheNext) {
     rig.stop("client2");
     const auto stop = rig.gate.generation();
@@ -351,6 +373,15 @@ TEST_F(Held, ALateCopyOfAResetOrClearEndsNotTheNextTask) {
         EXPECT_EQ(rig.gate.generation(), generation);
         rig.update(reset ? "t2" : "t4", proto::TASK_SUCCEEDED);
     }
+}
+
+TEST_F(Held, ASilentServerIsGivenUpAndAnotherSessionIsSoughtThatNothingOfTheOldOneEnds) {
+    EXPECT_TRUE(rig.core().serverUp());
+    rig.advance(std::chrono::seconds{11}, false);
+    EXPECT_FALSE(rig.core().serverUp());
+    EXPECT_TRUE(rig.wanted);
+    rig.core().onServerDown("its session has ended at last");
+    EXPECT_TRUE(rig.wanted);
 }
 
 TEST(StopGate, AStopWithoutASequenceNumberIsAlwaysNew) {

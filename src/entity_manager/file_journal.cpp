@@ -96,21 +96,69 @@ std::string readLine(const std::string& text, JournalRecord& record) {
 
 }  // namespace
 
-FileJournal::FileJournal(fs::path folder, Bounds bounds) : folder_(std::move(folder)), bounds_(bounds) {
+FileJournal::FileJournal(fs::path folder, Bounds bounds)
+    : story_(folder, "journal", bounds, findings_),
+      tasks_(folder, "tasks", bounds, findings_),
+      thread_([this] { run(); }) {}
+
+FileJournal::~FileJournal() {
+    {
+        const std::lock_guard lock(mutex_);
+        ending_ = true;
+    }
+    wake_.notify_one();
+    thread_.join();
+}
+
+bool FileJournal::append(const JournalRecord& record) {
+    using Kind = JournalRecord::Kind;
+    auto line = lineOf(record);
+    if (record.kind == Kind::Dispatched) return tasks_.append(line);
+    {
+        const std::lock_guard lock(mutex_);
+        if (waiting_.size() == kWaiting) return false;
+        waiting_.emplace_back(record.kind == Kind::TaskEnded ? &tasks_ : &story_, std::move(line));
+    }
+    wake_.notify_one();
+    return !failing_;
+}
+
+/// What waits is still written at the end.
+void FileJournal::run() {
+    std::unique_lock lock(mutex_);
+    while (true) {
+        wake_.wait(lock, [this] { return ending_ || !waiting_.empty(); });
+        if (waiting_.empty()) return;
+        const auto [files, line] = std::move(waiting_.front());
+        waiting_.pop_front();
+        lock.unlock();
+        failing_ = !files->append(line);
+        lock.lock();
+    }
+}
+
+void FileJournal::replay(const std::function<void(const JournalRecord&)>& each) {
+    story_.replay(each);
+    tasks_.replay(each);
+}
+
+FileJournal::Files::Files(fs::path folder, std::string name, Bounds bounds,
+                          std::vector<std::string>& findings)
+    : folder_(std::move(folder)), name_(std::move(name)), bounds_(bounds), findings_(findings) {
     fs::create_directories(folder_);
     if (!open()) throw std::system_error(errno, std::generic_category(), "cannot open " + fileOf(0).string());
     cutTornLine();
 }
 
-FileJournal::~FileJournal() {
+FileJournal::Files::~Files() {
     if (fd_ >= 0) ::close(fd_);
 }
 
-fs::path FileJournal::fileOf(int age) const {
-    return folder_ / (age == 0 ? std::string("journal.jsonl") : "journal." + std::to_string(age) + ".jsonl");
+fs::path FileJournal::Files::fileOf(int age) const {
+    return folder_ / (name_ + (age == 0 ? "" : '.' + std::to_string(age)) + ".jsonl");
 }
 
-bool FileJournal::open() {
+bool FileJournal::Files::open() {
     fd_ = ::open(fileOf(0).c_str(), O_RDWR | O_CREAT | O_APPEND | O_CLOEXEC | O_NOFOLLOW, 0600);
     struct stat facts {};
     size_ = fd_ >= 0 && ::fstat(fd_, &facts) == 0 ? static_cast<std::uint64_t>(facts.st_size) : 0;
@@ -118,7 +166,7 @@ bool FileJournal::open() {
 }
 
 /// What follows the last end of a line is a part of an entry that was never acknowledged.
-void FileJournal::cutTornLine() {
+void FileJournal::Files::cutTornLine() {
     auto end = size_;
     char last = '\n';
     while (end > 0 && ::pread(fd_, &last, 1, static_cast<off_t>(end - 1)) == 1 && last != '\n') --end;
@@ -129,7 +177,7 @@ void FileJournal::cutTornLine() {
     size_ = end;
 }
 
-bool FileJournal::rotate() {
+bool FileJournal::Files::rotate() {
     ::close(std::exchange(fd_, -1));
     std::error_code ignored;
     for (int age = bounds_.files - 1; age > 0; --age) fs::rename(fileOf(age - 1), fileOf(age), ignored);
@@ -137,8 +185,8 @@ bool FileJournal::rotate() {
     return open();
 }
 
-bool FileJournal::append(const JournalRecord& record) {
-    const auto line = lineOf(record);
+bool FileJournal::Files::append(const std::string& line) {
+    const std::lock_guard lock(mutex_);
     if (fd_ < 0 && !open()) return false;
     if (size_ > 0 && size_ + line.size() > bounds_.file_bytes && !rotate()) return false;
     ssize_t written = 0;
@@ -152,7 +200,7 @@ bool FileJournal::append(const JournalRecord& record) {
     return false;
 }
 
-void FileJournal::replay(const std::function<void(const JournalRecord&)>& each) {
+void FileJournal::Files::replay(const std::function<void(const JournalRecord&)>& each) {
     for (int age = bounds_.files - 1; age >= 0; --age) {
         std::ifstream file(fileOf(age), std::ios::binary);
         std::string first_problem;

@@ -2,11 +2,14 @@
 #include "entity_manager/file_journal.hpp"
 
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <fstream>
 #include <sstream>
+#include <thread>
 
 namespace axon::entity_manager {
 namespace {
@@ -27,13 +30,13 @@ struct FileJournalTest : testing::Test {
         findings = journal.findings();
         return records;
     }
-    std::string text(const char* name = "journal.jsonl") const {
+    std::string text(const char* name = "tasks.jsonl") const {
         std::stringstream all;
         all << std::ifstream(folder / name, std::ios::binary).rdbuf();
         return all.str();
     }
     void write(const std::string& content) const {
-        std::ofstream(folder / "journal.jsonl", std::ios::binary | std::ios::app) << content;
+        std::ofstream(folder / "tasks.jsonl", std::ios::binary | std::ios::app) << content;
     }
     static JournalRecord dispatched(std::uint64_t seed) {
         SeededRandom random(seed);
@@ -66,7 +69,7 @@ TEST_F(FileJournalTest, WhatWasWrittenIsReadBackWhole) {
     EXPECT_TRUE(findings.empty());
 }
 
-TEST_F(FileJournalTest, AnEntryIsInTheFileWhenAppendReturns) {
+TEST_F(FileJournalTest, ADispatchIsInTheFileWhenAppendReturns) {
     FileJournal journal(folder, bounds);
     EXPECT_TRUE(journal.append(dispatched(1)));
     EXPECT_EQ(readBack().size(), 1U);  // by another, as after a kill of the first
@@ -92,7 +95,7 @@ TEST_F(FileJournalTest, BadLinesArePassedOverAndToldOnceWithTheNumberOfTheFirst)
     { FileJournal(folder, bounds).append(dispatched(2)); }
     EXPECT_EQ(readBack(), (std::vector{dispatched(1), dispatched(2)}));
     ASSERT_EQ(findings.size(), 1U);
-    EXPECT_NE(findings[0].find("journal.jsonl:2: expected a JSON object"), std::string::npos) << findings[0];
+    EXPECT_NE(findings[0].find("tasks.jsonl:2: expected a JSON object"), std::string::npos) << findings[0];
     EXPECT_NE(findings[0].find("5 more lines"), std::string::npos) << findings[0];
 }
 
@@ -105,6 +108,7 @@ TEST_F(FileJournalTest, ItStaysWithinItsBoundsAndKeepsTheNewest) {
     std::uintmax_t bytes = 0;
     int files = 0;
     for (const auto& entry : fs::directory_iterator(folder)) {
+        if (!entry.path().filename().string().starts_with("tasks")) continue;
         bytes += entry.file_size();
         ++files;
     }
@@ -115,9 +119,45 @@ TEST_F(FileJournalTest, ItStaysWithinItsBoundsAndKeepsTheNewest) {
     for (std::size_t i = 0; i < kept.size(); ++i) EXPECT_EQ(kept[i], dispatched(100 - kept.size() + 1 + i));
 }
 
+TEST_F(FileJournalTest, NoFloodOfOtherEntriesDrivesTheIdOfATaskOut) {
+    bounds = {.file_bytes = 1000, .files = 2};
+    {
+        FileJournal journal(folder, bounds);
+        ASSERT_TRUE(journal.append(dispatched(1)));
+        for (int i = 0; i < 500; ++i)
+            journal.append({.kind = Kind::Refused, .who = "client2@lab", .code = "NOT_HOLDER"});
+    }
+    const auto kept = readBack();
+    EXPECT_EQ(std::count(kept.begin(), kept.end(), dispatched(1)), 1);
+}
+
+/// A pipe that nobody reads is a disk that does not answer.
+TEST_F(FileJournalTest, AStopAndADispatchDoNotWaitForTheFileOfTheOthers) {
+    const auto file = folder / "journal.jsonl";
+    ASSERT_EQ(::mkfifo(file.c_str(), 0600), 0);
+    std::string arrived;
+    std::thread reader;
+    {
+        FileJournal journal(folder, bounds);
+        const JournalRecord stop{.kind = Kind::Stopped, .text = std::string(400, 's')};
+        std::size_t taken = 0;
+        while (taken < 100'000 && journal.append(stop)) ++taken;
+        EXPECT_GE(taken, FileJournal::kWaiting);
+        EXPECT_LT(taken, 100'000U) << "there is no bound";
+        EXPECT_TRUE(journal.append(dispatched(1)));
+        EXPECT_NE(text().find(dispatched(1).task.toString()), std::string::npos);
+        reader = std::thread([&] {
+            std::ifstream pipe(file, std::ios::binary);
+            for (std::string line; std::getline(pipe, line);) arrived += line;
+        });
+    }
+    reader.join();
+    EXPECT_NE(arrived.find("stopped"), std::string::npos);
+}
+
 TEST_F(FileJournalTest, OnlyTheOwnerMayReadIt) {
     { FileJournal(folder, bounds).append(dispatched(1)); }
-    EXPECT_EQ(fs::status(folder / "journal.jsonl").permissions(),
+    EXPECT_EQ(fs::status(folder / "tasks.jsonl").permissions(),
               fs::perms::owner_read | fs::perms::owner_write);
 }
 

@@ -7,17 +7,15 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
-#include <condition_variable>
 #include <cstring>
 #include <deque>
 #include <fstream>
-#include <mutex>
 #include <optional>
 #include <stdexcept>
 #include <system_error>
-#include <thread>
 #include <utility>
 
 namespace axon::entity_manager {
@@ -83,6 +81,8 @@ void makeFolder(const fs::path& folder) {
     fs::permissions(folder, fs::perms::owner_all);
 }
 
+constexpr std::chrono::seconds kTryAgain{1};
+
 [[noreturn]] void fail(const char* what, const fs::path& path) {
     throw std::system_error(errno, std::generic_category(), std::string(what) + ' ' + path.string());
 }
@@ -105,6 +105,16 @@ Refusal storeRefusal(const char* what, const fs::path& path) {
 
 FileStorage::FileStorage(fs::path folder) : folder_(std::move(folder)) {
     makeFolder(folder_);
+    thread_ = std::thread([this] { run(); });
+}
+
+FileStorage::~FileStorage() {
+    {
+        const std::lock_guard lock(mutex_);
+        ending_ = true;
+    }
+    wake_.notify_one();
+    thread_.join();
 }
 
 fs::path FileStorage::pathOf(std::string_view key) const {
@@ -129,21 +139,69 @@ std::optional<std::string> FileStorage::load(std::string_view key) {
     }
 }
 
+/// To the disk, beside its place; the file's name.
+fs::path FileStorage::write(std::string_view key, std::string_view value) const {
+    auto fresh = pathOf(key);
+    fresh += ".new";
+    const File file(fresh, O_WRONLY | O_CREAT | O_TRUNC);
+    if (!file.isOpen() || !file.writeAll(value) || ::fsync(file.fd()) != 0) fail("cannot write", fresh);
+    return fresh;
+}
+
 void FileStorage::save(std::string_view key, std::string_view value) {
     const auto path = pathOf(key);
-    auto fresh = path;
-    fresh += ".new";
-    {
-        const File file(fresh, O_WRONLY | O_CREAT | O_TRUNC);
-        if (!file.isOpen() || !file.writeAll(value) || ::fsync(file.fd()) != 0) fail("cannot write", fresh);
-    }
+    const auto fresh = write(key, value);
     if (::rename(fresh.c_str(), path.c_str()) != 0) fail("cannot replace", path);
     synchroniseFolder(folder_);
+}
+
+void FileStorage::keep(std::string_view key, std::string_view value) {
+    {
+        const std::lock_guard lock(mutex_);
+        waiting_[std::string(key)] = value;
+    }
+    wake_.notify_one();
+}
+
+void FileStorage::forget(std::string_view key) {
+    const std::lock_guard lock(mutex_);
+    if (const auto at = waiting_.find(key); at != waiting_.end()) waiting_.erase(at);
+    ::unlink(pathOf(key).c_str());  // what cannot is a disk that a next life cannot write its epoch to either
+}
+
+void FileStorage::run() {
+    std::unique_lock lock(mutex_);
+    while (true) {
+        wake_.wait(lock, [this] { return ending_ || !waiting_.empty(); });
+        if (waiting_.empty()) return;
+        const auto [key, value] = *waiting_.begin();
+        lock.unlock();
+        fs::path fresh;
+        try {
+            fresh = write(key, value);
+        } catch (const std::system_error&) {  // the disk is full, say: it is tried again
+        }
+        lock.lock();
+        const auto at = waiting_.find(key);
+        if (at == waiting_.end() || at->second != value) continue;  // forgotten, or newer
+        if (!fresh.empty() && ::rename(fresh.c_str(), pathOf(key).c_str()) == 0) {
+            waiting_.erase(at);
+            lock.unlock();
+            synchroniseFolder(folder_);
+            lock.lock();
+        } else if (ending_) {
+            return;
+        } else {
+            wake_.wait_for(lock, kTryAgain, [this] { return ending_; });
+        }
+    }
 }
 
 namespace {
 
 constexpr std::uint64_t kNotePeriod = 16U << 20U;  // bytes that a killed process may have to be sent again
+
+constexpr const char* kDropped = ".dropped";
 
 /// How far a file has been hashed, so that a resumed upload need not be read again.
 struct HashNote {
@@ -177,6 +235,14 @@ class FileResourceStore::Synchroniser {
         }
         wake_.notify_one();
         thread_.join();
+    }
+    /// Deletes what lies there under names that end in kDropped; of a large file that takes a while.
+    void sweep(fs::path folder) {
+        {
+            const std::lock_guard lock(mutex_);
+            swept_ = std::move(folder);
+        }
+        wake_.notify_one();
     }
     void add(int fd, fs::path place) {
         Job dropped;  // closed after the lock
@@ -212,15 +278,25 @@ class FileResourceStore::Synchroniser {
     void run() {
         while (true) {
             Job job;
+            fs::path swept;
             {
                 std::unique_lock lock(mutex_);
-                wake_.wait(lock, [this] { return ending_ || !jobs_.empty(); });
-                if (jobs_.empty()) return;
-                job = std::move(jobs_.front());
-                jobs_.pop_front();
+                wake_.wait(lock, [this] { return ending_ || !jobs_.empty() || !swept_.empty(); });
+                swept = std::exchange(swept_, {});
+                if (swept.empty() && jobs_.empty()) return;
+                if (!jobs_.empty()) {
+                    job = std::move(jobs_.front());
+                    jobs_.pop_front();
+                }
             }
-            synchronise(job);
+            if (!swept.empty()) deleteDropped(swept);
+            if (job.fd >= 0) synchronise(job);
         }
+    }
+    static void deleteDropped(const fs::path& folder) {
+        std::error_code ignored;
+        for (const auto& entry : fs::directory_iterator(folder, ignored))
+            if (entry.path().extension() == kDropped) fs::remove(entry.path(), ignored);
     }
     static void synchronise(const Job& job) {
         struct stat ours {
@@ -240,6 +316,7 @@ class FileResourceStore::Synchroniser {
     std::mutex mutex_;
     std::condition_variable wake_;
     std::deque<Job> jobs_;  // guarded by mutex_
+    fs::path swept_;        // guarded by mutex_; empty = nothing to delete
     bool ending_ = false;   // guarded by mutex_
     std::thread thread_;    // last: it uses the others
 };
@@ -306,6 +383,7 @@ FileResourceStore::FileResourceStore(fs::path folder) : folder_(std::move(folder
     makeFolder(folder_ / "resources");
     makeFolder(folder_ / "incoming");
     synchroniser_ = std::make_unique<Synchroniser>();
+    dropIncoming(fs::file_time_type::clock::now() - kIncomingKept);
 }
 
 FileResourceStore::~FileResourceStore() = default;
@@ -386,6 +464,28 @@ void FileResourceStore::suspend(std::string_view transfer_id) {
     if (at == transfers_.end()) return;
     at->second->note();
     transfers_.erase(at);
+}
+
+void FileResourceStore::dropSuspended() {
+    dropIncoming(fs::file_time_type::max());
+}
+
+/// Renamed here and deleted by the thread: the same content may be offered again at once.
+void FileResourceStore::dropIncoming(fs::file_time_type older_than) {
+    std::error_code ignored;
+    bool dropped = false;
+    for (const auto& entry : fs::directory_iterator(folder_ / "incoming", ignored)) {
+        const auto& path = entry.path();
+        const bool under_way = std::any_of(transfers_.begin(), transfers_.end(), [&](const auto& transfer) {
+            return transfer.second->path == path || noteOf(transfer.second->path) == path;
+        });
+        const auto written = entry.last_write_time(ignored);
+        if (under_way || (!ignored && written >= older_than)) continue;
+        auto gone = path;
+        if (path.extension() != kDropped) fs::rename(path, gone += kDropped, ignored);
+        dropped = true;
+    }
+    if (dropped) synchroniser_->sweep(folder_ / "incoming");
 }
 
 void FileResourceStore::remove(std::string_view service, std::string_view resource) {

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <chrono>
+#include <condition_variable>
 #include <filesystem>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <set>
 #include <string>
+#include <thread>
 
 #include "entity_manager/ports.hpp"
 
@@ -12,24 +16,38 @@ namespace axon::entity_manager {
 
 /// Storage in a folder, one file for each key, named by the key's hexadecimal digits so that no key can be a
 /// path. Values are written to a new file, synchronised and renamed: after a crash there is the old or the
-/// new value. Threads: one at a time. Failure: std::system_error with the file's name.
+/// new value. Threads: one at a time; one of its own writes what is to be kept, and tries again each second
+/// while it cannot. Bounded: one value waits for each key. Failure: std::system_error with the file's name.
 class FileStorage final : public Storage {
   public:
     /// Makes the folder (mode 0700) where it is missing.
     explicit FileStorage(std::filesystem::path folder);
+    /// Tries once more to write what waits.
+    ~FileStorage() override;
     std::optional<std::string> load(std::string_view key) override;
     void save(std::string_view key, std::string_view value) override;
+    void keep(std::string_view key, std::string_view value) override;
+    void forget(std::string_view key) override;
 
   private:
     std::filesystem::path pathOf(std::string_view key) const;
-    std::filesystem::path folder_;
+    std::filesystem::path write(std::string_view key, std::string_view value) const;
+    void run();
+
+    const std::filesystem::path folder_;
+    std::mutex mutex_;  // held for a rename or a removal: what is forgotten does not come back
+    std::condition_variable wake_;
+    std::map<std::string, std::string, std::less<>> waiting_;  // guarded by mutex_
+    bool ending_ = false;                                      // guarded by mutex_
+    std::thread thread_;                                       // last: it uses the others
 };
 
 /// Resources in <folder>/resources/<service>/<resource>/: the file "content" once it is complete, and beside
 /// it "stored" once the disk has it. What is still arriving lies in <folder>/incoming/, named by its SHA-256
 /// and size, so that a later offer of the same content resumes and a different one does not; beside it,
-/// ".state" says how much has been hashed. Service and resource names become safe folder names (letters,
-/// digits, '-', '_', ' ' stay; any other byte is %XX).
+/// ".state" says how much has been hashed. It goes with its holder (dropSuspended), and what an earlier life
+/// has left there when it has not grown for kIncomingKept. Service and resource names become safe folder
+/// names (letters, digits, '-', '_', ' ' stay; any other byte is %XX).
 ///
 /// No call waits for the disk to synchronise, or reads what has arrived before: a gigabyte would hold up the
 /// strand, and the robot would stop for want of heartbeats. A thread of its own synchronises what finish()
@@ -41,6 +59,7 @@ class FileStorage final : public Storage {
 class FileResourceStore final : public ResourceStore {
   public:
     static constexpr std::size_t kUnsynchronised = 64;
+    static constexpr std::chrono::hours kIncomingKept{24};
 
     explicit FileResourceStore(std::filesystem::path folder);
     ~FileResourceStore() override;
@@ -49,6 +68,7 @@ class FileResourceStore final : public ResourceStore {
     Result<void> write(std::string_view transfer_id, std::uint64_t offset, std::string_view content) override;
     Result<std::string> finish(std::string_view transfer_id) override;
     void suspend(std::string_view transfer_id) override;
+    void dropSuspended() override;
     void remove(std::string_view service, std::string_view resource) override;
     std::optional<std::string> find(std::string_view service, std::string_view resource) override;
 
@@ -56,6 +76,7 @@ class FileResourceStore final : public ResourceStore {
     struct Transfer;
     class Synchroniser;
     std::filesystem::path placeOf(std::string_view service, std::string_view resource) const;
+    void dropIncoming(std::filesystem::file_time_type older_than);
 
     std::filesystem::path folder_;
     std::map<std::string, std::unique_ptr<Transfer>, std::less<>> transfers_;

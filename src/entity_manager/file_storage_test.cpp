@@ -2,8 +2,11 @@
 #include "entity_manager/file_storage.hpp"
 
 #include <axon/transfer.pb.h>
+#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <stdlib.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <fstream>
 #include <sstream>
@@ -52,6 +55,74 @@ TEST_F(Folder, AValueSurvivesAndNoKeyLeavesTheFolder) {
     EXPECT_EQ(storage.load("other"), std::nullopt);
     EXPECT_EQ(std::distance(fs::directory_iterator(folder / "s"), {}), 1);
     EXPECT_EQ(std::distance(fs::directory_iterator(folder), {}), 1);
+}
+
+/// A file that does not answer, as on a disk that hangs: a pipe that is full.
+struct StuckFile {
+    explicit StuckFile(fs::path at) : path(std::move(at)) {
+        EXPECT_EQ(::mkfifo(path.c_str(), 0600), 0);
+        fd = ::open(path.c_str(), O_RDWR | O_NONBLOCK);
+        while (::write(fd, "full", 4) > 0) {
+        }
+    }
+    ~StuckFile() { ::close(fd); }
+    void release() const {
+        char part[4096];
+        while (::read(fd, part, sizeof part) > 0) {
+        }
+        fs::remove(path);
+    }
+    const fs::path path;
+    int fd;
+};
+
+TEST_F(Folder, WhatIsKeptIsNotWaitedForAndIsTriedUntilTheDiskHasIt) {
+    const StuckFile stuck(folder / "6b.value.new");  // of the key "k"
+    {
+        FileStorage storage(folder);
+        storage.keep("k", "1");
+        storage.keep("k", "2");
+        EXPECT_EQ(storage.load("k"), std::nullopt);
+        stuck.release();
+    }
+    EXPECT_EQ(FileStorage(folder).load("k"), "2");
+}
+
+TEST_F(Folder, WhatIsForgottenDoesNotComeBack) {
+    const StuckFile stuck(folder / "6b.value.new");
+    {
+        FileStorage storage(folder);
+        storage.keep("k", "1");
+        storage.forget("k");
+        stuck.release();
+    }
+    EXPECT_EQ(FileStorage(folder).load("k"), std::nullopt);
+}
+
+TEST_F(Folder, WhatIsSuspendedGoesWithItsHolderAndWhatIsUnderWayStays) {
+    FileResourceStore store(folder);
+    (void)store.begin(offer("t1", 3, kAbc));
+    ASSERT_TRUE(store.write("t1", 0, "ab").ok());
+    store.suspend("t1");
+    (void)store.begin(offer("t2", 3, std::string(32, 'h')));
+    ASSERT_TRUE(store.write("t2", 0, "a").ok());
+    store.dropSuspended();
+    EXPECT_EQ(store.begin(offer("t3", 3, kAbc)).value(), 0U) << "nothing of it is left";
+    EXPECT_TRUE(store.write("t2", 1, "b").ok());
+    store.suspend("t2");
+    EXPECT_EQ(store.begin(offer("t4", 3, std::string(32, 'h'))).value(), 2U);
+}
+
+TEST_F(Folder, WhatNobodyHasGoneOnWithForADayIsDeletedAtTheStart) {
+    {
+        FileResourceStore store(folder);
+        (void)store.begin(offer("t1", 3, kAbc));
+        ASSERT_TRUE(store.write("t1", 0, "ab").ok());
+    }
+    for (const auto& entry : fs::directory_iterator(folder / "incoming"))
+        fs::last_write_time(entry, fs::file_time_type::clock::now() - FileResourceStore::kIncomingKept);
+    { const FileResourceStore next(folder); }
+    EXPECT_TRUE(fs::is_empty(folder / "incoming"));
 }
 
 TEST_F(Folder, AResourceArrivesInPartsIsCheckedAndFoundAgain) {

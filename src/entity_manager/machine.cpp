@@ -4,11 +4,11 @@
 #include <algorithm>
 #include <charconv>
 #include <chrono>
-#include <exception>
 #include <stdexcept>
 #include <utility>
 
 #include "common/planted_bug.hpp"
+#include "common/utf8.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -23,6 +23,9 @@ constexpr std::size_t kActiveTold = 1024;
 constexpr std::size_t kStreamName = 255;
 constexpr std::uint32_t kGenerationsReserved = 1000;
 constexpr const char* kGenerationKey = "stop_generation";
+/// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
+/// deleted on a full disk, and what is in doubt is latched.
+constexpr const char* kRearmedKey = "rearmed";
 constexpr std::size_t kReasonMax = 2000;
 
 const Refusal kTooLargeForLink{RefusalCode::TooLarge,
@@ -34,6 +37,8 @@ std::string loadUuid(Storage& storage, RandomSource& random) {
     if (const auto stored = storage.load("uuid"))
         if (const auto id = Id128::parse(*stored)) return id->toString();
     const auto made = Id128::uuid(random).toString();
+    storage.save(kRearmedKey,
+                 "1");  // before the uuid: a first life that is broken off leaves no latch that nobody set
     storage.save("uuid", made);
     return made;
 }
@@ -49,12 +54,6 @@ std::uint32_t firstGeneration(Storage& storage, StopGate& gate) {
         gate.continueFrom(stored);
     }
     return gate.generation();
-}
-
-/// Of the causes that the journal names: those after which a person must say that the robot may move again.
-bool latches(std::string_view cause) {
-    return cause == toString(StopCause::Requested) || cause == toString(StopCause::ClientLost) ||
-           cause == toString(StopCause::Improper);
 }
 
 template <class Message>
@@ -124,21 +123,21 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomS
       required_(generation_),
       queue_(settings_.task_queue_bound),
       uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
-    reserveGenerations();
+    // A person stopped the robot, and that this process was killed since is no word of a person.
+    latched_ = latch_kept_ = !storage.load(kRearmedKey).has_value();
+    if (!AXON_PLANTED(GenerationsNotReserved))
+        storage.save(kGenerationKey, std::to_string(generation_ + kGenerationsReserved));
+    reserved_ = generation_ + kGenerationsReserved;
     replayJournal();
 }
 
 // -- the journal
 // ---------------------------------------------------------------------------------------------------
 
-/// Of what earlier lives dispatched: it is not dispatched again, and what has no end there has none any more. A stop
-/// that was not followed by a rearm latches this life too.
+/// Of what earlier lives dispatched: it is not dispatched again, and what has no end there has none any more.
 void EntityManagerCore::Machine::replayJournal() {
     if (journal_ == nullptr || AXON_PLANTED(JournalNotRead)) return;
     journal_->replay([this](const JournalRecord& record) {
-        // A person stopped the robot, and that this process was killed since is no word of a person.
-        if (record.kind == JournalRecord::Kind::Stopped && latches(record.code)) latched_ = true;
-        if (record.kind == JournalRecord::Kind::Rearmed) latched_ = false;
         if (record.kind == JournalRecord::Kind::Dispatched) memory_.dispatched(record.task);
         if (record.kind != JournalRecord::Kind::TaskEnded) return;
         auto state = proto::TASK_UNKNOWN;  // of a later version, perhaps
@@ -162,7 +161,20 @@ bool EntityManagerCore::Machine::note(JournalRecord record) {
     record.at_us = toMicroseconds(clock_.now());
     const bool written = journal_->append(record);
     if (!written) ++counters_.unrecorded;
+    if (!written && !journal_failing_)
+        warning_ = "the journal cannot be written; no task begins until it can. Is the disk full?";
+    journal_failing_ = !written;
     return written;
+}
+
+/// After the effects, so that none of them waits for the disk; a rearm that it loses leaves the latch.
+void EntityManagerCore::Machine::keepLatch() {
+    if (latched_ == latch_kept_ || AXON_PLANTED(LatchNotKept)) return;
+    latch_kept_ = latched_;
+    if (latched_)
+        storage_.forget(kRearmedKey);
+    else
+        storage_.keep(kRearmedKey, "1");
 }
 
 void EntityManagerCore::Machine::noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) {
@@ -400,6 +412,7 @@ void EntityManagerCore::Machine::settle() {
     if (!AXON_PLANTED(WatchdogAlwaysIdle)) server_watchdog_.setBusy(state_ == EntityState::BUSY, clock_.now());
     server_signs_.allow(server_up_ ? server_watchdog_.timeout() : Duration{}, clock_.now());
     tellStatus();
+    keepLatch();
 }
 
 // -- the link to the robot application
@@ -695,23 +708,16 @@ void EntityManagerCore::Machine::handled(std::uint32_t generation, bool internal
         generation_ = std::max(generation_, generation);
         while (std::erase(early_, generation_ + 1) > 0) ++generation_;
         std::erase_if(early_, [this](std::uint32_t early) { return early <= generation_; });
-        if (generation_ >= reserved_) reserveGenerations();
+        // Early: the disk has it before that many more stops have come.
+        if (generation_ + kGenerationsReserved / 2 >= reserved_) {
+            reserved_ = generation_ + kGenerationsReserved;
+            if (!AXON_PLANTED(GenerationsNotReserved))
+                storage_.keep(kGenerationKey, std::to_string(reserved_));
+        }
     }
     if (voids) required_ = std::max(required_, generation);
     // A task that a stop should have voided must not become valid again: only when none is under way.
     if (stopsAreHandled()) queue_.restamp(generation_);
-}
-
-/// Many at a time, so that a stop does not wait for the disk.
-void EntityManagerCore::Machine::reserveGenerations() {
-    const bool first = reserved_ == 0;
-    const auto next = generation_ + kGenerationsReserved;
-    try {
-        if (!AXON_PLANTED(GenerationsNotReserved)) storage_.save(kGenerationKey, std::to_string(next));
-        reserved_ = next;  // not before: what could not be saved is tried again at the next stop
-    } catch (const std::exception&) {
-        if (first) throw;  // at the start somebody can mend it; later a full disk must not fail a stop
-    }
 }
 
 void EntityManagerCore::Machine::stopApplication(Incident& incident) {
@@ -765,7 +771,10 @@ void EntityManagerCore::Machine::onStopRepeated(const Header& head, StopCause ca
     auto& receipt = *message.mutable_receipt();
     receipt = receiptOf(head, cause, generation);
     for (const auto& open : open_stops_)
-        if (open.receipt.stop_id() == receipt.stop_id()) receipt.set_stage(open.receipt.stage());
+        if (open.receipt.stop_id() == receipt.stop_id()) {
+            receipt.set_stage(open.receipt.stage());
+            receipt.set_fault(open.receipt.fault());
+        }
     tell(head.sender, kMsgReceipt, message, Lane::Signal);
 }
 
@@ -816,6 +825,21 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
     }
     proto::ToClient message;
     const auto now = toMicroseconds(clock_.now());
+    if (!done.fault().empty()) {
+        const auto fault = std::string(cutUtf8(done.fault(), kReasonMax));
+        warning_ = "the stop callback of the robot application threw, and is called again: " + fault;
+        for (auto& open : open_stops_) {
+            if (open.receipt.cause() == proto::STOP_DRILL ||
+                open.receipt.stop_generation() > done.stop_generation() ||
+                open.receipt.stage() >= proto::StopReceipt::CALLBACK_RETURNED)
+                continue;
+            open.receipt.set_fault(fault);
+            *message.mutable_receipt() = open.receipt;
+            message.mutable_receipt()->set_at_us(now);
+            for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+        }
+        return;
+    }
     // The answer to a drill says nothing of a stop before it whose callback has not returned, or has thrown.
     const bool drill = done.stage() == proto::StopReceipt::CALLBACK_RETURNED &&
                        std::any_of(open_stops_.begin(), open_stops_.end(), [&](const OpenStop& open) {
@@ -828,6 +852,7 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
         if (open.receipt.stop_generation() > done.stop_generation() || open.receipt.stage() >= done.stage())
             continue;
         open.receipt.set_stage(done.stage());
+        open.receipt.clear_fault();
         *message.mutable_receipt() = open.receipt;
         message.mutable_receipt()->set_at_us(now);
         message.mutable_receipt()->set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
@@ -1145,6 +1170,7 @@ void EntityManagerCore::Machine::shutDown() {
     incident.reason = {RefusalCode::Unavailable, "The Entity Manager has been ended by its operator.", {}};
     fire(incident);
     if (busy_told_ && link_up_) back_end_.setBusy(false);
+    keepLatch();
     quit_ = true;
 }
 

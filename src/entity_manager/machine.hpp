@@ -55,6 +55,7 @@ class EntityManagerCore::Machine {
 
     EntityState state() const { return state_; }
     bool latched() const { return latched_; }
+    bool serverUp() const { return server_up_; }
     const std::string& uuid() const { return uuid_; }
     void offerDatagrams(std::string endpoint) { datagram_endpoint_ = std::move(endpoint); }
     const LeaseBook::Held* held() const { return lease_.held() ? &*lease_.held() : nullptr; }
@@ -129,6 +130,7 @@ class EntityManagerCore::Machine {
     void replayJournal();
     /// Fills in what is empty and every entry has; false when it could not be written.
     bool note(JournalRecord record);
+    void keepLatch();
     /// Refusals of ownership are noted, at most so many a second; others are not.
     void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal);
 
@@ -154,7 +156,6 @@ class EntityManagerCore::Machine {
     void stopDone(const proto::StopDone& done);
     void confirmStop(std::uint32_t generation);
     proto::StopReceipt receiptOf(const Header& head, StopCause cause, std::uint32_t generation) const;
-    void reserveGenerations();
     /// Every stop that has been given is confirmed by the robot application, those on their way here
     /// included.
     bool standing() const {
@@ -182,7 +183,8 @@ class EntityManagerCore::Machine {
     void sendGrant(proto::CheckOutPhase phase);
     void replyCheckOut(const Sender& to, const std::string& request_id, proto::CheckOutPhase phase,
                        const Refusal& refusal);
-    void sendPlace(const Claim& claim, std::size_t place);
+    /// `kept`: what the holder, who was asked, has said.
+    void sendPlace(const Claim& claim, std::size_t place, const std::string& kept = {});
     void orphanLease(const Incident& incident);
     void endLease(const Incident& incident);
     void sendLeaseEnded(const LeaseBook::Held& held, const Refusal& reason);
@@ -264,6 +266,8 @@ class EntityManagerCore::Machine {
     EntityState state_ = EntityState::UNAV;
     EntityState previous_ = EntityState::REG;  ///< where BUSY returns to
     bool latched_ = false;
+    bool latch_kept_ = false;  ///< as the storage has it
+    bool journal_failing_ = false;
     bool link_up_ = false;
     bool server_up_ = false;
     bool server_silent_ = false;

@@ -16,7 +16,8 @@ namespace {
 constexpr Duration kReserveDefault = std::chrono::seconds{2};
 constexpr Duration kReserveMax = std::chrono::seconds{30};
 /// How long a check-out waits for the robot to confirm its last stop.
-constexpr Duration kStandstillWait = std::chrono::seconds{5};
+constexpr Duration kStandstillWait =
+    std::chrono::seconds{4};  // below the client's time-out: it should hear why
 constexpr double kAnswerWithinMax_s = 600;
 constexpr std::size_t kKeySize = 16;
 constexpr std::size_t kWhyMax = 500;
@@ -410,14 +411,13 @@ void EntityManagerCore::Machine::decideHandOver(const HandOver::Question& questi
                   whose + " hands it over to " + named(claim.client) + because(said), named(claim.client)});
         return;
     }
+    const auto kept = whose + " keeps it" + because(accepted ? std::string() : said);
     if (question.waits && wait_list_.mayJoin(claim.client, claim.request_id).ok()) {
         const auto place = wait_list_.join(claim, clock_.now());
-        sendPlace(claim, place);
+        sendPlace(claim, place, kept);
         return;
     }
-    replyCheckOut(claim.client, claim.request_id, proto::TAKE,
-                  {RefusalCode::HandOverRefused,
-                   whose + " keeps it" + because(accepted ? std::string() : said), whose});
+    replyCheckOut(claim.client, claim.request_id, proto::TAKE, {RefusalCode::HandOverRefused, kept, whose});
 }
 
 // -- what follows by itself
@@ -515,6 +515,7 @@ void EntityManagerCore::Machine::endLease(const Incident& incident) {
                : incident.reason.code == RefusalCode::Expired ? RefusalCode::Expired
                                                               : RefusalCode::RevokedLease,
                own_wish ? "it was released." : incident.reason.message);
+    store_.dropSuspended();
 }
 
 void EntityManagerCore::Machine::sendLeaseEnded(const LeaseBook::Held& held, const Refusal& reason) {
@@ -612,12 +613,13 @@ void EntityManagerCore::Machine::replyCheckOut(const Sender& to, const std::stri
 }
 
 /// Neither granted nor refused: waiting, or the holder has been asked.
-void EntityManagerCore::Machine::sendPlace(const Claim& claim, std::size_t place) {
+void EntityManagerCore::Machine::sendPlace(const Claim& claim, std::size_t place, const std::string& kept) {
     proto::ToClient message;
     auto& reply = *message.mutable_check_out();
     reply.set_request_id(claim.request_id);
     reply.set_phase(proto::TAKE);
     reply.set_place(static_cast<std::uint32_t>(place));
+    reply.set_kept(kept);
     reply.set_stop_generation(generation_);
     reply.set_latched(latched_);
     tell(claim.client, kMsgCheckOut, message);

@@ -394,6 +394,30 @@ TEST_F(Ownership, TheHolderDecidesWhoeverAsksFirst) {
     EXPECT_FALSE(rig.core().latched());
 }
 
+TEST_F(Ownership, WhoAsksAndWaitsIsToldThatTheHolderKeepsItAndWhatItSaid) {
+    rig.take("client1", "r1");
+    checkOut("client2", "r2", [](auto& request) {
+        request.set_ask(true);
+        request.set_wait(true);
+    });
+    EXPECT_EQ(answer("client2").kept(), "");
+    proto::ToEntity no;
+    no.mutable_hand_over_answer()->set_request_id(idOf("r2"));
+    no.mutable_hand_over_answer()->set_reason("ten more minutes");
+    rig.send("client1", no);
+    EXPECT_EQ(answer("client2").place(), 1U);
+    EXPECT_EQ(answer("client2").kept(), "client1@lab keeps it: ten more minutes");
+}
+
+TEST_F(Ownership, WhatArrivedOfBrokenOffUploadsGoesWithItsHolder) {
+    rig.take("client1", "r1");
+    rig.resources.partial["hash"] = "half of it";
+    lose("client1");
+    EXPECT_FALSE(rig.resources.partial.empty()) << "its holder may come back";
+    rig.advance(std::chrono::milliseconds{5100});
+    EXPECT_TRUE(rig.resources.partial.empty());
+}
+
 TEST_F(Ownership, AQuestionIsPutAnewToAHolderThatHasComeBack) {
     rig.take("client1", "r1");
     checkOut("client2", "r2", ask);

@@ -51,6 +51,8 @@ int main(int argc, char** argv) {
                   << " server=" << options.server.text() << std::endl;
         ended.get_future().wait();
         manager->stop();
+        ice->destroy();  // its threads may hold the manager, which must end while all that it uses is still
+                         // there
         executor.join();
         return 0;
     } catch (const std::exception& problem) {

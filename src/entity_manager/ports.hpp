@@ -69,15 +69,23 @@ class Storage {
   public:
     virtual ~Storage() = default;
     virtual std::optional<std::string> load(std::string_view key) = 0;
+    /// The disk has it when it returns: for the start, before anything waits for the strand.
     virtual void save(std::string_view key, std::string_view value) = 0;
+    /// The disk has it soon, and it is tried again until it has: nobody waits for that, and what ends the
+    /// process before is as if it had not been called.
+    virtual void keep(std::string_view key, std::string_view value) { save(key, value); }
+    /// A next life does not find it, however this one ends. Needs no room on the disk, and does not wait for
+    /// it.
+    virtual void forget(std::string_view key) = 0;
 };
 
 /// The record of what was decided, append-only and bounded: the oldest entries go first (ADR 0013).
 class Journal {
   public:
     virtual ~Journal() = default;
-    /// Returns when the entry would outlive a kill of this process; it does not wait for the disk. False: it
-    /// is not written, and what must not happen unrecorded may not happen.
+    /// A dispatch would outlive a kill of this process when it returns; the others are written soon, and a
+    /// stop does not wait for them. False: it is not written, and what must not happen unrecorded may not
+    /// happen.
     virtual bool append(const JournalRecord& record) = 0;
     /// All entries that are kept, oldest first. Called once, before the first append().
     virtual void replay(const std::function<void(const JournalRecord&)>& each) = 0;
@@ -97,6 +105,8 @@ class ResourceStore {
     virtual Result<std::string> finish(std::string_view transfer_id) = 0;
     /// Keeps what has arrived, so that a later offer of the same content resumes.
     virtual void suspend(std::string_view transfer_id) = 0;
+    /// Who could resume what is suspended has gone: it is deleted.
+    virtual void dropSuspended() = 0;
     /// Deletes a resource that is not savable after its task.
     virtual void remove(std::string_view service, std::string_view resource) = 0;
     /// Path and facts of a savable resource that is already here.

@@ -21,4 +21,9 @@ ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads,
     signal_adapter_->activate();
 }
 
+void ServerCommunicators::destroy() {
+    data_->destroy();
+    signal_->destroy();
+}
+
 }  // namespace axon::entity_manager

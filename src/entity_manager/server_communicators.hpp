@@ -18,6 +18,10 @@ class ServerCommunicators {
     explicit ServerCommunicators(int data_threads = 2, int signal_threads = 1,
                                  const std::map<std::string, std::string>& properties = {});
 
+    /// Closes every connection and joins the threads; blocks. Entity Managers that are left hear of nobody
+    /// any more.
+    void destroy();
+
     const std::shared_ptr<Ice::Communicator>& data() const { return data_.communicator(); }
     const std::shared_ptr<Ice::Communicator>& signal() const { return signal_.communicator(); }
     const std::shared_ptr<Ice::ObjectAdapter>& dataAdapter() const { return data_adapter_; }

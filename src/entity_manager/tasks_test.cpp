@@ -108,6 +108,36 @@ TEST_F(Tasks, ALatchOutlivesTheManagerUntilARearm) {
     EXPECT_FALSE(rig.core().latched());
 }
 
+TEST_F(Tasks, AStopThatTheDiskHasNoRoomForIsCarriedOutAndALaterLifeIsLatched) {
+    rig.task("client1", "t1", "Turning");
+    rig.grant("t1");
+    rig.journal.full = rig.storage.full = true;
+    rig.stop("client2");
+    EXPECT_TRUE(rig.core().latched());
+    EXPECT_EQ(lastOf(rig, "t1").state(), proto::TASK_STOPPED);
+    EXPECT_FALSE(rig.core().takeWarning().empty());
+    rig.journal.full = rig.storage.full = false;
+    rig.restart();
+    EXPECT_TRUE(rig.core().latched());
+}
+
+TEST_F(Tasks, ARearmThatDoesNotComeToTheDiskLeavesTheLatchToALaterLife) {
+    rig.stop("client2");
+    rig.stopDone(1);
+    rig.storage.full = true;
+    rig.rearm("client1", "rearm");
+    EXPECT_FALSE(rig.core().latched());
+    rig.restart();
+    EXPECT_TRUE(rig.core().latched());
+}
+
+TEST_F(Tasks, NothingThatTheJournalForgetsUnlatches) {
+    rig.stop("client2");
+    rig.journal.records.clear();
+    rig.restart();
+    EXPECT_TRUE(rig.core().latched());
+}
+
 TEST_F(Tasks, AStopThatDoesNotLatchDoesNotLatchTheNextLife) {
     proto::ToEntity release;
     release.mutable_release();

@@ -80,6 +80,12 @@ std::optional<std::string> MemoryStorage::load(std::string_view key) {
 void MemoryStorage::save(std::string_view key, std::string_view value) {
     values[std::string(key)] = value;
 }
+void MemoryStorage::keep(std::string_view key, std::string_view value) {
+    if (!full) save(key, value);
+}
+void MemoryStorage::forget(std::string_view key) {
+    values.erase(std::string(key));
+}
 
 bool MemoryJournal::append(const entity_manager::JournalRecord& record) {
     if (full) return false;
@@ -122,6 +128,12 @@ Result<std::string> MemoryResources::finish(std::string_view transfer_id) {
 void MemoryResources::suspend(std::string_view transfer_id) {
     const auto at = open.find(transfer_id);
     if (at != open.end()) open.erase(at);
+}
+void MemoryResources::dropSuspended() {
+    std::erase_if(partial, [this](const auto& arrived) {
+        return std::none_of(open.begin(), open.end(),
+                            [&](const auto& transfer) { return transfer.second.sha256() == arrived.first; });
+    });
 }
 void MemoryResources::remove(std::string_view service, std::string_view resource) {
     complete.erase(std::string(service) + '/' + std::string(resource));

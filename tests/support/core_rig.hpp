@@ -24,7 +24,10 @@ class MemoryStorage final : public entity_manager::Storage {
   public:
     std::optional<std::string> load(std::string_view key) override;
     void save(std::string_view key, std::string_view value) override;
+    void keep(std::string_view key, std::string_view value) override;
+    void forget(std::string_view key) override;
     std::map<std::string, std::string, std::less<>> values;
+    bool full = false;  ///< what is to be kept does not come to the disk
 };
 
 /// A journal in memory; outlives a core too.
@@ -44,6 +47,7 @@ class MemoryResources final : public entity_manager::ResourceStore {
     Result<void> write(std::string_view transfer_id, std::uint64_t offset, std::string_view content) override;
     Result<std::string> finish(std::string_view transfer_id) override;
     void suspend(std::string_view transfer_id) override;
+    void dropSuspended() override;
     void remove(std::string_view service, std::string_view resource) override;
     std::optional<std::string> find(std::string_view service, std::string_view resource) override;
 
