@@ -16,16 +16,7 @@ using client::Task;
 /// Check-outs and tasks by name, and one callback of the library spread to those who listen.
 class ClientStation final : public Station {
   public:
-    explicit ClientStation(std::unique_ptr<Client> client) : client_(std::move(client)) {
-        client_->onConnection([this](bool connected, const std::string& reason) {
-            if (connected) return;
-            for (const auto& entity : client_->held()) {
-                tell(entity.entity().id, [&](const Listener& listener) {
-                    if (listener.orphaned) listener.orphaned(reason);
-                });
-            }
-        });
-    }
+    explicit ClientStation(std::unique_ptr<Client> client) : client_(std::move(client)) {}
 
     Sender self() const override { return client_->self(); }
     std::string server() const override { return client_->server(); }
@@ -200,6 +191,11 @@ class ClientStation final : public Station {
             check_out.onRaw([this, id](const std::string& bytes) {
                 tell(id, [&](const Listener& listener) {
                     if (listener.raw) listener.raw(bytes);
+                });
+            });
+            check_out.onOrphaned([this, id](const std::string& reason) {
+                tell(id, [&](const Listener& listener) {
+                    if (listener.orphaned) listener.orphaned(reason);
                 });
             });
             check_out.onResumed([this, id] {

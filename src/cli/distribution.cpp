@@ -18,13 +18,11 @@ Json number(const std::optional<double>& value) {
 }  // namespace
 
 void Distribution::add(std::optional<Seconds> time) {
-    if (time) {
+    if (time)
         times_.push_back(time->count() * 1000);
-        samples_.emplace_back(times_.back());
-    } else {
+    else
         ++never_;
-        samples_.emplace_back();
-    }
+    if (samples_.size() < kSamples) samples_.push_back(time ? std::optional(times_.back()) : std::nullopt);
 }
 
 std::optional<double> Distribution::quantile(double part) const {

@@ -11,6 +11,8 @@ namespace axon::cli {
 /// What was measured, some of which may never have arrived; these count as infinitely late. Pure.
 class Distribution {
   public:
+    static constexpr std::size_t kSamples = 10'000;
+
     void add(std::optional<Seconds> time);
 
     std::size_t count() const { return times_.size() + never_; }
@@ -27,12 +29,13 @@ class Distribution {
     std::vector<Bin> histogram() const;
 
     /// "n", "never_arrived", "p50_ms" … (a number, "never", or null where n is too small), "histogram",
-    /// "samples_ms" (null = never).
+    /// "samples_ms" (null = never), of which there are the first kSamples: an event is one line of the agent,
+    /// and that has a bound.
     Json toJson() const;
 
   private:
-    std::vector<double> times_;  // ms, in the order in which they came
-    std::vector<std::optional<double>> samples_;
+    std::vector<double> times_;                   // ms
+    std::vector<std::optional<double>> samples_;  // the first, as they came
     std::size_t never_ = 0;
 };
 

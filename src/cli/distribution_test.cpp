@@ -43,6 +43,15 @@ TEST(DistributionTest, WhatNeverArrivedIsInfinitelyLate) {
     EXPECT_EQ(json.at("samples_ms").at(9), nullptr);
 }
 
+TEST(DistributionTest, AnyNumberOfTriesFitsIntoALineOfTheAgent) {
+    Distribution times;
+    for (int i = 0; i < 50'000; ++i) times.add(Seconds(0.001 / 3 + i * 1e-9 / 7));
+    const auto json = times.toJson();
+    EXPECT_EQ(json.at("n"), 50'000);
+    EXPECT_EQ(json.at("samples_ms").size(), Distribution::kSamples);
+    EXPECT_LT(2 * json.dump().size(), std::size_t{1} << 20U) << "an event has two of them";
+}
+
 TEST(DistributionTest, TheHistogramGoesFromTheFirstToTheLast) {
     Distribution times;
     for (const double ms : {0.3, 0.4, 3.0, 20000.0}) times.add(Seconds(ms / 1000));

@@ -95,7 +95,7 @@ class FakeStation : public Station {
         return list;
     }
     Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names) override {
-        ++drills;
+        if (++drills == refused_drill) return Refusal{RefusalCode::NotConnected, "the server has gone", {}};
         std::vector<DrillReport> reports;
         for (const auto& one : entities_) {
             if (!names.empty() && std::find(names.begin(), names.end(), one.name) == names.end()) continue;
@@ -286,7 +286,8 @@ class FakeStation : public Station {
     std::string asks;  ///< who wants the arm
     std::vector<client::WatchdogMargin> watchdogs;
     bool waits_for_ever = false;
-    int lost_drill = 0;  ///< the one that never arrives
+    int lost_drill = 0;     ///< the one that never arrives
+    int refused_drill = 0;  ///< the one that is refused
     std::atomic<bool> is_connected{true};
     bool stop_is_confirmed = true;
     bool cancel_is_heard = true;

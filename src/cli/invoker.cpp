@@ -105,7 +105,8 @@ std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<St
     // Who holds something should learn that somebody asks for it, whatever they came for; a stop has no time.
     if (work.verb != "stop" && work.verb != "handover") {
         for (const auto& question : station->questions())
-            work.events.emit(toJson(question.request, callName(question.entity, station->entities())));
+            work.events.emit(
+                toJson(question.request, callName(question.entity, station->entities()), "axon handover"));
     }
     return verb->perform(session);
 }
@@ -433,6 +434,11 @@ int Invoker::holdWhile(const Json& args, const std::vector<std::string>& command
         return kInterrupted;
     }
 
+    const auto socket = place->directory / ("run-" + std::to_string(::getpid()) + ".sock");
+    // From any terminal, where the command itself, which has these in its environment, may be busy.
+    const auto answer = "AXON_AGENT=" + shellWord(socket.string()) +
+                        " AXON_AGENT_SERVER=" + shellWord(settings_.server) + " axon --server " +
+                        shellWord(settings_.server) + " handover";
     std::vector<std::shared_ptr<void>> listening;
     std::mutex telling;
     for (std::size_t i = 0; i < ids.size(); ++i) {
@@ -449,8 +455,8 @@ int Invoker::holdWhile(const Json& args, const std::vector<std::string>& command
             const std::lock_guard lock(telling);
             events.emit(event);
         };
-        listener.hand_over = [say, name = names[i]["call"]](const HandOverRequest& request) {
-            say(toJson(request, name));
+        listener.hand_over = [say, answer, name = names[i]["call"]](const HandOverRequest& request) {
+            say(toJson(request, name, answer));
         };
         listener.orphaned = [say, name = names[i]["call"]](const std::string& reason) {
             say({{"event", "orphaned"}, {"entity", name}, {"message", reason}});
@@ -459,7 +465,6 @@ int Invoker::holdWhile(const Json& args, const std::vector<std::string>& command
         listening.push_back(station->listen(ids[i], std::move(listener)));
     }
 
-    const auto socket = place->directory / ("run-" + std::to_string(::getpid()) + ".sock");
     auto listened = listenAt(socket);
     if (!listened) {
         events.emit(errorEvent(listened.refusal()));

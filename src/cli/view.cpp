@@ -501,6 +501,12 @@ void PersonView::showReceipts(const Json& event) {
     }
     wipe();
     out_ << table.text(terminal_.colour) << std::flush;
+    for (const auto& receipt : list)
+        if (const auto fault = textOf(receipt, "fault"); !fault.empty())
+            err_ << paint("axon: the stop callback of " + textOf(receipt, "call") +
+                              " is called again and again: " + fault,
+                          Tint::Red)
+                 << '\n';
     if (!event.value("confirmed", false)) {
         err_ << paint("axon: not every stop is confirmed: go and look, use the emergency stop of the robot",
                       Tint::Red)
@@ -590,13 +596,19 @@ void PersonView::showHandOver(const Json& event) {
     }
     const auto reason = textOf(event, "reason");
     const auto within = event.value("answer_within_s", 0.0);
-    err_ << paint("axon: " + textOf(event, "by") + " asks for " + entity +
-                      (reason.empty() ? "" : ": " + reason),
-                  Tint::Yellow)
-         << "\nanswer" << (within > 0 ? " within " + duration(within) : "") << ": axon handover "
-         << shellWord(entity) << " accept, or refuse; silence "
-         << (event.value("yield", false) ? "hands it over" : "refuses") << '\n'
-         << std::flush;
+    err_ << paint(
+        "axon: " + textOf(event, "by") + " asks for " + entity + (reason.empty() ? "" : ": " + reason),
+        Tint::Yellow);
+    const auto answer = textOf(event, "answer");
+    const bool yield = event.value("yield", false);
+    if (answer.empty()) {
+        err_ << "\nnobody can answer for this command: it " << (yield ? "is handed over" : "is refused")
+             << (within > 0 ? " after " + duration(within) : "") << '\n';
+    } else {
+        err_ << "\nanswer" << (within > 0 ? " within " + duration(within) : "") << ": " << answer
+             << " accept, or refuse; silence " << (yield ? "hands it over" : "refuses") << '\n';
+    }
+    err_ << std::flush;
 }
 
 void PersonView::showDrill(const Json& event) {

@@ -165,6 +165,7 @@ TEST_F(View, ShowsTheReceiptOfAStopStageByStage) {
     bad.name = "Cyton";
     bad.callback_returned.reset();
     bad.standstill.reset();
+    bad.fault = "it threw: no brake";
     auto list = Json::array({toJson(good), toJson(bad)});
     for (auto& one : list) one["call"] = one["name"];
     EXPECT_EQ(shown({{{"event", "receipts"}, {"confirmed", false}, {"receipts", list}}}),
@@ -172,6 +173,8 @@ TEST_F(View, ShowsTheReceiptOfAStopStageByStage) {
               "PeopleBot  0.4 ms  0.9 ms   1.2 ms    210 ms      REG    ✓ confirmed\n"
               "Cyton      0.4 ms  0.9 ms   -         -           REG    ✗ NOT CONFIRMED\n");
     EXPECT_THAT(err.str(), HasSubstr("not every stop is confirmed"));
+    EXPECT_THAT(err.str(),
+                HasSubstr("the stop callback of Cyton is called again and again: it threw: no brake"));
 }
 
 TEST_F(View, ShowsErrorsWithCodeHolderAndMend) {

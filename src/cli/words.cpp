@@ -160,17 +160,19 @@ Json toJson(const Receipt& receipt) {
             {"manager_ms", milliseconds(receipt.manager)},
             {"callback_returned_ms", milliseconds(receipt.callback_returned)},
             {"standstill_ms", milliseconds(receipt.standstill)},
-            {"no_application", receipt.no_application}};
+            {"no_application", receipt.no_application},
+            {"fault", receipt.fault}};
 }
 
-Json toJson(const HandOverRequest& request, const std::string& entity) {
+Json toJson(const HandOverRequest& request, const std::string& entity, const std::string& answer) {
     return {{"event", "hand_over"},
             {"entity", entity},
             {"by", request.by},
             {"reason", request.reason},
             {"answer_within_s", request.answer_within.count()},
             {"yield", request.yield},
-            {"withdrawn", request.withdrawn}};
+            {"withdrawn", request.withdrawn},
+            {"answer", answer.empty() ? Json(nullptr) : Json(answer + " " + shellWord(entity))}};
 }
 
 Json errorEvent(const Refusal& refusal, const std::string& entity) {

@@ -14,8 +14,8 @@ Json toJson(const Entity& entity, bool yours);
 Json toJson(const Service& service);
 Json toJson(const TaskReport& report);
 Json toJson(const Receipt& receipt);
-/// A "hand_over" event.
-Json toJson(const HandOverRequest& request, const std::string& entity);
+/// A "hand_over" event. `answer`: the command that answers it, up to the entity; empty = nobody can.
+Json toJson(const HandOverRequest& request, const std::string& entity, const std::string& answer);
 
 /// {"event": "error", "code", "message", "holder"?, "mend"?}. `entity` is how the user would name it again.
 Json errorEvent(const Refusal& refusal, const std::string& entity = {});

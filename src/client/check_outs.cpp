@@ -410,6 +410,7 @@ void SessionCore::onCheckOutReply(const Header& head, const proto::CheckOutReply
         return;
     }
     if (expected == proto::TAKE && !grants && (order.options.wait || order.options.ask)) {
+        if (!reply.kept().empty()) order.kept = reply.kept();
         onWaiting(id, static_cast<int>(reply.place()));
         return;
     }
@@ -493,13 +494,12 @@ void SessionCore::onPartyRefused(Id128 id, const std::string& entity, const Refu
 }
 
 void SessionCore::endAttempt(CheckOutOrder& order, const Refusal& why) {
-    const bool waits = order.options.wait || order.options.ask;
     auto parties = order.parties;
     for (auto& party : parties) {
         if (party.granted) {
             endLease(party.entity, why, false);
             if (connected_) sendRelease({party.entity, party.lease});
-        } else if ((order.several || waits) && !order.resume && !party.refused && connected_) {
+        } else if (!order.resume && !party.refused && connected_) {
             sendCheckOut(order, party, proto::ABORT);
         }
     }
@@ -526,12 +526,15 @@ void SessionCore::onWaiting(Id128 id, int place) {
     const auto known = entities_.find(entity);
     const auto holder = known == entities_.end() ? std::string() : known->second.facts.holder.name;
     std::string message;
-    if (order.options.ask)
+    if (!order.kept.empty())
+        message = order.kept.substr(0, order.kept.find_last_not_of('.') + 1);
+    else if (order.options.ask)
         message = (holder.empty() ? "The holder of " + label(entity) : holder) + " has been asked";
     if (order.options.wait) {
         message += (message.empty() ? "Place " : "; place ") + std::to_string(place) +
                    " in the wait list of " + label(entity);
-        if (!holder.empty() && !order.options.ask) message += ", which is held by " + holder;
+        if (!holder.empty() && (!order.options.ask || !order.kept.empty()))
+            message += ", which is held by " + holder;
     }
     tellWaiting(order, {entity, place, message + "."});
 }
@@ -700,7 +703,7 @@ bool SessionCore::orphaned(const Held& held) const {
     return mine != nullptr && mine->orphaned;
 }
 
-void SessionCore::orphan(const std::string& entity, bool left) {
+void SessionCore::orphan(const std::string& entity, bool left, const std::string& reason) {
     auto& mine = leases_.at(entity);
     const auto now = clock_.now();
     if (mine.orphaned && !mine.left) {
@@ -722,7 +725,7 @@ void SessionCore::orphan(const std::string& entity, bool left) {
         pending.lease = mine.number;
         pending.deadline = mine.expires;
         await(Ask::Resume, mine.resume, std::move(pending));
-        observer_.onOrphaned({entity, mine.number});
+        observer_.onOrphaned({entity, mine.number}, reason);
     } else {
         postpone(pending_.find({Ask::Resume, mine.resume}), mine.expires);
     }

@@ -342,9 +342,52 @@ TEST_F(CheckOutsTest, ASilentEntityIsPassedOver) {
     core.checkOut(parseQuery("1 ROBOT").value(), {}, answer.taker());
     link.sent.clear();
     advance(5s);
-    ASSERT_THAT(link.sent, SizeIs(1));
-    answerCheckOut(link.take().at(0));
+    const auto sent = link.take();
+    EXPECT_THAT(phase(sent, proto::ABORT), SizeIs(1));
+    const auto second = phase(sent, proto::TAKE);
+    ASSERT_THAT(second, SizeIs(1));
+    answerCheckOut(second[0]);
     EXPECT_TRUE(answer.refusal.ok());
+}
+
+TEST_F(CheckOutsTest, AQueryLooksForAnotherWhenTheOneItHasAskedLeaves) {
+    idle(1);
+    idle(2);
+    core.checkOut(parseQuery("1 ROBOT").value(), {}, answer.taker());
+    const auto first = link.take().at(0);
+    core.onProfile(Presence::Left, {first.head.entity, "PeopleBot", "ROBOT", "MOBILE"}, {});
+    EXPECT_EQ(answer.count, 0);
+    const auto second = link.take();
+    ASSERT_THAT(second, SizeIs(1));
+    EXPECT_NE(second[0].head.entity, first.head.entity);
+    answerCheckOut(second[0]);
+    EXPECT_TRUE(answer.refusal.ok());
+}
+
+TEST_F(CheckOutsTest, WhatIsTakenByForceAndGivenUpIsAborted) {
+    CheckOutOptions force;
+    force.force = true;
+    core.checkOut({"Cyton"}, force, answer.taker());
+    link.sent.clear();
+    advance(5s);
+    EXPECT_EQ(answer.refusal.code, RefusalCode::TimedOut);
+    EXPECT_THAT(phase(link.sent, proto::ABORT), SizeIs(1));
+}
+
+TEST_F(CheckOutsTest, WhoWaitsOnAfterTheHolderKeepsItIsToldSo) {
+    heldByAnother(3);
+    auto options = waiting(60s);
+    options.ask = true;
+    core.checkOut({"Cyton"}, options, answer.taker());
+    const auto asked = link.take().at(0);
+    answerPlace(asked, 1);
+    EXPECT_THAT(told.back().message, HasSubstr("has been asked"));
+    answerPlace(asked, 2, "client2@lab keeps it: ten more minutes.");
+    EXPECT_EQ(told.back().message,
+              "client2@lab keeps it: ten more minutes; place 2 in the wait list of Cyton, which is held by "
+              "client2@lab.");
+    answerPlace(asked, 1);
+    EXPECT_THAT(told.back().message, HasSubstr("keeps it")) << "it is not asked again";
 }
 
 TEST_F(CheckOutsTest, AQueryByServiceAsksTheCandidatesFirst) {

@@ -672,6 +672,13 @@ void Client::Session::onDatagrams(const Held& held, const std::string& endpoint,
     datagrams_.admit(held.entity, held.lease, endpoint, key, core_.self().id);
 }
 
+void Client::Session::onOrphaned(const Held& held, const std::string& reason) {
+    const auto check_out = shared(held);
+    if (!check_out) return;
+    const std::lock_guard lock(check_out->mutex);
+    if (check_out->orphaned) post([tell = check_out->orphaned, reason] { tell(reason); }, false);
+}
+
 void Client::Session::onResumed(const Held& held) {
     const auto check_out = shared(held);
     if (!check_out) return;
@@ -1239,6 +1246,11 @@ void CheckOut::onLost(std::function<void(const Refusal&)> callback) const {
         session->post([callback, why = *shared_->lost_why] { callback(why); }, false);
     }
     shared_->lost = std::move(callback);
+}
+
+void CheckOut::onOrphaned(std::function<void(const std::string&)> callback) const {
+    const std::lock_guard lock(shared_->mutex);
+    shared_->orphaned = std::move(callback);
 }
 
 void CheckOut::onResumed(std::function<void()> callback) const {

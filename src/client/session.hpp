@@ -58,6 +58,7 @@ struct CheckOut::Shared {
     std::function<void(const std::string&)> text, raw;
     std::function<void(const Service&)> service;
     std::function<void(const Refusal&)> lost;
+    std::function<void(const std::string&)> orphaned;
     std::function<void()> resumed;
     std::function<void(const HandOverRequest&)> hand_over;
     std::optional<Refusal> lost_why;
@@ -138,6 +139,7 @@ class Client::Session final : public SessionObserver,
     void onService(const Held& held, const Service& service) override;
     void onLost(const Held& held, const Refusal& why) override;
     void onDatagrams(const Held& held, const std::string& endpoint, const std::string& key) override;
+    void onOrphaned(const Held& held, const std::string& reason) override;
     void onResumed(const Held& held) override;
     void onHandOver(const Held& held, const HandOverRequest& request) override;
     void onSample(const Sample& sample) override;

@@ -165,7 +165,7 @@ std::vector<SessionCore::Key> SessionCore::pendingOf(const std::string& entity) 
 void SessionCore::answerAll(const std::string& entity, const Refusal& why) {
     for (const auto& [ask, id] : pendingOf(entity)) {
         if (ask == Ask::CheckOut) {
-            failCheckOut(id, why);
+            if (check_outs_.contains(id)) onPartyRefused(id, entity, why);  // a query looks for another
         } else if (ask != Ask::Task && ask != Ask::Resume) {
             answer(ask, id, ask == Ask::Release ? Result<void>{} : Result<void>{why});
         }
@@ -222,7 +222,7 @@ void SessionCore::onDisconnected(const std::string& reason, bool for_good) {
         if (for_good || !settings_.resume || mine.grace <= Duration{}) {
             endLease(held.entity, lost, true);
         } else if (was_connected) {
-            orphan(held.entity, false);
+            orphan(held.entity, false, lost.message);
         }
     }
 
@@ -275,7 +275,7 @@ void SessionCore::onProfile(Presence presence, const Registration& registration,
         // Its Entity Manager may only have lost the server for a moment, or the server may be about to end.
         if (const auto mine = leases_.find(id);
             mine != leases_.end() && settings_.resume && mine->second.grace > Duration{}) {
-            orphan(id, true);
+            orphan(id, true, why.message);
         } else {
             endLease(id, why, true);
         }

@@ -58,8 +58,9 @@ class SessionObserver {
     /// Stops of this lease may be sent to `endpoint` as datagrams, keyed by `key`; empty = not (any more).
     virtual void onDatagrams(const Held& /*held*/, const std::string& /*endpoint*/,
                              const std::string& /*key*/) {}
-    /// The connection is lost and the lease is not (yet): onResumed or onLost will follow.
-    virtual void onOrphaned(const Held&) {}
+    /// The connection is lost, or the entity has left, and the lease is not (yet): onResumed or onLost will
+    /// follow.
+    virtual void onOrphaned(const Held&, const std::string& /*reason*/) {}
     virtual void onResumed(const Held&) {}
     virtual void onHandOver(const Held&, const HandOverRequest&) {}
     /// `sample.json` is left empty: rendering it is the owner's affair, outside any lock.
@@ -296,6 +297,7 @@ class SessionCore {
         Refusal last;
         int place = -1;
         std::string told;
+        std::string kept;  // by the holder that was asked: what it said
         CheckOutDone done;
     };
     using CheckOutOrders = std::map<Id128, CheckOutOrder>;
@@ -350,7 +352,7 @@ class SessionCore {
     void forgetAttempt(CheckOutOrder& order);
     CheckOutOrder takeOrder(CheckOutOrders::iterator found);
     void sendCheckOut(CheckOutOrder& order, CheckOutParty& party, int phase);
-    void orphan(const std::string& entity, bool left);
+    void orphan(const std::string& entity, bool left, const std::string& reason);
     void sendResume(const std::string& entity);
     /// Whether it was the answer to one of sendResume().
     bool onResumeReply(const std::string& entity, Id128 id, const proto::CheckOutReply& reply);

@@ -122,6 +122,9 @@ TEST_F(SessionCoreTest, AGrantThatComesTooLateIsGivenBack) {
     const auto asked = link.take()[0];
     advance(5s);
     ASSERT_EQ(answer.refusal.code, RefusalCode::TimedOut);
+    const auto aborted = link.take();
+    ASSERT_THAT(aborted, SizeIs(1));
+    EXPECT_EQ(aborted[0].body.check_out().phase(), proto::ABORT);
 
     answerCheckOut(asked, RefusalCode::Ok, 4);
 

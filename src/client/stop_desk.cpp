@@ -219,6 +219,7 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
     const Seconds after = clock_.now() - order->given;
     receipt.stop_generation = std::max(receipt.stop_generation, generation);
     receipt.state = stateFromProto(incoming.state()).value_or(receipt.state);
+    receipt.fault = incoming.fault();
     const auto mark = [&](std::optional<Seconds>& stage) {
         if (!stage) stage = after;
     };

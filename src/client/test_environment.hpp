@@ -52,7 +52,7 @@ class RecordingObserver final : public SessionObserver {
     void onRaw(const Held&, const std::string& bytes) override { raws.push_back(bytes); }
     void onService(const Held&, const Service& service) override { services.push_back(service); }
     void onLost(const Held& held, const Refusal& why) override { lost.emplace_back(held, why); }
-    void onOrphaned(const Held& held) override { orphaned.push_back(held); }
+    void onOrphaned(const Held& held, const std::string&) override { orphaned.push_back(held); }
     void onResumed(const Held& held) override { resumed.push_back(held); }
     void onHandOver(const Held&, const HandOverRequest& request) override { hand_overs.push_back(request); }
     void onSample(const Sample& sample) override { samples.push_back(sample); }
@@ -138,12 +138,13 @@ class CoreWorld {
         core.onEntityMsg(head, message.SerializeAsString());
     }
     /// The entity's answer to who waits for it, or has it asked for.
-    void answerPlace(const SentMessage& asked, int place) {
+    void answerPlace(const SentMessage& asked, int place, const std::string& kept = {}) {
         proto::ToClient message;
         auto& reply = *message.mutable_check_out();
         reply.set_request_id(asked.body.check_out().request_id());
         reply.set_phase(proto::TAKE);
         reply.set_place(static_cast<std::uint32_t>(place));
+        reply.set_kept(kept);
         Header head;
         head.entity = asked.head.entity;
         core.onEntityMsg(head, message.SerializeAsString());

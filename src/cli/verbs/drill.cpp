@@ -48,10 +48,14 @@ int drill(Session& session) {
     const auto every = std::chrono::duration_cast<Clock::duration>(Seconds(session.args.value("every", 0.1)));
     std::map<std::string, Drilled> all;
     bool interrupted = false;
+    Refusal refused;
     for (int i = 0; i < count && !interrupted; ++i) {
         const auto next = Clock::now() + every;
         const auto reports = session.station->drill(names);
-        if (!reports) return refuse(session, reports.refusal());
+        if (!reports) {
+            refused = reports.refusal();
+            break;
+        }
         add(all, reports.value());
         session.events.emit({{"event", "drilling"}, {"done", i + 1}, {"count", count}});
         if (reports.value().empty()) break;
@@ -76,6 +80,7 @@ int drill(Session& session) {
                              {"callback", one.callback.toJson()}});
         arrived = arrived && one.manager.never() == 0 && one.callback.never() == 0;
     }
+    if (!refused.ok()) return refuse(session, refused);  // after what there was until then
     if (all.empty()) session.events.emit({{"event", "notice"}, {"message", "there is nothing to drill"}});
     if (interrupted) return kInterrupted;
     return arrived ? kDone : kNotConfirmed;

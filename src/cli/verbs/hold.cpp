@@ -82,7 +82,7 @@ extern const Verb kCheckout{
     Runs::Keeper,
     {{"entity", Takes::Entity, false, true, "What to check out"}},
     {{"query", Takes::Text, "Instead of names: [COUNT] KIND [with SERVICE] + …; a kind is ROBOT/MOBILE"},
-     {"wait", Takes::MaybeDuration, "Wait until it is free, so many seconds at most"},
+     {"wait", Takes::MaybeDuration, "Wait until it is free, so many seconds at most (a day)"},
      {"ask", Takes::Text, "Ask the holder to hand it over, for this reason"},
      {"force", Takes::Text, "Take it from its holder, for this reason (admins only)"},
      {"hand-over",

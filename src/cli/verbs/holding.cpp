@@ -150,11 +150,8 @@ Taken takeOut(Session& session) {
         }
     }
     if (ids.empty() && query.empty()) return taken;
-    const bool waits = options->wait || options->ask;
     bool interrupted = false;
-    const auto granted = waits           ? takeAndShow(session, ids, query, options.value(), interrupted)
-                         : query.empty() ? session.station->checkOut(ids, options.value())
-                                         : session.station->checkOutQuery(query, options.value());
+    const auto granted = takeAndShow(session, ids, query, options.value(), interrupted);
     if (interrupted) {
         // Granted in the very moment that it was given up.
         if (granted) {
@@ -167,6 +164,13 @@ Taken takeOut(Session& session) {
     if (!granted) {
         if (granted.refusal().code == RefusalCode::Malformed && !query.empty())
             return fail(misused(session, granted.refusal().message));
+        if (granted.refusal().code == RefusalCode::Duplicate) {
+            auto event = errorEvent(granted.refusal(), call);
+            event["mend"] =
+                "another axon checkout of yours waits for it: end that one (Ctrl-C there), or leave it to it";
+            session.events.emit(event);
+            return fail(exitOf(granted.refusal()));
+        }
         return fail(refuse(session, granted.refusal(), ids.size() == 1 ? call : ""));
     }
     taken.entities = granted.value();
@@ -222,7 +226,11 @@ std::shared_ptr<void> listenTo(Session& session, const Entity& entity) {
         mailbox->post({{"event", "orphaned"}, {"entity", name}, {"message", reason}});
     };
     listener.resumed = [=] { mailbox->post({{"event", "resumed"}, {"entity", name}}); };
-    listener.hand_over = [=](const HandOverRequest& request) { mailbox->post(toJson(request, name)); };
+    // Only what an agent keeps can be answered for from another command.
+    const std::string answer = session.kept ? "axon handover" : "";
+    listener.hand_over = [=](const HandOverRequest& request) {
+        mailbox->post(toJson(request, name, answer));
+    };
     return session.station->listen(entity.id, std::move(listener));
 }
 

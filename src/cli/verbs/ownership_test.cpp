@@ -20,6 +20,7 @@
 using namespace axon;
 using namespace axon::cli;
 using testing::HasSubstr;
+using testing::Not;
 
 namespace {
 
@@ -121,14 +122,44 @@ TEST_F(Ownership, TheHolderAnswersOnce) {
     EXPECT_EQ(perform("handover", {{"entity", "PeopleBot#1"}, {"answer", "accept"}}), kRefused);
 }
 
-TEST_F(Ownership, ARequestIsShownWithHowToAnswerIt) {
+TEST_F(Ownership, ARequestIsShownWithHowToAnswerItOrHowItEnds) {
+    const auto text = [](const std::string& answer) {
+        std::ostringstream out, err;
+        ManualClock clock;
+        PersonView view(out, err, {}, clock);
+        view.emit(toJson(HandOverRequest{"client2@lab", "a demonstration", Seconds(30)}, "Cyton", answer));
+        return err.str();
+    };
+    EXPECT_THAT(text("axon handover"), HasSubstr("client2@lab asks for Cyton: a demonstration"));
+    EXPECT_THAT(text("axon handover"), HasSubstr("axon handover Cyton accept, or refuse; silence refuses"));
+    EXPECT_THAT(text(""), HasSubstr("nobody can answer for this command: it is refused after 30.0 s"));
+    EXPECT_THAT(text(""), Not(HasSubstr("axon handover")));
     station->asks = "client2@lab";
     EXPECT_EQ(perform("watch", {{"entity", "Cyton"}, {"for", 0.01}}), kDone);
     ASSERT_NE(seen.last("hand_over"), nullptr);
-    const auto text = shown();
-    EXPECT_THAT(text, HasSubstr("client2@lab asks for Cyton: a demonstration"));
-    EXPECT_THAT(text, HasSubstr("axon handover Cyton accept"));
-    EXPECT_THAT(text, HasSubstr("silence refuses"));
+    EXPECT_EQ(seen.last("hand_over")->at("answer"), "axon handover Cyton");
+    Session own{{{"entity", "Cyton"}, {"for", 0.01}}, seen, mailbox, station, settings, false};
+    EXPECT_EQ(findVerb("watch")->perform(own), kDone);
+    EXPECT_EQ(seen.last("hand_over")->at("answer"), nullptr) << "of a connection that ends with the command";
+}
+
+TEST_F(Ownership, ACheckOutThatWaitsForTheRobotToStandStillMayBeGivenUp) {
+    station->waits_for_ever = true;
+    std::thread user([this] {
+        while (mailbox.use_count() < 3) std::this_thread::yield();
+        mailbox->interrupt();
+    });
+    EXPECT_EQ(perform("checkout", {{"entity", {"Cyton"}}}), kInterrupted);
+    user.join();
+    EXPECT_TRUE(station->held().empty());
+}
+
+TEST_F(Ownership, ASecondWaitForTheSameSaysWhichOneToEnd) {
+    station->check_out_refusal = {
+        RefusalCode::Duplicate, "You wait for it already, with another request.", {}};
+    EXPECT_EQ(perform("checkout", {{"entity", {"Cyton"}}, {"wait", true}}), kRefused);
+    EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(),
+                HasSubstr("another axon checkout of yours"));
 }
 
 TEST_F(Ownership, LsAndInfoShowWhatIsOwnedAndHowNearTheDeadMenAre) {
@@ -160,6 +191,14 @@ TEST_F(Ownership, ADrillShowsADistribution) {
     const auto text = shown();
     EXPECT_THAT(text, HasSubstr("Cyton  10 tries"));
     EXPECT_THAT(text, HasSubstr("≤ 1.0 ms  ########"));
+}
+
+TEST_F(Ownership, ADrillThatIsRefusedInTheMiddleShowsWhatThereWas) {
+    station->refused_drill = 4;
+    EXPECT_EQ(perform("drill", {{"entity", {"Cyton"}}, {"count", 10}, {"every", 0.0}}), kNoServer);
+    ASSERT_NE(seen.last("drill"), nullptr);
+    EXPECT_EQ(seen.last("drill")->at("tries"), 3);
+    EXPECT_EQ(seen.last("error")->at("code"), "NOT_CONNECTED");
 }
 
 TEST_F(Ownership, ADrillThatNeverArrivedIsNotConfirmed) {

@@ -122,6 +122,7 @@ struct Receipt {
     EntityState state = EntityState::UNAV;
     std::optional<Seconds> server, manager, callback_returned, standstill;
     bool no_application = false;  ///< no robot application is linked: there was nothing to stop
+    std::string fault;  ///< the application's stop callback threw this; it is called again until it returns
     /// The EM and, where there is an application, its stop callback have answered.
     bool confirmed() const { return manager && (callback_returned || no_application); }
 };
@@ -233,9 +234,9 @@ class Task {
 /// lease also ends when the client is destroyed; it does not end when a CheckOut is dropped. Every call is
 /// refused with NOT_HOLDER once the lease is gone, and onLost has said why.
 ///
-/// States: held; orphaned (the connection was lost: the robot stands still and is latched, calls answer
-/// NOT_CONNECTED, the lease waits for this client to come back); gone. From orphaned it goes back to held
-/// (onResumed, the same lease) or is gone (onLost).
+/// States: held; orphaned (the connection was lost, or the entity has left: the robot stands still and is
+/// latched, calls answer NOT_CONNECTED, the lease waits for this client to come back); gone. From orphaned it
+/// goes back to held (onResumed, the same lease) or is gone (onLost).
 class CheckOut {
   public:
     Entity entity() const;
@@ -263,6 +264,8 @@ class CheckOut {
     void onRaw(std::function<void(const std::string&)> callback) const;
     void onServiceChanged(std::function<void(const Service&)> callback) const;
     void onLost(std::function<void(const Refusal&)> callback) const;
+    /// The connection is lost, or the entity has left, for this reason; onResumed or onLost follows.
+    void onOrphaned(std::function<void(const std::string& reason)> callback) const;
     /// The lease is valid again after a lost connection. Tasks have been asked after: those that ended
     /// meanwhile are told as they ended, and are Unknown only where nobody knows.
     void onResumed(std::function<void()> callback) const;
