@@ -72,11 +72,12 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
     if (tls) prepareTls(init, settings.properties);
 
     // Ice runs the hook in each thread that it starts for this communicator.
-    auto said = std::make_shared<std::atomic<bool>>(false);
+    // A process may have several communicators for signals; its operator is told once.
+    static const auto said = std::make_shared<std::atomic<bool>>(false);
     init.threadStart = [name = settings.name.substr(0, 15), lane = settings.lane,
-                        priority = settings.priority, said] {
+                        priority = settings.priority, told = said] {
         pthread_setname_np(pthread_self(), name.c_str());
-        if (lane == Lane::Signal) requestRealTime(priority, *said);
+        if (lane == Lane::Signal) requestRealTime(priority, *told);
     };
     try {
         Ice::CommunicatorHolder holder(init);
