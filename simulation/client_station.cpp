@@ -190,7 +190,7 @@ void ClientStation::onLost(const client::Held&, const Refusal& why) {
     timeline_.tell(process_.name(), [&] { return "loses a lease: " + why.message; });
 }
 
-void ClientStation::onOrphaned(const client::Held& held) {
+void ClientStation::onOrphaned(const client::Held& held, const std::string& /*reason*/) {
     timeline_.tell(process_.name(),
                    [&] { return "keeps the key of lease " + std::to_string(held.lease.number); });
 }

@@ -77,7 +77,7 @@ class ClientStation final : public client::ServerLink,
     void onRaw(const client::Held&, const std::string&) override {}
     void onService(const client::Held&, const client::Service&) override {}
     void onLost(const client::Held& held, const Refusal& why) override;
-    void onOrphaned(const client::Held& held) override;
+    void onOrphaned(const client::Held& held, const std::string& reason) override;
     void onResumed(const client::Held& held) override;
     void onHandOver(const client::Held& held, const client::HandOverRequest& request) override;
     void onSample(const client::Sample&) override {}
