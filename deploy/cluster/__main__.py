@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""axon-cluster: all programs of a distributed Axon on one machine, with a configuration folder to read and edit."""
+import argparse
+import datetime
+import json
+import os
+import pathlib
+import sys
+
+sys.dont_write_bytecode = True
+from cluster import Cluster, Failed, default_folder  # noqa: E402
+from configuration import BASE_PORT, LOOPBACK, SERVERS_MAX, Misconfigured, read_property  # noqa: E402
+
+EPILOG = f"""\
+  axon-cluster up                                    one server of each kind
+  axon-cluster up --front-ends 2 --entity-servers 2
+  axon-cluster status
+  axon-cluster kill fe1                              kill -9, to see what happens
+  axon-cluster restart fe1
+  axon-cluster down
+
+Names: icestorm, entity-router, client-router, fe1 … fe{SERVERS_MAX}, es1 … es{SERVERS_MAX}.
+Exit status: 0 done (status: everything runs); 1 something did not start or does not run; 2 wrong options, a port that
+is taken, a missing package. docs/how-to/deploy.md explains every file of the folder."""
+
+
+def parse(arguments):
+    parser = argparse.ArgumentParser(
+        prog="axon-cluster", description="Runs IceStorm, two Glacier2 routers and Axon's servers on one machine.",
+        epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter)
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--folder", type=pathlib.Path, default=default_folder(),
+                        help="where configuration and logs are (%(default)s)")
+    common.add_argument("--programs", type=pathlib.Path, help="where axon-server and axon lie (beside axon-cluster)")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="up | status | kill | restart | down")
+
+    def add(name, text):
+        return verbs.add_parser(name, parents=[common], help=text, description=text)
+
+    up = add("up", "Starts what does not run and waits until it can be used. What is not said stays as it was.")
+    up.add_argument("--front-ends", type=int, metavar="N", help=f"front-end servers, 1 to {SERVERS_MAX} (1)")
+    up.add_argument("--entity-servers", type=int, metavar="M", help=f"entity servers, 1 to {SERVERS_MAX} (1)")
+    up.add_argument("--base-port", type=int, metavar="P", help=f"the first of 200 ports ({BASE_PORT}); 0 = a free range")
+    up.add_argument("--listen", metavar="ADDRESS", help=f"where the two routers listen ({LOOPBACK}); the rest is on loopback")
+    up.add_argument("--tls", action=argparse.BooleanOptionalAction, help="clients and entities come by TLS, with certificates")
+    add("status", "What runs, where.").add_argument("--json", action="store_true")
+    add("kill", "kill -9.").add_argument("name")
+    add("restart", "Ends a program and starts it again.").add_argument("name")
+    add("down", "Ends everything, in order.")
+    return parser.parse_args(arguments)
+
+
+def in_folder(options):
+    """What to add to the commands that are printed."""
+    return "" if options.folder == default_folder() else f" --folder {options.folder}"
+
+
+def up(cluster, options):
+    begin = datetime.datetime.now()
+    done = cluster.up({"front_ends": options.front_ends, "entity_servers": options.entity_servers,
+                       "base_port": options.base_port, "listen": options.listen, "tls": options.tls})
+    for program, state in done:
+        ports = ", ".join(f"{what} {host}:{port}" for what, (host, port) in program.ports.items())
+        print(f"  {program.name:<14} {'ready' if state == 'started' else 'runs already':<13} {program.role}: {ports}")
+    folder = cluster.folder
+    client = (folder / "client.cfg").read_text(encoding="utf-8")
+    print(f"""The cluster is ready ({(datetime.datetime.now() - begin).total_seconds():.1f} s). Configuration and logs: {folder}
+
+Clients            export AXON_CONFIG={folder}/client.cfg
+                   axon ls
+Entity Managers    axon-entity-manager --config {folder}/entitygl2client.cfg --application NAME
+Users              {read_property(client, 'Axon.User')} (password in client.cfg) and those of users.cfg
+The end            axon-cluster down{in_folder(options)}""")
+    return 0
+
+
+def status(cluster, options):
+    found = cluster.status()
+    if options.json:
+        print(json.dumps(found))
+    else:
+        rows = [("NAME", "PID", "STATE", "PORTS", "SINCE", "LOG")]
+        for program in found["programs"]:
+            ports = " ".join(f"{what}={at}" for what, at in program["ports"].items())
+            rows.append((program["name"], str(program["pid"] or "-"), program["state"], ports, program["since"] or "-",
+                         os.path.relpath(program["log"], found["folder"])))
+        widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+        for row in rows:
+            print("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip())
+        print(f"in {found['folder']}")
+    return 0 if all(program["state"] == "running" for program in found["programs"]) else 1
+
+
+def kill(cluster, options):
+    if not cluster.kill(options.name):
+        print(f"{options.name} did not run")
+        return 1
+    print(f"{options.name} killed; axon-cluster restart {options.name}{in_folder(options)} brings it back")
+    return 0
+
+
+def restart(cluster, options):
+    cluster.restart(options.name)
+    print(f"{options.name} is ready")
+    return 0
+
+
+def down(cluster, options):
+    ended = cluster.down()
+    print(f"ended: {', '.join(ended)}" if ended else "nothing ran")
+    return 0
+
+
+def main(arguments):
+    options = parse(arguments)
+    programs = options.programs or pathlib.Path(sys.argv[0]).resolve().parent
+    try:
+        return {"up": up, "status": status, "kill": kill, "restart": restart, "down": down}[options.verb](
+            Cluster(options.folder, programs.resolve()), options)
+    except (Misconfigured, Failed) as error:
+        print(f"axon-cluster: {error}", file=sys.stderr)
+        return 2 if isinstance(error, Misconfigured) else 1
+    except KeyboardInterrupt:
+        print("\naxon-cluster: interrupted; axon-cluster down ends what has started", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""A cluster on one machine: its folder, its programs, and what can be done with them.
+
+The folder holds what is to be edited (*.cfg), what is written down (cluster.json: what was asked for, digests of the
+generated files; running.json: the processes) and log/. One command at a time works on it (a lock on the folder).
+A file that was changed by hand is kept as it is; one that was not is written anew when the wishes change.
+"""
+import contextlib
+import dataclasses
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import pathlib
+import random
+import secrets
+import shutil
+import socket
+import subprocess
+import sys
+import time
+
+import configuration
+import probe
+import processes
+from configuration import ADMIN, ENTITY, Misconfigured
+
+PACKAGES = {"icebox": "zeroc-icebox libzeroc-icestorm3.7", "glacier2router": "zeroc-glacier2"}
+USERS = {ADMIN: "admin", ENTITY: "entity"}  # name: role
+READY_S = 20.0
+
+
+class Failed(Exception):
+    """Something did not come about; the text has the end of the log that says why."""
+
+
+def default_folder():
+    return pathlib.Path(os.environ.get("XDG_STATE_HOME") or pathlib.Path.home() / ".local/state") / "axon/cluster"
+
+
+def digest(text):
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def write_private(file, text):
+    """At once or not at all; readable by nobody else."""
+    draft = file.with_name(file.name + ".new")
+    with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="utf-8") as out:
+        out.write(text)
+    draft.replace(file)
+
+
+def free(host, port):
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((host, port))
+        except OSError as error:
+            if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
+                raise Misconfigured(f"{host} is no address of this machine; choose another with --listen") from error
+            if error.errno == errno.EADDRINUSE:
+                return False
+            raise
+    return True
+
+
+def free_range(plan):
+    """A base port from which on every port of the plan is free. Below the range that the kernel hands out itself."""
+    for _ in range(200):
+        candidate = dataclasses.replace(plan, base_port=random.randrange(11000, 32000, 200))
+        if all(free(*at) for program in configuration.programs(candidate) for at in program.ports.values()):
+            return candidate
+    raise Misconfigured("--base-port 0: no free range of 200 ports between 11000 and 32200 was found")
+
+
+class Progress:
+    """What goes on, for a person: a line that is drawn again on a terminal, nothing elsewhere."""
+
+    def __init__(self, stream=sys.stderr):
+        self.stream = stream
+        self.draws = stream.isatty()
+
+    def show(self, words=""):
+        if self.draws:
+            self.stream.write(f"\r\033[K{words}")
+            self.stream.flush()
+
+    def say(self, words):
+        self.show()
+        print(words, file=self.stream, flush=True)
+
+
+class Cluster:
+    def __init__(self, folder, axon_programs):
+        self.folder = pathlib.Path(folder).expanduser().resolve()
+        self.axon_programs = axon_programs  # where axon-server and axon lie
+        self.progress = Progress()
+
+    # -- what is written down -----------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def locked(self):
+        with open(os.open(self.folder / "lock", os.O_WRONLY | os.O_CREAT, 0o600), "w", encoding="utf-8") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                self.progress.show("waiting for another axon-cluster at work in this folder")
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    def remembered(self, name):
+        file = self.folder / name
+        try:
+            return json.loads(file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError) as error:
+            raise Misconfigured(f"{file}: {error}; expected what axon-cluster wrote there. End what it may have "
+                                "started, delete that file, and say axon-cluster up") from error
+
+    def remember(self, name, what):
+        write_private(self.folder / name, json.dumps(what, indent=1) + "\n")
+
+    def plan(self):
+        known = self.remembered("cluster.json").get("plan")
+        if not known:
+            raise Misconfigured(f"there is no cluster in {self.folder}; expected one made by axon-cluster up"
+                                " (another folder: --folder DIR)")
+        return configuration.Plan(folder=self.folder, **known)
+
+    def records(self):
+        return self.remembered("running.json")
+
+    def log(self, name):
+        return self.folder / "log" / f"{name}.log"
+
+    def program(self, name):
+        found = {program.name: program for program in configuration.programs(self.plan())}
+        if name not in found:
+            raise Misconfigured(f"no program '{name}'; expected one of {', '.join(found)}")
+        return found[name]
+
+    # -- up -----------------------------------------------------------------------------------------------------
+
+    def prepare(self, wishes):
+        """The folder as `wishes` (names of Plan's fields; None = as before) want it. Returns the plan."""
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        (self.folder / "log").mkdir(mode=0o700, exist_ok=True)
+        with self.locked():
+            known = self.remembered("cluster.json")
+            before = known.get("plan", {})
+            wanted = {**before, **{key: value for key, value in wishes.items() if value is not None}}
+            if wishes.get("base_port") == 0 and before:
+                wanted["base_port"] = before["base_port"]
+            plan = configuration.Plan(folder=self.folder, **wanted)
+            if plan.base_port == 0:
+                plan = free_range(plan)
+            plan.check()
+            fields = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "folder"}
+            running = [name for name, record in self.records().items() if processes.runs(record)]
+            if running and fields != before:
+                raise Misconfigured(f"a cluster of another kind runs in {self.folder} ({', '.join(running)}); "
+                                    "axon-cluster down ends it")
+            self.require_programs()
+            self.write_files(plan, known.get("generated", {}), fields)
+        return plan
+
+    def require_programs(self):
+        missing = [name for name in PACKAGES if not shutil.which(name)]
+        if missing:
+            raise Misconfigured(f"{' and '.join(missing)} not found; mend: as root, apt-get install --no-install-recommends "
+                                + " ".join(PACKAGES[name] for name in missing))
+        for name in ("axon-server", "axon"):
+            if not (self.axon_programs / name).exists():
+                raise Misconfigured(f"{self.axon_programs / name} does not exist; expected it beside axon-cluster, or in "
+                                    "the folder that --programs names")
+
+    def password(self, file, generated):
+        """The one that a client is told already, or a new one."""
+        path = self.folder / file
+        told = configuration.read_property(path.read_text(encoding="utf-8"), "Axon.Password") if path.exists() else None
+        return told or generated()
+
+    def write_files(self, plan, generated, fields):
+        def new():
+            return secrets.token_urlsafe(18)
+        passwords = {ADMIN: self.password("client.cfg", new), ENTITY: self.password("entitygl2client.cfg", new)}
+        wanted = configuration.files(plan, passwords)
+        kept = {}
+        for name, text in wanted.items():
+            file = self.folder / name
+            if file.exists() and digest(file.read_text(encoding="utf-8")) != generated.get(name):
+                kept[name] = generated.get(name, "")
+                self.progress.say(f"{name} is kept as it was changed by hand")
+                continue
+            write_private(file, text)
+            kept[name] = digest(text)
+        for name in generated.keys() - wanted.keys():  # of servers that are no longer wanted
+            file = self.folder / name
+            if file.exists() and digest(file.read_text(encoding="utf-8")) == generated[name]:
+                file.unlink()
+        self.remember("cluster.json", {"plan": fields, "generated": kept})
+        if not (self.folder / "users.cfg").exists():
+            for user, role in USERS.items():
+                self.add_user(user, role, passwords[user])
+
+    def add_user(self, user, role, password):
+        done = subprocess.run([self.axon_programs / "axon-server", "--users", self.folder / "users.cfg", "--add-user", user,
+                               "--user-role", role], input=f"{password}\n", text=True, capture_output=True, check=False)
+        if done.returncode != 0:
+            raise Failed(f"axon-server --add-user {user} ended with {done.returncode}: {done.stderr.strip()}")
+
+    def up(self, wishes):
+        """Starts what does not run, and returns when it can be used: [(program, "started" or "running")]."""
+        plan = self.prepare(wishes)
+        with self.locked():
+            done = []
+            for wave in self.waves(configuration.programs(plan)):
+                fresh = []
+                for program in wave:
+                    if processes.runs(self.records().get(program.name)):
+                        done.append((program, "running"))
+                        continue
+                    self.start(plan, program)
+                    fresh.append(program)
+                    done.append((program, "started"))
+                for program in fresh:
+                    self.wait_until_ready(plan, program)
+            self.wait_for_sessions(plan)
+            return done
+
+    @staticmethod
+    def waves(programs):
+        """Who needs whom: the topics, then the servers, then the routers before them."""
+        def wave(program):
+            return 0 if program.name == "icestorm" else 2 if program.name.endswith("router") else 1
+        return [[program for program in programs if wave(program) == number] for number in range(3)]
+
+    def start(self, plan, program):
+        for what, (host, port) in program.ports.items():
+            if not free(host, port):
+                raise Misconfigured(
+                    f"port {port} of {host} is taken by another program, and {program.name} needs it ({what}); mend: end that "
+                    "program, or choose other ports: axon-cluster up --base-port P (0 = a free range)")
+        command = [str(self.axon_programs / word) if word.startswith("axon-") else word for word in program.command]
+        self.progress.show(f"starting {program.name}")
+        records = self.records()
+        records[program.name] = processes.start(command, self.log(program.name), self.folder, os.environ)
+        self.remember("running.json", records)
+
+    # -- readiness ----------------------------------------------------------------------------------------------
+
+    def wait_until_ready(self, plan, program, seconds=READY_S):
+        record = self.records()[program.name]
+        self.wait(lambda: self.ready(plan, program, record), f"{program.name} is ready", seconds, [program.name])
+
+    def ready(self, plan, program, record):
+        """Raises probe.NoAnswer with what is still missing."""
+        if program.name == "icestorm":
+            probe.ping(*program.ports["topics"], "IceStorm/TopicManager")
+        elif program.name.endswith("router"):
+            host, port = next(iter(program.ports.values()))
+            probe.Connection(host, port, self.tls(plan)).close()
+        elif not any(line.startswith("ready ") for line in processes.said(self.log(program.name), record).splitlines()):
+            raise probe.NoAnswer("no line 'ready …' yet")
+
+    def wait_for_sessions(self, plan, seconds=READY_S):
+        """What counts: somebody who knows nothing but client.cfg or entitygl2client.cfg gets a session."""
+        def log_in(file):
+            text = (self.folder / file).read_text(encoding="utf-8")
+            router, _, endpoint = configuration.read_property(text, "Ice.Default.Router").partition(":")
+            words = endpoint.split()
+            probe.make_session(words[words.index("-h") + 1], int(words[words.index("-p") + 1]), router,
+                               configuration.read_property(text, "Axon.User"),
+                               configuration.read_property(text, "Axon.Password"), self.tls(plan, file))
+
+        names = [program.name for program in configuration.programs(plan)]
+        self.wait(lambda: log_in("entitygl2client.cfg"), "an Entity Manager gets a session through the entity router",
+                  seconds, names)
+        self.wait(lambda: log_in("client.cfg"), "a client gets a session through the client router", seconds, names)
+        self.progress.show("axon ls")
+        done = subprocess.run([self.axon_programs / "axon", "--config", self.folder / "client.cfg", "ls"],
+                              stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=60)
+        if done.returncode != 0:
+            raise Failed(f"axon --config {self.folder / 'client.cfg'} ls ended with {done.returncode}:\n"
+                         f"{(done.stderr or done.stdout).strip()}")
+        self.progress.show()
+
+    def tls(self, plan, file="client.cfg"):
+        return None
+
+    def wait(self, asks, what, seconds, names):
+        """Until `asks` raises NoAnswer no more; a program of `names` that ends meanwhile ends the waiting."""
+        self.progress.show(f"waiting: {what}")
+        records = self.records()
+        end = time.monotonic() + seconds
+        while True:
+            ended = [name for name in names if not processes.runs(records.get(name))]
+            try:
+                asks()
+                self.progress.show()
+                return
+            except probe.NoAnswer as error:
+                reason = error
+            if ended:
+                raise Failed(f"{ended[0]} has ended. {self.log_end(ended[0])}")
+            if time.monotonic() > end:
+                raise Failed(f"{what}: not within {seconds:g} s ({reason})."
+                             + (f" {self.log_end(names[0])}" if len(names) == 1 else f" Logs: {self.folder / 'log'}"))
+            time.sleep(0.02)
+
+    def log_end(self, name):
+        lines = processes.said(self.log(name), self.records().get(name, {"log_begins": 0})).splitlines()[-10:]
+        return f"The end of {self.log(name)}:\n" + "\n".join(f"  {line}" for line in lines)
+
+    # -- what runs ----------------------------------------------------------------------------------------------
+
+    def status(self):
+        """A dict as `status --json` prints it."""
+        plan = self.plan()
+        records = self.records()
+        found = []
+        for program in configuration.programs(plan):
+            record = records.get(program.name)
+            runs = processes.runs(record)
+            found.append({"name": program.name, "role": program.role, "pid": record["pid"] if runs else None,
+                          "state": "running" if runs else "ended" if record else "not started",
+                          "ports": {what: f"{host}:{port}" for what, (host, port) in program.ports.items()},
+                          "since": record["since"] if runs else None, "log": str(self.log(program.name))})
+        return {"folder": str(self.folder), "client_config": str(self.folder / "client.cfg"),
+                "entity_config": str(self.folder / "entitygl2client.cfg"), "users": str(self.folder / "users.cfg"),
+                "tls": plan.tls, "programs": found}
+
+    def kill(self, name):
+        """kill -9; whether it ran."""
+        self.program(name)
+        with self.locked():
+            return self.strike(name, lambda record: processes.strike(record, 9, 5.0))
+
+    def restart(self, name):
+        program = self.program(name)
+        plan = self.plan()
+        with self.locked():
+            self.strike(name, processes.end)
+            self.start(plan, program)
+            self.wait_until_ready(plan, program)
+
+    def down(self):
+        """Ends all, the last one started first; the names of those that ran."""
+        names = [program.name for program in configuration.programs(self.plan())]
+        with self.locked():
+            return [name for name in reversed(names) if self.strike(name, processes.end)]
+
+    def strike(self, name, how):
+        record = self.records().get(name)
+        if not processes.runs(record):
+            return False
+        self.progress.show(f"ending {name}")
+        if not how(record):
+            raise Failed(f"{name} (process {record['pid']}) does not end")
+        self.progress.show()
+        return True

@@ -1,0 +1,300 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""axon-cluster without a cluster: what it writes, what it refuses, and that it never strikes a stranger."""
+import contextlib
+import importlib.util
+import io
+import os
+import pathlib
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import unittest
+from unittest import mock
+
+HERE = pathlib.Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+sys.dont_write_bytecode = True
+import cluster  # noqa: E402
+import configuration  # noqa: E402
+import probe  # noqa: E402
+import processes  # noqa: E402
+from configuration import Misconfigured, Plan  # noqa: E402
+
+COMMAND = importlib.util.module_from_spec(importlib.util.spec_from_file_location("command", HERE / "__main__.py"))
+COMMAND.__spec__.loader.exec_module(COMMAND)
+PASSWORDS = {"admin": "secret-a", "entity": "secret-e"}
+
+
+def properties(text):
+    return [line.split("=", 1) for line in text.splitlines() if line and not line.startswith("#")]
+
+
+class Configuration(unittest.TestCase):
+    def setUp(self):
+        self.plan = Plan(pathlib.Path("/folder"), front_ends=2, entity_servers=3)
+        self.files = configuration.files(self.plan, PASSWORDS)
+
+    def value(self, file, key):
+        return configuration.read_property(self.files[file], key)
+
+    def test_every_file_of_the_thesis_is_there_and_each_server_has_its_own(self):
+        self.assertEqual(sorted(self.files), sorted([
+            "icebox.cfg", "icestorm.cfg", "glacier2clients.cfg", "glacier2entities.cfg", "client.cfg", "entitygl2client.cfg",
+            "frontendserver-1.cfg", "frontendserver-2.cfg", "entityserver-1.cfg", "entityserver-2.cfg", "entityserver-3.cfg"]))
+
+    def test_every_line_is_a_comment_or_a_property_that_is_said_once(self):
+        for name, text in self.files.items():
+            self.assertTrue(text.startswith("# "), name)
+            keys = [pair[0] for pair in properties(text)]
+            self.assertTrue(all(len(pair) == 2 and pair[1] for pair in properties(text)), name)
+            self.assertEqual(len(keys), len(set(keys)), name)
+
+    def test_no_port_is_given_twice_in_the_largest_cluster(self):
+        plan = Plan(pathlib.Path("/folder"), front_ends=9, entity_servers=9)
+        ports = [port for program in configuration.programs(plan) for _, port in program.ports.values()]
+        self.assertEqual(len(ports), len(set(ports)))
+        self.assertLess(max(ports), plan.base_port + 200)
+
+    def test_each_router_knows_all_servers_of_its_kind_and_nothing_else_behind_it(self):
+        for file, servers in (("glacier2clients.cfg", ("fe1", "fe2")), ("glacier2entities.cfg", ("es1", "es2", "es3"))):
+            for key in ("Glacier2.SessionManager", "Glacier2.PermissionsVerifier"):
+                said = self.value(file, key)
+                self.assertEqual([f"-p {self.plan.port(server, 'router')}" in said for server in servers], [True] * len(servers))
+                self.assertEqual(said.count(" -p "), len(servers))
+            self.assertTrue(self.value(file, "Glacier2.Filter.Identity.Accept"), "denied by default")
+
+    def test_servers_know_the_topics_the_users_and_their_neighbours(self):
+        for name, file in (("fe1", "frontendserver-1.cfg"), ("es2", "entityserver-2.cfg")):
+            self.assertEqual(self.value(file, "Server.Name"), name)
+            self.assertIn(f"-p {self.plan.port('icestorm', 'topics')}", self.value(file, "Server.TopicManager"))
+            self.assertEqual(self.value(file, "Server.Users"), "/folder/users.cfg")
+        self.assertIn(f"-p {self.plan.port('fe2', 'router')}", self.value("frontendserver-1.cfg", "Server.Peer.fe2"))
+        self.assertIsNone(self.value("frontendserver-1.cfg", "Server.Peer.fe1"))
+        self.assertIsNone(self.value("frontendserver-1.cfg", "Server.Peer.es1"))
+
+    def test_clients_and_entities_are_told_a_router_and_who_they_are_and_nothing_else(self):
+        for file, router, user in (("client.cfg", "Axon.Clients/router:tcp -h 127.0.0.1 -p 10422", "admin"),
+                                   ("entitygl2client.cfg", "Axon.Entities/router:tcp -h 127.0.0.1 -p 10424", "entity")):
+            self.assertEqual(self.value(file, "Ice.Default.Router"), router)
+            self.assertEqual(self.value(file, "Axon.User"), user)
+            self.assertEqual(self.value(file, "Axon.Password"), PASSWORDS[user])
+        for name, text in self.files.items():
+            if name not in ("client.cfg", "entitygl2client.cfg"):
+                self.assertNotIn("secret", text, name)
+
+    def test_wishes_that_cannot_be_are_refused_with_the_mend(self):
+        for wish, said in (({"front_ends": 0}, "--front-ends 0"), ({"entity_servers": 10}, "1 to 9"),
+                           ({"base_port": 80}, "1024"), ({"base_port": 65500}, "200 ports"), ({"listen": "0.0.0.0"}, "one address"),
+                           ({"listen": "192.0.2.7"}, "--tls"), ({"folder": pathlib.Path("/a folder")}, "without blanks")):
+            with self.assertRaises(Misconfigured, msg=wish) as raised:
+                Plan(**{"folder": pathlib.Path("/folder"), **wish}).check()
+            self.assertIn(said, str(raised.exception))
+
+
+class Folder(unittest.TestCase):
+    """axon-cluster on a folder of its own, with programs that are scripts."""
+
+    def setUp(self):
+        temporary = tempfile.TemporaryDirectory()
+        self.addCleanup(temporary.cleanup)
+        self.root = pathlib.Path(temporary.name)
+        self.folder = self.root / "cluster"
+        self.script("axon-server", 'while [ $# -gt 0 ]; do [ "$1" = --users ] && file=$2; shift; done\n'
+                                   'umask 077; read -r password; echo "user $password" >> "$file"')
+        self.script("axon", "exit 0")
+        self.script("icebox", 'echo "icebox: the moon is full" >&2; exit 1')
+        self.script("glacier2router", "exit 1")
+        patch = mock.patch.dict(os.environ, {"PATH": f"{self.root}:/usr/bin:/bin"})
+        patch.start()
+        self.addCleanup(patch.stop)
+        self.cluster = cluster.Cluster(self.folder, self.root)
+        self.cluster.progress = cluster.Progress(io.StringIO())
+
+    def script(self, name, text):
+        (self.root / name).write_text(f"#!/bin/sh\n{text}\n")
+        (self.root / name).chmod(0o700)
+
+    def run_command(self, *words):
+        said = io.StringIO()
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            try:
+                code = COMMAND.main([*words, "--folder", str(self.folder), "--programs", str(self.root)])
+            except SystemExit as end:
+                code = end.code
+        return code, said.getvalue()
+
+    def test_nobody_else_can_read_what_is_written(self):
+        self.cluster.prepare({"base_port": 0})
+        self.assertEqual(self.folder.stat().st_mode & 0o777, 0o700)
+        for file in self.folder.glob("*.cfg"):
+            self.assertEqual(file.stat().st_mode & 0o077, 0, file)
+        self.assertTrue((self.folder / "users.cfg").exists())
+
+    def test_what_was_chosen_once_stays_and_passwords_do(self):
+        first = self.cluster.prepare({"base_port": 0, "front_ends": 2})
+        client = (self.folder / "client.cfg").read_text()
+        self.assertEqual(self.cluster.prepare({"base_port": None, "front_ends": None}), first)
+        self.assertEqual((self.folder / "client.cfg").read_text(), client)
+        self.assertEqual(len((self.folder / "users.cfg").read_text().splitlines()), 2)
+
+    def test_a_file_that_was_changed_by_hand_is_kept_and_the_others_follow_the_wishes(self):
+        self.cluster.prepare({"base_port": 0, "front_ends": 2})
+        edited = self.folder / "icestorm.cfg"
+        edited.write_text(edited.read_text() + "IceStorm.Trace.Topic=1\n")
+        self.cluster.prepare({"front_ends": 1})
+        self.assertIn("IceStorm.Trace.Topic=1", edited.read_text())
+        self.assertIn("icestorm.cfg is kept", self.cluster.progress.stream.getvalue())
+        self.assertFalse((self.folder / "frontendserver-2.cfg").exists())
+        self.assertNotIn("Server.Peer", (self.folder / "frontendserver-1.cfg").read_text())
+        self.cluster.prepare({})
+        self.assertIn("IceStorm.Trace.Topic=1", edited.read_text(), "again")
+
+    def test_a_program_that_dies_at_its_start_shows_the_end_of_its_log(self):
+        code, said = self.run_command("up", "--base-port", "0")
+        self.assertEqual(code, 1, said)
+        self.assertIn("icestorm has ended", said)
+        self.assertIn("the moon is full", said)
+
+    def test_a_port_that_is_taken_is_named_with_the_mend(self):
+        self.cluster.prepare({"base_port": 0})
+        with socket.socket() as other:
+            other.bind(("127.0.0.1", self.cluster.plan().port("icestorm", "publish")))
+            other.listen()
+            code, said = self.run_command("up")
+        self.assertEqual(code, 2, said)
+        self.assertIn(f"port {self.cluster.plan().port('icestorm', 'publish')}", said)
+        self.assertIn("--base-port", said)
+
+    def test_a_missing_package_is_named(self):
+        (self.root / "glacier2router").unlink()
+        with mock.patch.dict(os.environ, {"PATH": str(self.root)}):
+            code, said = self.run_command("up")
+        self.assertEqual(code, 2, said)
+        self.assertIn("zeroc-glacier2", said)
+        self.assertNotIn("zeroc-icebox", said)
+
+    def test_wrong_words_are_refused(self):
+        self.assertEqual(self.run_command("up", "--front-ends", "many")[0], 2)
+        self.assertEqual(self.run_command("explode")[0], 2)
+        code, said = self.run_command("status")
+        self.assertEqual(code, 2)
+        self.assertIn("there is no cluster", said)
+        self.cluster.prepare({"base_port": 0})
+        code, said = self.run_command("kill", "fe7")
+        self.assertEqual(code, 2)
+        self.assertIn("es1, fe1", said)
+        code, said = self.run_command("status")
+        self.assertEqual(code, 1, "nothing runs")
+        self.assertIn("not started", said)
+        self.assertEqual(self.run_command("down")[0], 0)
+
+    def test_a_cluster_of_another_kind_that_runs_is_not_changed(self):
+        self.cluster.prepare({"base_port": 0})
+        child = subprocess.Popen(["sleep", "60"])
+        self.addCleanup(child.wait)
+        self.addCleanup(child.kill)
+        self.cluster.remember("running.json", {"fe1": {
+            "pid": child.pid, "ticks": processes.start_ticks(child.pid), "boot": processes.boot_id(), "log_begins": 0,
+            "since": ""}})
+        code, said = self.run_command("up", "--front-ends", "2")
+        self.assertEqual(code, 2)
+        self.assertIn("down", said)
+
+
+class Processes(unittest.TestCase):
+    def setUp(self):
+        self.child = subprocess.Popen(["sleep", "60"])
+        self.addCleanup(self.child.wait)
+        self.addCleanup(self.child.kill)
+        self.record = {"pid": self.child.pid, "ticks": processes.start_ticks(self.child.pid), "boot": processes.boot_id(),
+                       "log_begins": 0}
+
+    def test_a_process_is_found_again(self):
+        self.assertTrue(processes.runs(self.record))
+
+    def test_another_process_of_that_id_is_neither_taken_for_ours_nor_struck(self):
+        for other in ({"ticks": self.record["ticks"] - 1}, {"boot": "another boot"}):
+            record = {**self.record, **other}
+            self.assertFalse(processes.runs(record))
+            self.assertTrue(processes.strike(record, signal.SIGKILL, 1))
+            self.assertIsNone(self.child.poll())
+
+    def test_one_that_has_ended_and_is_not_buried_does_not_run(self):
+        self.child.kill()
+        os.waitid(os.P_PID, self.child.pid, os.WEXITED | os.WNOWAIT)
+        self.assertFalse(processes.runs(self.record))
+
+    def test_end_ends_it_even_where_it_does_not_listen(self):
+        with tempfile.TemporaryDirectory() as folder:
+            log = pathlib.Path(folder) / "log"
+            record = processes.start(["sh", "-c", "trap '' TERM; echo deaf; while :; do sleep 0.1; done"], log, folder, os.environ)
+            while "deaf" not in processes.said(log, record):
+                self.assertTrue(processes.runs(record))
+            self.assertTrue(processes.end(record, 0.2))
+            self.assertFalse(processes.runs(record))
+
+    def test_a_program_that_is_started_again_is_read_from_its_own_first_line_on(self):
+        with tempfile.TemporaryDirectory() as folder:
+            log = pathlib.Path(folder) / "log"
+            for word in ("first", "second"):
+                record = processes.start(["echo", word], log, folder, os.environ)
+                os.waitpid(record["pid"], 0)
+            self.assertEqual(processes.said(log, record), "second\n")
+
+
+class Probe(unittest.TestCase):
+    def answer(self, first, reply=None):
+        """A listener that says `first` to who connects, then answers one request; the request arrives in `asked`."""
+        listener = socket.create_server(("127.0.0.1", 0))
+        self.asked = []
+
+        def serve():
+            with listener, listener.accept()[0] as stream:
+                stream.settimeout(5)
+                stream.sendall(first)
+                if reply is not None:
+                    self.asked.append(stream.recv(4096))
+                    stream.sendall(reply)
+                with contextlib.suppress(OSError):
+                    stream.recv(4096)
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        self.addCleanup(thread.join, 5)
+        return listener.getsockname()
+
+    @staticmethod
+    def message(kind, body=b""):
+        return probe.HEADER.pack(probe.MAGIC, 1, 0, 1, 0, kind, 0, probe.HEADER.size + len(body)) + body
+
+    def reply(self, status, text=b""):
+        return self.message(probe.REPLY, struct.pack("<iB", 1, status) + struct.pack("<iBB", 6 + len(text), 1, 1) + text)
+
+    def test_an_answer_counts_and_heartbeats_before_it_do_not(self):
+        at = self.answer(self.message(probe.VALIDATE), self.message(probe.VALIDATE) + self.reply(probe.OK))
+        probe.ping(*at, "IceStorm/TopicManager")
+        self.assertIn(b"\x0cTopicManager\x08IceStorm\x00\x08ice_ping", self.asked[0])
+
+    def test_a_refusal_is_told_with_its_reason(self):
+        reason = b"\x21" + probe.text("::Glacier2::PermissionDeniedException") + probe.text("wrong password")
+        at = self.answer(self.message(probe.VALIDATE), self.reply(probe.USER_EXCEPTION, reason))
+        with self.assertRaisesRegex(probe.NoAnswer, "PermissionDeniedException: wrong password"):
+            probe.make_session(*at, "Axon.Clients/router", "admin", "x")
+
+    def test_who_is_not_ice_or_says_nothing_or_is_not_there_gives_no_answer(self):
+        for first in (b"HTTP/1.1 400 Bad Request\r\n\r\n", b"Ic"):
+            at = self.answer(first)
+            with self.assertRaises(probe.NoAnswer):
+                probe.Connection(*at, timeout_s=0.2)
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            at = listener.getsockname()
+        with self.assertRaises(probe.NoAnswer):
+            probe.ping(*at, "x")
+
+
+if __name__ == "__main__":
+    unittest.main()

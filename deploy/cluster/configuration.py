@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""The configuration folder of a cluster, as text: which programs there are, at which ports, and what each file says.
+
+Nothing here reads, writes or starts anything. The files are Ice property syntax, commented line by line, and made for
+people: what is generated on one machine is what one edits for several (docs/how-to/deploy.md).
+"""
+import dataclasses
+import pathlib
+
+SERVERS_MAX = 9
+PORTS_FROM, PORTS_TO = 1024, 65535 - 200
+BASE_PORT = 10420
+LOOPBACK = "127.0.0.1"
+ADMIN, ENTITY = "admin", "entity"
+
+
+class Misconfigured(Exception):
+    """The person asked for something that cannot be; the text says what was expected and how to mend it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What a person chose. Ports follow from base_port: `port()` is the one place that knows how."""
+    folder: pathlib.Path
+    front_ends: int = 1
+    entity_servers: int = 1
+    base_port: int = BASE_PORT
+    listen: str = LOOPBACK  # where the two routers listen; everything else is on loopback
+    tls: bool = False
+
+    def check(self):
+        for option, value in (("--front-ends", self.front_ends), ("--entity-servers", self.entity_servers)):
+            if not 1 <= value <= SERVERS_MAX:
+                raise Misconfigured(f"{option} {value}: expected 1 to {SERVERS_MAX}")
+        if not PORTS_FROM <= self.base_port <= PORTS_TO:
+            raise Misconfigured(f"--base-port {self.base_port}: expected {PORTS_FROM} to {PORTS_TO} "
+                                "(200 ports from there on are used), or 0 for a free range")
+        if self.listen in ("0.0.0.0", "::", "*", ""):
+            raise Misconfigured(f"--listen {self.listen}: expected one address or name of this machine, as clients "
+                                "and entities are to reach it; it is written into their configuration")
+        if self.listen not in (LOOPBACK, "localhost", "::1") and not self.tls and not self.listen.startswith("127."):
+            raise Misconfigured(f"--listen {self.listen}: passwords would travel in clear; add --tls")
+        if any(c.isspace() for c in str(self.folder)):
+            raise Misconfigured(f"--folder '{self.folder}': expected a path without blanks")
+
+    def port(self, program, which):
+        """0 … 9 of each program: the first of a server's are those that embedded servers have, in that order."""
+        if program == "icestorm":
+            return self.base_port + {"topics": 0, "publish": 1}[which]
+        if program == "client-router":
+            return self.base_port + {"clients": 2, "callbacks": 3}[which]
+        if program == "entity-router":
+            return self.base_port + {"entities": 4, "callbacks": 5}[which]
+        first = 0 if program.startswith("fe") else 100
+        return self.base_port + first + 10 * int(program[2:]) + {
+            "data": 0, "signal": 1, "router": 2, "router-signal": 3, "topic": 4, "peers": 5}[which]
+
+    def front_end_names(self):
+        return [f"fe{n}" for n in range(1, self.front_ends + 1)]
+
+    def entity_server_names(self):
+        return [f"es{n}" for n in range(1, self.entity_servers + 1)]
+
+
+@dataclasses.dataclass(frozen=True)
+class Program:
+    name: str
+    role: str  # for people
+    command: tuple  # of words; the folder is the working directory
+    ports: dict  # what for -> (host, port)
+
+
+def programs(plan):
+    """In the order of starting; `down` ends them in the reverse one."""
+    def at(name, *which, host=LOOPBACK):
+        return {one: (host, plan.port(name, one)) for one in which}
+
+    found = [Program("icestorm", "IceStorm, the topics between the servers",
+                     ("icebox", "--Ice.Config=icebox.cfg"), at("icestorm", "topics", "publish"))]
+    for number, name in enumerate(plan.entity_server_names(), 1):
+        found.append(Program(name, "entity server", ("axon-server", "--role", "entity", "--config",
+                                                      f"entityserver-{number}.cfg"), at(name, *SERVER_PORTS)))
+    for number, name in enumerate(plan.front_end_names(), 1):
+        found.append(Program(name, "front-end server", ("axon-server", "--role", "front-end", "--config",
+                                                         f"frontendserver-{number}.cfg"), at(name, *SERVER_PORTS)))
+    for name, whom, file in (("entity-router", "entities", "glacier2entities.cfg"),
+                             ("client-router", "clients", "glacier2clients.cfg")):
+        found.append(Program(name, f"Glacier2 for {whom}", ("glacier2router", f"--Ice.Config={file}"),
+                             {**at(name, whom, host=plan.listen), **at(name, "callbacks")}))
+    return found
+
+
+SERVER_PORTS = ("data", "signal", "router")
+
+
+def tcp(plan, program, which):
+    return f"tcp -h {LOOPBACK} -p {plan.port(program, which)}"
+
+
+def public(plan, program, which):
+    """The endpoint of a router that the world sees."""
+    return f"{'ssl' if plan.tls else 'tcp'} -h {plan.listen} -p {plan.port(program, which)}"
+
+
+def files(plan, passwords):
+    """{file name: text}. `passwords`: {user: password} of the admin and of the entities."""
+    result = {"icebox.cfg": icebox(), "icestorm.cfg": icestorm(plan),
+              "glacier2clients.cfg": glacier2(plan, "client-router", "Axon.Clients", "clients", plan.front_end_names()),
+              "glacier2entities.cfg": glacier2(plan, "entity-router", "Axon.Entities", "entities",
+                                               plan.entity_server_names()),
+              "client.cfg": client(plan, passwords[ADMIN]),
+              "entitygl2client.cfg": entity_manager(plan, passwords[ENTITY])}
+    for number, name in enumerate(plan.front_end_names(), 1):
+        result[f"frontendserver-{number}.cfg"] = server(plan, name, "FrontEndServer", plan.front_end_names())
+    for number, name in enumerate(plan.entity_server_names(), 1):
+        result[f"entityserver-{number}.cfg"] = server(plan, name, "EntityServer", plan.entity_server_names())
+    return result
+
+
+def icebox():
+    return """\
+# IceBox, the host process of IceStorm:  icebox --Ice.Config=icebox.cfg
+# What it runs, and that service's own file (relative to the folder that icebox is started in):
+IceBox.Service.IceStorm=IceStormService,37:createIceStorm --Ice.Config=icestorm.cfg
+# The line "IceStorm ready" says that it runs:
+IceBox.PrintServicesReady=IceStorm
+# No administration from outside: who reaches it could end the process.
+Ice.Admin.Enabled=0
+"""
+
+
+def icestorm(plan):
+    return f"""\
+# IceStorm: the topics FrontEndToEntity and EntityToFrontEnd between front-end servers and entity servers.
+IceStorm.InstanceName=IceStorm
+# Topics and subscriptions live in memory; the servers notice a restart within a second and make them anew:
+IceStorm.Transient=1
+# Where the servers find the topics (their Server.TopicManager). Nobody else needs to reach this:
+IceStorm.TopicManager.Endpoints={tcp(plan, "icestorm", "topics")}
+# Where they publish:
+IceStorm.Publish.Endpoints={tcp(plan, "icestorm", "publish")}
+# Several threads, and yet the messages of one publisher in their order:
+IceStorm.Publish.ThreadPool.Size=4
+IceStorm.Publish.ThreadPool.Serialize=1
+# (IceStorm obeys that line and yet warns that it does not know it.)
+Ice.Warn.UnknownProperties=0
+# A subscriber that does not read has so many messages kept; then the oldest is dropped. Signals do not depend on it:
+IceStorm.Send.QueueSizeMax=1000
+IceStorm.Send.QueueSizeMaxPolicy=DropEvents
+# A subscriber that could not be reached is tried again after so many seconds:
+IceStorm.Discard.Interval=1
+# As in every process of Axon, in KiB:
+Ice.MessageSizeMax={MESSAGE_SIZE_MAX}
+"""
+
+
+MESSAGE_SIZE_MAX = 4096  # src/transport/communicator.hpp
+
+
+def glacier2(plan, name, instance, whom, servers):
+    def proxies(identity):
+        return f"{identity}:" + ":".join(tcp(plan, server_name, "router") for server_name in servers)
+    server_kind = "front-end" if whom == "clients" else "entity"
+    return f"""\
+# Glacier2, the router that {whom} meet:  glacier2router --Ice.Config=THIS FILE
+# The first half of its name: {whom} are told {instance}/router.
+Glacier2.InstanceName={instance}
+# Where {whom} connect. The only port of this file that a firewall has to let in:
+Glacier2.Client.Endpoints={public(plan, name, whom)}
+# Where the {server_kind} servers send what is for {whom}; internal:
+Glacier2.Server.Endpoints={tcp(plan, name, "callbacks")}
+# Who checks passwords, and who makes sessions: the {server_kind} servers, whichever is there.
+Glacier2.PermissionsVerifier={proxies("PermissionsVerifier")}
+Glacier2.SessionManager={proxies("SessionManager")}
+# What is behind the router is out of reach but for the session's own object:
+Glacier2.Filter.Identity.Accept=Axon/none
+# A session whose owner is silent for so many seconds ends. The servers' watchdogs are much faster:
+Glacier2.SessionTimeout=2
+Glacier2.Client.ACM.Timeout=1
+Glacier2.Client.ACM.Heartbeat=0
+Glacier2.Client.ACM.Close=4
+# Each message is passed on at once, by the thread that read it:
+Glacier2.Client.Buffered=0
+Glacier2.Server.Buffered=0
+# The servers get the requests' contexts (a display name, the token that joins the two lanes):
+Glacier2.Client.ForwardContext=1
+Glacier2.Server.ForwardContext=1
+# A line for each session that begins and ends:
+Glacier2.Trace.Session=1
+Ice.ThreadPool.Client.Size=4
+Ice.ThreadPool.Client.SizeMax=16
+Ice.ThreadPool.Server.Size=4
+Ice.ThreadPool.Server.SizeMax=16
+# As in every process of Axon, in KiB:
+Ice.MessageSizeMax={MESSAGE_SIZE_MAX}
+Ice.Admin.Enabled=0
+"""
+
+
+def server(plan, name, adapter, neighbours):
+    front_end = adapter == "FrontEndServer"
+    whom = "clients" if front_end else "entities"
+    peers = "".join(f"Server.Peer.{peer}=SessionManager:{tcp(plan, peer, 'router')}\n"
+                    for peer in neighbours if peer != name)
+    return f"""\
+# {'A front-end' if front_end else 'An entity'} server:  axon-server --role {'front-end' if front_end else 'entity'} --config THIS FILE
+# Its name among the servers; the first half of its sessions' tokens:
+Server.Name={name}
+# Where {whom} connect that come directly, without a router: data and signal lane.
+{adapter}.Endpoints={tcp(plan, name, "data")}
+{adapter}Signal.Endpoints={tcp(plan, name, "signal")}
+# Where the router for {whom} comes; only the router may:
+{adapter}Router.Endpoints={tcp(plan, name, "router")}
+# Where the topics are:
+Server.TopicManager=IceStorm/TopicManager:{tcp(plan, "icestorm", "topics")}
+# Who may log in:
+Server.Users={plan.folder}/users.cfg
+""" + (f"# The other servers of its kind: both lanes of a session are at one of them.\n{peers}" if peers else "")
+
+
+def client(plan, password):
+    return f"""\
+# A client:  axon --config THIS FILE ls   or once and for all:  export AXON_CONFIG=THIS FILE
+# The router is all that a client is told:
+Ice.Default.Router=Axon.Clients/router:{public(plan, "client-router", "clients")}
+# Who it is; without the password the command asks for it:
+Axon.User={ADMIN}
+Axon.Password={password}
+"""
+
+
+def entity_manager(plan, password):
+    return f"""\
+# An Entity Manager:  axon-entity-manager --config THIS FILE --application NAME
+# The router is all that an Entity Manager is told:
+Ice.Default.Router=Axon.Entities/router:{public(plan, "entity-router", "entities")}
+Axon.User={ENTITY}
+Axon.Password={password}
+"""
+
+
+def read_property(text, key):
+    """The value of `key` in a file of Ice properties; None where it is not."""
+    for line in text.splitlines():
+        line = line.strip()
+        if not line.startswith("#") and line.partition("=")[0].strip() == key:
+            return line.partition("=")[2].strip()
+    return None
