@@ -72,16 +72,66 @@ def wait_until(holds, what, seconds=10.0):
     raise Failed(f"{what}: not within {seconds:g} s")
 
 
-class Laboratory:
-    """A server and any number of entities on loopback, on ports of their own, in a folder of its own."""
+class Cluster:
+    """What `axon-cluster` started, in the place of one server process: killed and ended as that is."""
 
-    def __init__(self, programs, application="peoplebot", ports="5500-8000"):
+    def __init__(self, lab, base_port=0):
+        self.lab = lab
+        self.folder = lab.folder / "cluster"
+        self.base_port = base_port
+
+    def command(self, *words, timeout=120):
+        """(exit status, what it printed)."""
+        done = subprocess.run([self.lab.bin / "axon-cluster", *map(str, words), "--folder", self.folder], env=self.lab.env,
+                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=timeout,
+                              check=False)
+        return done.returncode, done.stdout.decode(errors="replace")
+
+    def do(self, *words):
+        status, text = self.command(*words)
+        if status != 0:
+            raise Failed(f"axon-cluster {' '.join(map(str, words))} ended with {status}:\n{text}")
+        return text
+
+    def up(self, *options):
+        self.do("up", "--base-port", self.base_port, *options)
+        self.status = json.loads(self.do("status", "--json"))
+
+    def names(self, *kinds):
+        """Of the programs whose names begin so: fe, es, icestorm, …"""
+        return [program["name"] for program in self.status["programs"] if program["name"].startswith(kinds)]
+
+    def kill(self):
+        """kill -9 of every server."""
+        for name in self.names("fe", "es"):
+            self.do("kill", name)
+
+    def text(self):
+        return "".join(pathlib.Path(program["log"]).read_text(errors="replace") for program in self.status["programs"]
+                       if program["name"].startswith(("fe", "es")))
+
+    def end(self):
+        self.command("down")
+
+
+class Laboratory:
+    """A server and any number of entities on loopback, on ports of their own, in a folder of its own.
+
+    In the environment "cluster" (AXON_ENVIRONMENT) the server is a whole `axon-cluster`, clients and Entity Managers
+    are told its routers, and nothing else is different for who uses this class.
+    """
+
+    def __init__(self, programs, application="peoplebot", ports="5500-8000", environment=None):
+        self.environment = environment or os.environ.get("AXON_ENVIRONMENT") or "embedded"
+        if self.environment not in ("embedded", "cluster"):
+            raise Failed(f"AXON_ENVIRONMENT={self.environment}: expected embedded or cluster")
+        self.server = None
         self.bin = pathlib.Path(programs).resolve()
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix="axon-"))
         self.application = application
         self.ports = ports
         self.env = dict(os.environ, XDG_RUNTIME_DIR=str(self.folder), XDG_STATE_HOME=str(self.folder / "state"))
-        for name in ("AXON_SERVER", "AXON_AGENT"):
+        for name in ("AXON_SERVER", "AXON_AGENT", "AXON_CONFIG"):
             self.env.pop(name, None)
         self.processes = []
 
@@ -91,7 +141,9 @@ class Laboratory:
         return process
 
     def start_server(self, fixed_ports=None, *more):
-        """On free ports, or on those of an earlier start (a dict as addresses() returns)."""
+        """On free ports, or on those of an earlier start (a dict as addresses() returns); `more` options of axon-server."""
+        if self.environment == "cluster":
+            return self.start_cluster(*more)
         at = fixed_ports or {}
         options = list(more)
         for option, key in (("--client-endpoint", "client"), ("--client-signal-endpoint", "client-signal"),
@@ -101,6 +153,38 @@ class Laboratory:
         self.at = addresses(self.server.wait_for("ready "))
         self.env["AXON_SERVER"] = self.at["client"]
         return self.server
+
+    def start_cluster(self, *more, base_port=0):
+        """Starts what does not run of it; of axon-server's options it understands --users FILE."""
+        self.server = self.server or Cluster(self, base_port)
+        users = self.server.folder / "users.cfg"
+        if more and not users.exists():
+            option, file = more
+            if option != "--users":
+                raise Failed(f"a cluster cannot be given {option}")
+            self.server.folder.mkdir(mode=0o700)
+            users.touch(0o600)
+            users.write_text(pathlib.Path(file).read_text())
+        self.server.up()
+        self.at = {what: at for program in self.server.status["programs"] if program["name"].endswith("-router")
+                   for what, at in program["ports"].items()}
+        self.env["AXON_CONFIG"] = self.server.status["client_config"]
+        return self.server
+
+    def manager_options(self, options):
+        """Where the server is, and what the test adds. A cluster tells it by a file, which holds the test's lines too."""
+        if self.environment != "cluster":
+            return ["--server", self.at["entity"], *options]
+        options = list(options)
+        lines = pathlib.Path(self.server.status["entity_config"]).read_text()
+        if "--config" in options:
+            at = options.index("--config")
+            lines += pathlib.Path(options[at + 1]).read_text()
+            del options[at:at + 2]
+        config = self.folder / f"manager-{len(self.processes)}.cfg"
+        config.touch(0o600)
+        config.write_text(lines)
+        return ["--config", config, *options]
 
     def start_robot(self, port=0, name="lab"):
         """A virtual PeopleBot; returns the process, with .address and .truth_file."""
@@ -116,7 +200,7 @@ class Laboratory:
 
     def start_manager(self, suffix="", *options):
         return self.start(f"em{suffix}-{len(self.processes)}", "axon-entity-manager", "--application",
-                          self.application + suffix, "--server", self.at["entity"], "--ports", self.ports, *options)
+                          self.application + suffix, "--ports", self.ports, *self.manager_options(options))
 
     def axon(self, *words, timeout=60, env=None):
         """`axon --json words…`: (exit status, the JSON objects it printed, what it said on stderr)."""
@@ -167,3 +251,5 @@ class Laboratory:
                        stderr=subprocess.DEVNULL, timeout=20, check=False)
         for process in reversed(self.processes):
             process.end()
+        if self.environment == "cluster" and self.server:
+            self.server.end()

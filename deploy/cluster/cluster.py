@@ -28,6 +28,7 @@ from configuration import ADMIN, ENTITY, Misconfigured
 
 PACKAGES = {"icebox": "zeroc-icebox libzeroc-icestorm3.7", "glacier2router": "zeroc-glacier2"}
 USERS = {ADMIN: "admin", ENTITY: "entity"}  # name: role
+USER_FILES = {ADMIN: "client.cfg", ENTITY: "entitygl2client.cfg"}  # who is told its password there
 READY_S = 20.0
 
 
@@ -141,6 +142,11 @@ class Cluster:
             raise Misconfigured(f"no program '{name}'; expected one of {', '.join(found)}")
         return found[name]
 
+    def told(self, file, key):
+        """What a file of the folder says; None where it does not."""
+        path = self.folder / file
+        return configuration.read_property(path.read_text(encoding="utf-8"), key) if path.exists() else None
+
     # -- up -----------------------------------------------------------------------------------------------------
 
     def prepare(self, wishes):
@@ -176,16 +182,14 @@ class Cluster:
                 raise Misconfigured(f"{self.axon_programs / name} does not exist; expected it beside axon-cluster, or in "
                                     "the folder that --programs names")
 
-    def password(self, file, generated):
-        """The one that a client is told already, or a new one."""
-        path = self.folder / file
-        told = configuration.read_property(path.read_text(encoding="utf-8"), "Axon.Password") if path.exists() else None
-        return told or generated()
-
     def write_files(self, plan, generated, fields):
-        def new():
-            return secrets.token_urlsafe(18)
-        passwords = {ADMIN: self.password("client.cfg", new), ENTITY: self.password("entitygl2client.cfg", new)}
+        passwords = {user: self.told(file, "Axon.Password") for user, file in USER_FILES.items()}
+        users = self.folder / "users.cfg"
+        listed = [line.split()[0] for line in (users.read_text(encoding="utf-8") if users.exists() else "").splitlines()
+                  if line.strip() and not line.startswith("#")]
+        unlisted = [user for user, password in passwords.items() if not password or user not in listed]
+        for user in unlisted:
+            passwords[user] = passwords[user] or secrets.token_urlsafe(18)
         wanted = configuration.files(plan, passwords)
         kept = {}
         for name, text in wanted.items():
@@ -201,9 +205,8 @@ class Cluster:
             if file.exists() and digest(file.read_text(encoding="utf-8")) == generated[name]:
                 file.unlink()
         self.remember("cluster.json", {"plan": fields, "generated": kept})
-        if not (self.folder / "users.cfg").exists():
-            for user, role in USERS.items():
-                self.add_user(user, role, passwords[user])
+        for user in unlisted:
+            self.add_user(user, USERS[user], passwords[user])
 
     def add_user(self, user, role, password):
         done = subprocess.run([self.axon_programs / "axon-server", "--users", self.folder / "users.cfg", "--add-user", user,
@@ -268,12 +271,10 @@ class Cluster:
     def wait_for_sessions(self, plan, seconds=READY_S):
         """What counts: somebody who knows nothing but client.cfg or entitygl2client.cfg gets a session."""
         def log_in(file):
-            text = (self.folder / file).read_text(encoding="utf-8")
-            router, _, endpoint = configuration.read_property(text, "Ice.Default.Router").partition(":")
+            router, _, endpoint = self.told(file, "Ice.Default.Router").partition(":")
             words = endpoint.split()
             probe.make_session(words[words.index("-h") + 1], int(words[words.index("-p") + 1]), router,
-                               configuration.read_property(text, "Axon.User"),
-                               configuration.read_property(text, "Axon.Password"), self.tls(plan, file))
+                               self.told(file, "Axon.User"), self.told(file, "Axon.Password"), self.tls(plan, file))
 
         names = [program.name for program in configuration.programs(plan)]
         self.wait(lambda: log_in("entitygl2client.cfg"), "an Entity Manager gets a session through the entity router",

@@ -104,8 +104,7 @@ class Folder(unittest.TestCase):
         self.addCleanup(temporary.cleanup)
         self.root = pathlib.Path(temporary.name)
         self.folder = self.root / "cluster"
-        self.script("axon-server", 'while [ $# -gt 0 ]; do [ "$1" = --users ] && file=$2; shift; done\n'
-                                   'umask 077; read -r password; echo "user $password" >> "$file"')
+        self.script("axon-server", 'umask 077; read -r password; echo "$4 $6 $password" >> "$2"')
         self.script("axon", "exit 0")
         self.script("icebox", 'echo "icebox: the moon is full" >&2; exit 1')
         self.script("glacier2router", "exit 1")
@@ -140,7 +139,15 @@ class Folder(unittest.TestCase):
         client = (self.folder / "client.cfg").read_text()
         self.assertEqual(self.cluster.prepare({"base_port": None, "front_ends": None}), first)
         self.assertEqual((self.folder / "client.cfg").read_text(), client)
-        self.assertEqual(len((self.folder / "users.cfg").read_text().splitlines()), 2)
+        self.assertEqual([line.split()[:2] for line in (self.folder / "users.cfg").read_text().splitlines()],
+                         [["admin", "admin"], ["entity", "entity"]])
+
+    def test_users_that_are_listed_already_stay_and_ours_join_them(self):
+        self.folder.mkdir()
+        (self.folder / "users.cfg").write_text("boss admin hash\n")
+        self.cluster.prepare({"base_port": 0})
+        self.assertEqual([line.split()[0] for line in (self.folder / "users.cfg").read_text().splitlines()],
+                         ["boss", "admin", "entity"])
 
     def test_a_file_that_was_changed_by_hand_is_kept_and_the_others_follow_the_wishes(self):
         self.cluster.prepare({"base_port": 0, "front_ends": 2})
