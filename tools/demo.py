@@ -23,7 +23,7 @@ DEFAULT_PORTS = {"client": "127.0.0.1:10410", "client-signal": "127.0.0.1:10411"
 class Story:
     def __init__(self, options):
         self.options = options
-        self.lab = Laboratory(options.bin)
+        self.lab = Laboratory(options.bin, environment="cluster" if options.cluster else "embedded")
         self.steps = []
         self.bold, self.plain = ("\033[1m", "\033[0m") if sys.stdout.isatty() and not options.json else ("", "")
 
@@ -62,8 +62,13 @@ class Story:
     def start_laboratory(self):
         begin = time.monotonic()
         lab = self.lab
-        lab.start_server(DEFAULT_PORTS if self.options.keep else None)
-        self.say(f"   axon-server           clients at {lab.at['client']}, entities at {lab.at['entity']}")
+        if self.options.cluster:
+            lab.start_cluster(shape=() if self.options.keep else ("--base-port", 0))
+            for program in lab.server.status["programs"]:
+                self.say(f"   {program['name']:<21} {program['role']}: {' '.join(program['ports'].values())}")
+        else:
+            lab.start_server(DEFAULT_PORTS if self.options.keep else None)
+            self.say(f"   axon-server           clients at {lab.at['client']}, entities at {lab.at['entity']}")
         self.robot = lab.start_robot(8101 if self.options.keep else 0)
         self.say(f"   axon-lab              a virtual PeopleBot speaks ARCOS at {self.robot.address}")
         lab.start_application(self.robot.address)
@@ -106,7 +111,8 @@ class Story:
 
     def play(self):
         """True when everything held. The laboratory runs afterwards."""
-        if not self.step("laboratory", "A laboratory: server, virtual PeopleBot, its application and Entity Manager",
+        servers = "IceStorm, two servers behind two routers" if self.options.cluster else "server"
+        if not self.step("laboratory", f"A laboratory: {servers}, virtual PeopleBot, its application and Entity Manager",
                          self.start_laboratory):
             return False
         self.step("list", "What is in the environment?", lambda: self.axon("ls"))
@@ -124,10 +130,17 @@ class Story:
         self.step("release", "Release it for others", lambda: self.axon("release", "PeopleBot"))
         return all(step["ok"] for step in self.steps)
 
+    def where(self):
+        """What a terminal has to be told beside the path."""
+        if not self.options.cluster:
+            return ""
+        return (f"\n  export AXON_CONFIG={self.lab.env['AXON_CONFIG']}"
+                f"\n  axon-cluster status --folder {self.lab.server.folder}     (also: kill fe1, restart fe1)")
+
     def leave_running(self):
         self.say(f"""
 The laboratory is running. In another terminal:
-  export PATH="{self.lab.bin}:$PATH"
+  export PATH="{self.lab.bin}:$PATH"{self.where()}
   axon ls
   axon info PeopleBot
   axon run PeopleBot Driving Distance=500
@@ -147,6 +160,7 @@ def main():
     parser.add_argument("--bin", required=True, help="folder of the programs")
     parser.add_argument("--keep", action="store_true")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--cluster", action="store_true")
     story = Story(parser.parse_args())
     ok = False
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))

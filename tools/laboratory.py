@@ -75,10 +75,10 @@ def wait_until(holds, what, seconds=10.0):
 class Cluster:
     """What `axon-cluster` started, in the place of one server process: killed and ended as that is."""
 
-    def __init__(self, lab, base_port=0):
+    def __init__(self, lab, shape):
         self.lab = lab
         self.folder = lab.folder / "cluster"
-        self.base_port = base_port
+        self.shape = shape  # options of `axon-cluster up`
 
     def command(self, *words, timeout=120):
         """(exit status, what it printed)."""
@@ -93,8 +93,8 @@ class Cluster:
             raise Failed(f"axon-cluster {' '.join(map(str, words))} ended with {status}:\n{text}")
         return text
 
-    def up(self, *options):
-        self.do("up", "--base-port", self.base_port, *options)
+    def up(self):
+        self.do("up", *self.shape)
         self.status = json.loads(self.do("status", "--json"))
 
     def names(self, *kinds):
@@ -154,9 +154,9 @@ class Laboratory:
         self.env["AXON_SERVER"] = self.at["client"]
         return self.server
 
-    def start_cluster(self, *more, base_port=0):
+    def start_cluster(self, *more, shape=("--base-port", 0)):
         """Starts what does not run of it; of axon-server's options it understands --users FILE."""
-        self.server = self.server or Cluster(self, base_port)
+        self.server = self.server or Cluster(self, shape)
         users = self.server.folder / "users.cfg"
         if more and not users.exists():
             option, file = more
