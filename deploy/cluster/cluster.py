@@ -163,6 +163,8 @@ class Cluster:
             if plan.base_port == 0:
                 plan = free_range(plan)
             plan.check()
+            if plan.leaves_the_machine() and not plan.tls:
+                self.progress.say(f"warning: passwords and commands travel in clear to and from {plan.listen}")
             fields = {field.name: getattr(plan, field.name) for field in dataclasses.fields(plan) if field.name != "folder"}
             running = [name for name, record in self.records().items() if processes.runs(record)]
             if running and fields != before:
@@ -331,7 +333,7 @@ class Cluster:
                           "since": record["since"] if runs else None, "log": str(self.log(program.name))})
         return {"folder": str(self.folder), "client_config": str(self.folder / "client.cfg"),
                 "entity_config": str(self.folder / "entitygl2client.cfg"), "users": str(self.folder / "users.cfg"),
-                "tls": plan.tls, "programs": found}
+                "tls": bool(plan.tls), "programs": found}
 
     def kill(self, name):
         """kill -9; whether it ran."""

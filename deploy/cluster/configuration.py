@@ -26,7 +26,7 @@ class Plan:
     entity_servers: int = 1
     base_port: int = BASE_PORT
     listen: str = LOOPBACK  # where the two routers listen; everything else is on loopback
-    tls: bool = False
+    tls: bool | None = None  # None = no, and nobody has said that it may be so beyond this machine
 
     def check(self):
         for option, value in (("--front-ends", self.front_ends), ("--entity-servers", self.entity_servers)):
@@ -38,10 +38,14 @@ class Plan:
         if self.listen in ("0.0.0.0", "::", "*", ""):
             raise Misconfigured(f"--listen {self.listen}: expected one address or name of this machine, as clients "
                                 "and entities are to reach it; it is written into their configuration")
-        if self.listen not in (LOOPBACK, "localhost", "::1") and not self.tls and not self.listen.startswith("127."):
-            raise Misconfigured(f"--listen {self.listen}: passwords would travel in clear; add --tls")
+        if self.leaves_the_machine() and self.tls is None:
+            raise Misconfigured(f"--listen {self.listen}: passwords and commands would travel in clear; add --tls, or "
+                                "--no-tls where that network is yours alone")
         if any(c.isspace() for c in str(self.folder)):
             raise Misconfigured(f"--folder '{self.folder}': expected a path without blanks")
+
+    def leaves_the_machine(self):
+        return self.listen not in ("localhost", "::1") and not self.listen.startswith("127.")
 
     def port(self, program, which):
         """0 … 9 of each program: the first of a server's are those that embedded servers have, in that order."""
