@@ -17,6 +17,7 @@ import random
 import secrets
 import shutil
 import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -207,8 +208,26 @@ class Cluster:
             if file.exists() and digest(file.read_text(encoding="utf-8")) == generated[name]:
                 file.unlink()
         self.remember("cluster.json", {"plan": fields, "generated": kept})
+        if plan.tls:
+            self.issue_certificates(plan)
         for user in unlisted:
             self.add_user(user, USERS[user], passwords[user])
+
+    def issue_certificates(self, plan):
+        """Those that are not there yet, by a CA of the cluster's own."""
+        folder = self.folder / "certs"
+        router = configuration.router_certificate(plan)
+        for stem, words in (("ca", ("init",)), (router, ("issue", "--router", plan.listen)),
+                            (f"client-{ADMIN}", ("issue", "--client", ADMIN)), (f"entity-{ENTITY}", ("issue", "--entity", ENTITY))):
+            if not (folder / f"{stem}.cert.pem").exists():
+                self.run_axon("certs", *words, "--folder", folder)
+
+    def run_axon(self, *words):
+        done = subprocess.run([self.axon_programs / "axon", *words], stdin=subprocess.DEVNULL, capture_output=True, text=True,
+                              check=False, timeout=60)
+        if done.returncode != 0:
+            raise Failed(f"axon {' '.join(map(str, words))} ended with {done.returncode}:\n"
+                         f"{(done.stderr or done.stdout).strip()}")
 
     def add_user(self, user, role, password):
         done = subprocess.run([self.axon_programs / "axon-server", "--users", self.folder / "users.cfg", "--add-user", user,
@@ -266,7 +285,8 @@ class Cluster:
             probe.ping(*program.ports["topics"], "IceStorm/TopicManager")
         elif program.name.endswith("router"):
             host, port = next(iter(program.ports.values()))
-            probe.Connection(host, port, self.tls(plan)).close()
+            certificate = "client.cfg" if program.name == "client-router" else "entitygl2client.cfg"
+            probe.Connection(host, port, self.tls(plan, certificate)).close()
         elif not any(line.startswith("ready ") for line in processes.said(self.log(program.name), record).splitlines()):
             raise probe.NoAnswer("no line 'ready …' yet")
 
@@ -283,15 +303,17 @@ class Cluster:
                   seconds, names)
         self.wait(lambda: log_in("client.cfg"), "a client gets a session through the client router", seconds, names)
         self.progress.show("axon ls")
-        done = subprocess.run([self.axon_programs / "axon", "--config", self.folder / "client.cfg", "ls"],
-                              stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=60)
-        if done.returncode != 0:
-            raise Failed(f"axon --config {self.folder / 'client.cfg'} ls ended with {done.returncode}:\n"
-                         f"{(done.stderr or done.stdout).strip()}")
+        self.run_axon("--config", self.folder / "client.cfg", "ls")
         self.progress.show()
 
     def tls(self, plan, file="client.cfg"):
-        return None
+        """What a connection needs of the certificates that `file` names; None for plain TCP."""
+        if not plan.tls:
+            return None
+        folder = pathlib.Path(self.told(file, "IceSSL.DefaultDir"))
+        context = ssl.create_default_context(cafile=folder / self.told(file, "IceSSL.CAs"))
+        context.load_cert_chain(folder / self.told(file, "IceSSL.CertFile"), folder / self.told(file, "IceSSL.KeyFile"))
+        return context
 
     def wait(self, asks, what, seconds, names):
         """Until `asks` raises NoAnswer no more; a program of `names` that ends meanwhile ends the waiting."""

@@ -57,7 +57,7 @@ class Plan:
             return self.base_port + {"entities": 4, "callbacks": 5}[which]
         first = 0 if program.startswith("fe") else 100
         return self.base_port + first + 10 * int(program[2:]) + {
-            "data": 0, "signal": 1, "router": 2, "router-signal": 3, "topic": 4, "peers": 5}[which]
+            "data": 0, "signal": 1, "router": 2, "topics": 3, "servers": 4}[which]
 
     def front_end_names(self):
         return [f"fe{n}" for n in range(1, self.front_ends + 1)]
@@ -94,7 +94,7 @@ def programs(plan):
     return found
 
 
-SERVER_PORTS = ("data", "signal", "router")
+SERVER_PORTS = ("data", "signal", "router", "topics", "servers")
 
 
 def tcp(plan, program, which):
@@ -176,7 +176,7 @@ Glacier2.Server.Endpoints={tcp(plan, name, "callbacks")}
 # Who checks passwords, and who makes sessions: the {server_kind} servers, whichever is there.
 Glacier2.PermissionsVerifier={proxies("PermissionsVerifier")}
 Glacier2.SessionManager={proxies("SessionManager")}
-# What is behind the router is out of reach but for the session's own object:
+{tls(plan, router_certificate(plan)) if plan.tls else ""}# What is behind the router is out of reach but for the session's own object:
 Glacier2.Filter.Identity.Accept=Axon/none
 # A session whose owner is silent for so many seconds ends. The servers' watchdogs are much faster:
 Glacier2.SessionTimeout=2
@@ -215,6 +215,10 @@ Server.Name={name}
 {adapter}Signal.Endpoints={tcp(plan, name, "signal")}
 # Where the router for {whom} comes; only the router may:
 {adapter}Router.Endpoints={tcp(plan, name, "router")}
+# Where IceStorm brings what the others publish, and where these send signals directly. Loopback only: a server is believed
+# without a password.
+{adapter}Topic.Endpoints={tcp(plan, name, "topics")}
+{adapter}TopicSignal.Endpoints={tcp(plan, name, "servers")}
 # Where the topics are:
 Server.TopicManager=IceStorm/TopicManager:{tcp(plan, "icestorm", "topics")}
 # Who may log in:
@@ -230,7 +234,7 @@ Ice.Default.Router=Axon.Clients/router:{public(plan, "client-router", "clients")
 # Who it is; without the password the command asks for it:
 Axon.User={ADMIN}
 Axon.Password={password}
-"""
+{tls(plan, f"client-{ADMIN}") if plan.tls else ""}"""
 
 
 def entity_manager(plan, password):
@@ -240,6 +244,25 @@ def entity_manager(plan, password):
 Ice.Default.Router=Axon.Entities/router:{public(plan, "entity-router", "entities")}
 Axon.User={ENTITY}
 Axon.Password={password}
+{tls(plan, f"entity-{ENTITY}") if plan.tls else ""}"""
+
+
+def router_certificate(plan):
+    return f"router-{plan.listen}"
+
+
+def tls(plan, certificate):
+    return f"""\
+# TLS, with a certificate of the CA in {plan.folder}/certs (axon certs --help): both sides show one.
+Ice.Plugin.IceSSL=IceSSL:createIceSSL
+IceSSL.DefaultDir={plan.folder}/certs
+IceSSL.CAs=ca.cert.pem
+IceSSL.CertFile={certificate}.cert.pem
+IceSSL.KeyFile={certificate}.key.pem
+IceSSL.VerifyPeer=2
+# The certificate must be for the address that was called:
+IceSSL.CheckCertName=1
+IceSSL.ProtocolVersionMin=tls1_3
 """
 
 
