@@ -251,6 +251,7 @@ class Cluster:
                     done.append((program, "started"))
                 for program in fresh:
                     self.wait_until_ready(plan, program)
+            self.wait_for_topics(plan)
             self.wait_for_sessions(plan)
             return done
 
@@ -289,6 +290,18 @@ class Cluster:
             probe.Connection(host, port, self.tls(plan, certificate)).close()
         elif not any(line.startswith("ready ") for line in processes.said(self.log(program.name), record).splitlines()):
             raise probe.NoAnswer("no line 'ready …' yet")
+
+    def wait_for_topics(self, plan, seconds=READY_S):
+        """Every server listens to the others: it is there, and IceStorm knows it."""
+        programs = configuration.programs(plan)
+        at = next(program.ports["topics"] for program in programs if program.name == "icestorm")
+
+        def joined():
+            for topic, servers in (("FrontEndToEntity", plan.entity_servers), ("EntityToFrontEnd", plan.front_ends)):
+                found = len(probe.subscribers(*at, topic))
+                if found < servers:
+                    raise probe.NoAnswer(f"{found} of {servers} servers listen to {topic}")
+        self.wait(joined, "the servers have joined the topics", seconds, [program.name for program in programs[:-2]])
 
     def wait_for_sessions(self, plan, seconds=READY_S):
         """What counts: somebody who knows nothing but client.cfg or entitygl2client.cfg gets a session."""

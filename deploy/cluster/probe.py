@@ -112,6 +112,20 @@ def ping(host, port, identity, tls=None):
         connection.call(identity, "ice_ping")
 
 
+def subscribers(host, port, topic):
+    """The identities that IceStorm brings a topic to."""
+    with Connection(host, port) as connection:
+        answer = connection.call(f"IceStorm/topic.{topic}", "getSubscribers")
+    count, at, found = answer[6], 7, []
+    if count == 255:
+        count, at = struct.unpack_from("<i", answer, at)[0], at + 4
+    for _ in range(count):
+        name, at = take_text(answer, at)
+        category, at = take_text(answer, at)
+        found.append(f"{category}/{name}".lstrip("/"))
+    return found
+
+
 def make_session(host, port, router, user, password, tls=None):
     """Logs in at a Glacier2 router and leaves again; NoAnswer with the router's or the server's reason."""
     with Connection(host, port, tls, 5.0) as connection:
