@@ -34,6 +34,7 @@ from laboratory import Failed, Laboratory, wait_until  # noqa: E402
 STOP_MS = 250 + 100  # the longest watchdog of a hop while a task runs, and what is allowed on top
 PATIENCE_S = 3.0
 USABLE_S = 5.0
+REQUEST_S = 2  # so long a request of the client may take: it is tried again
 STALL_MS = 50
 LONG_S = 3600
 KINDS = {
@@ -189,7 +190,7 @@ class Run:
     def hold(self, robot):
         """The client has it and it takes tasks: (exit status, what was said) of the first thing that fails."""
         for words in (("checkout", robot.name), ("rearm", robot.name)):
-            status, lines, errors = self.lab.axon(*words)
+            status, lines, errors = self.lab.axon("--timeout", str(REQUEST_S), *words)
             if status != 0:
                 return f"{' '.join(words)}: {lines[-1:]} {errors.strip()}"
         return ""
