@@ -128,6 +128,8 @@ def icebox():
 IceBox.Service.IceStorm=IceStormService,37:createIceStorm --Ice.Config=icestorm.cfg
 # The line "IceStorm ready" says that it runs:
 IceBox.PrintServicesReady=IceStorm
+# IceBox warns that it does not know one line of icestorm.cfg (Serialize), which IceStorm obeys:
+Ice.Warn.UnknownProperties=0
 # No administration from outside: who reaches it could end the process.
 Ice.Admin.Enabled=0
 """
@@ -146,8 +148,6 @@ IceStorm.Publish.Endpoints={tcp(plan, "icestorm", "publish")}
 # Several threads, and yet the messages of one publisher in their order:
 IceStorm.Publish.ThreadPool.Size=4
 IceStorm.Publish.ThreadPool.Serialize=1
-# (IceStorm obeys that line and yet warns that it does not know it.)
-Ice.Warn.UnknownProperties=0
 # A subscriber that does not read has so many messages kept; then the oldest is dropped. Signals do not depend on it:
 IceStorm.Send.QueueSizeMax=1000
 IceStorm.Send.QueueSizeMaxPolicy=DropEvents
