@@ -128,8 +128,6 @@ def icebox():
 IceBox.Service.IceStorm=IceStormService,37:createIceStorm --Ice.Config=icestorm.cfg
 # The line "IceStorm ready" says that it runs:
 IceBox.PrintServicesReady=IceStorm
-# IceBox warns that it does not know one line of icestorm.cfg (Serialize), which IceStorm obeys:
-Ice.Warn.UnknownProperties=0
 # No administration from outside: who reaches it could end the process.
 Ice.Admin.Enabled=0
 """
@@ -145,7 +143,8 @@ IceStorm.Transient=1
 IceStorm.TopicManager.Endpoints={tcp(plan, "icestorm", "topics")}
 # Where they publish:
 IceStorm.Publish.Endpoints={tcp(plan, "icestorm", "publish")}
-# Several threads, and yet the messages of one publisher in their order:
+# Several threads, and yet the messages of one publisher in their order. IceBox warns that it does not know Serialize;
+# IceStorm obeys it.
 IceStorm.Publish.ThreadPool.Size=4
 IceStorm.Publish.ThreadPool.Serialize=1
 # A subscriber that does not read has so many messages kept; then the oldest is dropped. Signals do not depend on it:
