@@ -175,8 +175,11 @@ Glacier2.Server.Endpoints={tcp(plan, name, "callbacks")}
 # Who checks passwords, and who makes sessions: the {server_kind} servers, whichever is there.
 Glacier2.PermissionsVerifier={proxies("PermissionsVerifier")}
 Glacier2.SessionManager={proxies("SessionManager")}
+# Another one each time, so that sessions are spread over them:
+Glacier2.PermissionsVerifier.ConnectionCached=0
+Glacier2.SessionManager.ConnectionCached=0
 {tls(plan, router_certificate(plan)) if plan.tls else ""}# What is behind the router is out of reach but for the session's own object:
-Glacier2.Filter.Identity.Accept=Axon/none
+Glacier2.Filter.Identity.Accept={instance}/none
 # A session whose owner is silent for so many seconds ends. The servers' watchdogs are much faster:
 Glacier2.SessionTimeout=2
 Glacier2.Client.ACM.Timeout=1
@@ -190,10 +193,18 @@ Glacier2.Client.ForwardContext=1
 Glacier2.Server.ForwardContext=1
 # A line for each session that begins and ends:
 Glacier2.Trace.Session=1
+# Several threads, and what comes over one connection goes on in its order:
 Ice.ThreadPool.Client.Size=4
 Ice.ThreadPool.Client.SizeMax=16
+Ice.ThreadPool.Client.Serialize=1
 Ice.ThreadPool.Server.Size=4
 Ice.ThreadPool.Server.SizeMax=16
+Ice.ThreadPool.Server.Serialize=1
+# The connections to the servers live as long as their sessions; a server that is not there is given up after 2 s:
+Ice.ACM.Client.Close=0
+Ice.ACM.Client.Heartbeat=3
+Ice.Override.ConnectTimeout=2000
+Ice.Warn.Connections=0
 # As in every process of Axon, in KiB:
 Ice.MessageSizeMax={MESSAGE_SIZE_MAX}
 Ice.Admin.Enabled=0
