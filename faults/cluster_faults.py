@@ -80,9 +80,10 @@ class Robot:
         low = 5500 + (os.getpid() * 40 + number * 4) % 2400
         (folder / "ports.cfg").write_text(f"Axon.Ports = {low}-{low + 3}\n")
         self.stops = []  # (moment, cause)
-        self.application = subprocess.Popen([lab.bin / "hello-entity", folder, folder / "ports.cfg"], env=lab.env,
-                                            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True,
-                                            start_new_session=True)
+        with open(lab.folder / f"{self.name}.log", "wb") as log:
+            self.application = subprocess.Popen([lab.bin / "hello-entity", folder, folder / "ports.cfg"], env=lab.env,
+                                                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, text=True,
+                                                start_new_session=True)
         threading.Thread(target=self.listen, daemon=True).start()
         lab.ports = f"{low}-{low + 3}"
         lab.start_manager("", "--state", folder / "state")
