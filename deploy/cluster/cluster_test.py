@@ -87,6 +87,18 @@ class Configuration(unittest.TestCase):
             if name not in ("client.cfg", "entitygl2client.cfg"):
                 self.assertNotIn("secret", text, name)
 
+    def test_with_tls_only_the_routers_ports_to_the_world_change_and_everybody_has_a_certificate(self):
+        files = configuration.files(Plan(pathlib.Path("/folder"), tls=True), PASSWORDS)
+        for file, certificate in (("glacier2clients.cfg", "router-127.0.0.1"), ("glacier2entities.cfg", "router-127.0.0.1"),
+                                  ("client.cfg", "client-admin"), ("entitygl2client.cfg", "entity-entity")):
+            text = files.pop(file)
+            self.assertEqual(text.count("ssl -h"), 1, file)
+            self.assertEqual(configuration.read_property(text, "IceSSL.CertFile"), f"{certificate}.cert.pem")
+            self.assertEqual(configuration.read_property(text, "IceSSL.VerifyPeer"), "2")
+            self.assertEqual(configuration.read_property(text, "IceSSL.CheckCertName"), "1")
+        for name, text in files.items():
+            self.assertNotIn("ssl -h", text, name)
+
     def test_wishes_that_cannot_be_are_refused_with_the_mend(self):
         for wish, said in (({"front_ends": 0}, "--front-ends 0"), ({"entity_servers": 10}, "1 to 9"),
                            ({"base_port": 80}, "1024"), ({"base_port": 65500}, "200 ports"), ({"listen": "0.0.0.0"}, "one address"),

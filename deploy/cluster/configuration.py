@@ -178,7 +178,7 @@ Glacier2.SessionManager={proxies("SessionManager")}
 # Another one each time, so that sessions are spread over them:
 Glacier2.PermissionsVerifier.ConnectionCached=0
 Glacier2.SessionManager.ConnectionCached=0
-{tls(plan, router_certificate(plan)) if plan.tls else ""}# What is behind the router is out of reach but for the session's own object:
+{router_tls(plan, proxies) if plan.tls else ""}# What is behind the router is out of reach but for the session's own object:
 Glacier2.Filter.Identity.Accept={instance}/none
 # A session whose owner is silent for so many seconds ends. The servers' watchdogs are much faster:
 Glacier2.SessionTimeout=2
@@ -255,6 +255,16 @@ Ice.Default.Router=Axon.Entities/router:{public(plan, "entity-router", "entities
 Axon.User={ENTITY}
 Axon.Password={password}
 {tls(plan, f"entity-{ENTITY}") if plan.tls else ""}"""
+
+
+def router_tls(plan, proxies):
+    return f"""\
+# Who shows a certificate and gives no user is who the certificate says:
+Glacier2.SSLPermissionsVerifier={proxies("SSLPermissionsVerifier")}
+Glacier2.SSLSessionManager={proxies("SSLSessionManager")}
+Glacier2.SSLPermissionsVerifier.ConnectionCached=0
+Glacier2.SSLSessionManager.ConnectionCached=0
+{tls(plan, router_certificate(plan))}"""
 
 
 def router_certificate(plan):
