@@ -68,7 +68,7 @@ bool checkEndpoints(const std::string& endpoints, bool has_users, bool plain_tcp
             throw std::runtime_error(
                 "'" + endpoints +
                 "' is reachable from other machines, and the server has no users: anybody there could move "
-                "the robots. Name who may log in (axon-server --users FILE --add-user NAME --role ROLE, then "
+                "the robots. Name who may log in (axon-server --users FILE --add-user NAME --user-role ROLE, then "
                 "--users FILE), or listen on 127.0.0.1 and let other machines in through an SSH tunnel (ssh "
                 "-L 10410:127.0.0.1:10410 -L 10411:127.0.0.1:10411 HOST)");
         }

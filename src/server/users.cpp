@@ -29,7 +29,7 @@ constexpr std::size_t kDigestMin = 43;     // of SHA-256 and yescrypt; of MD5 22
 constexpr const char* kNobody =
     "$6$axonnobodyhere$x7C57Za9X2zTX9U.UjLOsDvIz1JNvtCR8yr06Y.07VukDnIAQSiNXEnkuwyb9d.df2OpRUXC.wglXYtbc/"
     "uFK0";
-constexpr const char* kHowTo = "make the line with: axon-server --users FILE --add-user NAME --role ROLE";
+constexpr const char* kHowTo = "make the line with: axon-server --users FILE --add-user NAME --user-role ROLE";
 
 std::vector<std::string_view> fieldsOf(std::string_view line) {
     std::vector<std::string_view> fields;

@@ -52,7 +52,7 @@ class RoutersTest(unittest.TestCase):
         (self.lab.folder / "users.cfg").unlink()
         for name, role in (("client1", "operator"), ("client2", "admin"), ("hello", "entity")):
             subprocess.run([BIN / "axon-server", "--users", self.lab.folder / "users.cfg", "--add-user", name,
-                            "--role", role], input=f"word of {name}\n", text=True, check=True, capture_output=True)
+                            "--user-role", role], input=f"word of {name}\n", text=True, check=True, capture_output=True)
         at = {name: f"127.0.0.1:{port}" for name, port in self.ports.items()}
         self.write("server.cfg", f"""
 FrontEndServer.Endpoints={at["client"]}
