@@ -5,6 +5,7 @@
 #include <spdlog/spdlog.h>
 #include <unistd.h>
 
+#include <asio/post.hpp>
 #include <asio/thread_pool.hpp>
 #include <cstdio>
 #include <fstream>
@@ -19,6 +20,7 @@
 #include "entity_manager/file_journal.hpp"
 #include "entity_manager/file_storage.hpp"
 #include "entity_manager/server_communicators.hpp"
+#include "transport/communicator.hpp"
 #include "transport/logging.hpp"
 
 namespace axon::faults {
@@ -139,7 +141,8 @@ int runManagers(const RobotsPlan& plan) {
     using namespace entity_manager;
     transport::logToStderr("info");
     SteadyClock clock;
-    asio::thread_pool executor(2);
+    asio::thread_pool executor(1);
+    asio::post(executor, [] { transport::requestRealTime(transport::kReceiptPriority); });  // as the daemon's
     const auto ice = std::make_shared<ServerCommunicators>(2, 1);
     const auto colon = plan.server.rfind(':');
     ServerAddress server;

@@ -16,21 +16,6 @@
 namespace axon::transport {
 namespace {
 
-void requestRealTime(int priority, std::atomic<bool>& said) {
-    sched_param parameters{};
-    parameters.sched_priority = priority;
-    const int error = pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
-    if (error != 0 && !said.exchange(true)) {
-        // The client library has a logger of its own; standard output is its program's.
-        const auto logger = spdlog::get("axon");
-        (logger ? logger : spdlog::default_logger())
-            ->info(
-                "signal lane: no permission for real-time scheduling, ordinary threads are used; stops are "
-                "slower under "
-                "full load (to mend: LimitRTPRIO=30 in the systemd unit, or 'ulimit -r 30')");
-    }
-}
-
 /// What a router says of every exception of the servers behind it.
 constexpr const char* kRouterWithoutServer = "internal server error";
 
@@ -43,6 +28,22 @@ Refusal noServerBehind() {
 }
 
 }  // namespace
+
+void requestRealTime(int priority) {
+    sched_param parameters{};
+    parameters.sched_priority = priority;
+    const int error = pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
+    static std::atomic<bool> said{false};  // a process has many such threads; its operator is told once
+    if (error != 0 && !said.exchange(true)) {
+        // The client library has a logger of its own; standard output is its program's.
+        const auto logger = spdlog::get("axon");
+        (logger ? logger : spdlog::default_logger())
+            ->info(
+                "signal lane: no permission for real-time scheduling, ordinary threads are used; stops are "
+                "slower under "
+                "full load (to mend: LimitRTPRIO=30 in the systemd unit, or 'ulimit -r 30')");
+    }
+}
 
 Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
     Ice::InitializationData init;
@@ -72,12 +73,10 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
     if (tls) prepareTls(init, settings.properties);
 
     // Ice runs the hook in each thread that it starts for this communicator.
-    // A process may have several communicators for signals; its operator is told once.
-    static const auto said = std::make_shared<std::atomic<bool>>(false);
     init.threadStart = [name = settings.name.substr(0, 15), lane = settings.lane,
-                        priority = settings.priority, told = said] {
+                        priority = settings.priority] {
         pthread_setname_np(pthread_self(), name.c_str());
-        if (lane == Lane::Signal) requestRealTime(priority, *told);
+        if (lane == Lane::Signal) requestRealTime(priority);
     };
     try {
         Ice::CommunicatorHolder holder(init);

@@ -21,6 +21,9 @@ inline constexpr int kMessageSizeMaxKib = 4096;
 inline constexpr int kStopPriority = 10;
 inline constexpr int kReceiptPriority = 5;
 
+/// SCHED_RR for the calling thread, where permitted; where not, that is logged once and nothing changes.
+void requestRealTime(int priority);
+
 /// What differs between the project's communicators; all else is decided in makeCommunicator, in one place.
 struct CommunicatorSettings {
     std::string name = "axon";  ///< of its threads; up to 15 characters are shown by ps and gdb
