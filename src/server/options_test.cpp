@@ -63,7 +63,7 @@ TEST(ServerOptions, OneOfSeveralServersNeedsANameAndTheTopicManager) {
     EXPECT_EQ(settings.role, ServerRole::FrontEnd);
     EXPECT_EQ(settings.name, "fe1");
     EXPECT_EQ(settings.topic_manager, "IceStorm/TopicManager:tcp -h 127.0.0.1 -p 1");
-    EXPECT_EQ(settings.topic_endpoint, "127.0.0.1:10501");
+    EXPECT_EQ(settings.topic_endpoint, "tcp -h 127.0.0.1 -p 10501");
     std::ofstream(file) << "Server.Name=fe:1\n";
     EXPECT_THAT(complaint({"--role", "front-end", "--config", file}), HasSubstr("letters, digits"));
     std::filesystem::remove_all(folder);
