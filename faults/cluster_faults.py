@@ -322,7 +322,8 @@ class Run:
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", nargs="?", default="all", choices=["all", *KINDS], help="all = each of them")
+    parser.add_argument("kinds", nargs="*", default=["all"], metavar="KIND",
+                        help=f"{', '.join(KINDS)}; all = each of them (the default)")
     parser.add_argument("--list", action="store_true", help="every kind with what is struck, and end")
     parser.add_argument("--trials", type=int, default=20, help="of each kind (%(default)s)")
     parser.add_argument("--entities", type=int, default=4, help="robots, 1 to 16 (%(default)s)")
@@ -336,6 +337,10 @@ def main():
         for kind, (what, promise) in KINDS.items():
             print(f"{kind:<20} kills {what}: {promise}")
         return 0
+    kinds = list(KINDS) if options.kinds == ["all"] else options.kinds
+    for kind in kinds:
+        if kind not in KINDS:
+            parser.error(f"no kind '{kind}'; expected all, or some of {', '.join(KINDS)}")
     if not 1 <= options.entities <= 16 or options.trials < 1:
         parser.error("expected --entities 1 to 16 and at least one trial")
     reports = []
@@ -343,7 +348,7 @@ def main():
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         run.start()
-        for kind in KINDS if options.kind == "all" else [options.kind]:
+        for kind in kinds:
             reports.append(Report(kind))
             for number in range(options.trials):
                 if sys.stderr.isatty():
