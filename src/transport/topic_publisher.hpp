@@ -64,17 +64,20 @@ class TopicPublisher {
     /// By the topic. `call` as in CallbackSender::send.
     template <class... Arguments>
     void data(Arguments&&... arguments) const {
-        for (const auto& route : *data_.load()) route.sender->send(arguments...);
+        const auto routes = data_.load();  // held, for another may be stored meanwhile
+        for (const auto& route : *routes) route.sender->send(arguments...);
     }
     /// To each neighbour, then by the topic.
     template <class... Arguments>
     void signal(Arguments&&... arguments) const {
         neighbours(arguments...);
-        for (const auto& route : *signal_.load()) route.sender->send(arguments...);
+        const auto routes = signal_.load();  // held, for another may be stored meanwhile
+        for (const auto& route : *routes) route.sender->send(arguments...);
     }
     template <class... Arguments>
     void neighbours(Arguments&&... arguments) const {
-        for (const auto& route : *direct_.load()) route.sender->send(arguments...);
+        const auto routes = direct_.load();  // held, for another may be stored meanwhile
+        for (const auto& route : *routes) route.sender->send(arguments...);
     }
 
   private:
