@@ -54,7 +54,11 @@ class TopicPublisher {
             bool changed = false;
             for (auto& route : all) {
                 if (!route.sender->closed()) continue;
-                route.sender = sender(route.proxy, list == &data_ ? OutboxLimits{} : signalLimits());
+                try {
+                    route.sender = sender(route.proxy, list == &data_ ? OutboxLimits{} : signalLimits());
+                } catch (const Ice::CommunicatorDestroyedException&) {  // the server is ending
+                    return;
+                }
                 changed = true;
             }
             if (changed) store(*list, std::move(all));
