@@ -3,8 +3,10 @@
 import json
 import os
 import pathlib
+import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 
@@ -70,6 +72,15 @@ def wait_until(holds, what, seconds=10.0):
             return value
         time.sleep(0.02)
     raise Failed(f"{what}: not within {seconds:g} s")
+
+
+def keep_if_failed(test, folder):
+    """The folder stays, and is named, where this unittest.TestCase failed; otherwise it goes."""
+    result = test._outcome.result
+    if any(one is test for one, _ in result.failures + result.errors):
+        print(f"logs of {test.id()}: {folder}", file=sys.stderr)
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 class Cluster:

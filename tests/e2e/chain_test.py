@@ -8,7 +8,6 @@ Each test has a laboratory of its own: ports of its own, applications named by t
 """
 import os
 import pathlib
-import shutil
 import socket
 import sys
 import threading
@@ -16,7 +15,7 @@ import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
-from laboratory import Laboratory, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, wait_until  # noqa: E402
 
 BIN = ROOT / "build" / "dev" / "bin"
 
@@ -37,11 +36,7 @@ class ChainTest(unittest.TestCase):
 
     def tidy(self):
         self.lab.end()
-        result = self._outcome.result
-        if any(test is self for test, _ in result.failures + result.errors):
-            print(f"logs of {self.id()}: {self.lab.folder}", file=sys.stderr)
-        else:
-            shutil.rmtree(self.lab.folder, ignore_errors=True)
+        keep_if_failed(self, self.lab.folder)
 
     def start_all(self):
         self.lab.start_server()

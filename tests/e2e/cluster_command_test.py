@@ -7,14 +7,13 @@
 import json
 import os
 import pathlib
-import shutil
 import subprocess
 import sys
 import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
-from laboratory import Laboratory, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, wait_until  # noqa: E402
 
 BIN = ROOT / "build" / "dev" / "bin"
 
@@ -26,11 +25,7 @@ class ClusterCommandTest(unittest.TestCase):
 
     def tidy(self):
         self.lab.end()
-        result = self._outcome.result
-        if any(test is self for test, _ in result.failures + result.errors):
-            print(f"logs of {self.id()}: {self.lab.folder}", file=sys.stderr)
-        else:
-            shutil.rmtree(self.lab.folder, ignore_errors=True)
+        keep_if_failed(self, self.lab.folder)
 
     def status(self):
         code, text = self.lab.server.command("status", "--json")

@@ -10,7 +10,6 @@ Three network namespaces, so it needs root: `lab` with the cluster, `client` and
 import json
 import os
 import pathlib
-import shutil
 import socket
 import subprocess
 import sys
@@ -19,7 +18,7 @@ import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
-from laboratory import Process, wait_until  # noqa: E402
+from laboratory import Process, keep_if_failed, wait_until  # noqa: E402
 
 BIN = ROOT / "build" / "dev" / "bin"
 ROUTERS = "10.77.0.1"  # of lab
@@ -70,11 +69,7 @@ class FirewallTest(unittest.TestCase):
             run(BIN / "axon-cluster", "down", "--folder", self.folder / "cluster")
         for space in self.spaces.values():
             run("ip", "netns", "delete", space)
-        result = self._outcome.result
-        if any(test is self for test, _ in result.failures + result.errors):
-            print(f"logs of {self.id()}: {self.folder}", file=sys.stderr)
-        else:
-            shutil.rmtree(self.folder, ignore_errors=True)
+        keep_if_failed(self, self.folder)
 
     def do(self, space, *words):
         done = run("ip", "netns", "exec", space, *map(str, words), env=self.env)

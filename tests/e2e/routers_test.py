@@ -18,7 +18,7 @@ import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
-from laboratory import Laboratory, addresses, wait_until  # noqa: E402
+from laboratory import Laboratory, addresses, keep_if_failed, wait_until  # noqa: E402
 
 BIN = ROOT / "build" / "dev" / "bin"
 ROUTER = shutil.which("glacier2router")
@@ -96,11 +96,7 @@ Axon.Ports={self.lab.ports}
             if process.child.poll() is None:
                 process.child.send_signal(signal.SIGCONT)
         self.lab.end()
-        result = self._outcome.result
-        if any(test is self for test, _ in result.failures + result.errors):
-            print(f"logs of {self.id()}: {self.lab.folder}", file=sys.stderr)
-        else:
-            shutil.rmtree(self.lab.folder, ignore_errors=True)
+        keep_if_failed(self, self.lab.folder)
 
     def start_server(self):
         self.server = self.lab.start(f"server-{len(self.lab.processes)}", "axon-server", "--config",

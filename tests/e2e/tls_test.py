@@ -6,13 +6,12 @@
 """
 import os
 import pathlib
-import shutil
 import sys
 import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
-from laboratory import Laboratory, addresses, wait_until  # noqa: E402
+from laboratory import Laboratory, addresses, keep_if_failed, wait_until  # noqa: E402
 
 BIN = ROOT / "build" / "dev" / "bin"
 
@@ -34,11 +33,7 @@ class TlsTest(unittest.TestCase):
 
     def tidy(self):
         self.lab.end()
-        result = self._outcome.result
-        if any(test is self for test, _ in result.failures + result.errors):
-            print(f"logs of {self.id()}: {self.lab.folder}", file=sys.stderr)
-        else:
-            shutil.rmtree(self.lab.folder, ignore_errors=True)
+        keep_if_failed(self, self.lab.folder)
 
     def certs(self, *words, folder="certs"):
         status, lines, errors = self.lab.axon("certs", *words, "--folder", str(self.lab.folder / folder))
