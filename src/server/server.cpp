@@ -225,32 +225,32 @@ class ClientsHere final : public entity_server::FrontEndTopic {
     front_end_server::FrontEndCore* core_ = nullptr;
 };
 
-/// The name and the front-end server's part in the topics.
+/// What both kinds of server are told alike: their name, and where the others and routers find them.
+template <class Its>
+void placeAmongServers(Its& its, const ServerSettings& settings, const std::string& router_endpoint) {
+    if (settings.role != ServerRole::Both) its.core.name = settings.name;
+    its.topic_endpoint = iceForm(settings.topic_endpoint);
+    its.topic_signal_endpoint = iceForm(settings.topic_signal_endpoint);
+    its.router_endpoint = routerEndpoint(router_endpoint);
+    its.name = settings.name;
+    its.neighbours = settings.neighbours;
+}
+
 front_end_server::FrontEndServerSettings frontEndSettings(const ServerSettings& settings) {
     front_end_server::FrontEndServerSettings its;
     its.core = settings.front_end;
-    if (settings.role != ServerRole::Both) its.core.name = settings.name;
     its.data_endpoint = iceForm(settings.client_endpoint);
     its.signal_endpoint = iceForm(settings.client_signal_endpoint);
-    its.topic_endpoint = iceForm(settings.topic_endpoint);
-    its.topic_signal_endpoint = iceForm(settings.topic_signal_endpoint);
-    its.router_endpoint = routerEndpoint(settings.client_router_endpoint);
-    its.name = settings.name;
-    its.neighbours = settings.neighbours;
+    placeAmongServers(its, settings, settings.client_router_endpoint);
     return its;
 }
 
 entity_server::EntityServerSettings entitySettings(const ServerSettings& settings) {
     entity_server::EntityServerSettings its;
     its.core = settings.entity;
-    if (settings.role != ServerRole::Both) its.core.name = settings.name;
     its.data_endpoint = iceForm(settings.entity_endpoint);
     its.signal_endpoint = iceForm(settings.entity_signal_endpoint);
-    its.topic_endpoint = iceForm(settings.topic_endpoint);
-    its.topic_signal_endpoint = iceForm(settings.topic_signal_endpoint);
-    its.router_endpoint = routerEndpoint(settings.entity_router_endpoint);
-    its.name = settings.name;
-    its.neighbours = settings.neighbours;
+    placeAmongServers(its, settings, settings.entity_router_endpoint);
     return its;
 }
 
