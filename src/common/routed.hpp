@@ -132,6 +132,7 @@ inline constexpr const char* kMsgRearm = "REARM";
 inline constexpr const char* kMsgStatus = "STATUS";
 inline constexpr const char* kMsgWatch = "WATCH";
 inline constexpr const char* kMsgHandOver = "HAND_OVER";
+inline constexpr const char* kMsgRun = "RUN";  ///< a global service: its request, its events, its history
 // … and towards a client, besides the above:
 inline constexpr const char* kMsgReply = "REPLY";
 inline constexpr const char* kMsgReceipt = "RECEIPT";
@@ -141,6 +142,10 @@ inline constexpr const char* kMsgPosition = "POSITION";
 // … and between an entity server and its Entity Managers: a drill of the server's own, and its answer once
 // the Entity Interfacer has acknowledged. Such a drill is answered to the server alone.
 inline constexpr const char* kMsgDrill = "DRILL";
+// … from entity to entity, …
+inline constexpr const char* kMsgCollaboration = "COLLABORATION";
+// … and to a front-end server itself.
+inline constexpr const char* kMsgGlobalServices = "GLOBAL_SERVICES";
 
 /// Sequence numbers from here on are those of stops that a server gives in the name of a client that is gone;
 /// a client's own are below. A stop is known by sender and number, so neither may look like the other.

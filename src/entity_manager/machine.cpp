@@ -96,6 +96,11 @@ Event eventOf(const proto::ToEntity& message) {
         case proto::ToEntity::kHandOverAnswer:
         case proto::ToEntity::kHandOverPolicy:
             return Event::HandOver;
+        case proto::ToEntity::kCollaboration:
+        case proto::ToEntity::kFromMaster:
+        case proto::ToEntity::kFromSlave:
+        case proto::ToEntity::kRunHistory:
+        case proto::ToEntity::kGlobalServices:
         case proto::ToEntity::BODY_NOT_SET:
             break;
     }
