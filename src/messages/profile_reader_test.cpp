@@ -255,6 +255,86 @@ TEST(ProfileReader, ALongChainOfCompositesIsNoRecursion) {
     EXPECT_EQ(reading.message.services(7).service_list(0), "s8");
 }
 
+std::string globalStep(int role, int preced, const std::string& more = "/>") {
+    return "<entity category='ROBOT' type='MOBILE' id='" + std::to_string(role) +
+           "' service_global_id='walk' preced='" + std::to_string(preced) + "' " + more;
+}
+
+std::string globalService(const std::string& inside, const std::string& attributes = "") {
+    return "<GlobalProfile><Service name='S' " + attributes + ">" + inside + "</Service></GlobalProfile>";
+}
+
+TEST(GlobalProfileReader, StepsNameWhereTheirValuesComeFrom) {
+    const auto reading = readGlobalProfile(
+        globalService(
+            globalStep(3, 2,
+                       "><key_value param_name='Target' param_from=' locate.Position.x '/>"
+                       "<key_value param_name='Speed' param_value='2'/></entity>") +
+                "<entity name='locate' category='MACHINE' type='STATIONARY' id='7' service_global_id='find' "
+                "preced='1'/>"
+                "<compensate id='7' service_global_id='off'><key_value param_name='Now' "
+                "param_value='true'/></compensate>",
+            "on_failure='compensate'"),
+        "g.xml");
+    EXPECT_THAT(reading.findings, IsEmpty()) << "a step may take from one that the file names later:\n"
+                                             << listed(reading.findings);
+    ASSERT_EQ(reading.message.services_size(), 1);
+    const auto& service = reading.message.services(0);
+    EXPECT_EQ(service.on_failure(), proto::COMPENSATE);
+    ASSERT_EQ(service.steps_size(), 2);
+    ASSERT_EQ(service.steps(0).sources_size(), 1);
+    EXPECT_EQ(service.steps(0).sources(0).param(), "Target");
+    EXPECT_EQ(service.steps(0).sources(0).step(), "locate");
+    EXPECT_EQ(service.steps(0).sources(0).output(), "Position.x") << "all after the first '.'";
+    ASSERT_EQ(service.steps(0).params_size(), 1);
+    EXPECT_EQ(service.steps(0).params(0).name(), "Speed");
+    EXPECT_EQ(service.steps(1).name(), "locate");
+    ASSERT_EQ(service.compensation_size(), 1);
+    EXPECT_EQ(service.compensation(0).role(), 7);
+    EXPECT_EQ(service.compensation(0).category(), proto::MACHINE) << "those of the participant";
+    EXPECT_EQ(service.compensation(0).type(), proto::STATIONARY);
+    EXPECT_EQ(service.compensation(0).service_global_id(), "off");
+    ASSERT_EQ(service.compensation(0).params_size(), 1);
+    EXPECT_EQ(service.compensation(0).params(0).values(0).str(), "true");
+}
+
+TEST(GlobalProfileReader, WithoutAWordAFailureStopsAll) {
+    const auto reading = readGlobalProfile(globalService(globalStep(0, 1)), "g.xml");
+    EXPECT_THAT(reading.findings, IsEmpty()) << listed(reading.findings);
+    EXPECT_EQ(reading.message.services(0).on_failure(), proto::STOP_ALL);
+    const auto held = readGlobalProfile(globalService(globalStep(0, 1), "on_failure='hold-others'"), "g.xml");
+    EXPECT_EQ(held.message.services(0).on_failure(), proto::HOLD_OTHERS);
+}
+
+TEST(GlobalProfileReader, ACompensationThatNeverRunsIsAWarning) {
+    const auto reading = readGlobalProfile(
+        globalService(globalStep(0, 1) + "<compensate id='0' service_global_id='park'/>"), "g.xml");
+    EXPECT_TRUE(reading.ok());
+    ASSERT_EQ(reading.findings.size(), 1U) << listed(reading.findings);
+    EXPECT_THAT(reading.findings[0].toString(),
+                AllOf(HasSubstr("warning"), HasSubstr("without it no compensation runs")));
+}
+
+TEST(GlobalProfileReader, NumbersOfTheOrderMayBeLeftOut) {
+    const auto reading =
+        readGlobalProfile(globalService(globalStep(0, 0) + globalStep(0, 7) + globalStep(1, 3)), "g.xml");
+    EXPECT_THAT(reading.findings, IsEmpty()) << listed(reading.findings);
+}
+
+TEST(GlobalProfileReader, AServiceHasAtMostTenThousandStepsAnd256Participants) {
+    const auto finding = [](int steps, int roles) {
+        std::string inside;
+        for (int i = 0; i < steps; ++i) inside += globalStep(i % roles, 1);
+        const auto reading = readGlobalProfile(globalService(inside), "g.xml");
+        EXPECT_LE(reading.findings.size(), 1U) << listed(reading.findings);
+        return listed(reading.findings);
+    };
+    EXPECT_EQ(finding(10000, 256), "");
+    EXPECT_THAT(finding(10001, 1), AllOf(HasSubstr("error"), HasSubstr("at most 10000 steps, found 10001")));
+    EXPECT_THAT(finding(257, 257),
+                AllOf(HasSubstr("error"), HasSubstr("at most 256 participants"), HasSubstr("found 257")));
+}
+
 TEST(ProfileReader, AGlobalIdThatIsAnotherServicesNameIsAWarning) {
     const auto reading = readServicesProfile(
         "<ServiceProfile><Service name='Go' type='SMPL'/><Service name='Walk' global_id='Go' "

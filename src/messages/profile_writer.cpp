@@ -190,6 +190,28 @@ void writeService(Writer& out, const proto::Service& service) {
     out.close("Service");
 }
 
+/// The parameters of a step, and the end of its element.
+void writeKeyValues(Writer& out, const proto::GlobalStep& step, std::string_view element) {
+    if (step.params_size() == 0 && step.sources_size() == 0) {
+        out.closeEmpty();
+        return;
+    }
+    out.content();
+    for (const auto& param : step.params()) {
+        out.open("key_value");
+        out.attribute("param_name", param.name());
+        out.attribute("param_value", param.values_size() > 0 ? toText(param.values(0)) : "");
+        out.closeEmpty();
+    }
+    for (const auto& source : step.sources()) {
+        out.open("key_value");
+        out.attribute("param_name", source.param());
+        out.attribute("param_from", source.step() + "." + source.output());
+        out.closeEmpty();
+    }
+    out.close(element);
+}
+
 }  // namespace
 
 std::string writeBasicProfile(const proto::BasicProfile& profile) {
@@ -225,26 +247,24 @@ std::string writeGlobalProfile(const proto::GlobalProfile& profile) {
         out.open("Service");
         out.attribute("name", service.name());
         out.text("descr", service.descr());
+        if (service.on_failure() == proto::HOLD_OTHERS) out.attribute("on_failure", "hold-others");
+        if (service.on_failure() == proto::COMPENSATE) out.attribute("on_failure", "compensate");
         out.content();
         for (const auto& step : service.steps()) {
             out.open("entity");
+            out.text("name", step.name());
             out.attribute("category", proto::Category_Name(step.category()));
             out.attribute("type", proto::Mobility_Name(step.type()));
             out.count("id", step.role());
             out.attribute("service_global_id", step.service_global_id());
             out.count("preced", step.preced());
-            if (step.params_size() == 0) {
-                out.closeEmpty();
-                continue;
-            }
-            out.content();
-            for (const auto& param : step.params()) {
-                out.open("key_value");
-                out.attribute("param_name", param.name());
-                out.attribute("param_value", param.values_size() > 0 ? toText(param.values(0)) : "");
-                out.closeEmpty();
-            }
-            out.close("entity");
+            writeKeyValues(out, step, "entity");
+        }
+        for (const auto& step : service.compensation()) {
+            out.open("compensate");
+            out.count("id", step.role());
+            out.attribute("service_global_id", step.service_global_id());
+            writeKeyValues(out, step, "compensate");
         }
         out.close("Service");
     }

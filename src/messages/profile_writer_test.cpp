@@ -168,24 +168,55 @@ class ProfileMaker {
             auto& service = *out.add_services();
             service.set_name(name(i));
             if (coin()) service.set_descr(text(10));
-            for (std::uint64_t s = 1 + below(4); s > 0; --s) {
-                auto& step = *service.add_steps();
-                step.set_role(static_cast<int>(below(3)));
-                step.set_category(step.role() == 0 ? proto::ROBOT : proto::MACHINE);
-                step.set_type(step.role() == 1 ? proto::MOBILE : proto::STATIONARY);
-                step.set_preced(static_cast<int>(below(5)));
-                step.set_service_global_id(name(0));
-                for (int p = static_cast<int>(below(3)); p > 0; --p) {
-                    auto& param = *step.add_params();
-                    param.set_name(name(p));
-                    param.add_values()->set_str(text(10));
-                }
-            }
+            for (std::uint64_t s = 1 + below(4); s > 0; --s) globalStep(service);
+            service.set_on_failure(static_cast<proto::OnFailure>(below(3)));
+            if (service.on_failure() != proto::COMPENSATE) continue;
+            const auto& compensated =
+                service.steps(static_cast<int>(below(static_cast<std::uint64_t>(service.steps_size()))));
+            auto& step = *service.add_compensation();
+            step.set_role(compensated.role());
+            step.set_category(compensated.category());
+            step.set_type(compensated.type());
+            step.set_service_global_id(name(0));
+            addParams(step);
         }
         return out;
     }
 
   private:
+    void addParams(proto::GlobalStep& step) {
+        for (int p = static_cast<int>(below(3)); p > 0; --p) {
+            auto& param = *step.add_params();
+            param.set_name(name(p));
+            param.add_values()->set_str(text(10));
+        }
+    }
+
+    /// Its place in the order is not below that of the step before it, from which it may have a value.
+    void globalStep(proto::GlobalService& service) {
+        const int before = service.steps_size();
+        auto& step = *service.add_steps();
+        step.set_role(static_cast<int>(below(3)));
+        step.set_category(step.role() == 0 ? proto::ROBOT : proto::MACHINE);
+        step.set_type(step.role() == 1 ? proto::MOBILE : proto::STATIONARY);
+        step.set_preced(static_cast<int>(below(2)) + (before > 0 ? service.steps(before - 1).preced() : 0));
+        step.set_service_global_id(name(0));
+        if (coin()) {
+            std::string called = name(before);
+            std::erase(called, '.');
+            step.set_name(called.substr(0, called.find_last_not_of(' ') + 1));
+        }
+        addParams(step);
+        for (int earlier = 0; earlier < before; ++earlier) {
+            const auto& from = service.steps(earlier);
+            if (from.name().empty() || from.preced() >= step.preced() || coin()) continue;
+            auto& source = *step.add_sources();
+            source.set_param(name(100 + earlier));
+            source.set_step(from.name());
+            source.set_output(name(earlier));
+        }
+    }
+
     /// Limits around all values that the parameter already has.
     void addRange(proto::CtrlParam& param) {
         double low = 0;
