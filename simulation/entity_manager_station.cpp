@@ -530,6 +530,16 @@ void EntityManagerStation::sendToClient(Lane lane, const Header& head, const pro
     });
 }
 
+void EntityManagerStation::sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
+    auto& life = *life_;
+    if (!life.up) return;
+    auto* connection = lane == Lane::Signal ? life.signal : life.data;
+    connection->send(process_, [server = &server_, session = life.session, lane, head,
+                                bytes = message.SerializeAsString()] {
+        server->sendToPeer(*session, lane, head, bytes);
+    });
+}
+
 void EntityManagerStation::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
     auto& life = *life_;
     if (!life.up) return;

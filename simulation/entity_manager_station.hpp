@@ -92,6 +92,7 @@ class EntityManagerStation final : public entity_manager::BackEndPort, public en
     void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) override;
     void sendStatus(const EntityStatus& status) override;
     void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) override;
+    void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) override;
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override;
 
   private:

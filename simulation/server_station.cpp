@@ -441,6 +441,9 @@ void ServerStation::sendToClient(EntitySession& session, Lane lane, const Header
                                  const std::string& bytes) {
     if (!session.ended) life_->entities.sendToClient(session.ref, lane, head, bytes);
 }
+void ServerStation::sendToPeer(EntitySession& session, Lane lane, const Header& head, const std::string& bytes) {
+    if (!session.ended) life_->entities.sendToPeer(session.ref, lane, head, bytes);
+}
 void ServerStation::sendToClientDataSeq(EntitySession& session, const Header& head,
                                         const std::string& bytes) {
     if (!session.ended) life_->entities.sendToClientDataSeq(session.ref, head, bytes);

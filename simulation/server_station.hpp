@@ -68,6 +68,7 @@ class ServerStation {
     void sendBasicPrfl(EntitySession& session, const Registration& registration, const std::string& profile);
     void sendStatus(EntitySession& session, const EntityStatus& status);
     void sendToClient(EntitySession& session, Lane lane, const Header& head, const std::string& bytes);
+    void sendToPeer(EntitySession& session, Lane lane, const Header& head, const std::string& bytes);
     void sendToClientDataSeq(EntitySession& session, const Header& head, const std::string& bytes);
     void keepAlive(EntitySession& session);
 

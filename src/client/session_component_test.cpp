@@ -286,6 +286,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
         session->ice_oneway()->sendToClientAsync(transport::toIce(head), toRange(bytes), nullptr,
                                                  [](auto) {});
     }
+    void sendToPeer(Lane, const Header&, const proto::ToEntity&) override {}
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override {
         const auto bytes = message.SerializeAsString();
         data_session_->ice_oneway()->sendToClientDataSeqAsync(transport::toIce(head), toRange(bytes), nullptr,

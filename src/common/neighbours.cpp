@@ -31,7 +31,8 @@ Neighbours::Neighbour* Neighbours::findOrAdd(std::string_view server, TimePoint 
 
 bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePoint now) {
     if (!isServerName(announcement.name) || announcement.instance.empty() ||
-        announcement.instance.size() > kInstanceMax || announcement.signals.size() > kSignalsMax)
+        announcement.instance.size() > kInstanceMax || announcement.signals.size() > kSignalsMax ||
+        announcement.messages.size() > kSignalsMax)
         return false;
     const std::lock_guard lock(mutex_);
     auto* its = findOrAdd(announcement.name, now);
@@ -49,7 +50,8 @@ bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePo
         its->watchdog = watchdogOf(false, its->watchdog.busy(), now);
         its->arrived = news = true;
     }
-    if (known.signals != announcement.signals || !its->reached) reach_changed_ = news = true;
+    if (known.signals != announcement.signals || known.messages != announcement.messages || !its->reached)
+        reach_changed_ = news = true;
     its->reached = true;
     its->reachable_until = now + kReach;
     known = announcement;
@@ -116,6 +118,14 @@ bool Neighbours::lost(std::string_view server) const {
     const std::lock_guard lock(mutex_);
     const auto found = all_.find(server);
     return found != all_.end() && !found->second.alive;
+}
+
+bool Neighbours::hears(std::string_view server, Duration within, TimePoint now) const {
+    const std::lock_guard lock(mutex_);
+    const auto found = all_.find(server);
+    if (found == all_.end() || !found->second.alive || !found->second.direct) return false;
+    const auto& watchdog = found->second.watchdog;
+    return watchdog.deadline() - watchdog.timeout() + within >= now;
 }
 
 std::size_t Neighbours::size() const {

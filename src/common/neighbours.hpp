@@ -13,7 +13,7 @@
 
 namespace axon {
 
-/// The servers of the other kind as one of several servers sees them: who there is, where they take signals, and
+/// The servers of one kind as one of several servers sees them: who there is, where they take signals, and
 /// who lives (safety.md, "front-end → entity server").
 ///
 /// Where in the flow: both servers' cores feed it what the others announce, by the topic and directly, and their
@@ -59,6 +59,8 @@ class Neighbours {
     bool serves(std::string_view client_id) const;
     /// Whether this server was there and is not any more.
     bool lost(std::string_view server) const;
+    /// Whether it has been heard directly within so long.
+    bool hears(std::string_view server, Duration within, TimePoint now) const;
     std::size_t size() const;
 
   private:

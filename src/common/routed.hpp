@@ -98,12 +98,13 @@ struct EntityStatus {
     bool operator==(const EntityStatus&) const = default;
 };
 
-/// What a server of several tells those of the other kind of itself.
+/// What a server of several tells the others of itself.
 struct ServerAnnouncement {
     std::string name;
     std::string instance;        ///< another one at each start
     std::string signals;         ///< where it takes signals directly; for the transport layer
     std::int64_t published = 0;  ///< registrations and statuses, by an entity server until now
+    std::string messages = {};   ///< where it takes all else directly; for the transport layer
 
     bool operator==(const ServerAnnouncement&) const = default;
 };

@@ -38,13 +38,13 @@ constexpr int kLoginTimeoutMs = 3000;
 constexpr std::size_t kDataInFlight = 4U << 20U;
 constexpr std::size_t kControlInFlight = 16U << 20U;
 
-/// Carries what the server pushes to the events, and nothing else. One per lane; both hold no state.
+/// Carries what the server pushes to the events, and nothing else. One per lane.
 class EntityCallbackServant final : public EntityCallback {
   public:
-    explicit EntityCallbackServant(std::weak_ptr<ServerEvents> events) : events_(std::move(events)) {}
+    EntityCallbackServant(Lane lane, std::weak_ptr<ServerEvents> events) : lane_(lane), events_(std::move(events)) {}
 
     void newClientMsg(wire::Header head, ByteRange msg, const Ice::Current&) override {
-        if (const auto events = events_.lock()) events->clientMsg(transport::fromIce(std::move(head)), std::string(transport::toView(msg)));
+        if (const auto events = events_.lock()) events->clientMsg(lane_, transport::fromIce(std::move(head)), std::string(transport::toView(msg)));
     }
     void newClientMsgDataSeq(wire::Header head, ByteRange data, const Ice::Current&) override {
         if (const auto events = events_.lock()) events->clientMsgDataSeq(transport::fromIce(std::move(head)), std::string(transport::toView(data)));
@@ -65,10 +65,12 @@ class EntityCallbackServant final : public EntityCallback {
         if (const auto events = events_.lock()) events->serverHeartbeat();
     }
     void newRefusalMsg(wire::Header head, int code, std::string reason, const Ice::Current&) override {
-        if (const auto events = events_.lock()) events->undeliverable(transport::fromIce(std::move(head)), code, reason);
+        if (const auto events = events_.lock())
+            events->undeliverable(lane_, transport::fromIce(std::move(head)), {static_cast<RefusalCode>(code), std::move(reason), {}});
     }
 
   private:
+    const Lane lane_;
     const std::weak_ptr<ServerEvents> events_;
 };
 
@@ -86,7 +88,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
           events_(std::move(events)),
           retry_(strand_),
           beat_(strand_),
-          servant_(std::make_shared<EntityCallbackServant>(events_)) {}
+          data_servant_(std::make_shared<EntityCallbackServant>(Lane::Data, events_)),
+          signal_servant_(std::make_shared<EntityCallbackServant>(Lane::Signal, events_)) {}
 
     void want(bool wanted) {
         if (wanted == wanted_) return;
@@ -134,23 +137,14 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     }
 
     void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
-        if (!up_) return;
-        const auto bytes = message.SerializeAsString();
-        if (*in_flight_ > kControlInFlight) {
-            // Posted, because the core is waiting for this call to return.
-            post([attempt = attempt_](Connection& self) {
-                self.failed(attempt, "the server does not read what it is sent");
-            });
-            return;
-        }
-        if (lane == Lane::Signal) {
-            send(bytes, signal_oneway_, [&](auto& proxy, auto... back) {
-                proxy.sendToClientAsync(transport::toIce(head), toRange(bytes), back...);
-            });
-            return;
-        }
-        send(bytes, paced_, [&](auto& proxy, auto... back) {
+        sendControl(lane, message, [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
             proxy.sendToClientAsync(transport::toIce(head), toRange(bytes), back...);
+        });
+    }
+
+    void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
+        sendControl(lane, message, [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
+            proxy.sendToPeerAsync(transport::toIce(head), toRange(bytes), back...);
         });
     }
 
@@ -174,6 +168,22 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     std::uint64_t dropped() const { return dropped_; }
 
   private:
+    /// `call(proxy, bytes, answered, failed, sent)`.
+    template <class Message, class Call>
+    void sendControl(Lane lane, const Message& message, Call call) {
+        if (!up_) return;
+        const auto bytes = message.SerializeAsString();
+        if (*in_flight_ > kControlInFlight) {
+            // Posted, because the core is waiting for this call to return.
+            post([attempt = attempt_](Connection& self) {
+                self.failed(attempt, "the server does not read what it is sent");
+            });
+            return;
+        }
+        send(bytes, lane == Lane::Signal ? signal_oneway_ : paced_,
+             [&](auto& proxy, auto... back) { call(proxy, bytes, back...); });
+    }
+
     /// Counts the bytes from the call until Ice has written them, or the server has answered.
     template <class Call>
     void send(const std::string& bytes, const std::shared_ptr<EntitySessionPrx>& proxy, Call call) {
@@ -283,7 +293,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
                                           connection->createProxy(session->ice_getIdentity())
                                               ->ice_invocationTimeout(kLoginTimeoutMs)),
                                       Ice::uncheckedCast<EntityCallbackPrx>(
-                                          me.adapter(lane)->addWithUUID(me.servant_))});
+                                          me.adapter(lane)->addWithUUID(me.servant(lane)))});
                         });
                     });
             },
@@ -305,7 +315,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
                         me.adopt(attempt, lane, routed.connection);
                         then(me, {routed.connection, Ice::uncheckedCast<EntitySessionPrx>(routed.session),
                                   Ice::uncheckedCast<EntityCallbackPrx>(
-                                      routed.callback(*me.adapter(lane), me.servant_))});
+                                      routed.callback(*me.adapter(lane), me.servant(lane)))});
                     });
                 });
             },
@@ -314,6 +324,9 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     const std::shared_ptr<Ice::Communicator>& communicator(Lane lane) const {
         return lane == Lane::Signal ? ice_->signal() : ice_->data();
+    }
+    const std::shared_ptr<EntityCallbackServant>& servant(Lane lane) const {
+        return lane == Lane::Signal ? signal_servant_ : data_servant_;
     }
     const std::shared_ptr<Ice::ObjectAdapter>& adapter(Lane lane) const {
         return lane == Lane::Signal ? ice_->signalAdapter() : ice_->dataAdapter();
@@ -472,7 +485,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     // Confined to the strand.
     asio::steady_timer retry_;
     asio::steady_timer beat_;
-    std::shared_ptr<EntityCallbackServant> servant_;
+    const std::shared_ptr<EntityCallbackServant> data_servant_, signal_servant_;
     std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;
     std::shared_ptr<EntitySessionPrx> session_, signal_session_, oneway_, signal_oneway_;
@@ -506,6 +519,9 @@ void EntityCommunicator::sendBasicPrfl(const Registration& registration, const p
 void EntityCommunicator::sendStatus(const EntityStatus& status) { connection_->sendStatus(status); }
 void EntityCommunicator::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
     connection_->sendToClient(lane, head, message);
+}
+void EntityCommunicator::sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
+    connection_->sendToPeer(lane, head, message);
 }
 void EntityCommunicator::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
     connection_->sendToClientDataSeq(head, message);

@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 
+#include "common/refusal.hpp"
 #include "common/routed.hpp"
 #include "entity_manager/ports.hpp"
 
@@ -35,14 +36,15 @@ class ServerEvents {
     virtual ~ServerEvents() = default;
     virtual void serverUp() = 0;
     virtual void serverDown(const std::string& reason) = 0;
-    virtual void clientMsg(Header head, std::string bytes) = 0;
+    /// `lane`: Signal only from another entity.
+    virtual void clientMsg(Lane lane, Header head, std::string bytes) = 0;
     virtual void clientMsgDataSeq(Header head, std::string bytes) = 0;
     virtual void stopSignal(Header head, StopCause cause) = 0;
     virtual void resetSignal(Header head) = 0;
     virtual void clearSignal(Header head) = 0;
     virtual void clientUpdate(Header head, ClientChange change) = 0;
     virtual void serverHeartbeat() = 0;
-    virtual void undeliverable(const Header& head, int code, const std::string& reason) = 0;
+    virtual void undeliverable(Lane lane, Header head, const Refusal& refusal) = 0;
 };
 
 /// The link between one Entity Manager and the entity server (thesis: EntityCommunicator, with SessionPrx and
@@ -67,6 +69,7 @@ class EntityCommunicator final : public ServerPort {
     void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) override;
     void sendStatus(const EntityStatus& status) override;
     void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) override;
+    void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) override;
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override;
 
     /// The address of this machine at which the way to the server begins; empty while there is no session. On the

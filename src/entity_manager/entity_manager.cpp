@@ -121,10 +121,11 @@ void EntityManager::serverHeartbeat() {
     wake(inbox_.wake());
 }
 
-void EntityManager::clientMsg(Header head, std::string bytes) {
+void EntityManager::clientMsg(Lane lane, Header head, std::string bytes) {
     const auto size = bytes.size();
-    wake(inbox_.pushControl([this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }, size),
-         Turn::Here);
+    auto event = [this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); };
+    if (lane == Lane::Signal) return wake(inbox_.pushSignal(Inbox::Signal::Peer, std::move(event)));
+    wake(inbox_.pushControl(std::move(event), size), Turn::Here);
 }
 
 void EntityManager::clientMsgDataSeq(Header head, std::string bytes) {
@@ -133,8 +134,15 @@ void EntityManager::clientMsgDataSeq(Header head, std::string bytes) {
          Turn::Here);
 }
 
-void EntityManager::undeliverable(const Header& head, int code, const std::string& reason) {
-    spdlog::warn("{}: {} to {} could not be delivered: {} ({})", name_, head.msg_type, head.entity, reason, code);
+void EntityManager::undeliverable(Lane lane, Header head, const Refusal& refusal) {
+    if (head.entity.empty() || head.entity == uuid()) {  // it was for no peer
+        spdlog::warn("{}: {} could not be delivered: {} ({})", name_, head.msg_type, refusal.message,
+                     refusalName(refusal.code));
+        return;
+    }
+    auto event = [this, head = std::move(head), refusal] { core_->onPeerRefusal(head, refusal); };
+    if (lane == Lane::Signal) return wake(inbox_.pushSignal(Inbox::Signal::Peer, std::move(event)));
+    wake(inbox_.pushControl(std::move(event)), Turn::Here);
 }
 
 void EntityManager::serverUp() {

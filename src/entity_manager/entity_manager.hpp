@@ -65,14 +65,14 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     // ServerEvents, on Ice's threads.
     void serverUp() override;
     void serverDown(const std::string& reason) override;
-    void clientMsg(Header head, std::string bytes) override;
+    void clientMsg(Lane lane, Header head, std::string bytes) override;
     void clientMsgDataSeq(Header head, std::string bytes) override;
     void stopSignal(Header head, StopCause cause) override;
     void resetSignal(Header head) override;
     void clearSignal(Header head) override;
     void clientUpdate(Header head, ClientChange change) override;
     void serverHeartbeat() override;
-    void undeliverable(const Header& head, int code, const std::string& reason) override;
+    void undeliverable(Lane lane, Header head, const Refusal& refusal) override;
 
   private:
     EntityManager(asio::any_io_executor executor, std::string name);

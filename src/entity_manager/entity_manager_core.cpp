@@ -37,6 +37,9 @@ void EntityManagerCore::onServerDown(const std::string& reason) {
 void EntityManagerCore::onClientMsg(const Header& head, std::string_view bytes) {
     machine_->onClientMsg(head, bytes);
 }
+void EntityManagerCore::onPeerRefusal(const Header& head, const Refusal& refusal) {
+    machine_->onPeerRefusal(head, refusal);
+}
 void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
     machine_->onStopSignal(head, cause, generation);
 }

@@ -42,6 +42,7 @@ struct CoreCounters {
     std::uint64_t undelivered =
         0;  ///< texts, raw data and samples that nobody held or watched the entity for
     std::uint64_t raw_refused = 0;  ///< raw data of somebody who may not send it
+    std::uint64_t peer_refusals = 0;  ///< messages to other entities that did not arrive
     std::uint64_t unrecorded = 0;   ///< entries that the journal did not take, and refusals above its rate
 };
 
@@ -74,7 +75,10 @@ class EntityManagerCore {
     // From the server. `bytes` is an axon.proto.ToEntity.
     void onServerUp();
     void onServerDown(const std::string& reason);
+    /// Or from another entity, whose UUID is head.sender.id then.
     void onClientMsg(const Header& head, std::string_view bytes);
+    /// What was sent to another entity (ServerPort::sendToPeer) did not arrive; `head` is that of the message.
+    void onPeerRefusal(const Header& head, const Refusal& refusal);
     /// The signal thread has forwarded the stop to the EI already, under `generation` of the StopGate.
     void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
     /// A stop that has been seen before, under `generation`: its receipt is told again.

@@ -233,6 +233,8 @@ TEST_F(Held, AMessageWithoutASenderIsCountedAndAnsweredToNobody) {
     EXPECT_EQ(rig.to_clients.size(), before);
     EXPECT_EQ(rig.core().counters().anonymous, 1U);
     EXPECT_EQ(rig.core().counters().malformed, 1U);
+    rig.core().onPeerRefusal({}, {RefusalCode::UnknownEntity, "", {}});
+    EXPECT_EQ(rig.core().counters().peer_refusals, 1U);
     EXPECT_EQ(rig.core().state(), EntityState::REG);
 }
 

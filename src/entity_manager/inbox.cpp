@@ -16,8 +16,9 @@ std::size_t Inbox::victimFor(Signal kind) {
         if (signalAt(i).kind == Signal::Stop) newest_stop = newest_generation = i;
         if (signalAt(i).kind == Signal::Drill) newest_generation = i;
     }
-    for (std::size_t i = 0; i < kSignals; ++i)
-        if (signalAt(i).kind == Signal::Passing) return i;
+    for (const auto first : {Signal::Peer, Signal::Passing})
+        for (std::size_t i = 0; i < kSignals; ++i)
+            if (signalAt(i).kind == first) return i;
     for (std::size_t i = 0; i < kSignals; ++i)
         if (signalAt(i).kind == Signal::Drill && i != newest_generation) return i;
     for (std::size_t i = kSignals; i-- > 0;)
@@ -29,16 +30,19 @@ Inbox::Verdict Inbox::pushSignal(Signal kind, Event event) {
     Event victim;  // destroyed after the lock
     {
         const std::lock_guard lock(signal_mutex_);
+        if (kind == Signal::Peer && peers_ == kPeerSignals) return Verdict::Dropped;
         if (signal_count_ == kSignals) {
-            if (kind == Signal::Passing || kind == Signal::Drill) return Verdict::Dropped;
+            if (kind == Signal::Passing || kind == Signal::Drill || kind == Signal::Peer) return Verdict::Dropped;
             auto at = victimFor(kind);
             if (at == kSignals) return Verdict::Overflow;
             victim = std::move(signalAt(at).event);
+            peers_ -= signalAt(at).kind == Signal::Peer ? 1 : 0;
             for (; at + 1 < kSignals; ++at) signalAt(at) = std::move(signalAt(at + 1));
             --signal_count_;
         }
         signalAt(signal_count_) = {kind, std::move(event)};
         ++signal_count_;
+        peers_ += kind == Signal::Peer ? 1 : 0;
     }
     return wake();
 }
@@ -93,6 +97,7 @@ Inbox::Event Inbox::next() {
         const std::lock_guard lock(signal_mutex_);
         if (signal_count_ > 0) {
             Event event = std::exchange(signalAt(0).event, nullptr);
+            peers_ -= signalAt(0).kind == Signal::Peer ? 1 : 0;
             signal_first_ = (signal_first_ + 1) % signals_.size();
             --signal_count_;
             return event;

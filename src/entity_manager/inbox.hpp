@@ -35,13 +35,15 @@ class Inbox {
         Client,   ///< a client was lost, came back, or has left
         Drill,    ///< raises the generation as a stop does, and may be dropped
         Passing,  ///< may be dropped: reset, clear, a repeated stop
+        Peer,     ///< of another entity, whose next one repeats it; at most kPeerSignals wait
     };
     static constexpr std::size_t kSignals = 64;
+    static constexpr std::size_t kPeerSignals = 16;
 
     explicit Inbox(Bounds bounds) : bounds_(bounds) {}
     Inbox() : Inbox(Bounds{}) {}
 
-    /// Dropped: a passing one found no slot. Overflow: one that may not be lost found nothing that may.
+    /// Dropped: a passing one, a drill or a peer's found no slot. Overflow: one that may not be lost found nothing that may.
     Verdict pushSignal(Signal kind, Event event);
     /// Whether a drill or a passing signal would be dropped now. False stays false for the one thread that pushes them.
     bool signalsFull() const;
@@ -77,6 +79,7 @@ class Inbox {
     std::array<WaitingSignal, kSignals> signals_;  // guarded by signal_mutex_: a ring
     std::size_t signal_first_ = 0;    // guarded by signal_mutex_
     std::size_t signal_count_ = 0;    // guarded by signal_mutex_
+    std::size_t peers_ = 0;           // guarded by signal_mutex_: of the waiting signals
     std::atomic<bool> scheduled_{false};  // whether the strand will come; no lock, so that data takes none of signals
 
     mutable std::mutex mutex_;

@@ -90,6 +90,19 @@ TEST_F(InboxTest, AStopThatFindsTheRingFullTakesThePlaceOfTheOldestThatIsNone) {
     EXPECT_EQ(seen, "S" + std::string(61, 'x') + "TC");
 }
 
+TEST_F(InboxTest, WhatPeersRepeatTakesNoMoreThanItsPartOfTheRingAndGoesFirst) {
+    Inbox inbox;
+    for (int i = 0; i < 16; ++i) inbox.pushSignal(Signal::Peer, note('p'));
+    EXPECT_EQ(inbox.pushSignal(Signal::Peer, note('q')), Inbox::Verdict::Dropped);
+    for (int i = 0; i < 48; ++i) inbox.pushSignal(Signal::Passing, note('x'));
+    inbox.pushSignal(Signal::Stop, note('S'));
+    drain(inbox);
+    EXPECT_EQ(seen, std::string(15, 'p') + std::string(48, 'x') + "S");
+    inbox.pushSignal(Signal::Peer, note('r'));
+    drain(inbox);
+    EXPECT_EQ(seen.back(), 'r') << "there is room again";
+}
+
 TEST_F(InboxTest, AmongNothingButStopsTheNewestAlwaysFits) {
     Inbox inbox;
     for (int i = 0; i < 100; ++i) inbox.pushSignal(Signal::Stop, note('s'));

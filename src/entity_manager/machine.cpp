@@ -901,6 +901,10 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
     settle();
 }
 
+void EntityManagerCore::Machine::onPeerRefusal(const Header& /*head*/, const Refusal& /*refusal*/) {
+    if (!quit_) ++counters_.peer_refusals;
+}
+
 Header EntityManagerCore::Machine::headFor(const Sender& to, const char* type) {
     Header head;
     head.sender = to;

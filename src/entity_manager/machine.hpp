@@ -44,6 +44,7 @@ class EntityManagerCore::Machine {
     void onServerUp();
     void onServerDown(const std::string& reason);
     void onClientMsg(const Header& head, std::string_view bytes);
+    void onPeerRefusal(const Header& head, const Refusal& refusal);
     void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
     void onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation);
     void onSignal(Event event, const Header& head);

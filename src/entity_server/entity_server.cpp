@@ -22,7 +22,8 @@ class EntityServer::Rim {
     Rim(EntityServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
         const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
         EntityServerCore::Note note)
-        : topic(data, settings.topic_signals),
+        : topic(data, settings.topic_signals,
+                [this](const Header& head, const Refusal& refusal) { core.peerRefusal(Lane::Data, head, refusal); }),
           core(
               settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this] { wake(); },
@@ -71,9 +72,9 @@ class EntityServer::Rim {
         const Ice::Identity identity{settings.core.name, "EntityServer"};
         subscriber =
             data_topic->add(std::make_shared<FrontEndToEntityServant>(core, Lane::Data), identity)->ice_toString();
-        topic.setSignals(
-            signal_topic->add(std::make_shared<FrontEndToEntityServant>(core, Lane::Signal), identity)
-                ->ice_toString());
+        topic.setDirect(
+            signal_topic->add(std::make_shared<FrontEndToEntityServant>(core, Lane::Signal), identity)->ice_toString(),
+            subscriber);
     }
 
     void end() {
@@ -81,6 +82,7 @@ class EntityServer::Rim {
         timer.reset();
         publisher_ready = nullptr;
         publisher.reset();
+        if (data_topic) topic.publishTo({}, {});  // what still waits there is refused while there is a core to do it
     }
 
     void wake() {

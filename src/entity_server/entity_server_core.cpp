@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <charconv>
 #include <optional>
+#include <unordered_set>
 #include <utility>
 
 #include "common/life_signs.hpp"
@@ -49,6 +50,7 @@ class EntityServerCore::Session {
     std::int32_t stop_latency_us = 0;
     bool gone = false;
 
+    EntityOutbox& outbox(Lane lane) const { return lane == Lane::Signal ? *signal : *data; }
     /// Tells the watchdog of the signs of life since it was told last.
     void listen() {
         const auto last = signs.last();
@@ -77,6 +79,13 @@ constexpr int kHeartbeatMinMs = 10;
 constexpr int kHeartbeatMaxMs = 60'000;
 constexpr std::size_t kNameMax = 256;
 constexpr std::size_t kTextMax = 1024;
+// Another entity server says each 50 ms that it lives; one that is killed does not keep its entities from coming here.
+constexpr std::chrono::milliseconds kPeerLives{250};
+
+Refusal noSuchPeer(const Header& head) {
+    return {RefusalCode::UnknownEntity,
+            "no entity " + head.entity.substr(0, 64) + " is connected; 'axon ls' shows those that are there", {}};
+}
 
 void mend(std::string& text) {
     text = cutUtf8(validUtf8(text), kTextMax);
@@ -128,7 +137,8 @@ EntityServerCore::EntityServerCore(CoreSettings settings, const Clock& clock, Ra
       instance_(Id128::random(random).toString().substr(0, 8)),
       drill_(settings.drill_period > Duration{} ? "drill-" + Id128::random(random).toString() + "-"
                                                 : std::string()),
-      front_ends_(settings.front_ends) {}
+      front_ends_(settings.front_ends),
+      entity_servers_(settings.entity_servers) {}
 
 EntityServerCore::~EntityServerCore() = default;
 
@@ -193,6 +203,13 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
                                   "copied, delete "
                                   "the file uuid in the copy, and it makes a new one");
             }
+            const auto at = elsewhere(registration.entity, Lane::Data);
+            if (at && entity_servers_.hears(at->server, kPeerLives, now)) {
+                return refuse(RefusalCode::Duplicate,
+                              "entity " + registration.entity + " is connected already, to entity server " + at->server +
+                                  "; if the state folder of an Entity Manager was copied, delete the file uuid in "
+                                  "the copy, and it makes a new one");
+            }
             if (registered_.size() >= settings_.entities_max) {
                 return refuse(RefusalCode::Overloaded, "the server has its " +
                                                            std::to_string(settings_.entities_max) +
@@ -219,6 +236,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         session->fed = now;
         if (!session->registered) {
             session->registered = true;
+            entities_changed_ = true;
             registered_.emplace(session->entity, session);
             table_.put(session->entity, session);
             // Spread, so that many that joined together are not served all at once for ever.
@@ -316,18 +334,24 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
     topic_.entityMsgDataSeq(head, data);
 }
 
-void EntityServerCore::sendToPeer(const SessionRef& session, Header head, std::string_view message) {
+void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message) {
     if (!session->registered || flooded(session)) return;
     head.sender = {session->entity, session->name, Role::Operator};
-    if (const auto peer = table_.find(head.entity, kData)) {
-        peer->data->newClientMsg(head, message);
-    } else if (!alone()) {
-        topic_.peerMsg(head, message);
-    } else {
-        session->data->newRefusalMsg(
-            head,
-            refuse(RefusalCode::UnknownEntity, "no entity " + head.entity.substr(0, 64) + " is connected"));
-    }
+    if (const auto peer = atHome(head.entity, lane)) return peer->outbox(lane).newClientMsg(head, message);
+    const auto at = elsewhere(head.entity, lane);
+    if (!at) return session->outbox(lane).newRefusalMsg(head, noSuchPeer(head));
+    if (const auto sent = topic_.peerMsg(lane, at->server, head, message); !sent.ok())
+        session->outbox(lane).newRefusalMsg(head, sent.refusal());
+}
+
+void EntityServerCore::peerMsg(Lane lane, const Header& head, std::string_view message) {
+    if (const auto peer = atHome(head.entity, lane)) return peer->outbox(lane).newClientMsg(head, message);
+    // It left before that was known at the sender's server.
+    if (const auto from = elsewhere(head.sender.id, lane)) topic_.peerRefusal(lane, from->server, head, noSuchPeer(head));
+}
+
+void EntityServerCore::peerRefusal(Lane lane, const Header& head, const Refusal& refusal) {
+    if (const auto sender = atHome(head.sender.id, lane)) sender->outbox(lane).newRefusalMsg(head, refusal);
 }
 
 void EntityServerCore::keepAlive(const SessionRef& session) {
@@ -342,6 +366,7 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
         tokens_.erase(session->token);
         if (session->registered) {
             countBusy(session->record->status, {}, clock_.now());
+            entities_changed_ = true;
             registered_.erase(session->entity);
             table_.erase(session->entity);
         }
@@ -423,6 +448,36 @@ void EntityServerCore::frontEndServerUpdate(Lane lane, const ServerAnnouncement&
     if (!alone() && front_ends_.heard(lane, server, clock_.now())) wake_();
 }
 
+// -- the other entity servers
+
+void EntityServerCore::entityServerUpdate(Lane lane, const ServerAnnouncement& server,
+                                          const std::vector<std::string>& entities) {
+    if (alone() || server.name == settings_.name || !isServerName(server.name)) return;
+    if (entity_servers_.heard(lane, server, clock_.now())) wake_();
+    // What is late of one that is gone is not believed; should it come back, it says so again.
+    if (lane == Lane::Data && !entity_servers_.lost(server.name)) learn(server.name, entities);
+}
+
+void EntityServerCore::learn(const std::string& server, const std::vector<std::string>& entities) {
+    const std::lock_guard lock(mutex_);
+    if (entities.size() > settings_.entities_max ||
+        (entities_of_.size() >= Neighbours::kMost && !entities_of_.contains(server)))
+        return;
+    auto& known = entities_of_[server];
+    const std::unordered_set<std::string_view> present(entities.begin(), entities.end());
+    for (const auto& entity : known) {
+        const auto at = elsewhere_.find(entity);
+        if (!present.contains(entity) && at && at->server == server) elsewhere_.erase(entity);
+    }
+    for (const auto& entity : entities) {
+        if (const auto at = elsewhere_.find(entity); at && at->server == server) continue;
+        auto its = std::make_shared<const Elsewhere>(Elsewhere{entity, server});
+        elsewhere_.put(its->entity, its);
+    }
+    known = entities;
+    if (entities.empty()) entities_of_.erase(server);
+}
+
 /// Under the registry's mutex.
 void EntityServerCore::countBusy(const EntityStatus& before, const EntityStatus& now, TimePoint at) {
     if (alone()) return;
@@ -471,12 +526,18 @@ TimePoint EntityServerCore::onNeighboursTimer() {
                           [](const auto& one) { return one.second.state == EntityState::BUSY; });
     for (const auto& [session, status] : left_behind) loseClient(*session->signal, status);
     if (news.reachable) topic_.reach(*news.reachable);
+    auto peers = entity_servers_.news(now);
+    if (peers.reachable) topic_.reachPeers(*peers.reachable);
+    for (const auto& name : peers.lost) learn(name, {});
+    bool say = !peers.arrived.empty();
     // Whoever is new hears of it at once: its watchdog is short only from then on.
-    if (now >= next_beat_ || news.reachable) {
+    if (now >= next_beat_ || news.reachable || peers.reachable) {
         next_beat_ = now + kBeat;
         topic_.entityServerUpdate(Lane::Signal, announcement());
+        topic_.peersUpdate(Lane::Signal, announcement(), {});
+        say = say || entities_changed_.exchange(false);
     }
-    if (now >= next_announcement_) {
+    if (now >= next_announcement_ || say) {
         next_announcement_ = now + kAnnounce;
         {
             const std::lock_guard lock(mutex_);
@@ -489,7 +550,9 @@ TimePoint EntityServerCore::onNeighboursTimer() {
               (left_behind.size() == 1 ? " entity" : " entities") + " here");
     }
     for (const auto& name : news.arrived) note_("front-end server " + name + " is there");
-    return std::min({news.next, next_beat_, next_announcement_});
+    for (const auto& name : peers.lost) note_("entity server " + name + " is gone");
+    for (const auto& name : peers.arrived) note_("entity server " + name + " is there");
+    return std::min({news.next, peers.next, next_beat_, next_announcement_});
 }
 
 template <class Send>
@@ -768,6 +831,7 @@ void EntityServerCore::publishPending() {
 /// tells a front-end server whether it has heard everything before it. Returns whether it said one of them.
 bool EntityServerCore::publishSummary() {
     std::optional<std::vector<std::string>> entities;
+    std::vector<std::string> here;
     {
         const std::lock_guard lock(mutex_);
         if (!to_publish_.empty() || !(list_due_ || announcement_due_)) return false;
@@ -776,6 +840,7 @@ bool EntityServerCore::publishSummary() {
             for (const auto& [entity, record] : published_) entities->push_back(entity);
         } else {
             announcement_due_ = false;
+            for (const auto& [entity, session] : registered_) here.push_back(entity);
         }
     }
     if (entities) {
@@ -784,6 +849,7 @@ bool EntityServerCore::publishSummary() {
         auto self = announcement();
         self.published = publications_;
         topic_.entityServerUpdate(Lane::Data, self);
+        topic_.peersUpdate(Lane::Data, self, here);
     }
     return true;
 }

@@ -28,6 +28,7 @@ struct CoreSettings {
     /// the only front-end server beside it.
     std::string name;
     Neighbours::Timeouts front_ends;
+    Neighbours::Timeouts entity_servers;
     int heartbeats_missed = 5;  ///< periods of its registration until an EM is given up
     std::size_t entities_max = 65536;
     std::size_t profile_bytes_max = 1024 * 1024;
@@ -55,9 +56,13 @@ struct CoreSettings {
 /// One of several: it announces itself to the front-end servers, and misses them. A front-end server that falls
 /// silent, or has started anew, leaves clients behind that nobody watches: each entity that one of them holds is
 /// stopped and told that it lost its client, also where the grant becomes known later. What is for an entity that
-/// is not here may be another's, and is not refused; the front-end servers know all entities and refuse.
+/// is not here may be another's, and is not refused; the front-end servers know all entities and refuse. Entity
+/// servers tell each other what entities they have, each second and when that changes: what one entity sends another
+/// finds its way by that, or is refused, and an entity that another living server has is refused as a duplicate
+/// (unless both join within the 50 ms until that is told).
 ///
-/// It holds of each entity: UUID → outboxes, UUID → registration, basic profile bytes and last status.
+/// It holds of each entity: UUID → outboxes, UUID → registration, basic profile bytes and last status; of each that
+/// is elsewhere: UUID → entity server.
 /// Payloads are opaque. Threads: any, concurrently; calls for one lane of one session come one after the
 /// other. Routing reads immutable tables, of which each lane has its own reference; the registry's mutex is
 /// taken when entities join, change and leave and by the timer, never by a message, a signal or a sign of
@@ -90,7 +95,8 @@ class EntityServerCore {
                            std::string_view record);
     void sendToClient(const SessionRef& session, Lane lane, Header head, std::string_view message);
     void sendToClientDataSeq(const SessionRef& session, Header head, std::string_view data);
-    void sendToPeer(const SessionRef& session, Header head, std::string_view message);
+    /// Reaches the peer on the lane it came by; refused to the sender, on that lane, where it does not.
+    void sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message);
     void keepAlive(const SessionRef& session);
     /// The session is over: destroyed (orderly), its connection closed, silent or dropped. Idempotent.
     void leave(const SessionRef& session, bool orderly, const std::string& why);
@@ -112,6 +118,12 @@ class EntityServerCore {
     /// The topic has been found, or found again: what was published meanwhile nobody has heard.
     void topicFound();
 
+    // From the other entity servers. `head.sender` is an entity, and has been vouched for.
+    /// `lane`: Signal = directly, Data = by the topic, with all its entities.
+    void entityServerUpdate(Lane lane, const ServerAnnouncement& server, const std::vector<std::string>& entities);
+    void peerMsg(Lane lane, const Header& head, std::string_view message);
+    void peerRefusal(Lane lane, const Header& head, const Refusal& refusal);
+
     /// Sends the heartbeats that are due and gives up silent EMs; returns when it wants to be called again.
     TimePoint onTimer();
     /// Publishes what others have left behind.
@@ -130,6 +142,11 @@ class EntityServerCore {
         std::uint64_t session = 0;
     };
     using RecordRef = std::shared_ptr<const Record>;
+    struct Elsewhere {
+        std::string entity;
+        std::string server;
+    };
+    using ElsewhereRef = std::shared_ptr<const Elsewhere>;
     struct Drill {
         TimePoint answer_by;
         std::weak_ptr<Session> session;
@@ -144,6 +161,11 @@ class EntityServerCore {
     template <class Send>
     void toEntities(const Header& head, Send&& send);
     void refuseUnknown(Lane lane, const Header& head);
+    SessionRef atHome(const std::string& entity, Lane lane) const { return table_.find(entity, static_cast<std::size_t>(lane)); }
+    ElsewhereRef elsewhere(const std::string& entity, Lane lane) const {
+        return elsewhere_.find(entity, static_cast<std::size_t>(lane));
+    }
+    void learn(const std::string& server, const std::vector<std::string>& entities);
     bool refusedLately(const std::string& sender);
     bool flooded(const SessionRef& session);
     void schedule(const SessionRef& session, TimePoint at);
@@ -174,9 +196,12 @@ class EntityServerCore {
     const std::string instance_;  // of this start, as the front-end servers know it
     const std::string drill_;  // what the sender ids of drills begin with; nobody else's do
 
-    SnapshotTable<SessionRef, 2> table_;  // by entity, for each lane
+    SnapshotTable<SessionRef, 2> table_;        // by entity, for each lane
+    SnapshotTable<ElsewhereRef, 2> elsewhere_;  // by entity, for each lane
 
     Neighbours front_ends_;
+    Neighbours entity_servers_;
+    std::atomic<bool> entities_changed_{false};  // since the other entity servers were told
     // Confined to the timer's thread:
     TimePoint next_beat_;
     TimePoint next_announcement_;
@@ -197,6 +222,8 @@ class EntityServerCore {
     std::unordered_map<std::string, bool> waiting_to_publish_;  // true: also where nothing has changed
     bool list_due_ = false;
     bool announcement_due_ = false;
+    // entity server → those of elsewhere_ that it has, or had before another one said that it has them
+    std::unordered_map<std::string, std::vector<std::string>> entities_of_;
     bool publishing_ = false;
     std::unordered_map<std::string, int> busy_of_;  // front-end server → entities that its clients keep busy
     TimePoint next_drill_;

@@ -101,13 +101,31 @@ class FakeTopic final : public FrontEndTopic {
         reached.clear();
         for (const auto& server : servers) reached.push_back(server.signals);
     }
-    void peerMsg(const Header& head, std::string_view message) override {
-        lines.push_back("peer " + head.sender.name + " " + std::string(message));
+    void peersUpdate(Lane lane, const ServerAnnouncement&, const std::vector<std::string>& entities) override {
+        if (lane == Lane::Data) told_peers = entities;
+    }
+    void reachPeers(const std::vector<ServerAnnouncement>& servers) override {
+        peers.clear();
+        for (const auto& server : servers) peers.push_back(server.messages);
+    }
+    Result<void> peerMsg(Lane lane, const std::string& server, const Header& head,
+                         std::string_view message) override {
+        if (!reaches_peers) return Refusal{RefusalCode::NotConnected, "out of reach", {}};
+        lines.push_back((lane == Lane::Signal ? "signal peer at " : "peer at ") + server + " " + head.sender.name +
+                        " " + std::string(message));
+        return {};
+    }
+    void peerRefusal(Lane lane, const std::string& server, const Header& head, const Refusal& refusal) override {
+        lines.push_back((lane == Lane::Signal ? "signal refused " : "refused ") +
+                        std::string(refusalName(refusal.code)) + " to " + head.sender.id + " at " + server);
     }
     std::vector<std::string> take() { return std::exchange(lines, {}); }
 
     std::vector<std::string> lines;
     std::vector<std::string> reached;
+    std::vector<std::string> peers;
+    std::vector<std::string> told_peers;
+    bool reaches_peers = true;
     int beats = 0;
     EntityStatus last;
 };
@@ -283,16 +301,20 @@ TEST_F(EntityServerTest, AnEntitySpeaksUnderItsOwnName) {
     topic.take();
     core.sendToClient(first.session, Lane::Signal, head("forged", "c7"), "receipt");
     EXPECT_THAT(topic.take(), ElementsAre("signal 1 to c7 receipt"));
-    core.sendToPeer(first.session, head(kSecond, "forged"), "step");
+    core.sendToPeer(first.session, Lane::Data, head(kSecond, "forged"), "step");
     EXPECT_THAT(second.data->lines, ElementsAre("msg Master step"));
-    core.sendToPeer(first.session, head("nobody"), "step");
+    core.sendToPeer(first.session, Lane::Data, head("nobody"), "step");
     EXPECT_THAT(first.data->lines, ElementsAre("refused UNKNOWN_ENTITY"));
+    core.sendToPeer(first.session, Lane::Signal, head(kSecond), "beat");
+    EXPECT_THAT(second.signal->lines, ElementsAre("msg Master beat"));
+    core.sendToPeer(first.session, Lane::Signal, head("nobody"), "beat");
+    EXPECT_THAT(first.signal->lines, ElementsAre("refused UNKNOWN_ENTITY"));
 }
 
 TEST_F(EntityServerTest, WhoIsNotRegisteredSaysNothing) {
     const auto peer = connect();
     core.sendToClient(peer.session, Lane::Data, head(kFirst), "hello");
-    core.sendToPeer(peer.session, head(kFirst), "hello");
+    core.sendToPeer(peer.session, Lane::Data, head(kFirst), "hello");
     status(peer, EntityState::BUSY);
     EXPECT_THAT(topic.lines, IsEmpty());
 }
@@ -716,9 +738,97 @@ TEST_F(OneOfSeveral, RefusesNothingThatAnotherMayHave) {
     core.stopSignal(head(kSecond), StopCause::Requested);
     core.stopSignals(head(""), {kSecond}, StopCause::Requested);
     EXPECT_THAT(topic.take(), IsEmpty());
-    core.sendToPeer(peer.session, head(kSecond), "step");
-    EXPECT_THAT(topic.take(), ElementsAre("peer Master step"));
-    EXPECT_THAT(peer.data->lines, IsEmpty());
+}
+
+class OtherEntityServers : public OneOfSeveral {
+  protected:
+    void hear(Lane lane, const std::string& server, const std::vector<std::string>& entities = {}) {
+        core.entityServerUpdate(lane, {server, "one", "signals of " + server, 0, "messages of " + server}, entities);
+    }
+};
+
+TEST_F(OtherEntityServers, AMessageToAnEntityOfAnotherGoesThereOnItsLane) {
+    const auto master = join(kFirst, "Master");
+    hear(Lane::Data, "es2", {kSecond});
+    topic.take();
+    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    core.sendToPeer(master.session, Lane::Signal, head(kSecond), "beat");
+    EXPECT_THAT(topic.take(), ElementsAre("peer at es2 Master step", "signal peer at es2 Master beat"));
+    topic.reaches_peers = false;
+    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    EXPECT_THAT(master.data->lines, ElementsAre("refused NOT_CONNECTED"));
+}
+
+TEST_F(OtherEntityServers, AMessageToAnEntityThatNobodyHasIsRefusedOnItsLane) {
+    const auto master = join(kFirst, "Master");
+    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    EXPECT_THAT(master.data->lines, ElementsAre("refused UNKNOWN_ENTITY"));
+    core.sendToPeer(master.session, Lane::Signal, head(kSecond), "beat");
+    EXPECT_THAT(master.signal->lines, ElementsAre("refused UNKNOWN_ENTITY"));
+    hear(Lane::Data, "es2", {kSecond});
+    hear(Lane::Data, "es2", {});
+    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    EXPECT_EQ(master.data->lines.size(), 2U) << "it left";
+}
+
+TEST_F(OtherEntityServers, WhatComesForAnEntityThatHasLeftIsRefusedToItsSender) {
+    const auto here = join(kFirst);
+    hear(Lane::Data, "es2", {kSecond});
+    topic.take();
+    core.peerMsg(Lane::Data, head(kFirst, kSecond), "step");
+    EXPECT_THAT(here.data->lines, ElementsAre(std::string("msg ") + kSecond + " step"));
+    core.leave(here.session, true, "it left");
+    topic.take();
+    core.peerMsg(Lane::Signal, head(kFirst, kSecond), "beat");
+    EXPECT_THAT(topic.take(), ElementsAre(std::string("signal refused UNKNOWN_ENTITY to ") + kSecond + " at es2"));
+
+    const auto sender = join(kFirst);
+    core.peerRefusal(Lane::Data, head(kSecond, kFirst), {RefusalCode::UnknownEntity, "", {}});
+    EXPECT_THAT(sender.data->lines, ElementsAre("refused UNKNOWN_ENTITY"));
+}
+
+TEST_F(OtherEntityServers, TheLastWhoSaysSoHasTheEntity) {
+    const auto master = join(kFirst, "Master");
+    hear(Lane::Data, "es2", {kSecond});
+    hear(Lane::Data, "es3", {kSecond});
+    hear(Lane::Data, "es2", {});
+    topic.take();
+    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    EXPECT_THAT(topic.take(), ElementsAre("peer at es3 Master step"));
+}
+
+TEST_F(OtherEntityServers, AServerThatFallsSilentHasNoEntities) {
+    const auto master = join(kFirst, "Master");
+    hear(Lane::Signal, "es2");
+    hear(Lane::Data, "es2", {kSecond});
+    pass(1ms);
+    EXPECT_THAT(topic.peers, ElementsAre("messages of es2"));
+    pass(3s);
+    hear(Lane::Data, "es2", {kSecond});
+    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    EXPECT_THAT(master.data->lines, ElementsAre("refused UNKNOWN_ENTITY")) << "the topic was late";
+}
+
+TEST_F(OtherEntityServers, HearSoonWhoHasComeAndGone) {
+    pass(1s);
+    const auto peer = join(kFirst);
+    pass(50ms);
+    EXPECT_THAT(topic.told_peers, ElementsAre(kFirst));
+    core.leave(peer.session, true, "it left");
+    pass(50ms);
+    EXPECT_THAT(topic.told_peers, IsEmpty());
+}
+
+TEST_F(OtherEntityServers, AnEntityThatALivingOneHasIsADuplicate) {
+    hear(Lane::Signal, "es2");
+    hear(Lane::Data, "es2", {kFirst});
+    auto copy = connect();
+    const auto refused = core.sendBasicPrfl(copy.session, registration(kFirst), "profile");
+    ASSERT_FALSE(refused.ok());
+    EXPECT_EQ(refused.refusal().code, RefusalCode::Duplicate);
+    EXPECT_THAT(refused.refusal().message, HasSubstr("es2"));
+    pass(300ms);
+    EXPECT_TRUE(core.sendBasicPrfl(copy.session, registration(kFirst), "profile").ok()) << "es2 may be dead";
 }
 
 TEST_F(OneOfSeveral, ReachesTheFrontEndServersThatItHears) {

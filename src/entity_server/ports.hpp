@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "common/refusal.hpp"
+#include "common/result.hpp"
 #include "common/routed.hpp"
 
 namespace axon::entity_server {
@@ -52,8 +53,23 @@ class FrontEndTopic {
     virtual void entityServerUpdate(Lane /*lane*/, const ServerAnnouncement& /*self*/) {}
     /// The front-end servers that signals are sent to directly besides the topic; replaces those named before.
     virtual void reach(const std::vector<ServerAnnouncement>& /*front_ends*/) {}
-    /// To an entity of another entity server, by the topic of figure 3.15.
-    virtual void peerMsg(const Header& /*head*/, std::string_view /*message*/) {}
+
+    // And towards the other entity servers.
+    /// Data: which entities are here, to all by the topic of figure 3.15. Signal: that it lives, straight to each
+    /// that is reached, without the entities.
+    virtual void peersUpdate(Lane /*lane*/, const ServerAnnouncement& /*self*/,
+                             const std::vector<std::string>& /*entities*/) {}
+    /// The entity servers that are reached directly; replaces those named before.
+    virtual void reachPeers(const std::vector<ServerAnnouncement>& /*entity_servers*/) {}
+    /// To an entity of this other entity server, straight, by that lane. Refuses where it is known at once that
+    /// it will not arrive; what is known of a message of the data lane later comes back as peerRefusal().
+    virtual Result<void> peerMsg(Lane /*lane*/, const std::string& /*server*/, const Header& /*head*/,
+                                 std::string_view /*message*/) {
+        return {};
+    }
+    /// To the server of the entity that sent such a message.
+    virtual void peerRefusal(Lane /*lane*/, const std::string& /*server*/, const Header& /*head*/,
+                             const Refusal& /*refusal*/) {}
 };
 
 }  // namespace axon::entity_server

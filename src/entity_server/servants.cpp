@@ -97,6 +97,26 @@ void IceEntityOutbox::disconnect(bool orderly, const std::string& why) {
 }
 
 using FrontEndPrx = Axon::EntityComm::EntityToFrontEndCommPrx;
+using PeerPrx = Axon::FrontEndComm::FrontEndToEntityCommPrx;
+
+namespace {
+
+Refusal serverUnreached(const std::string& server) {
+    return {RefusalCode::NotConnected,
+            "entity server " + server + ", which has that entity, is out of reach at the moment; try again", {}};
+}
+
+}  // namespace
+
+IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
+                                   const std::shared_ptr<Ice::Communicator>& signal,
+                                   std::function<void(const Header&, const Refusal&)> lost)
+    : lost_([lost = std::move(lost)](const Header& head) {
+          lost(head, {RefusalCode::NotConnected,
+                      "the connection to the entity server that has that entity has failed; try again", {}});
+      }),
+      front_ends_(data, signal, "entity server"),
+      peers_(data, signal, "entity server") {}
 
 void IceFrontEndTopic::entityBasicPrflUpdate(Presence presence, const Registration& registration,
                                              std::string_view profile) {
@@ -156,24 +176,65 @@ void IceFrontEndTopic::entityServerEntities(const std::string& server,
                          prx.entityServerEntitiesAsync(server, entities, std::move(a), std::move(f), std::move(s));
                      });
 }
-void IceFrontEndTopic::entityServerUpdate(Lane lane, const ServerAnnouncement& self) {
+Axon::CommUtil::ServerAnnouncement IceFrontEndTopic::withProxies(const ServerAnnouncement& self) const {
     auto announcement = toIce(self);
     announcement.signals = signals_;
-    const auto call = [announcement = std::move(announcement)](FrontEndPrx& prx, Answered a, Failed f, Sent s) {
+    announcement.messages = messages_;
+    return announcement;
+}
+void IceFrontEndTopic::entityServerUpdate(Lane lane, const ServerAnnouncement& self) {
+    const auto call = [announcement = withProxies(self)](FrontEndPrx& prx, Answered a, Failed f, Sent s) {
         prx.entityServerUpdateAsync(announcement, std::move(a), std::move(f), std::move(s));
     };
     front_ends_.reopen();
     if (lane == Lane::Signal) return front_ends_.neighbours(Traffic::Heartbeat, std::size_t{0}, call);
-    peers_.reopen();
     front_ends_.data(Traffic::Control, std::size_t{0}, call);
 }
 void IceFrontEndTopic::reach(const std::vector<ServerAnnouncement>& front_ends) {
     front_ends_.reach(front_ends);
 }
-void IceFrontEndTopic::peerMsg(const Header& head, std::string_view message) {
-    peers_.data(Traffic::Control, head, message,
-                [](Axon::FrontEndComm::FrontEndToEntityCommPrx& prx, const IceHeader& h, ByteRange bytes,
-                   Answered a, Failed f, Sent s) { prx.clientMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s)); });
+void IceFrontEndTopic::peersUpdate(Lane lane, const ServerAnnouncement& self,
+                                   const std::vector<std::string>& entities) {
+    const auto call = [announcement = withProxies(self), entities](PeerPrx& prx, Answered a, Failed f, Sent s) {
+        prx.entityServerUpdateAsync(announcement, entities, std::move(a), std::move(f), std::move(s));
+    };
+    peers_.reopen();
+    if (lane == Lane::Signal) {
+        peers_.neighbours(Traffic::Heartbeat, std::size_t{0}, call);
+    } else {
+        peers_.data(Traffic::Control, entities.size() * 40, call);
+    }
+}
+void IceFrontEndTopic::reachPeers(const std::vector<ServerAnnouncement>& entity_servers) {
+    peers_.reach(entity_servers);
+}
+Result<void> IceFrontEndTopic::peerMsg(Lane lane, const std::string& server, const Header& head,
+                                       std::string_view message) {
+    if (lane == Lane::Signal) {
+        const bool reached = peers_.straight(
+            lane, server, Traffic::Control, head, message,
+            [](PeerPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                prx.peerMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+            });
+        return reached ? Result<void>() : serverUnreached(server);
+    }
+    const auto ticket = std::make_shared<transport::PublicationTicket>(lost_, head);
+    peers_.straight(lane, server, Traffic::Control, head, message,
+                    [ticket](PeerPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                        prx.peerMsgAsync(h, bytes, std::move(a),
+                                         transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
+                        ticket->given();
+                    });
+    if (ticket.use_count() == 1 && ticket->take()) return serverUnreached(server);
+    return {};
+}
+void IceFrontEndTopic::peerRefusal(Lane lane, const std::string& server, const Header& head,
+                                   const Refusal& refusal) {
+    peers_.straight(lane, server, Traffic::Control, head, std::string_view(),
+                    [code = static_cast<int>(refusal.code), reason = refusal.message](
+                        PeerPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+                        prx.peerRefusalAsync(h, code, reason, std::move(a), std::move(f), std::move(s));
+                    });
 }
 
 Axon::EntityComm::SessionFacts EntitySessionServant::setCallback(std::shared_ptr<Prx> callback,
@@ -229,7 +290,7 @@ void EntitySessionServant::sendToClientDataSeq(IceHeader head, ByteRange data, c
     lane_.core.sendToClientDataSeq(session_.of(current), proper(std::move(head), current), toView(data));
 }
 void EntitySessionServant::sendToPeer(IceHeader head, ByteRange message, const Ice::Current& current) {
-    lane_.core.sendToPeer(session_.of(current), proper(std::move(head), current), toView(message));
+    lane_.core.sendToPeer(session_.of(current), lane_.lane, proper(std::move(head), current), toView(message));
 }
 void EntitySessionServant::keepAlive(double, const Ice::Current& current) {
     lane_.core.keepAlive(session_.of(current));
@@ -323,6 +384,16 @@ void FrontEndToEntityServant::clearSignal(IceHeader head, const Ice::Current&) {
 void FrontEndToEntityServant::frontEndServerUpdate(Axon::CommUtil::ServerAnnouncement server,
                                                    const Ice::Current&) {
     core_.frontEndServerUpdate(lane_, fromIce(std::move(server)));
+}
+void FrontEndToEntityServant::entityServerUpdate(Axon::CommUtil::ServerAnnouncement server,
+                                                 Axon::CommUtil::Entities entities, const Ice::Current&) {
+    core_.entityServerUpdate(lane_, fromIce(std::move(server)), entities);
+}
+void FrontEndToEntityServant::peerMsg(IceHeader head, ByteRange message, const Ice::Current&) {
+    core_.peerMsg(lane_, fromIce(std::move(head)), toView(message));
+}
+void FrontEndToEntityServant::peerRefusal(IceHeader head, int code, std::string reason, const Ice::Current&) {
+    core_.peerRefusal(lane_, fromIce(std::move(head)), {static_cast<RefusalCode>(code), std::move(reason), {}});
 }
 
 }  // namespace axon::entity_server

@@ -41,17 +41,21 @@ class IceEntityOutbox final : public EntityOutbox {
 /// each.
 class IceFrontEndTopic final : public FrontEndTopic {
   public:
-    /// `signal`: the communicator of signals between servers.
+    /// `signal`: the communicator of signals between servers. `lost` is called for a message to an entity of another
+    /// server that found nobody after it was taken; any thread.
     IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
-                     const std::shared_ptr<Ice::Communicator>& signal)
-        : front_ends_(data, signal, "entity server"), peers_(data, signal, "entity server") {}
+                     const std::shared_ptr<Ice::Communicator>& signal,
+                     std::function<void(const Header&, const Refusal&)> lost);
     /// As stringified proxies; none: the topic is down.
     void publishTo(const std::vector<std::string>& front_ends, const std::vector<std::string>& entity_servers) {
         front_ends_.publishTo(front_ends);
         peers_.publishTo(entity_servers);
     }
-    /// Before anything is published: where this server takes signals directly.
-    void setSignals(std::string proxy) { signals_ = std::move(proxy); }
+    /// Before anything is published: where this server takes signals and messages directly.
+    void setDirect(std::string signals, std::string messages) {
+        signals_ = std::move(signals);
+        messages_ = std::move(messages);
+    }
     void entityBasicPrflUpdate(Presence presence, const Registration& registration,
                                std::string_view profile) override;
     void entityUpdate(const EntityStatus& status) override;
@@ -63,12 +67,19 @@ class IceFrontEndTopic final : public FrontEndTopic {
     void entityServerEntities(const std::string& server, const std::vector<std::string>& entities) override;
     void entityServerUpdate(Lane lane, const ServerAnnouncement& self) override;
     void reach(const std::vector<ServerAnnouncement>& front_ends) override;
-    void peerMsg(const Header& head, std::string_view message) override;
+    void peersUpdate(Lane lane, const ServerAnnouncement& self, const std::vector<std::string>& entities) override;
+    void reachPeers(const std::vector<ServerAnnouncement>& entity_servers) override;
+    Result<void> peerMsg(Lane lane, const std::string& server, const Header& head, std::string_view message) override;
+    void peerRefusal(Lane lane, const std::string& server, const Header& head, const Refusal& refusal) override;
 
   private:
+    Axon::CommUtil::ServerAnnouncement withProxies(const ServerAnnouncement& self) const;
+
+    const transport::PublicationTicket::Lost lost_;
     transport::TopicPublisher<Axon::EntityComm::EntityToFrontEndCommPrx> front_ends_;
     transport::TopicPublisher<Axon::FrontEndComm::FrontEndToEntityCommPrx> peers_;
     std::string signals_;
+    std::string messages_;
 };
 
 class EntitySessionServant;
@@ -163,6 +174,10 @@ class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntit
     void resetSignal(Axon::CommUtil::Header head, const Ice::Current&) override;
     void clearSignal(Axon::CommUtil::Header head, const Ice::Current&) override;
     void frontEndServerUpdate(Axon::CommUtil::ServerAnnouncement server, const Ice::Current&) override;
+    void entityServerUpdate(Axon::CommUtil::ServerAnnouncement server, Axon::CommUtil::Entities entities,
+                            const Ice::Current&) override;
+    void peerMsg(Axon::CommUtil::Header head, transport::ByteRange message, const Ice::Current&) override;
+    void peerRefusal(Axon::CommUtil::Header head, int code, std::string reason, const Ice::Current&) override;
 
   private:
     EntityServerCore& core_;

@@ -63,9 +63,9 @@ class FrontEndServer::Rim {
         const Ice::Identity identity{settings.core.name, "FrontEndServer"};
         subscriber =
             data_topic->add(std::make_shared<EntityToFrontEndServant>(core, Lane::Data), identity)->ice_toString();
-        topic.setSignals(
-            signal_topic->add(std::make_shared<EntityToFrontEndServant>(core, Lane::Signal), identity)
-                ->ice_toString());
+        topic.setDirect(
+            signal_topic->add(std::make_shared<EntityToFrontEndServant>(core, Lane::Signal), identity)->ice_toString(),
+            subscriber);
     }
 
     void end() {

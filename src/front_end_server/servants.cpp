@@ -128,13 +128,8 @@ Result<void> IceEntityTopic::clientMsg(const Header& head, std::string_view mess
     const auto ticket = std::make_shared<transport::PublicationTicket>(lost_, head);
     publisher_.data(Traffic::Control, head, message,
                     [ticket](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                        prx.clientMsgAsync(
-                            h, bytes, std::move(a),
-                            [ticket, f = std::move(f)](std::exception_ptr error) {
-                                ticket->fail();
-                                f(std::move(error));
-                            },
-                            std::move(s));
+                        prx.clientMsgAsync(h, bytes, std::move(a),
+                                           transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
                         ticket->given();
                     });
     if (ticket.use_count() == 1 && ticket->take()) return topicDown();
@@ -189,6 +184,7 @@ void IceEntityTopic::clearSignal(const Header& head) {
 void IceEntityTopic::frontEndServerUpdate(Lane lane, const ServerAnnouncement& self) {
     auto announcement = toIce(self);
     announcement.signals = signals_;
+    announcement.messages = messages_;
     const auto call = [announcement = std::move(announcement)](EntityPrx& prx, Answered a, Failed f, Sent s) {
         prx.frontEndServerUpdateAsync(announcement, std::move(a), std::move(f), std::move(s));
     };

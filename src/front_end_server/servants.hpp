@@ -50,8 +50,11 @@ class IceEntityTopic final : public EntityTopic {
                    std::function<void(const Header&, const Refusal&)> lost);
     /// As stringified proxies; none: the topic is down.
     void publishTo(const std::vector<std::string>& entity_servers) { publisher_.publishTo(entity_servers); }
-    /// Before anything is published: where this server takes signals directly.
-    void setSignals(std::string proxy) { signals_ = std::move(proxy); }
+    /// Before anything is published: where this server takes signals and messages directly.
+    void setDirect(std::string signals, std::string messages) {
+        signals_ = std::move(signals);
+        messages_ = std::move(messages);
+    }
     Result<void> clientMsg(const Header& head, std::string_view message) override;
     void clientMsgDataSeq(const Header& head, std::string_view data) override;
     void clientRequest(const Header& head) override;
@@ -67,6 +70,7 @@ class IceEntityTopic final : public EntityTopic {
     const transport::PublicationTicket::Lost lost_;
     transport::TopicPublisher<Axon::FrontEndComm::FrontEndToEntityCommPrx> publisher_;
     std::string signals_;
+    std::string messages_;
 };
 
 class ClientSessionServant;

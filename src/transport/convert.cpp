@@ -84,7 +84,7 @@ EntityStatus fromIce(ice::EntityStatus&& status) {
 
 ServerAnnouncement fromIce(ice::ServerAnnouncement&& server) {
     return {std::move(server.name), std::move(server.instance), std::move(server.signals),
-            whole(server.published)};
+            whole(server.published), std::move(server.messages)};
 }
 
 ice::Sender toIce(const Sender& sender) {
@@ -123,7 +123,7 @@ ice::EntityStatus toIce(const EntityStatus& status) {
 }
 
 ice::ServerAnnouncement toIce(const ServerAnnouncement& server) {
-    return {server.name, server.instance, server.signals, static_cast<double>(server.published)};
+    return {server.name, server.instance, server.signals, server.messages, static_cast<double>(server.published)};
 }
 
 ice::RequestRefused toIce(const Refusal& refusal) {

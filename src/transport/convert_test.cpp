@@ -71,7 +71,7 @@ TEST(Convert, EverythingOfAHeaderGoesThereAndBack) {
     EXPECT_EQ(fromIce(toIce(status)), status);
     const Registration registration{"uuid", "name", "ROBOT", "MOBILE", 20, 900, "tcp", "es1"};
     EXPECT_EQ(fromIce(toIce(registration)), registration);
-    const ServerAnnouncement server{"fe1", "1234abcd", "signals:tcp", 1LL << 40};
+    const ServerAnnouncement server{"fe1", "1234abcd", "signals:tcp", 1LL << 40, "messages:tcp"};
     EXPECT_EQ(fromIce(toIce(server)), server);
 }
 

@@ -19,11 +19,13 @@
 
 namespace axon::transport {
 
-/// Where one of several servers publishes to: the topic, on a connection for each lane, and for signals each
-/// neighbour besides, straight and first. All that is sent is oneway and asynchronous, behind an Outbox for each
-/// of them, so that nobody who does not read holds up anybody.
+/// Where one of several servers publishes to: the topic, on a connection for each lane, and each neighbour straight,
+/// on one for each lane, too: for signals besides the topic and first, for messages that are for it alone instead of
+/// the topic. All that is sent is oneway and asynchronous, behind an Outbox for each of them, so that nobody who does
+/// not read holds up anybody.
 ///
-/// States: nowhere ─ publishTo() ► there ─ publishTo({}) ► nowhere; the neighbours come and go by reach(). A
+/// States: nowhere ─ publishTo() ► there ─ publishTo({}) ► nowhere; the neighbours come and go by reach(), which
+/// leaves alone what leads where it led, for messages may wait there. A
 /// connection that failed stays closed until reopen(), which the owner calls now and then. Threads: any; sending
 /// reads immutable lists, of which each lane has its own.
 template <class Prx>
@@ -37,25 +39,33 @@ class TopicPublisher {
     /// The publishers of the topic, or its subscribers themselves, as stringified proxies; none: it is down.
     void publishTo(const std::vector<std::string>& proxies) {
         const std::lock_guard lock(changes_);
-        store(data_, senders(*data_communicator_, proxies, "axon-topic", {}));
-        store(signal_, senders(*signal_communicator_, proxies, "axon-topic-signal", signalLimits()));
+        Places places;
+        for (const auto& proxy : proxies) places.push_back({{}, proxy});
+        store(data_, routes(*data_communicator_, places, "axon-topic", {}, {}));
+        store(signal_, routes(*signal_communicator_, places, "axon-topic-signal", signalLimits(), {}));
     }
     void reach(const std::vector<ServerAnnouncement>& neighbours) {
-        std::vector<std::string> proxies;
-        for (const auto& neighbour : neighbours) proxies.push_back(neighbour.signals);
+        Places signals;
+        Places messages;
+        for (const auto& neighbour : neighbours) {
+            signals.push_back({neighbour.name, neighbour.signals});
+            if (!neighbour.messages.empty()) messages.push_back({neighbour.name, neighbour.messages});
+        }
         const std::lock_guard lock(changes_);
-        store(direct_, senders(*signal_communicator_, proxies, "axon-direct", signalLimits()));
+        store(direct_, routes(*signal_communicator_, signals, "axon-direct", signalLimits(), *direct_.load()));
+        store(direct_data_, routes(*data_communicator_, messages, "axon-direct-data", {}, *direct_data_.load()));
     }
     /// Gives those whose connection failed another one.
     void reopen() {
         const std::lock_guard lock(changes_);
-        for (auto* list : {&data_, &signal_, &direct_}) {
+        for (auto* list : {&data_, &signal_, &direct_, &direct_data_}) {
+            const bool for_signals = list == &signal_ || list == &direct_;
             auto all = *list->load();
             bool changed = false;
             for (auto& route : all) {
                 if (!route.sender->closed()) continue;
                 try {
-                    route.sender = sender(route.proxy, list == &data_ ? OutboxLimits{} : signalLimits());
+                    route.sender = sender(route.proxy, for_signals ? signalLimits() : OutboxLimits{});
                 } catch (const Ice::CommunicatorDestroyedException&) {  // the server is ending
                     return;
                 }
@@ -84,8 +94,26 @@ class TopicPublisher {
         for (const auto& route : *routes) route.sender->send(arguments...);
     }
 
+    /// To this neighbour, straight. False where it is not reached.
+    template <class... Arguments>
+    bool straight(Lane lane, const std::string& server, Arguments&&... arguments) const {
+        const auto routes = (lane == Lane::Signal ? direct_ : direct_data_).load();
+        const auto found = std::find_if(routes->begin(), routes->end(),
+                                        [&](const Route& route) { return route.place.server == server; });
+        if (found == routes->end()) return false;
+        found->sender->send(std::forward<Arguments>(arguments)...);
+        return true;
+    }
+
   private:
+    struct Place {
+        std::string server;  // empty: the topic
+        std::string proxy;
+        bool operator==(const Place&) const = default;
+    };
+    using Places = std::vector<Place>;
     struct Route {
+        Place place;
         std::shared_ptr<Prx> proxy;
         std::shared_ptr<const CallbackSender<Prx>> sender;
     };
@@ -106,18 +134,24 @@ class TopicPublisher {
                 spdlog::warn("{}: what it publishes is not taken: {}", who, why);
             });
     }
-    Routes senders(Ice::Communicator& communicator, const std::vector<std::string>& proxies,
-                   const std::string& connection, OutboxLimits limits) const {
+    Routes routes(Ice::Communicator& communicator, const Places& places, const std::string& connection,
+                  OutboxLimits limits, const Routes& before) const {
         Routes routes;
-        for (const auto& text : proxies) {
+        for (const auto& place : places) {
+            const auto same = std::find_if(before.begin(), before.end(),
+                                           [&](const Route& route) { return route.place == place; });
+            if (same != before.end()) {
+                routes.push_back(*same);
+                continue;
+            }
             try {
-                auto proxy = Ice::uncheckedCast<Prx>(communicator.stringToProxy(text))
+                auto proxy = Ice::uncheckedCast<Prx>(communicator.stringToProxy(place.proxy))
                                  ->ice_oneway()
                                  ->ice_invocationTimeout(-1)
                                  ->ice_connectionId(connection);
-                routes.push_back({proxy, sender(proxy, limits)});
+                routes.push_back({place, proxy, sender(proxy, limits)});
             } catch (const Ice::Exception& error) {
-                spdlog::warn("{}: '{}' is no proxy to publish to ({})", who_, text, error.ice_id());
+                spdlog::warn("{}: '{}' is no proxy to publish to ({})", who_, place.proxy, error.ice_id());
             }
         }
         return routes;
@@ -130,6 +164,7 @@ class TopicPublisher {
     Snapshot<Routes> data_;
     Snapshot<Routes> signal_;
     Snapshot<Routes> direct_;
+    Snapshot<Routes> direct_data_;
 };
 
 /// Follows one control message to the network. Where it ends without having been written, `lost` is called:
@@ -145,6 +180,14 @@ class PublicationTicket {
     PublicationTicket(const PublicationTicket&) = delete;
     PublicationTicket& operator=(const PublicationTicket&) = delete;
 
+    /// To be given to the call in place of `failed`, and then given() is to be called.
+    static std::function<void(std::exception_ptr)> watch(const std::shared_ptr<PublicationTicket>& ticket,
+                                                         std::function<void(std::exception_ptr)> failed) {
+        return [ticket, failed = std::move(failed)](std::exception_ptr error) {
+            ticket->fail();
+            failed(std::move(error));
+        };
+    }
     void given() { given_ = true; }
     void fail() {
         if (!settled_.exchange(true)) lost_(head_);

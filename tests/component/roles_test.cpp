@@ -130,8 +130,48 @@ TEST_F(SeveralServers, EntitiesReachEachOtherAcrossEntityServers) {
     Header head;
     head.entity = kSecond;
     head.msg_type = kMsgTask;
-    master.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 1"));
-    EXPECT_TRUE(waitUntil([&] { return slave.log.has("msg Master TASK step 1"); }));
+    EXPECT_TRUE(waitUntil([&] {  // until each server knows of the other's entities
+        master.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 1"));
+        return waitUntil([&] { return slave.log.has("msg Master TASK step 1"); }, 50ms);
+    }));
+    master.signalOneway()->sendToPeer(transport::toIce(head), toRange("beat"));
+    EXPECT_TRUE(waitUntil([&] { return slave.log.has("signal msg Master TASK beat"); }));
+    EXPECT_FALSE(slave.log.has("msg Master TASK beat"));
+
+    es1->publishTo({}, {});  // messages between entities need no topic
+    es2->publishTo({}, {});
+    master.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 2"));
+    EXPECT_TRUE(waitUntil([&] { return slave.log.has("msg Master TASK step 2"); }));
+    join();
+    slave.data()->destroy();
+    EXPECT_TRUE(waitUntil([&] {
+        master.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 3"));
+        return waitUntil([&] { return master.log.has(kUnknownEntity); }, 50ms);
+    }));
+}
+
+TEST_F(SeveralServers, RefuseAnEntityThatAnotherOneHas) {
+    RawEntity first(entities(*es1), kFirst, "First");
+    RawEntity witness(entities(*es2), kSecond, "Witness");
+    first.join();
+    witness.join();
+    Header head;
+    head.entity = kFirst;
+    ASSERT_TRUE(waitUntil([&] {
+        witness.dataOneway()->sendToPeer(transport::toIce(head), toRange("there?"));
+        return waitUntil([&] { return first.log.has("msg Witness"); }, 50ms);
+    })) << "es2 knows of it";
+    RawEntity copy(entities(*es2), kFirst, "Copy");
+    EXPECT_THROW(copy.join(), Axon::CommUtil::RequestRefused);
+    first.data()->destroy();
+    EXPECT_TRUE(waitUntil([&] {
+        try {
+            copy.join();
+            return true;
+        } catch (const Axon::CommUtil::RequestRefused&) {
+            return false;
+        }
+    })) << "it may come once the other has left";
 }
 
 TEST_F(SeveralServers, AStopGoesTwoWaysAndOnlyOneIsLeftWhenTheTopicIsDown) {

@@ -170,6 +170,11 @@ TEST_F(Servers, CarryMessagesBetweenEntities) {
     head.entity = "nobody";
     first.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 2"));
     EXPECT_TRUE(waitUntil([&] { return first.log.has("refused 20"); }));
+    first.signalOneway()->sendToPeer(transport::toIce(head), toRange("beat"));
+    EXPECT_TRUE(waitUntil([&] { return first.log.has("signal refused 20"); }));
+    head.entity = kSecond;
+    first.signalOneway()->sendToPeer(transport::toIce(head), toRange("beat"));
+    EXPECT_TRUE(waitUntil([&] { return second.log.has("signal msg Master TASK beat"); }));
 }
 
 TEST_F(Servers, RefuseWhatIsForNobody) {

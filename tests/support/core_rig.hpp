@@ -111,6 +111,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) override;
     void sendStatus(const EntityStatus& status) override;
     void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) override;
+    void sendToPeer(Lane, const Header&, const proto::ToEntity&) override {}
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override;
 
     ManualClock clock;
