@@ -62,6 +62,8 @@ Refusal refuse(RefusalCode code, std::string message) {
     return {code, std::move(message), {}};
 }
 
+// A little less than the second in which a server announces itself by the topic.
+constexpr std::chrono::milliseconds kAskAgain{900};
 constexpr auto kData = static_cast<std::size_t>(Lane::Data);
 constexpr auto kSignal = static_cast<std::size_t>(Lane::Signal);
 
@@ -444,6 +446,11 @@ void FrontEndCore::ask(const std::string& server) {
     topic_.clientRequest(head);
 }
 
+/// Under the mutex: its list is to come. The question, too, may be lost, and then nothing else would tell.
+void FrontEndCore::await(const std::string& server) {
+    asked_[server] = clock_.now();
+}
+
 /// Under the mutex: a registration or a status of this server has come.
 void FrontEndCore::hearOf(const std::string& server) {
     if (alone() || server.empty()) return;
@@ -499,6 +506,10 @@ void FrontEndCore::forget(const std::string& server, const std::unordered_set<st
 
 void FrontEndCore::entityServerEntities(const std::string& server, const std::vector<std::string>& entities) {
     if (alone() || !isServerName(server)) return;
+    {
+        const std::lock_guard lock(mutex_);
+        asked_.erase(server);
+    }
     forget(server, {entities.begin(), entities.end()});
 }
 
@@ -510,14 +521,21 @@ void FrontEndCore::entityServerUpdate(Lane lane, const ServerAnnouncement& serve
         const std::lock_guard lock(mutex_);
         if (heard_.size() >= Neighbours::kMost && !heard_.contains(server.name)) return;
         const auto [heard, is_new] = heard_.try_emplace(server.name, server.published);
-        if (!is_new && heard->second == server.published) return;
+        const auto asked = asked_.find(server.name);
+        const bool unanswered = asked != asked_.end() && clock_.now() - asked->second >= kAskAgain;
+        if (!is_new && !unanswered && heard->second == server.published) return;
         heard->second = server.published;
+        await(server.name);
     }
     ask(server.name);  // something of it was lost on the way, or it was there first
 }
 
 void FrontEndCore::topicFound() {
     topic_.frontEndServerUpdate(Lane::Data, announcement());
+    {
+        const std::lock_guard lock(mutex_);
+        for (const auto& [server, published] : heard_) await(server);
+    }
     ask({});
 }
 
@@ -542,6 +560,10 @@ TimePoint FrontEndCore::onNeighboursTimer() {
     }
     for (const auto& name : news.arrived) {
         note_("entity server " + name + " is there");
+        {
+            const std::lock_guard lock(mutex_);
+            if (heard_.contains(name)) await(name);
+        }
         ask(name);
     }
     return std::min({news.next, next_beat_, next_announcement_});

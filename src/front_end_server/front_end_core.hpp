@@ -62,7 +62,7 @@ enum class Ending : std::uint8_t {
 /// One of several: it announces itself to the entity servers, and misses them. The entities of one that falls
 /// silent, or has started anew, have left; so have those that are missing in the list at the end of a STATUS. It
 /// asks for STATUS when it finds a server or the topic, and when it has heard fewer registrations and statuses of
-/// a server than that one has published. An entity belongs to the server that announced its joining last. As it
+/// a server than that one has published; again, until the answer has come whole. An entity belongs to the server that announced its joining last. As it
 /// knows all entities it refuses what is for none; a stop is passed on all the same.
 ///
 /// Threads: any, concurrently; calls for one lane of one client, and those from one entity server about
@@ -153,6 +153,7 @@ class FrontEndCore {
     ServerAnnouncement announcement() const;
     void refuseUnknown(ClientOutbox& to, const Header& head) const;
     void ask(const std::string& server);
+    void await(const std::string& server);
     void hearOf(const std::string& server);
     void countBusy(const Record* before, const Record* now);
     RecordRef takeOut(const std::string& entity);
@@ -185,6 +186,7 @@ class FrontEndCore {
     std::unordered_map<std::string, std::map<std::string, bool>>
         holdings_;  // client → entities, whether BUSY
     std::unordered_map<std::string, std::int64_t> heard_;  // entity server → registrations and statuses
+    std::unordered_map<std::string, TimePoint> asked_;     // entity server → when, while its list has not come
     std::unordered_map<std::string, int> busy_of_;         // entity server → entities that are BUSY
     // Entities that another server than the record's has spoken of; when that one lets go, it is asked.
     std::unordered_set<std::string> disputed_;

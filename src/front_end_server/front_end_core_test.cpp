@@ -575,6 +575,7 @@ TEST_F(OneOfSeveral, TheEntitiesOfASilentServerHaveLeftAndTheOthersHaveNot) {
 TEST_F(OneOfSeveral, AsksAServerOfWhichItHasHeardLessThanThatHasPublished) {
     announce(Lane::Data, "es1", 7);
     EXPECT_THAT(topic.take(), ElementsAre("requestes1")) << "it was there first";
+    several.entityServerEntities("es1", {});
     entityAt("es1", "e1");
     statusAt("es1", "e1", EntityState::IDLE);
     announce(Lane::Data, "es1", 9);
@@ -582,6 +583,21 @@ TEST_F(OneOfSeveral, AsksAServerOfWhichItHasHeardLessThanThatHasPublished) {
     announce(Lane::Data, "es1", 10);
     EXPECT_THAT(topic.take(), ElementsAre("requestes1"));
     announce(Lane::Data, "es1", 10);
+    EXPECT_THAT(topic.take(), IsEmpty());
+}
+
+TEST_F(OneOfSeveral, AsksAgainUntilTheAnswerHasComeWhole) {
+    announce(Lane::Data, "es1", 7);
+    passHere(1ms);
+    EXPECT_THAT(topic.take(), testing::Contains("requestes1"));
+    for (int i = 0; i < 3; ++i) {
+        passHere(1s);
+        announce(Lane::Data, "es1", 7);
+        EXPECT_THAT(topic.take(), ElementsAre("requestes1")) << "the question was lost";
+    }
+    several.entityServerEntities("es1", {});
+    passHere(1s);
+    announce(Lane::Data, "es1", 7);
     EXPECT_THAT(topic.take(), IsEmpty());
 }
 
