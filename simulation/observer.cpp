@@ -331,6 +331,7 @@ void Observer::noted(std::size_t number, const entity_manager::JournalRecord& re
             ++(record.text.find(" hands it over to ") == std::string::npos ? counts_.forced
                                                                            : counts_.handed_over);
             entity.granted = std::max(entity.granted, record.lease);
+            entity.taken_over = record.lease;
             return;
         case Kind::Resumed:
             ++counts_.resumed;
@@ -341,6 +342,9 @@ void Observer::noted(std::size_t number, const entity_manager::JournalRecord& re
             return;
         case Kind::LeaseEnded:
             if (record.code == "EXPIRED") ++counts_.lost_for_good;
+            if (record.lease == entity.taken_over && entity.end_told < record.lease)
+                violated(Invariant::OneLease, entity.name + ": lease " + text(record.lease) +
+                                                  " was taken over, and who had it was not told");
             entity.lease_ended = std::max(entity.lease_ended, record.lease);
             return;
         case Kind::Stopped:

@@ -190,6 +190,7 @@ class Observer {
         // What the journal says.
         LeaseNumber granted;
         LeaseNumber lease_ended;
+        LeaseNumber taken_over;  ///< newest that somebody took from its holder
         std::uint64_t rearms_noted = 0, rearms = 0;
         std::vector<std::uint32_t> stops_to_note;
         std::map<std::pair<std::string, std::int64_t>, std::uint32_t> stops_seen;  ///< and in which life

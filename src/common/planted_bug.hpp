@@ -39,6 +39,9 @@
     X(LostServerDoesNotStop, "the loss of the server does not stop the robot")                               \
     X(LostClientForgotten, "a lost client's entities are not stopped")                                       \
     X(ClientWatchdogAlwaysIdle, "the watchdog of a client is slow while its task runs, too")                 \
+    X(FinishWithoutEnd, "a task that finishes without its client does so for as long as it likes")           \
+    X(HeldTaskGoesOn, "a task that is held when its client is lost is not paused")                           \
+    X(LoserNotTold, "who loses an entity by a take-over is not told")                                        \
     X(LateGrantLeft, "what is granted to a client that has gone stays its own")                              \
     X(RequestsWaitForEver, "a client's request that nobody answers does not time out")
 

@@ -506,7 +506,7 @@ void EntityManagerCore::Machine::endLease(const Incident& incident) {
                              ? Refusal{RefusalCode::NotHolder, "The lease has ended: it was released.", {}}
                              : incident.reason);
     const auto reason = own_wish ? Refusal{RefusalCode::Ok, "Released.", {}} : incident.reason;
-    sendLeaseEnded(held, reason);
+    if (!AXON_PLANTED(LoserNotTold) || incident.event != Event::TakenOver) sendLeaseEnded(held, reason);
     note({.kind = JournalRecord::Kind::LeaseEnded,
           .who = named(held.holder),
           .code = std::string(refusalName(reason.code)),

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 
+#include "common/planted_bug.hpp"
 #include "entity_manager/machine.hpp"
 #include "messages/text.hpp"
 
@@ -48,10 +49,12 @@ void EntityManagerCore::Machine::spareTasks() {
         if (lossPolicyOf(active) == proto::FINISH_TASK) {
             const auto most = profiler_.record(active.task.order.service).max_duration_s();
             active.alone_until =
-                clock_.now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(most));
+                AXON_PLANTED(FinishWithoutEnd)
+                    ? TimePoint::max()
+                    : clock_.now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(most));
             continue;
         }
-        if (active.phase == Active::Phase::Paused) continue;
+        if (active.phase == Active::Phase::Paused || AXON_PLANTED(HeldTaskGoesOn)) continue;
         active.alone_until = clock_.now() + kPauseWithin;
         proto::EmToEi pause;
         pause.mutable_pause()->set_task_id(active.task.id.bytes());
@@ -67,7 +70,7 @@ void EntityManagerCore::Machine::attendTasks() {
 
 /// A task without its client has changed between running and paused.
 void EntityManagerCore::Machine::watchHeld(Active& active) {
-    if (!lease_.orphaned() || lossPolicyOf(active) != proto::HOLD_TASK) return;
+    if (!lease_.orphaned() || lossPolicyOf(active) != proto::HOLD_TASK || AXON_PLANTED(HeldTaskGoesOn)) return;
     if (active.phase == Active::Phase::Paused)
         active.alone_until.reset();
     else if (!active.alone_until)
