@@ -97,10 +97,14 @@ Event eventOf(const proto::ToEntity& message) {
         case proto::ToEntity::kHandOverPolicy:
             return Event::HandOver;
         case proto::ToEntity::kCollaboration:
-        case proto::ToEntity::kFromMaster:
-        case proto::ToEntity::kFromSlave:
+            return Event::CollaborativeTask;
         case proto::ToEntity::kRunHistory:
-        case proto::ToEntity::kGlobalServices:
+            return Event::RunHistory;
+        case proto::ToEntity::kFromMaster:
+            if (message.from_master().has_invitation()) return Event::CollaborationRequest;
+            break;  // the others are no requests: hearPeer()
+        case proto::ToEntity::kFromSlave:
+        case proto::ToEntity::kGlobalServices:  // of a front-end server
         case proto::ToEntity::BODY_NOT_SET:
             break;
     }
@@ -114,6 +118,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomS
                                     ResourceStore& resources, StopGate& stop_gate, Journal* journal)
     : settings_(std::move(settings)),
       clock_(clock),
+      random_(random),
       back_end_(back_end),
       server_(server),
       storage_(storage),
@@ -134,6 +139,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomS
         storage.save(kGenerationKey, std::to_string(generation_ + kGenerationsReserved));
     reserved_ = generation_ + kGenerationsReserved;
     replayJournal();
+    loadRuns();
 }
 
 // -- the journal
@@ -376,6 +382,18 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
         case Action::ConsiderHandOver:
             considerHandOver(incident);
             break;
+        case Action::ConsiderRun:
+            considerRun(incident);
+            break;
+        case Action::ConsiderInvitation:
+            considerInvitation(incident.head->sender, incident.body->from_master());
+            break;
+        case Action::LeaveCollaboration:
+            leaveCollaboration(incident.reason);
+            break;
+        case Action::TellRunHistory:
+            tellRunHistory(incident);
+            break;
         case Action::PassText:
             passText(incident);
             break;
@@ -405,6 +423,7 @@ void EntityManagerCore::Machine::settle() {
         at = early_done_.erase(at);
         stopDone(done);
     }
+    attendRun();
     passOn();
     dispatchNext();
     const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_;
@@ -527,6 +546,10 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             break;
         }
         case proto::EiToEm::kRaw: {
+            if (!message.raw().to().empty()) {
+                sendRawToPartner(*message.mutable_raw());
+                break;
+            }
             if (holder() == nullptr || !server_up_) {
                 ++counters_.undelivered;
                 break;
@@ -886,6 +909,10 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
               {RefusalCode::Malformed, "The message could not be read as an axon.proto.ToEntity.", {}});
         return;
     }
+    if (hearPeer(head, from_client_)) {
+        settle();
+        return;
+    }
     const auto event = eventOf(from_client_);
     if (event == Event::Quit) {
         const bool control = from_client_.has_task_control();
@@ -899,10 +926,6 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
     if (event == Event::CheckOut || event == Event::HandOver) passTime();
     process(event, head, &from_client_);
     settle();
-}
-
-void EntityManagerCore::Machine::onPeerRefusal(const Header& /*head*/, const Refusal& /*refusal*/) {
-    if (!quit_) ++counters_.peer_refusals;
 }
 
 Header EntityManagerCore::Machine::headFor(const Sender& to, const char* type) {
@@ -968,6 +991,12 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
             tell(to, kMsgTask, message);
             return;
         }
+        case Event::CollaborativeTask:
+            refuseRun(incident, refusal);
+            return;
+        case Event::CollaborationRequest:
+            declineInvitation(to, incident.body->from_master(), refusal);
+            return;
         case Event::SetParam:
             reply(to, incident.body->set_param().request_id(), refusal);
             return;
@@ -1147,6 +1176,7 @@ void EntityManagerCore::Machine::onTimer() {
     expireTasks();
     expireAnswers();
     expireSpared();
+    expireCollaboration();
     sendPosition();
     settle();
 }
@@ -1166,6 +1196,8 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
         if (active.phase == Active::Phase::Dispatched) next = std::min(next, active.answer_until);
     for (const auto& active : active_)
         if (active.alone_until) next = std::min(next, *active.alone_until);
+    if (run_) next = std::min(next, run_->nextDeadline());
+    if (member_ && !isMaster(*member_)) next = std::min(next, std::min(member_->beat_at, member_->heard + settings_.server_watchdog_busy));
     if (position_waits_ && server_up_ && registration_)
         next = std::min(next, position_sent_ + kPositionPeriod);
     return next;
@@ -1178,6 +1210,7 @@ void EntityManagerCore::Machine::shutDown() {
     incident.cause = StopCause::Shutdown;
     incident.reason = {RefusalCode::Unavailable, "The Entity Manager has been ended by its operator.", {}};
     fire(incident);
+    attendRun();
     if (busy_told_ && link_up_) back_end_.setBusy(false);
     keepLatch();
     quit_ = true;

@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "collaboration/collaboration.hpp"
 #include "common/planted_bug.hpp"
 #include "common/rate_limit.hpp"
 #include "common/watchdog.hpp"
@@ -31,7 +32,8 @@ namespace axon::entity_manager {
 
 /// The inside of EntityManagerCore: it finds the row of each event in the state table and has one function
 /// for each Action. Private to the core; machine.cpp has states and messages, machine_leases.cpp who holds
-/// the entity and who wants it, machine_tasks.cpp tasks and resources.
+/// the entity and who wants it, machine_tasks.cpp tasks and resources, machine_collaboration.cpp what it does with
+/// other entities.
 class EntityManagerCore::Machine {
   public:
     Machine(CoreSettings settings, Clock& clock, RandomSource& random, BackEndPort& back_end,
@@ -194,6 +196,7 @@ class EntityManagerCore::Machine {
 
     // Tasks (machine_tasks.cpp).
     void admitTask(const Incident& incident);
+    Refusal admit(const proto::TaskRequest& request, std::int64_t sent_at_us);
     void dispatchNext();
     bool admissible(const Task& task) const;
     void dispatch(Task task);
@@ -210,6 +213,8 @@ class EntityManagerCore::Machine {
     void applicationStatus(const proto::StatusNote& note);
     Active* findActive(const Id128& id);
     bool anyRuns() const;
+    /// To who asked for the task: the holder, or the master of the run of which it is a step.
+    void tellTask(proto::TaskEvent& event);
     void sendTask(const Task& task, proto::TaskState state, const Refusal& reason);
     /// The one way in which an accepted task ends: noted, remembered, and told to the holder.
     void concludeTask(const Task& task, proto::TaskEvent& event);
@@ -227,6 +232,47 @@ class EntityManagerCore::Machine {
     bool finishesAlone() const;
     void endSpared(const std::string& why);
     void expireSpared();
+
+    // Collaboration (machine_collaboration.cpp).
+    /// This entity's part in a run, as a slave or as the master itself.
+    struct Membership {
+        std::string run_id;
+        Sender master;
+        std::vector<proto::Participant> participants;
+        std::map<Id128, std::int32_t> steps;  ///< under way, by the task's id
+        TimePoint heard{};                    ///< from the master
+        TimePoint beat_at{};
+        std::uint64_t beat = 0;
+    };
+    bool isMaster(const Membership& member) const { return member.master.id == uuid_; }
+    void considerRun(const Incident& incident);
+    void refuseRun(const Incident& incident, const Refusal& refusal);
+    void tellRun(const Sender& to, const proto::RunEvent& event);
+    /// What the run wants done, until nothing is left.
+    void attendRun();
+    void endRun();
+    void considerInvitation(const Sender& master, const proto::FromMaster& message);
+    void declineInvitation(const Sender& master, const proto::FromMaster& message, const Refusal& refusal);
+    Refusal checkSubLease(const Sender& master, const proto::FromMaster& message) const;
+    void problemsOf(const proto::Invitation& invitation, proto::InvitationAnswer& answer) const;
+    /// Messages of master and slaves that are no requests. False when it is something else.
+    bool hearPeer(const Header& head, proto::ToEntity& message);
+    void hearMaster(const Sender& master, const proto::FromMaster& message);
+    void admitStep(const proto::StepOrder& order);
+    void controlStep(const proto::StepControl& control);
+    void endMembership(const proto::CollaborationEnd& end);
+    void sendToMaster(Lane lane, const Sender& master, const proto::FromSlave& message);
+    void reportStep(std::int32_t step, const proto::TaskEvent& event);
+    void depart(const Sender& master, const std::string& run_id, const Refusal& reason);
+    void leaveCollaboration(const Refusal& reason);
+    void expireCollaboration();
+    void sendToPeer(Lane lane, const std::string& entity, const char* type, const proto::ToEntity& message);
+    void sendRawToPartner(proto::LinkRaw& raw);
+    const proto::Participant* partner(std::string_view name) const;
+    bool controlRun(const Incident& incident);
+    void loadRuns();
+    void keepRun(const proto::RunRecord& record);
+    void tellRunHistory(const Incident& incident);
 
     // Parameters and resources (machine_tasks.cpp).
     void askParameter(const Incident& incident);
@@ -256,6 +302,7 @@ class EntityManagerCore::Machine {
 
     const CoreSettings settings_;
     Clock& clock_;
+    RandomSource& random_;
     BackEndPort& back_end_;
     ServerPort& server_;
     Storage& storage_;
@@ -309,6 +356,11 @@ class EntityManagerCore::Machine {
     std::uint32_t newest_real_ = 0;            ///< newest stop that is no drill
     std::uint32_t link_generation_ = 0;        ///< stops up to this one the application has never been sent
     std::deque<OpenStop> open_stops_;
+
+    std::optional<collaboration::Collaboration> run_;  ///< of which this entity is the master
+    std::optional<Membership> member_;                 ///< of the run in which it takes part
+    bool attending_ = false;
+    proto::RunHistory runs_;                           ///< newest first
 
     ServiceProfiler profiler_;
     std::map<std::string, bool, std::less<>> active_told_;  ///< by the application since its link is up

@@ -33,7 +33,8 @@ proto::OnClientLoss EntityManagerCore::Machine::lossPolicyOf(const Active& activ
 
 /// Of several that run side by side the strictest counts: a stop cannot leave one of them out.
 bool EntityManagerCore::Machine::survivesClientLoss() const {
-    return state_ == EntityState::BUSY && link_up_ && server_up_ && !latched_ && !application_busy_ &&
+    // A step of a run is of more than one robot: nobody would tell the others.
+    return state_ == EntityState::BUSY && !member_ && link_up_ && server_up_ && !latched_ && !application_busy_ &&
            !active_.empty() && stopsAreHandled() &&
            std::all_of(active_.begin(), active_.end(),
                        [this](const Active& active) { return lossPolicyOf(active) != proto::STOP_TASK; });

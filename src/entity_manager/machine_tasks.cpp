@@ -53,29 +53,26 @@ bool isFinal(proto::TaskState state) {
 // ----------------------------------------------------------------------------------------------------------
 
 void EntityManagerCore::Machine::admitTask(const Incident& incident) {
-    const auto& request = incident.body->task();
-    const auto id = Id128::fromBytes(request.task_id());
-    if (!id || id->isZero()) {
-        refuse(incident, {RefusalCode::Malformed, "task_id must be 16 bytes that are not all zero.", {}});
+    if (member_) {
+        refuse(incident, {RefusalCode::WrongState,
+                          "The entity takes part in a collaboration and takes tasks of its master alone. Wait for its "
+                          "end, or stop it.",
+                          {}});
         return;
     }
-    if (!std::isfinite(request.not_after_s()) || request.not_after_s() < 0) {
-        refuse(incident, {RefusalCode::Malformed, "not_after_s must be a number of seconds from 0 on.", {}});
-        return;
-    }
-    if (const auto again = memory_.whyNotAgain(*id); again && !AXON_PLANTED(TaskIdForgotten)) {
-        refuse(incident, *again);
-        return;
-    }
-    if (const auto refusal = queue_.mayPush(); !refusal.ok()) {
+    if (const auto refusal = admit(incident.body->task(), incident.head->sent_at_us); !refusal.ok())
         refuse(incident, refusal);
-        return;
-    }
+}
+
+Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std::int64_t sent_at_us) {
+    const auto id = Id128::fromBytes(request.task_id());
+    if (!id || id->isZero()) return {RefusalCode::Malformed, "task_id must be 16 bytes that are not all zero.", {}};
+    if (!std::isfinite(request.not_after_s()) || request.not_after_s() < 0)
+        return {RefusalCode::Malformed, "not_after_s must be a number of seconds from 0 on.", {}};
+    if (const auto again = memory_.whyNotAgain(*id); again && !AXON_PLANTED(TaskIdForgotten)) return *again;
+    if (const auto refusal = queue_.mayPush(); !refusal.ok()) return refusal;
     auto order = profiler_.prepare(request.service(), request.params());
-    if (!order) {
-        refuse(incident, order.refusal());
-        return;
-    }
+    if (!order) return order.refusal();
     const auto& service = profiler_.record(order->service);
     Task task;
     task.id = *id;
@@ -84,17 +81,16 @@ void EntityManagerCore::Machine::admitTask(const Incident& incident) {
     task.order = std::move(order).value();
     task.generation = generation_;
     if (request.not_after_s() > 0 && request.not_after_s() < kLongestNotAfter_s && !AXON_PLANTED(ExpiryUnchecked))
-        task.not_after = (AXON_PLANTED(ExpiryByTheSendersClock) ? TimePoint{std::chrono::microseconds{incident.head->sent_at_us}} : clock_.now()) + std::chrono::duration_cast<Duration>(
-                                            std::chrono::duration<double>(request.not_after_s()));
-    if (const auto refusal = checkSize(dispatchOf(task)); !refusal.ok()) {
-        refuse(incident, refusal);
-        return;
-    }
+        task.not_after = (AXON_PLANTED(ExpiryByTheSendersClock) ? TimePoint{std::chrono::microseconds{sent_at_us}}
+                                                                : clock_.now()) +
+                         std::chrono::duration_cast<Duration>(std::chrono::duration<double>(request.not_after_s()));
+    if (const auto refusal = checkSize(dispatchOf(task)); !refusal.ok()) return refusal;
     memory_.accept(task.id);
     queue_.push(std::move(task));
     dispatchNext();
     if (!queue_.empty() && queue_.waiting().back().id == *id)
         sendTask(queue_.waiting().back(), proto::TASK_QUEUED, {});
+    return {};
 }
 
 bool EntityManagerCore::Machine::admissible(const Task& task) const {
@@ -227,9 +223,7 @@ void EntityManagerCore::Machine::taskUpdate(proto::TaskEvent& update) {
     watchHeld(*active);
     update.set_state(active->phase == Active::Phase::Paused ? proto::TASK_PAUSED : proto::TASK_RUNNING);
     update.set_service(active->task.service);
-    proto::ToClient message;
-    message.mutable_task()->Swap(&update);
-    if (holder() != nullptr) tell(*holder(), kMsgTask, message);
+    tellTask(update);
 }
 
 bool EntityManagerCore::Machine::lingeringEnded(const Id128& id) {
@@ -299,6 +293,7 @@ void EntityManagerCore::Machine::expireTasks() {
 }
 
 void EntityManagerCore::Machine::controlTask(const Incident& incident) {
+    if (controlRun(incident)) return;
     const auto& control = incident.body->task_control();
     const auto& to = incident.head->sender;
     const auto id = Id128::fromBytes(control.task_id());
@@ -358,9 +353,22 @@ void EntityManagerCore::Machine::sendTask(const Task& task, proto::TaskState sta
         concludeTask(task, event);
         return;
     }
-    if (holder() == nullptr || !server_up_) return;
     event.set_task_id(task.id.bytes());
     event.set_service(task.service);
+    tellTask(event);
+}
+
+void EntityManagerCore::Machine::tellTask(proto::TaskEvent& event) {
+    if (member_) {
+        const auto id = Id128::fromBytes(event.task_id());
+        if (const auto step = member_->steps.find(*id); step != member_->steps.end()) {
+            const auto number = step->second;
+            if (isFinal(event.state())) member_->steps.erase(step);
+            reportStep(number, event);
+            return;
+        }
+    }
+    if (holder() == nullptr || !server_up_) return;
     proto::ToClient message;
     message.mutable_task()->Swap(&event);
     tell(*holder(), kMsgTask, message);
@@ -376,10 +384,7 @@ void EntityManagerCore::Machine::concludeTask(const Task& task, proto::TaskEvent
               .code = proto::TaskState_Name(event.state()),
               .text = event.reason().message()});
     memory_.ended(task.id, lease_.held() ? lease_.held()->number : LeaseNumber{}, event, clock_.now());
-    if (holder() == nullptr) return;
-    proto::ToClient message;
-    message.mutable_task()->Swap(&event);
-    tell(*holder(), kMsgTask, message);
+    tellTask(event);
 }
 
 void EntityManagerCore::Machine::tellFinals() {

@@ -104,8 +104,8 @@ void ServiceProfiler::storeResource(int service, int resource, std::string path,
     refreshMissing(service);
 }
 
-Result<ServiceProfiler::Order> ServiceProfiler::prepare(
-    std::string_view service, const google::protobuf::RepeatedPtrField<proto::Param>& given) const {
+Result<ServiceProfiler::Order> ServiceProfiler::prepare(std::string_view service, const Params& given,
+                                                        const std::vector<std::string>& later) const {
     const auto index = find(service);
     if (!index) return index.refusal();
     const auto& record = this->record(index.value());
@@ -153,7 +153,7 @@ Result<ServiceProfiler::Order> ServiceProfiler::prepare(
             stored.set_name(meta.name());
             stored.set_units(meta.units());
             *stored.mutable_values() = meta.initial();
-        } else if (meta.required()) {
+        } else if (meta.required() && std::find(later.begin(), later.end(), meta.name()) == later.end()) {
             lack("parameter", meta.name());
         }
     }
@@ -169,6 +169,59 @@ Result<ServiceProfiler::Order> ServiceProfiler::prepare(
                            ". Give the parameters with the task or set them first, and upload the resources.",
                        {}};
     return order;
+}
+
+Result<ServiceProfiler::Params> ServiceProfiler::typed(std::string_view service, const Params& given) const {
+    const auto index = find(service);
+    if (!index) return index.refusal();
+    const auto& record = this->record(index.value());
+    Params all = given;
+    for (auto& param : all) {
+        const auto at = findParamIndex(record, param.name());
+        if (!at) continue;  // prepare() says so
+        const auto& meta = record.params(at.value());
+        const bool text = param.values_size() == 1 && param.values(0).kind_case() == proto::Value::kStr;
+        if (!text || (meta.data_type() == proto::STR && !meta.multiple())) continue;
+        auto read = parseParam(meta, param.values(0).str());
+        if (!read) return read.refusal();
+        const auto name = param.name();
+        param = std::move(read).value();
+        param.set_name(name);
+    }
+    return all;
+}
+
+std::vector<Refusal> ServiceProfiler::problems(std::string_view service, const Params& given,
+                                               const std::vector<std::string>& later) const {
+    const auto index = find(service);
+    if (!index) return {index.refusal()};
+    std::vector<Refusal> all;
+    Params good;
+    std::vector<std::string> awaited;
+    const auto& record = this->record(index.value());
+    for (const auto& param : given) {
+        Params one;
+        *one.Add() = param;
+        auto read = typed(service, one);
+        if (!read)
+            all.push_back(read.refusal());
+        else if (const auto checked = checkParam(service, read.value().Get(0)); !checked)
+            all.push_back(checked.refusal());
+        else
+            good.Add()->Swap(&*read.value().begin());
+        awaited.push_back(param.name());  // given, if wrongly: not missing
+    }
+    for (const auto& name : later) {
+        const auto at = findParamIndex(record, name);
+        if (!at)
+            all.push_back(at.refusal());
+        else if (!settable(record.params(at.value())))
+            all.push_back(notSettable(record, record.params(at.value())));
+        else
+            awaited.push_back(record.params(at.value()).name());
+    }
+    if (auto order = prepare(service, good, awaited); !order) all.push_back(order.refusal());
+    return all;
 }
 
 Result<int> ServiceProfiler::setActive(std::string_view service, bool active) {

@@ -25,6 +25,7 @@ class ResourceStore;
 /// value, `ready` whether it has one, `missing` what must be set before the service can run.
 class ServiceProfiler {
   public:
+    using Params = google::protobuf::RepeatedPtrField<proto::Param>;
     /// A merged task: everything the robot application needs to run it.
     struct Order {
         int service = 0;
@@ -55,8 +56,15 @@ class ServiceProfiler {
 
     /// The task's own parameters over the stored ones: INACTIVE_SERVICE, NOT_SUPPORTED (composite services),
     /// the refusals of checkParam, and MISSING_DEPENDENCY with everything that is missing.
-    Result<Order> prepare(std::string_view service,
-                          const google::protobuf::RepeatedPtrField<proto::Param>& given) const;
+    /// `later`: parameters that count as given.
+    Result<Order> prepare(std::string_view service, const Params& given,
+                          const std::vector<std::string>& later = {}) const;
+    /// The parameters of a global service: texts become values of the profile's types. The refusals of
+    /// parseParam; a parameter that the service does not have stays as it is.
+    Result<Params> typed(std::string_view service, const Params& given) const;
+    /// Everything for which a task of a global service would be refused; `later` will be given by other steps.
+    std::vector<Refusal> problems(std::string_view service, const Params& given,
+                                  const std::vector<std::string>& later) const;
 
     /// UNKNOWN_SERVICE, or done; the service's position.
     Result<int> setActive(std::string_view service, bool active);

@@ -46,13 +46,13 @@ std::vector<Row> makeRows() {
     rows.add({S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::ERR, S::REG}, E::Stop,
              {A::Latch, A::Acknowledge, A::EndTasks, A::VoidQueue, A::TellStatus}, kStay);
     rows.add({S::COLLAB, S::SLAVE, S::BUSY}, E::Stop,
-             {A::Latch, A::Acknowledge, A::EndTasks, A::VoidQueue, A::TellStatus}, to(S::REG));
+             {A::Latch, A::Acknowledge, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::TellStatus}, to(S::REG));
 
     // The link to the robot application. Its end ends everything but the session with the server; the Entity
     // Interfacer stops the robot by itself.
     rows.add({S::UNAV}, E::LinkUp, {A::AwaitProfiles, A::TellStatus}, to(S::INIT));
     rows.add(linked, E::LinkDown,
-             {A::LoseTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads, A::DismissWaiting,
+             {A::LeaveCollaboration, A::LoseTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads, A::DismissWaiting,
               A::EndLease, A::TellStatus},
              to(S::UNAV));
     rows.add({S::UNAV}, E::LinkDown, {A::TellStatus}, kStay);
@@ -70,7 +70,7 @@ std::vector<Row> makeRows() {
     rows.add({S::IDLE}, E::ServerDown, {A::StopApplication, A::DismissWaiting, A::SeekServer, A::TellStatus},
              to(S::ENVCONN));
     rows.add(held, E::ServerDown,
-             {A::StopApplication, A::EndTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads,
+             {A::StopApplication, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads,
               A::DismissWaiting, A::OrphanLease, A::SeekServer, A::TellStatus},
              to(S::ENVCONN));
     rows.add({S::UNAV, S::INIT, S::ENVCONN, S::ERR}, E::ServerDown, {A::SeekServer}, kStay);
@@ -81,11 +81,13 @@ std::vector<Row> makeRows() {
     for (const auto event : {E::Release, E::ClientEnded})
         rows.add(
             held, event,
-            {A::StopApplication, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease, A::TellStatus},
+            {A::StopApplication, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease,
+             A::TellStatus},
             to(S::IDLE));
     // The status is told once it is known whether there is a grace at all.
     rows.add(held, E::ClientLost,
-             {A::StopApplication, A::Latch, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::OrphanLease},
+             {A::StopApplication, A::Latch, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::SuspendUploads,
+              A::OrphanLease},
              to(S::REG));
     // The policy of the services (ADR 0014): the one loss at which the robot is not stopped.
     rows.add({S::BUSY}, E::ClientSpared, {A::SpareTasks, A::VoidQueue, A::SuspendUploads, A::OrphanLease},
@@ -94,7 +96,8 @@ std::vector<Row> makeRows() {
     for (const auto event : {E::LeaseExpired, E::TakenOver})
         rows.add(
             held, event,
-            {A::StopApplication, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease, A::TellStatus},
+            {A::StopApplication, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease,
+             A::TellStatus},
             to(S::IDLE));
     rows.add({S::INIT, S::ENVCONN, S::ERR}, E::LeaseExpired, {A::StopApplication, A::EndLease, A::TellStatus},
              kStay);
@@ -124,23 +127,28 @@ std::vector<Row> makeRows() {
     // The other two commands. Neither latches.
     rows.add({S::REG, S::BUSY}, E::Reset,
              {A::HaltTasks, A::StopApplication, A::Acknowledge, A::TellStatus, A::DispatchNext}, kStay);
-    rows.add(held, E::Clear, {A::StopApplication, A::Acknowledge, A::EndTasks, A::VoidQueue, A::TellStatus},
+    rows.add(held, E::Clear,
+             {A::StopApplication, A::Acknowledge, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::TellStatus},
              to(S::REG));
 
     // Anyone, always.
     rows.add(any, E::Status, {A::AnswerStatus}, kStay);
     rows.add(any, E::Watch, {A::NoteWatch}, kStay);
 
-    // Collaboration.
-    rows.add({S::REG}, E::CollaborativeTask, {A::TellStatus}, to(S::COLLAB));
-    rows.add({S::REG}, E::CollaborationRequest, {A::TellStatus}, to(S::SLAVE));
+    // Collaboration. While it runs, BUSY is on the way back to COLLAB or SLAVE.
+    rows.add({S::REG}, E::CollaborativeTask, {A::ConsiderRun}, kStay);
+    rows.add({S::REG}, E::CollaborationBegun, {A::TellStatus}, to(S::COLLAB));
+    rows.add({S::REG}, E::CollaborationRequest, {A::ConsiderInvitation}, kStay);
+    rows.add({S::REG}, E::CollaborationJoined, {A::TellStatus}, to(S::SLAVE));
     rows.add({S::COLLAB, S::SLAVE}, E::CollaborationEnded, {A::TellStatus}, to(S::REG));
-    rows.add({S::SLAVE, S::BUSY}, E::MasterGone,
+    rows.add({S::BUSY}, E::CollaborationEnded, {}, kStay);
+    rows.add({S::COLLAB, S::SLAVE, S::BUSY}, E::CollaborationStopped,
              {A::StopApplication, A::EndTasks, A::VoidQueue, A::TellStatus}, to(S::REG));
+    rows.add(any, E::RunHistory, {A::TellRunHistory}, kStay);
 
     rows.add(any, E::Quit,
-             {A::StopApplication, A::EndTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads,
-              A::DismissWaiting, A::EndLease, A::TellStatus, A::LeaveServer},
+             {A::StopApplication, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::AbandonRequests,
+              A::SuspendUploads, A::DismissWaiting, A::EndLease, A::TellStatus, A::LeaveServer},
              to(S::UNAV));
     return rows.take();
 }
@@ -193,7 +201,7 @@ const char* wish(E event) {
             return "take new profiles";
         case E::CollaborativeTask:
         case E::CollaborationRequest:
-            return "collaborate";
+            return "begin a collaboration";
         default:
             return "do that";
     }
@@ -271,6 +279,7 @@ Needs needsOf(Event event) {
         case E::Resume:
         // Raw data may move the robot (a joystick): what a stop has overtaken must not arrive after it.
         case E::Raw:
+        case E::CollaborativeTask:
             return {.holder = true, .stop_generation = true, .not_latched = true};
         default:
             return {};
@@ -298,6 +307,7 @@ bool isRequest(Event event) {
         case E::Clear:
         case E::CollaborativeTask:
         case E::CollaborationRequest:
+        case E::RunHistory:
             return true;
         default:
             return false;
@@ -344,9 +354,12 @@ const char* toString(Event event) {
                                                              "Reset",
                                                              "Clear",
                                                              "CollaborativeTask",
+                                                             "CollaborationBegun",
                                                              "CollaborationRequest",
+                                                             "CollaborationJoined",
                                                              "CollaborationEnded",
-                                                             "MasterGone",
+                                                             "CollaborationStopped",
+                                                             "RunHistory",
                                                              "Quit"};
     return kNames[static_cast<std::size_t>(event)];
 }
@@ -359,7 +372,8 @@ const char* toString(Action action) {
         "SpareTasks",      "HaltTasks",        "DispatchNext",   "CancelTask",      "PauseTask",
         "ResumeTask",      "AdmitTask",        "AskParameter",   "CarryResource",   "SuspendUploads",
         "AbandonRequests", "OrphanLease",      "EndLease",       "DismissWaiting",  "ConsiderHandOver",
-        "PassText",        "PassRaw",          "AnswerStatus",   "NoteWatch",       "TellStatus"};
+        "ConsiderRun",     "ConsiderInvitation", "LeaveCollaboration", "TellRunHistory", "PassText",
+        "PassRaw",         "AnswerStatus",     "NoteWatch",      "TellStatus"};
     static_assert(kNames.size() == static_cast<std::size_t>(Action::TellStatus) + 1);
     return kNames[static_cast<std::size_t>(action)];
 }

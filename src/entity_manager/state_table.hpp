@@ -56,11 +56,14 @@ enum class Event : std::uint8_t {
     Stop,
     Reset,
     Clear,
-    // collaboration: the rows stand, nothing sends these events yet
-    CollaborativeTask,
-    CollaborationRequest,
-    CollaborationEnded,
-    MasterGone,
+    // collaboration
+    CollaborativeTask,     ///< a client asks for the run of a global service
+    CollaborationBegun,    ///< this entity is its master
+    CollaborationRequest,  ///< a master invites
+    CollaborationJoined,   ///< this entity is its slave
+    CollaborationEnded,    ///< nothing runs any more
+    CollaborationStopped,  ///< by its master, or because that is gone
+    RunHistory,
     // the operator of the daemon
     Quit,
 };
@@ -100,6 +103,10 @@ enum class Action : std::uint8_t {
     EndLease,
     DismissWaiting,
     ConsiderHandOver,
+    ConsiderRun,
+    ConsiderInvitation,
+    LeaveCollaboration,
+    TellRunHistory,
     PassText,
     PassRaw,
     AnswerStatus,

@@ -231,8 +231,9 @@ void CoreRig::send(const std::string& client, const proto::ToEntity& message) {
     core_->onClientMsg(headOf(client), message.SerializeAsString());
 }
 
-void CoreRig::take(const std::string& client, const std::string& request) {
+void CoreRig::take(const std::string& client, const std::string& request, const std::string& root) {
     proto::ToEntity message;
+    message.mutable_check_out()->set_root(root);
     message.mutable_check_out()->set_phase(proto::TAKE);
     message.mutable_check_out()->set_request_id(idOf(request));
     send(client, message);
@@ -471,6 +472,10 @@ std::string shown(const proto::ToClient& message) {
                    (question.reason().empty() ? "" : " \"" + question.reason() + '"') + within +
                    (question.yield() ? " yield" : "") + (question.withdrawn() ? " withdrawn" : "");
         }
+        case proto::ToClient::kRun:
+        case proto::ToClient::kRunHistory:
+        case proto::ToClient::kGlobalServices:
+            return message.ShortDebugString();
         case proto::ToClient::BODY_NOT_SET:
             break;
     }
@@ -571,6 +576,11 @@ void CoreRig::sendToClient(Lane lane, const Header& head, const proto::ToClient&
         belief.lease = {static_cast<std::int32_t>(message.check_out().lease().epoch()),
                         static_cast<std::int32_t>(message.check_out().lease().number())};
     }
+}
+
+void CoreRig::sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
+    note("to a peer: " + message.ShortDebugString());
+    if (on_peer) on_peer(lane, head, message);
 }
 
 void CoreRig::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {

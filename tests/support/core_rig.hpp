@@ -78,7 +78,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     // The clients' side.
     Header headOf(const std::string& client);
     void send(const std::string& client, const proto::ToEntity& message);
-    void take(const std::string& client, const std::string& request);
+    void take(const std::string& client, const std::string& request, const std::string& root = {});
     /// RESUME_LEASE of the lease that `of` was given.
     void resumeLease(const std::string& client, const std::string& request, const std::string& of);
     void task(const std::string& client, const std::string& id, const std::string& service,
@@ -111,7 +111,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) override;
     void sendStatus(const EntityStatus& status) override;
     void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) override;
-    void sendToPeer(Lane, const Header&, const proto::ToEntity&) override {}
+    void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) override;
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override;
 
     ManualClock clock;
@@ -130,6 +130,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     /// Called as it happens, with the core in the middle of an event.
     std::function<void(const proto::EmToEi&)> on_application;
     std::function<void(const ToClientRecord&)> on_client;
+    std::function<void(Lane, const Header&, const proto::ToEntity&)> on_peer;
 
     std::vector<proto::EmToEi> to_application;
     std::vector<std::pair<std::uint32_t, StopCause>> stops;

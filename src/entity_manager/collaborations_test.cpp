@@ -1,0 +1,528 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// Runs of global services over several Entity Managers (thesis 3.3.1, 4.3; ADR 0019).
+#include <gtest/gtest.h>
+
+#include <algorithm>
+
+#include "collaboration/sub_lease.hpp"
+#include "tests/support/fleet.hpp"
+
+namespace axon::entity_manager {
+namespace {
+
+using namespace std::chrono_literals;
+using test::Fleet;
+using test::globalService;
+using test::idOf;
+using What = Fleet::Happened::What;
+using Order = std::vector<std::pair<std::size_t, std::string>>;
+
+void expectAllAtRest(Fleet& fleet, EntityState state = EntityState::REG) {
+    for (std::size_t i = 0; i < fleet.size(); ++i) {
+        EXPECT_EQ(fleet.state(i), state) << "robot " << i;
+        EXPECT_FALSE(fleet.moves(i)) << "robot " << i;
+    }
+}
+
+Fleet::Outcome failing() {
+    return {.lasts = 50ms, .verdict = proto::TASK_FAILED};
+}
+
+const std::vector<std::string> kDemo{"0 Driving 1", "1 Turning 1", "2 Sonar 2", "0 Light 3", "1 Turning 3"};
+
+proto::GlobalService demo(proto::OnFailure on_failure = proto::STOP_ALL) {
+    auto service = globalService(kDemo, on_failure);
+    auto& distance = *service.mutable_steps(0)->add_params();
+    distance.set_name("Distance");
+    distance.add_values()->set_str("1000 mm");
+    return service;
+}
+
+TEST(Collaboration, MakesNoDifferenceWhoTheMasterIs) {
+    std::vector<Order> orders;
+    for (std::size_t master = 0; master < 3; ++master) {
+        Fleet fleet(3);
+        fleet.launch(demo(), master);
+        fleet.advance(2s);
+        EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED) << fleet.told.reason.message();
+        EXPECT_TRUE(fleet.told.in_order);
+        EXPECT_EQ(fleet.told.steps.size(), 5U);
+        for (const auto& [number, step] : fleet.told.steps) EXPECT_EQ(step.state(), proto::TASK_SUCCEEDED) << number;
+        expectAllAtRest(fleet);
+        auto order = fleet.order();
+        ASSERT_EQ(order.size(), 5U);
+        std::sort(order.begin(), order.begin() + 2);  // equal places: at the same time
+        std::sort(order.begin() + 3, order.end());
+        orders.push_back(order);
+    }
+    EXPECT_EQ(orders[0], orders[1]);
+    EXPECT_EQ(orders[0], orders[2]);
+    EXPECT_EQ(orders[0], (Order{{0, "Driving"}, {1, "Turning"}, {2, "Sonar"}, {0, "Light"}, {1, "Turning"}}));
+}
+
+TEST(Collaboration, ShowsTheStatesOfTheThesis) {
+    Fleet fleet(3);
+    fleet.launch(demo(), 2);
+    fleet.advance(10ms);
+    EXPECT_EQ(fleet.state(2), EntityState::COLLAB);
+    EXPECT_EQ(fleet.state(0), EntityState::BUSY);
+    fleet.advance(110ms);  // level 2: the master's own step
+    EXPECT_EQ(fleet.state(2), EntityState::BUSY);
+    EXPECT_EQ(fleet.state(0), EntityState::SLAVE);
+    fleet.advance(100ms);
+    EXPECT_EQ(fleet.state(2), EntityState::COLLAB);
+}
+
+TEST(Collaboration, StepsOfOnePlaceRunAtTheSameTime) {
+    Fleet fleet(3);
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1", "2 Turning 1"}), 0);
+    fleet.advance(1s);
+    ASSERT_EQ(fleet.log.size(), 6U);
+    for (std::size_t i = 0; i < 3; ++i) EXPECT_EQ(fleet.log[i].what, What::Began);
+}
+
+TEST(Collaboration, CarriesAResultToALaterStep) {
+    Fleet fleet(2);
+    auto service = globalService({"0 Driving 1", "1 Driving 2"});
+    auto& given = *service.mutable_steps(0)->add_params();
+    given.set_name("Distance");
+    given.add_values()->set_str("300");
+    service.mutable_steps(0)->set_name("first");
+    auto& source = *service.mutable_steps(1)->add_sources();
+    source.set_param("Distance");
+    source.set_step("first");
+    source.set_output("Travelled");
+    std::vector<proto::TaskDispatch> dispatched;
+    fleet.behave = [&](std::size_t, const proto::TaskDispatch& dispatch) {
+        dispatched.push_back(dispatch);
+        return Fleet::Outcome{.results = {test::paramOf("Travelled=277")}};
+    };
+    fleet.launch(service, 1);
+    fleet.advance(1s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED);
+    ASSERT_EQ(dispatched.size(), 2U);
+    EXPECT_EQ(dispatched[0].params(0).values(0).int_(), 300);
+    EXPECT_EQ(dispatched[1].params(0).values(0).int_(), 277);
+    EXPECT_EQ(fleet.record(1).steps(1).params(0).values(0).int_(), 277);
+}
+
+TEST(Collaboration, AResultThatIsNotThereFailsTheStepThatNeedsIt) {
+    Fleet fleet(2);
+    auto service = globalService({"0 Turning 1", "1 Driving 2"});
+    service.mutable_steps(0)->set_name("first");
+    auto& source = *service.mutable_steps(1)->add_sources();
+    source.set_param("Distance");
+    source.set_step("first");
+    source.set_output("Travelled");
+    fleet.launch(service, 0);
+    fleet.advance(1s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
+    EXPECT_EQ(fleet.told.reason.code(), proto::MISSING_DEPENDENCY);
+    expectAllAtRest(fleet);
+}
+
+// -- before it begins
+// ----------------------------------------------------------------------------------------------------------
+
+TEST(Collaboration, NothingMovesBeforeEverythingIsPossibleAndAllThatIsNotIsNamed) {
+    Fleet fleet(3);
+    auto service = globalService({"0 Driving 1", "0 Turning 1", "1 Dancing 1", "1 Delivery 2", "2 Turning 1"});
+    auto& wrong = *service.mutable_steps(0)->add_params();
+    wrong.set_name("Distance");
+    wrong.add_values()->set_str("far");
+    for (const bool check_only : {true, false}) {
+        auto request = fleet.request(service, 2, check_only ? "check" : "run");
+        request.set_check_only(check_only);
+        fleet.launch(request, 2);
+        fleet.advance(100ms);
+        EXPECT_EQ(fleet.told.state, proto::RUN_REFUSED);
+        std::multiset<std::pair<int, proto::RefusalCode>> found;
+        for (const auto& problem : fleet.told.problems) found.emplace(problem.step(), problem.refusal().code());
+        EXPECT_EQ(found, (std::multiset<std::pair<int, proto::RefusalCode>>{
+                             {0, proto::WRONG_TYPE}, {1, proto::BLOCKED}, {2, proto::UNKNOWN_SERVICE},
+                             {3, proto::MISSING_DEPENDENCY}}));
+        EXPECT_TRUE(fleet.log.empty());
+        expectAllAtRest(fleet);
+    }
+}
+
+TEST(Collaboration, ACheckMovesNothingAndLeavesNoTrace) {
+    Fleet fleet(3);
+    auto request = fleet.request(demo(), 0, "check");
+    request.set_check_only(true);
+    fleet.launch(request, 0);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED);
+    EXPECT_TRUE(fleet.log.empty());
+    EXPECT_TRUE(fleet.record(0).run_id().empty());
+    expectAllAtRest(fleet);
+    fleet.launch(demo(), 0, "check");  // the same id: a check has not used it up
+    fleet.advance(1s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED);
+}
+
+TEST(Collaboration, ARunIsBegunOnceHoweverOftenItIsAskedFor) {
+    Fleet fleet(3);
+    const auto request = fleet.request(demo(), 0, "run");
+    fleet.launch(request, 0);
+    fleet.advance(2s);
+    fleet.launch(request, 0);
+    fleet.advance(1s);
+    EXPECT_EQ(fleet.told.refused.code, RefusalCode::Duplicate);
+    EXPECT_TRUE(fleet.log.empty());
+    fleet.rig(0).restart();
+    fleet.rig(0).makeIdle();
+    fleet.rig(0).take("client1", "r2", std::string(16, 'o'));
+    fleet.launch(request, 0);
+    EXPECT_EQ(fleet.told.refused.code, RefusalCode::Duplicate);
+}
+
+TEST(Collaboration, AnEntityThatDoesNotAnswerIsNamed) {
+    Fleet fleet(3);
+    fleet.cut(1);
+    fleet.launch(demo(), 0);
+    fleet.advance(6s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_REFUSED);
+    ASSERT_EQ(fleet.told.problems.size(), 1U);
+    EXPECT_EQ(fleet.told.problems[0].entity(), "Robot 1");
+    EXPECT_EQ(fleet.told.problems[0].refusal().code(), proto::TIMED_OUT);
+    EXPECT_TRUE(fleet.log.empty());
+    EXPECT_EQ(fleet.state(2), EntityState::REG);
+}
+
+// -- whom a slave obeys
+// ----------------------------------------------------------------------------------------------------------
+
+struct SubLeases : testing::Test {
+    /// The refusal of robot 1 when its sub-lease is changed so.
+    Refusal refusalOf(const std::function<void(proto::SubLease&, proto::CollaborationRequest&)>& change) {
+        auto request = fleet.request(demo(), 0, "run" + std::to_string(++runs));
+        change(*request.mutable_participants(1)->mutable_lease(), request);
+        fleet.launch(request, 0);
+        fleet.advance(100ms);
+        EXPECT_EQ(fleet.told.state, proto::RUN_REFUSED);
+        EXPECT_TRUE(fleet.log.empty());
+        if (fleet.told.problems.empty()) return {};
+        EXPECT_EQ(fleet.told.problems[0].entity(), "Robot 1");
+        return {static_cast<RefusalCode>(fleet.told.problems[0].refusal().code()), {}, {}};
+    }
+    void reseal(proto::SubLease& lease, const proto::CollaborationRequest& request, const std::string& key) {
+        collaboration::seal(lease, {request.run_id(), fleet.uuid(0), fleet.uuid(1)}, key);
+    }
+    std::string key() { return fleet.rig(1).clients["client1"].key; }
+    Fleet fleet{3};
+    int runs = 0;
+};
+
+TEST_F(SubLeases, OfAnotherRootAreRefused) {
+    proto::ToEntity release;
+    release.mutable_release();
+    fleet.rig(1).send("client1", release);
+    fleet.rig(1).take("client1", "r9", std::string(16, 'x'));
+    fleet.advance(10ms);
+    EXPECT_EQ(refusalOf([](auto&, auto&) {}).code, RefusalCode::NotHolder);
+}
+
+TEST_F(SubLeases, OfAnOlderLeaseAreRefused) {
+    const auto old = fleet.request(demo(), 0, "run");
+    proto::ToEntity release;
+    release.mutable_release();
+    fleet.rig(1).send("client1", release);
+    fleet.rig(1).take("client1", "r9", std::string(16, 'o'));
+    fleet.advance(10ms);
+    EXPECT_EQ(refusalOf([&](proto::SubLease& lease, auto& request) {
+                  lease = old.participants(1).lease();
+                  reseal(lease, request, key());
+              }).code,
+              RefusalCode::OlderLease);
+}
+
+TEST_F(SubLeases, ForAnotherMasterOrRunOrUnderAnotherKeyAreRefused) {
+    EXPECT_EQ(refusalOf([&](proto::SubLease& lease, auto& request) {
+                  collaboration::seal(lease, {request.run_id(), fleet.uuid(2), fleet.uuid(1)}, key());
+              }).code,
+              RefusalCode::NotHolder);
+    EXPECT_EQ(refusalOf([&](proto::SubLease& lease, auto&) {
+                  collaboration::seal(lease, {idOf("other"), fleet.uuid(0), fleet.uuid(1)}, key());
+              }).code,
+              RefusalCode::NotHolder);
+    EXPECT_EQ(refusalOf([&](proto::SubLease& lease, auto& request) { reseal(lease, request, std::string(16, '?')); }).code,
+              RefusalCode::NotHolder);
+}
+
+TEST_F(SubLeases, FromBeforeAStopAreRefused) {
+    const auto old = fleet.request(demo(), 0, "run");
+    fleet.stop(1);
+    fleet.rig(1).rearm("client1", "rearm");
+    EXPECT_EQ(refusalOf([&](proto::SubLease& lease, auto& request) {
+                  lease = old.participants(1).lease();
+                  reseal(lease, request, key());
+              }).code,
+              RefusalCode::OldGeneration);
+}
+
+TEST_F(SubLeases, OfALatchedEntityAreRefused) {
+    fleet.stop(1);
+    EXPECT_EQ(refusalOf([](auto&, auto&) {}).code, RefusalCode::Latched);
+}
+
+TEST_F(SubLeases, AStrangerGivesNoOrders) {
+    fleet.launch(demo(), 0);
+    fleet.advance(10ms);
+    fleet.log.clear();
+    proto::ToEntity message;
+    auto& from = *message.mutable_from_master();
+    from.set_run_id(idOf("run"));
+    from.mutable_order()->set_step(4);
+    from.mutable_order()->mutable_task()->set_task_id(idOf("step"));
+    from.mutable_order()->mutable_task()->set_service("Light");
+    Header head;
+    head.entity = fleet.uuid(1);
+    for (const auto& who : {fleet.uuid(2), std::string("client1"), std::string("stranger")}) {
+        head.sender = {who, who, Role::Operator};
+        fleet.rig(1).core().onClientMsg(head, message.SerializeAsString());
+    }
+    fleet.rig(1).task("client1", "own", "Light");
+    for (const auto& event : fleet.log) EXPECT_NE(event.service, "Light");
+    EXPECT_EQ(fleet.rig(1).to_clients.back().message.task().reason().code(), proto::WRONG_STATE);
+}
+
+// -- when something fails
+// ----------------------------------------------------------------------------------------------------------
+
+TEST(Collaboration, AFailedStepStopsEverybody) {
+    for (std::size_t master = 0; master < 3; ++master) {
+        Fleet fleet(3);
+        fleet.behave = [](std::size_t robot, const proto::TaskDispatch&) {
+            return robot == 1 ? failing() : Fleet::Outcome{.lasts = 10s};
+        };
+        fleet.launch(globalService({"0 Turning 1", "1 Turning 1", "2 Turning 1", "0 Turning 2"}), master);
+        fleet.advance(200ms);
+        EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
+        EXPECT_NE(fleet.told.reason.message().find("Robot 1"), std::string::npos);
+        EXPECT_EQ(fleet.order().size(), 3U);
+        expectAllAtRest(fleet);
+        for (std::size_t i = 0; i < 3; ++i) EXPECT_FALSE(fleet.rig(i).core().latched());
+    }
+}
+
+TEST(Collaboration, HeldOthersWaitAndTheFailedStepIsTriedAgain) {
+    Fleet fleet(3);
+    int tries = 0;
+    fleet.behave = [&](std::size_t robot, const proto::TaskDispatch&) {
+        if (robot == 1) return ++tries == 1 ? failing() : Fleet::Outcome{};
+        return Fleet::Outcome{.lasts = 500ms};
+    };
+    auto service = globalService({"0 Driving 1", "1 Turning 1", "2 Turning 1", "1 Light 2"}, proto::HOLD_OTHERS);
+    auto& distance = *service.mutable_steps(0)->add_params();
+    distance.set_name("Distance");
+    distance.add_values()->set_int_(100);
+    fleet.launch(service, 2);
+    fleet.advance(5s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_HELD);
+    EXPECT_EQ(fleet.told.steps[0].state(), proto::TASK_PAUSED);     // Driving can be paused,
+    EXPECT_EQ(fleet.told.steps[2].state(), proto::TASK_CANCELLED);  // Turning cannot
+    EXPECT_EQ(fleet.told.steps[1].state(), proto::TASK_FAILED);
+    fleet.control(2, "run", proto::RESUME);
+    fleet.advance(2s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED) << fleet.told.reason.message();
+    EXPECT_EQ(fleet.told.steps[0].tries(), 1U);
+    EXPECT_EQ(fleet.told.steps[1].tries(), 2U);
+    EXPECT_EQ(fleet.told.steps[2].tries(), 2U);
+    expectAllAtRest(fleet);
+}
+
+TEST(Collaboration, CompensationRunsOnceEverythingHasEnded) {
+    Fleet fleet(3);
+    fleet.behave = [](std::size_t robot, const proto::TaskDispatch& dispatch) {
+        if (dispatch.service() == "Light") return Fleet::Outcome{};
+        return robot == 1 ? failing() : Fleet::Outcome{.lasts = 10s};
+    };
+    auto service = globalService({"0 Turning 1", "1 Turning 1", "2 Turning 2"}, proto::COMPENSATE);
+    for (const int role : {0, 2}) {
+        auto& step = *service.add_compensation();
+        step.set_role(role);
+        step.set_service_global_id("Light");
+    }
+    fleet.launch(service, 0);
+    fleet.advance(2s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
+    EXPECT_EQ(fleet.told.steps[0].state(), proto::TASK_CANCELLED);
+    EXPECT_EQ(fleet.told.steps[3].state(), proto::TASK_SUCCEEDED);
+    EXPECT_EQ(fleet.told.steps[4].state(), proto::TASK_SUCCEEDED);
+    EXPECT_EQ(fleet.told.steps[2].state(), proto::TASK_UNSPECIFIED);
+    expectAllAtRest(fleet);
+}
+
+TEST(Collaboration, AStopOfAnyStopsAllAndLatchesThatOne) {
+    for (const auto policy : {proto::STOP_ALL, proto::HOLD_OTHERS, proto::COMPENSATE})
+        for (std::size_t stopped = 0; stopped < 3; ++stopped) {
+            Fleet fleet(3);
+            fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
+            fleet.launch(globalService({"0 Turning 1", "1 Turning 1", "2 Turning 1"}, policy), 0);
+            fleet.advance(100ms);
+            fleet.stop(stopped);
+            EXPECT_EQ(fleet.told.state, proto::RUN_STOPPED) << stopped;
+            expectAllAtRest(fleet);
+            for (std::size_t i = 0; i < 3; ++i) EXPECT_EQ(fleet.rig(i).core().latched(), i == stopped);
+            EXPECT_EQ(fleet.record(0).state(), proto::RUN_STOPPED);
+        }
+}
+
+TEST(Collaboration, ReleaseClearAndALostApplicationEndItForAll) {
+    for (const int way : {0, 1, 2, 3})
+        for (std::size_t robot = 0; robot < 2; ++robot) {
+            Fleet fleet(2);
+            fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
+            fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0);
+            fleet.advance(100ms);
+            auto& rig = fleet.rig(robot);
+            if (way == 0) {
+                proto::ToEntity release;
+                release.mutable_release();
+                rig.send("client1", release);
+            }
+            if (way == 1) rig.clear("client1");
+            if (way == 2) rig.core().onLinkDown("it has crashed");
+            if (way == 3) rig.core().onServerDown("it has crashed");
+            fleet.advance(300ms);
+            const auto other = 1 - robot;
+            EXPECT_FALSE(fleet.moves(other)) << way << robot;
+            EXPECT_EQ(fleet.state(other), EntityState::REG) << way << robot;
+            if (way == 3) fleet.rig(robot).core().onServerUp();
+            EXPECT_GE(fleet.record(0).state(), proto::RUN_FAILED) << way << robot;
+        }
+}
+
+TEST(Collaboration, ALostMasterIsMissedByEverySlave) {
+    for (const bool frozen : {false, true}) {
+        Fleet fleet(3);
+        fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
+        fleet.launch(globalService({"0 Turning 1", "1 Turning 1", "2 Turning 2"}), 0);
+        fleet.advance(100ms);
+        frozen ? fleet.freeze(0) : fleet.cut(0);
+        fleet.advance(200ms);
+        EXPECT_TRUE(fleet.moves(1));
+        fleet.advance(100ms);
+        EXPECT_FALSE(fleet.moves(1));
+        EXPECT_EQ(fleet.state(1), EntityState::REG);
+        EXPECT_EQ(fleet.state(2), EntityState::REG);
+        if (!frozen) {
+            EXPECT_FALSE(fleet.moves(0));  // the master misses them as well
+            EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
+        }
+    }
+}
+
+TEST(Collaboration, ALostSlaveEndsItOrIsCompensated) {
+    for (const auto policy : {proto::STOP_ALL, proto::COMPENSATE}) {
+        Fleet fleet(3);
+        fleet.behave = [](std::size_t, const proto::TaskDispatch& dispatch) {
+            return Fleet::Outcome{.lasts = dispatch.service() == "Light" ? Duration{100ms} : Duration{10s}};
+        };
+        auto service = globalService({"0 Turning 1", "1 Turning 1", "2 Turning 1"}, policy);
+        for (const int role : {0, 1}) {
+            auto& step = *service.add_compensation();
+            step.set_role(role);
+            step.set_service_global_id("Light");
+        }
+        fleet.launch(service, 2);
+        fleet.advance(100ms);
+        fleet.cut(1);
+        fleet.advance(1s);
+        EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
+        EXPECT_EQ(fleet.told.steps[1].state(), proto::TASK_UNKNOWN);
+        expectAllAtRest(fleet);
+        if (policy != proto::COMPENSATE) continue;
+        EXPECT_EQ(fleet.told.steps[3].state(), proto::TASK_SUCCEEDED);
+        EXPECT_EQ(fleet.told.steps[4].state(), proto::TASK_REFUSED);
+    }
+}
+
+// -- the client's hand on it
+// ----------------------------------------------------------------------------------------------------------
+
+TEST(Collaboration, IsPausedWhereEveryStepCanBeAndGoesOn) {
+    Fleet fleet(2);
+    fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 500ms}; };
+    auto service = globalService({"0 Driving 1", "1 Driving 1", "0 Turning 2"});
+    for (const int i : {0, 1}) {
+        auto& distance = *service.mutable_steps(i)->add_params();
+        distance.set_name("Distance");
+        distance.add_values()->set_int_(100);
+    }
+    fleet.launch(service, 0);
+    fleet.advance(100ms);
+    fleet.control(0, "run", proto::PAUSE);
+    fleet.advance(5s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_PAUSED);
+    EXPECT_EQ(fleet.told.steps[1].state(), proto::TASK_PAUSED);
+    fleet.control(0, "run", proto::RESUME);
+    fleet.advance(450ms);
+    EXPECT_EQ(fleet.told.steps[2].state(), proto::TASK_RUNNING);
+    fleet.control(0, "run", proto::PAUSE);
+    EXPECT_EQ(fleet.told.refused.code, RefusalCode::NotPausable);
+    EXPECT_NE(fleet.told.refused.message.find("Turning"), std::string::npos);
+    fleet.advance(1s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED);
+}
+
+TEST(Collaboration, IsCancelledWithoutALatch) {
+    Fleet fleet(3);
+    fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1", "2 Turning 2"}), 1);
+    fleet.advance(100ms);
+    fleet.control(1, "run", proto::CANCEL);
+    fleet.advance(100ms);
+    EXPECT_EQ(fleet.told.state, proto::RUN_CANCELLED);
+    expectAllAtRest(fleet);
+    fleet.launch(globalService({"0 Turning 1"}), 0, "next");
+    fleet.advance(100ms);
+    EXPECT_EQ(fleet.state(0), EntityState::BUSY);
+}
+
+// -- the record
+// ----------------------------------------------------------------------------------------------------------
+
+TEST(Collaboration, TheMastersNextLifeSaysThatTheOutcomeIsUnknown) {
+    Fleet fleet(2);
+    fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0);
+    fleet.advance(100ms);
+    EXPECT_EQ(fleet.record(0).state(), proto::RUN_RUNNING);
+    fleet.rig(0).restart();
+    fleet.rig(0).makeIdle();
+    EXPECT_EQ(fleet.record(0).state(), proto::RUN_UNKNOWN);
+    EXPECT_EQ(fleet.record(0).by(), "client1@lab");
+    EXPECT_EQ(fleet.record(0).participants_size(), 2);
+    EXPECT_FALSE(fleet.record(0).participants(0).has_lease());
+}
+
+TEST(Collaboration, RawDataGoesFromRobotToRobotOfARunAlone) {
+    Fleet fleet(3);
+    fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
+    proto::EiToEm raw;
+    raw.mutable_raw()->add_data("scan");
+    raw.mutable_raw()->set_to("Robot 1");
+    const auto arrived = [&](std::size_t robot) {
+        const auto& sent = fleet.rig(robot).to_application;
+        return std::count_if(sent.begin(), sent.end(), [](const proto::EmToEi& message) {
+            return message.has_raw() && message.raw().data(0) == "scan" && message.raw().from() == "Robot 0";
+        });
+    };
+    fleet.rig(0).fromApplication(raw);
+    fleet.advance(10ms);
+    EXPECT_EQ(arrived(1), 0);
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 1);
+    fleet.advance(10ms);
+    fleet.rig(0).fromApplication(raw);
+    fleet.advance(10ms);
+    EXPECT_EQ(arrived(1), 1);
+    EXPECT_EQ(arrived(2), 0);
+    fleet.stop(1);
+    fleet.rig(0).fromApplication(raw);
+    fleet.advance(10ms);
+    EXPECT_EQ(arrived(1), 1);
+}
+
+}  // namespace
+}  // namespace axon::entity_manager
