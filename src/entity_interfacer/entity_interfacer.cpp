@@ -183,7 +183,11 @@ void EntityInterfacer::sendRaw(std::string_view bytes) {
     sendRaw(std::vector<std::string>{std::string(bytes)});
 }
 void EntityInterfacer::sendRaw(const std::vector<std::string>& blocks) {
+    sendRawTo({}, blocks);
+}
+void EntityInterfacer::sendRawTo(std::string_view participant, const std::vector<std::string>& blocks) {
     proto::EiToEm message;
+    message.mutable_raw()->set_to(std::string(participant));
     for (const auto& block : blocks) message.mutable_raw()->add_data(block);
     if (!communicator_->send(message, Link::Kind::Droppable))
         communicator_->log(LogLevel::Error,

@@ -82,6 +82,14 @@ constexpr std::size_t kTextMax = 1024;
 // Another entity server says each 50 ms that it lives; one that is killed does not keep its entities from coming here.
 constexpr std::chrono::milliseconds kPeerLives{250};
 
+/// Raw data is dropped, oldest first, for an entity that is slower than its peer.
+void deliver(EntityOutbox& outbox, const Header& head, std::string_view message) {
+    if (head.msg_type == kMsgRaw)
+        outbox.newClientMsgDataSeq(head, message);
+    else
+        outbox.newClientMsg(head, message);
+}
+
 Refusal noSuchPeer(const Header& head) {
     return {RefusalCode::UnknownEntity,
             "no entity " + head.entity.substr(0, 64) + " is connected; 'axon ls' shows those that are there", {}};
@@ -337,7 +345,7 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message) {
     if (!session->registered || flooded(session)) return;
     head.sender = {session->entity, session->name, Role::Operator};
-    if (const auto peer = atHome(head.entity, lane)) return peer->outbox(lane).newClientMsg(head, message);
+    if (const auto peer = atHome(head.entity, lane)) return deliver(peer->outbox(lane), head, message);
     const auto at = elsewhere(head.entity, lane);
     if (!at) return session->outbox(lane).newRefusalMsg(head, noSuchPeer(head));
     if (const auto sent = topic_.peerMsg(lane, at->server, head, message); !sent.ok())
@@ -345,7 +353,7 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header h
 }
 
 void EntityServerCore::peerMsg(Lane lane, const Header& head, std::string_view message) {
-    if (const auto peer = atHome(head.entity, lane)) return peer->outbox(lane).newClientMsg(head, message);
+    if (const auto peer = atHome(head.entity, lane)) return deliver(peer->outbox(lane), head, message);
     // It left before that was known at the sender's server.
     if (const auto from = elsewhere(head.sender.id, lane)) topic_.peerRefusal(lane, from->server, head, noSuchPeer(head));
 }

@@ -266,6 +266,10 @@ class AXON_EI_API EntityInterfacer {
                           std::string_view text);  ///< all running tasks of a service
     void sendRaw(std::string_view bytes);
     void sendRaw(const std::vector<std::string>& blocks);  ///< together at most 1 MiB
+    /// To another participant of the run of a global service in which this entity takes part: its name, UUID or role.
+    /// Its onRaw() is called with this entity's name. Dropped, as sendRaw(), when somebody on the way is slower; and
+    /// when there is no such run or participant. What must arrive is a result of the task that a later step takes.
+    void sendRawTo(std::string_view participant, const std::vector<std::string>& blocks);
     void setPosition(double x_mm, double y_mm, double z_mm);
     void setServiceActive(std::string_view service, bool active, std::string_view reason = {});
     Stream stream(std::string_view name);
