@@ -16,6 +16,8 @@ install(DIRECTORY "${PROJECT_SOURCE_DIR}/api/schema" DESTINATION "${CMAKE_INSTAL
 if(AXON_ICE)
   install(TARGETS axon-server axon-entity-manager axon RUNTIME COMPONENT Programs)
   install(DIRECTORY "${PROJECT_SOURCE_DIR}/deploy/config/" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon/config" COMPONENT Programs)
+  install(FILES "${PROJECT_SOURCE_DIR}/api/schema/samples/valid/figure_a_1.xml"
+    DESTINATION "${CMAKE_INSTALL_DATADIR}/axon/config/globalservices" COMPONENT Programs)
   install(FILES "${PROJECT_SOURCE_DIR}/LICENSES/GPL-2.0-or-later.txt" DESTINATION "${CMAKE_INSTALL_DOCDIR}" COMPONENT Programs)
 endif()
 if(AXON_LAB)

@@ -377,7 +377,7 @@ void ServerStation::sendToEntityDataSeq(ClientSession& session, const Header& he
     if (!session.ended) life_->front_end.sendToEntityDataSeq(session.ref, head, bytes);
 }
 void ServerStation::sendRequest(ClientSession& session, const Header& head) {
-    if (!session.ended) life_->front_end.sendRequest(session.ref, head);
+    if (!session.ended) life_->front_end.sendRequest(session.ref, head, {});
 }
 void ServerStation::sendStopSignal(ClientSession& session, const Header& head, StopCause cause) {
     if (!session.ended) life_->front_end.sendStopSignal(session.ref, head, cause);

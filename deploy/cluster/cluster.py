@@ -154,6 +154,7 @@ class Cluster:
         """The folder as `wishes` (names of Plan's fields; None = as before) want it. Returns the plan."""
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         (self.folder / "log").mkdir(mode=0o700, exist_ok=True)
+        (self.folder / "globalservices").mkdir(mode=0o700, exist_ok=True)
         with self.locked():
             known = self.remembered("cluster.json")
             before = known.get("plan", {})

@@ -77,6 +77,11 @@ class Configuration(unittest.TestCase):
         self.assertIsNone(self.value("frontendserver-1.cfg", "Server.Peer.fe1"))
         self.assertIsNone(self.value("frontendserver-1.cfg", "Server.Peer.es1"))
 
+    def test_all_front_end_servers_offer_the_same_global_services(self):
+        for file in ("frontendserver-1.cfg", "frontendserver-2.cfg"):
+            self.assertEqual(self.value(file, "Server.GlobalServices"), "/folder/globalservices")
+        self.assertIsNone(self.value("entityserver-1.cfg", "Server.GlobalServices"))
+
     def test_clients_and_entities_are_told_a_router_and_who_they_are_and_nothing_else(self):
         for file, router, user in (("client.cfg", "Axon.Clients/router:tcp -h 127.0.0.1 -p 10422", "admin"),
                                    ("entitygl2client.cfg", "Axon.Entities/router:tcp -h 127.0.0.1 -p 10424", "entity")):
@@ -145,6 +150,7 @@ class Folder(unittest.TestCase):
         for file in self.folder.glob("*.cfg"):
             self.assertEqual(file.stat().st_mode & 0o077, 0, file)
         self.assertTrue((self.folder / "users.cfg").exists())
+        self.assertEqual((self.folder / "globalservices").stat().st_mode & 0o777, 0o700, "which may be filled at any time")
 
     def test_what_was_chosen_once_stays_and_passwords_do(self):
         first = self.cluster.prepare({"base_port": 0, "front_ends": 2})

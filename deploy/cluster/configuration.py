@@ -233,7 +233,9 @@ Server.Name={name}
 Server.TopicManager=IceStorm/TopicManager:{tcp(plan, "icestorm", "topics")}
 # Who may log in:
 Server.Users={plan.folder}/users.cfg
-""" + (f"# The other servers of its kind: both lanes of a session are at one of them.\n{peers}" if peers else "")
+""" + (f"# Where the global services lie (docs/reference/profiles.md); all front-end servers offer the same:\n"
+       f"Server.GlobalServices={plan.folder}/globalservices\n" if front_end else "") + (
+        f"# The other servers of its kind: both lanes of a session are at one of them.\n{peers}" if peers else "")
 
 
 def client(plan, password):

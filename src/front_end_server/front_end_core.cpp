@@ -82,13 +82,15 @@ StopCause causeOf(Ending ending) {
 }  // namespace
 
 FrontEndCore::FrontEndCore(CoreSettings settings, const Clock& clock, RandomSource& random,
-                           EntityTopic& topic, Note note, std::function<void()> wake)
+                           EntityTopic& topic, Note note, std::function<void()> wake,
+                           GlobalServicesPort* global_services)
     : settings_(settings),
       clock_(clock),
       random_(random),
       topic_(topic),
       note_(std::move(note)),
       wake_(std::move(wake)),
+      global_services_(global_services),
       instance_(Id128::random(random).toString().substr(0, 8)),
       entity_servers_(settings.entity_servers) {}
 
@@ -197,15 +199,25 @@ void FrontEndCore::audit(const char* what, const Sender& who,
           ") to " + to);
 }
 
-void FrontEndCore::sendRequest(const ClientRef& client, Header head) {
+void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string_view message) {
     if (flooded(client)) return;
     if (head.msg_type == kMsgStatus) {
         pushAll(*client->data);
         return;
     }
+    if (head.msg_type == kMsgGlobalServices && global_services_ != nullptr) {
+        const auto answer = global_services_->answer(message);
+        head.entity.clear();
+        head.sender = client->me;
+        if (answer.ok())
+            client->data->newEntityMsg(Lane::Data, head, answer.value());
+        else
+            client->data->newRefusalMsg(head, answer.refusal());
+        return;
+    }
     client->data->newRefusalMsg(
         head, refuse(RefusalCode::NotSupported,
-                     "the server has no request '" + head.msg_type.substr(0, 64) + "'; expected STATUS"));
+                     "the server has no request '" + head.msg_type.substr(0, 64) + "'; expected STATUS or GLOBAL_SERVICES"));
 }
 
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {

@@ -75,8 +75,9 @@ class FrontEndCore {
     using ClientRef = std::shared_ptr<Client>;
     using Note = std::function<void(const std::string& line)>;
 
+    /// `global_services`: null where there are none.
     FrontEndCore(CoreSettings settings, const Clock& clock, RandomSource& random, EntityTopic& topic,
-                 Note note, std::function<void()> wake);
+                 Note note, std::function<void()> wake, GlobalServicesPort* global_services = nullptr);
     ~FrontEndCore();
 
     // From a client.
@@ -89,8 +90,8 @@ class FrontEndCore {
     static const std::string& token(const Client& client);
     /// How many entities it was told of when it joined, those that left meanwhile not counted.
     static std::size_t told(const Client& client);
-    /// STATUS: everything that is known is sent again.
-    void sendRequest(const ClientRef& client, Header head);
+    /// STATUS: everything that is known is sent again. GLOBAL_SERVICES: answered with that msg_type, of no entity.
+    void sendRequest(const ClientRef& client, Header head, std::string_view message);
     void sendToEntity(const ClientRef& client, Header head, std::string_view message);
     void sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data);
     void sendStopSignal(const ClientRef& client, Header head, StopCause cause);
@@ -167,6 +168,7 @@ class FrontEndCore {
     EntityTopic& topic_;
     const Note note_;
     const std::function<void()> wake_;
+    GlobalServicesPort* const global_services_;
 
     SnapshotTable<ClientRef, 2> table_;  // by session, for each lane
     SnapshotTable<RecordRef, 2> known_;  // by entity, for each lane

@@ -47,7 +47,8 @@ class FakeOutbox final : public ClientOutbox {
     void newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view) override {
         lines.emplace_back("record");
     }
-    void newEntityMsg(Lane, const Header&, std::string_view message) override {
+    void newEntityMsg(Lane, const Header& head, std::string_view message) override {
+        last_head = head;
         lines.push_back("msg " + std::string(message));
     }
     void newEntityMsgDataSeq(const Header&, std::string_view) override { lines.emplace_back("samples"); }
@@ -65,6 +66,7 @@ class FakeOutbox final : public ClientOutbox {
     std::vector<std::string> lines;
     int heartbeats = 0;
     bool disconnected = false;
+    Header last_head;
     std::function<void()> while_told;
 };
 
@@ -374,11 +376,38 @@ TEST_F(FrontEndTest, AnswersRequests) {
     peer.data->take();
     auto request = to("");
     request.msg_type = kMsgStatus;
-    core.sendRequest(peer.client, request);
+    core.sendRequest(peer.client, request, {});
     EXPECT_THAT(peer.data->take(), ElementsAre("joined e1", "e1 UNAV"));
     request.msg_type = "WEATHER";
-    core.sendRequest(peer.client, request);
+    core.sendRequest(peer.client, request, {});
     EXPECT_THAT(peer.data->take(), ElementsAre("refused NOT_SUPPORTED"));
+    request.msg_type = kMsgGlobalServices;
+    core.sendRequest(peer.client, request, {});
+    EXPECT_THAT(peer.data->take(), ElementsAre("refused NOT_SUPPORTED")) << "there are none";
+}
+
+TEST_F(FrontEndTest, GlobalServicesAreAnsweredToWhoAskedAndNeverReadHere) {
+    struct Echo final : GlobalServicesPort {
+        Result<std::string> answer(std::string_view request) override {
+            if (request == "?") return Refusal{RefusalCode::Malformed, "no request", {}};
+            return "services for " + std::string(request);
+        }
+    } services;
+    FrontEndCore its(settings, clock, random, topic, [](const std::string&) {}, [] {}, &services);
+    const auto data = std::make_shared<FakeOutbox>();
+    const auto other = std::make_shared<FakeOutbox>();
+    const auto client = its.setCallback("client1", Role::Observer, data).value();
+    ASSERT_TRUE(its.setCallback("client2", Role::Operator, other).ok());
+    auto request = to("e1");
+    request.msg_type = kMsgGlobalServices;
+    its.sendRequest(client, request, "request 7");
+    EXPECT_THAT(data->take(), ElementsAre("msg services for request 7")) << "an observer may ask";
+    EXPECT_EQ(data->last_head.entity, "") << "no entity has said it";
+    EXPECT_EQ(data->last_head.sender.id, FrontEndCore::me(*client).id);
+    its.sendRequest(client, request, "?");
+    EXPECT_THAT(data->take(), ElementsAre("refused MALFORMED"));
+    EXPECT_THAT(other->take(), IsEmpty());
+    EXPECT_THAT(topic.take(), IsEmpty()) << "no entity hears of it";
 }
 
 TEST_F(FrontEndTest, SaysThatTheServerGoes) {

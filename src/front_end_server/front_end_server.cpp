@@ -27,7 +27,7 @@ class FrontEndServer::Rim {
                     core.entityRefusal(Lane::Data, head, refusal);
                 }),
           core(settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
-               [this] { wake(); }),
+               [this] { wake(); }, settings.global_services),
           data_lane{core, Lane::Data, {}, {}, transport::OpenSessions<ClientSessionServant>(clock)},
           signal_lane{
               core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<ClientSessionServant>(clock)},

@@ -25,6 +25,8 @@ struct FrontEndServerSettings {
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10411";
     /// Who may come in. Outlives the communicators. Null: anybody, as operator.
     transport::Logins* logins = nullptr;
+    /// What clients are answered who ask for global services. Outlives the communicators. Null: there are none.
+    GlobalServicesPort* global_services = nullptr;
     /// Where Glacier2 routers ask for passwords and sessions (FrontEndServerRouter); empty: none may.
     std::string router_endpoint = {};
     /// Of this server, where there are several; letters, digits, '-', '_' and '.'.

@@ -60,4 +60,13 @@ class EntityTopic {
     virtual void reach(const std::vector<ServerAnnouncement>& /*entity_servers*/) {}
 };
 
+/// The global services that this server offers (thesis A.4). The core does not look into payloads, so whoever
+/// reads the profiles reads the requests too.
+class GlobalServicesPort {
+  public:
+    virtual ~GlobalServicesPort() = default;
+    /// An axon.proto.ToEntity in, an axon.proto.ToClient out; refuses what is no such request. Any thread, no I/O.
+    virtual Result<std::string> answer(std::string_view request) = 0;
+};
+
 }  // namespace axon::front_end_server

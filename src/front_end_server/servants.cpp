@@ -226,8 +226,8 @@ void ClientSessionServant::attachSignalLane(std::string token, std::shared_ptr<P
         std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer()))));
 }
 
-void ClientSessionServant::sendRequest(IceHeader head, ByteRange, const Ice::Current& current) {
-    lane_.core.sendRequest(session_.of(current), proper(std::move(head), current));
+void ClientSessionServant::sendRequest(IceHeader head, ByteRange message, const Ice::Current& current) {
+    lane_.core.sendRequest(session_.of(current), proper(std::move(head), current), toView(message));
 }
 void ClientSessionServant::sendToEntity(IceHeader head, ByteRange message, const Ice::Current& current) {
     lane_.core.sendToEntity(session_.of(current), proper(std::move(head), current), toView(message));

@@ -855,7 +855,7 @@ class GlobalReader {
     }
 
   private:
-    static constexpr int kMaxSteps = 10000;
+    static constexpr int kMaxSteps = 1000;
     static constexpr std::size_t kMaxRoles = 256;
     static constexpr std::size_t kMaxStepNameBytes = 128;
 
@@ -1208,12 +1208,12 @@ Reading<proto::GlobalProfile> readGlobalProfile(std::string_view xml, std::strin
         [](const XmlElement& root, Findings& findings) { return GlobalReader(findings).read(root); });
 }
 
-ProfileCheck checkProfileFile(const std::filesystem::path& path) {
-    ProfileCheck check;
-    const std::string name = path.string();
+ProfileText readProfileText(const std::filesystem::path& path, std::string_view shown_name) {
+    ProfileText text;
     const auto unreadable = [&](std::string expected, std::string mend) {
-        check.findings.push_back({name, 0, Severity::Error, "file", std::move(expected), std::move(mend)});
-        return check;
+        text.unreadable = Finding{std::string(shown_name), 0, Severity::Error, "file", std::move(expected),
+                                  std::move(mend)};
+        return text;
     };
     std::error_code failure;
     const auto status = std::filesystem::status(path, failure);
@@ -1223,10 +1223,22 @@ ProfileCheck checkProfileFile(const std::filesystem::path& path) {
         return unreadable("a regular file", "name the profile itself");
     std::ifstream file(path, std::ios::binary);
     if (!file) return unreadable("a file that may be read", "check its permissions");
-    std::string xml(kMaxXmlBytes + 1, '\0');
-    file.read(xml.data(), static_cast<std::streamsize>(xml.size()));
+    text.xml.resize(kMaxXmlBytes + 1);
+    file.read(text.xml.data(), static_cast<std::streamsize>(text.xml.size()));
     if (file.bad()) return unreadable("a file that can be read", "check the disk, and try again");
-    xml.resize(static_cast<std::size_t>(file.gcount()));
+    text.xml.resize(static_cast<std::size_t>(file.gcount()));
+    return text;
+}
+
+ProfileCheck checkProfileFile(const std::filesystem::path& path) {
+    ProfileCheck check;
+    const std::string name = path.string();
+    const auto text = readProfileText(path, name);
+    if (text.unreadable) {
+        check.findings.push_back(*text.unreadable);
+        return check;
+    }
+    const auto& xml = text.xml;
     check.readable = true;
     check.kind = detectKind(xml);
     switch (check.kind) {

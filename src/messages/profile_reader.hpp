@@ -3,6 +3,7 @@
 #include <axon/profile.pb.h>
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -56,6 +57,15 @@ ProfileKind detectKind(std::string_view xml);
 Reading<proto::BasicProfile> readBasicProfile(std::string_view xml, std::string_view file_name);
 Reading<proto::ServicesProfile> readServicesProfile(std::string_view xml, std::string_view file_name);
 Reading<proto::GlobalProfile> readGlobalProfile(std::string_view xml, std::string_view file_name);
+
+/// The text of a profile's file, or why there is none.
+struct ProfileText {
+    std::string xml;                    ///< cut one byte behind kMaxXmlBytes, which the readers then report
+    std::optional<Finding> unreadable;  ///< no such file, no permission, not a regular file
+};
+
+/// `shown_name` is what findings call it. Never throws for what is wrong with the file.
+ProfileText readProfileText(const std::filesystem::path& path, std::string_view shown_name);
 
 struct ProfileCheck {
     bool readable =

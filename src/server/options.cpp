@@ -5,6 +5,7 @@
 
 #include <charconv>
 #include <cstdio>
+#include <filesystem>
 #include <functional>
 #include <map>
 #include <stdexcept>
@@ -53,6 +54,22 @@ void setRole(ServerSettings& settings, const std::string& role) {
         throw std::runtime_error("--role " + role +
                                  ": expected Server.TopicManager in the configuration, such as "
                                  "Server.TopicManager=IceStorm/TopicManager:tcp -h 127.0.0.1 -p 10430");
+}
+
+/// The folder "inside the server's installation directory" of the thesis (A.4). One that somebody has named must be
+/// there; the default one may come later, or never.
+void findGlobalServices(ServerSettings& settings, const std::vector<std::string>& files) {
+    auto& folder = settings.global_services;
+    if (folder.empty()) {
+        const std::filesystem::path beside = files.empty() ? "" : files.front();
+        folder = (beside.parent_path() / "globalservices").string();
+        return;
+    }
+    std::error_code failure;
+    if (settings.role == ServerRole::Entity || std::filesystem::is_directory(folder, failure)) return;
+    throw std::runtime_error("'" + folder +
+                             "' is no folder: expected the one with the profiles of the global services "
+                             "(Server.GlobalServices, --global-services); make it, or leave the setting out");
 }
 
 void addUser(const std::string& file, const std::string& name, const std::string& role) {
@@ -119,6 +136,7 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
              settings.name = text;
          }},
         {"Server.TopicManager", [&](const auto&, const auto& text) { settings.topic_manager = text; }},
+        {"Server.GlobalServices", [&](const auto&, const auto& text) { settings.global_services = text; }},
         {"Server.Users", [&](const auto&, const auto& text) { settings.users_file = text; }},
         {"Server.PlainTcp",
          [&](const auto& where, const auto& text) { settings.plain_tcp = number(where, text, 0, 1) != 0; }},
@@ -165,6 +183,7 @@ Parsed parseOptions(int argc, char** argv) {
     std::string user_role;
     std::string users;
     std::string user_to_add;
+    std::string global_services;
     bool plain_tcp = false;
     std::map<std::string, std::string> endpoints;
     Options options;
@@ -184,6 +203,9 @@ Parsed parseOptions(int argc, char** argv) {
                  "Other machines may connect without TLS, in a network that you trust (Server.PlainTcp)");
     app.add_option("--users", users,
                    "users.cfg: who may log in; without it, on loopback only, no password is asked");
+    app.add_option("--global-services", global_services,
+                   "The folder whose *.xml are the global services (Server.GlobalServices); by default globalservices "
+                   "beside the first file of --config, or else in the working folder");
     app.add_option(
         "--add-user", user_to_add,
         "Write this user into the file of --users, with the password that is asked for or the first "
@@ -204,6 +226,7 @@ Parsed parseOptions(int argc, char** argv) {
     auto& settings = options.settings;
     for (const auto& file : files) readConfiguration(file, settings);
     if (!users.empty()) settings.users_file = users;
+    if (!global_services.empty()) settings.global_services = global_services;
     settings.plain_tcp = settings.plain_tcp || plain_tcp;
     if (!user_to_add.empty()) {
         addUser(settings.users_file, user_to_add, user_role);
@@ -211,6 +234,7 @@ Parsed parseOptions(int argc, char** argv) {
     }
     if (!user_role.empty()) throw std::runtime_error("--user-role is for --add-user; leave it out");
     setRole(settings, role);
+    findGlobalServices(settings, files);
     for (const auto& [name, to] :
          std::map<std::string, std::string*>{{"client", &settings.client_endpoint},
                                              {"client-signal", &settings.client_signal_endpoint},

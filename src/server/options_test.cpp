@@ -82,5 +82,20 @@ TEST(ServerOptions, ReadsUsersAndDrillPeriodFromTheFile) {
     std::filesystem::remove_all(folder);
 }
 
+TEST(ServerOptions, GlobalServicesLieBesideTheConfigurationUnlessAFolderIsNamed) {
+    EXPECT_EQ(parse({}).options->settings.global_services, "globalservices");
+    std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";
+    const std::string folder = ::mkdtemp(name.data());
+    const auto file = folder + "/server.cfg";
+    std::ofstream(file) << "Axon.DrillPeriod=30\n";
+    EXPECT_EQ(parse({"--config", file}).options->settings.global_services, folder + "/globalservices")
+        << "it need not be there";
+    std::ofstream(file) << "Server.GlobalServices=" << folder << "\n";
+    EXPECT_EQ(parse({"--config", file}).options->settings.global_services, folder);
+    EXPECT_EQ(parse({"--config", file, "--global-services", "/tmp"}).options->settings.global_services, "/tmp");
+    EXPECT_THAT(complaint({"--global-services", folder + "/none"}), HasSubstr("is no folder"));
+    std::filesystem::remove_all(folder);
+}
+
 }  // namespace
 }  // namespace axon::server

@@ -14,11 +14,13 @@
 #include "common/ids.hpp"
 #include "entity_server/entity_server.hpp"
 #include "front_end_server/front_end_server.hpp"
+#include "global_services/services_folder.hpp"
 #include "server/login_desk.hpp"
 #include "server/socket_owner.hpp"
 #include "transport/communicator.hpp"
 #include "transport/endpoint.hpp"
 #include "transport/storm_topics.hpp"
+#include "transport/timer_thread.hpp"
 #include "transport/tls.hpp"
 
 namespace axon::server {
@@ -277,6 +279,10 @@ class Server::Parts {
         if (settings.role != ServerRole::Entity) {
             auto its = frontEndSettings(settings);
             its.logins = &logins;
+            if (!settings.global_services.empty()) {
+                services_folder.emplace(settings.global_services, clock, note);
+                its.global_services = &*services_folder;
+            }
             its.here = both ? &entities_here : nullptr;
             its.topic_signals = receipts.communicator();
             front_end.emplace(std::move(its), data.communicator(), signal.communicator(), clock, random, note);
@@ -287,6 +293,9 @@ class Server::Parts {
         }
         if (entity) entity->activate();
         if (front_end) front_end->activate();
+        if (services_folder)
+            services_timer.emplace("axon-services", Lane::Data, global_services::ServicesFolder::kPeriod, clock,
+                                   [this] { return services_folder->onTimer(); });
         if (!settings.topic_manager.empty()) joinTopics(settings.topic_manager);
     }
 
@@ -338,6 +347,8 @@ class Server::Parts {
     Ice::CommunicatorHolder receipts;
     ClientsHere clients_here;
     EntitiesHere entities_here;
+    std::optional<global_services::ServicesFolder> services_folder;  // none in an entity server's process
+    std::optional<transport::TimerThread> services_timer;
     std::optional<entity_server::EntityServer> entity;             // none in a front-end server's process
     std::optional<front_end_server::FrontEndServer> front_end;     // none in an entity server's process
     std::optional<transport::StormTopics> topics;

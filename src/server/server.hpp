@@ -39,6 +39,7 @@ struct ServerSettings {
     front_end_server::CoreSettings front_end;
     entity_server::CoreSettings entity;
     std::string users_file;                             ///< users.cfg; empty: none, and loopback only
+    std::string global_services;                        ///< the folder of global services; empty: there are none
     bool plain_tcp = false;                             ///< also where other machines can reach it
     std::map<std::string, std::string> ice_properties;  ///< win over the defaults
     bool lock_memory = true;                            ///< of the process of axon-server, where permitted

@@ -2,9 +2,11 @@
 // Both servers in one process over real sockets, with peers that speak the bare contracts.
 #include <gtest/gtest.h>
 
+#include <axon/messages.pb.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <cstdio>
@@ -112,6 +114,62 @@ TEST(ServerStart, SaysThatAPortIsTaken) {
     } catch (const std::runtime_error& error) {
         EXPECT_NE(std::string(error.what()).find("another axon-server"), std::string::npos) << error.what();
     }
+}
+
+TEST(ServerStart, OffersTheGlobalServicesOfItsFolder) {
+    auto settings = onLoopback();
+    std::string name = testing::TempDir() + "axon-services-XXXXXX";
+    const std::string folder = ::mkdtemp(name.data());
+    std::filesystem::copy_file("api/schema/samples/valid/figure_a_1.xml", folder + "/figure_a_1.xml");
+    settings.global_services = folder;
+    const server::Server server(settings);
+    RawClient client(server.clientAddress(Lane::Data));
+    proto::ToEntity request;
+    request.mutable_global_services()->set_request_id("7");
+    Header head;
+    head.msg_type = kMsgGlobalServices;
+    const auto ask = [&](const std::string& message) {
+        client.dataOneway()->sendRequest(transport::toIce(head), toRange(message));
+    };
+    const auto answered = [&](const std::string& part) {
+        return [&client, part] {
+            const auto lines = client.log.lines();
+            return std::any_of(lines.begin(), lines.end(), [&](const auto& line) {
+                return line.rfind("data msg  ", 0) == 0 && line.find(part) != std::string::npos;
+            });
+        };
+    };
+    ask(request.SerializeAsString());
+    ASSERT_TRUE(waitUntil(answered("Pick and Place Demo")));
+    for (const auto& line : client.log.lines()) {
+        if (line.rfind("data msg  ", 0) != 0) continue;
+        proto::ToClient answer;
+        ASSERT_TRUE(answer.ParseFromString(line.substr(10)));
+        ASSERT_EQ(answer.global_services().files_size(), 1);
+        EXPECT_EQ(answer.global_services().request_id(), "7");
+        EXPECT_EQ(answer.global_services().files(0).profile().services_size(), 2);
+        EXPECT_EQ(answer.global_services().files(0).findings_size(), 1) << "its count is odd";
+    }
+    ask("no request");
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("refused 39"); }));
+
+    std::ofstream(folder + "/new.tmp")
+        << "<GlobalProfile><Service name='Patrol'><entity category='ROBOT' type='MOBILE' "
+           "id='0' service_global_id='walk' preced='1'/></Service></GlobalProfile>";
+    std::filesystem::rename(folder + "/new.tmp", folder + "/new.xml");
+    EXPECT_TRUE(waitUntil([&] {
+        ask(request.SerializeAsString());
+        return answered("Patrol")();
+    })) << "what is new is noticed";
+    std::filesystem::remove_all(folder);
+}
+
+TEST_F(Servers, WithoutAFolderThereAreNoGlobalServices) {
+    RawClient client(clients());
+    Header head;
+    head.msg_type = kMsgGlobalServices;
+    client.dataOneway()->sendRequest(transport::toIce(head), toRange(""));
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("refused 40"); }));
 }
 
 TEST_F(Servers, PushesWhoIsThereToWhoComesEarlyAndLate) {
