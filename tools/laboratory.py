@@ -157,6 +157,9 @@ class Laboratory:
             return self.start_cluster(*more)
         at = fixed_ports or {}
         options = list(more)
+        self.services_folder = self.folder / "globalservices"
+        self.services_folder.mkdir(exist_ok=True)
+        options += ["--global-services", self.services_folder]
         for option, key in (("--client-endpoint", "client"), ("--client-signal-endpoint", "client-signal"),
                             ("--entity-endpoint", "entity"), ("--entity-signal-endpoint", "entity-signal")):
             options += [option, at.get(key, "127.0.0.1:0")]
@@ -180,6 +183,7 @@ class Laboratory:
         self.at = {what: at for program in self.server.status["programs"] if program["name"].endswith("-router")
                    for what, at in program["ports"].items()}
         self.env["AXON_CONFIG"] = self.server.status["client_config"]
+        self.services_folder = self.server.folder / "globalservices"
         return self.server
 
     def manager_options(self, options):
