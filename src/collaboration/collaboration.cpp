@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <chrono>
 #include <set>
+#include <string_view>
 
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -187,6 +188,12 @@ void Collaboration::invite(TimePoint now) {
             asked.mutable_task()->set_service(step.declared->service_global_id());
             *asked.mutable_task()->mutable_params() = step.declared->params();
             for (const auto& source : step.declared->sources()) asked.add_later(source.param());
+            if (step.declared->name().empty()) continue;
+            std::set<std::string_view> wanted;
+            for (const auto& later : steps_)
+                for (const auto& source : later.declared->sources())
+                    if (source.step() == step.declared->name()) wanted.insert(source.output());
+            for (const auto output : wanted) asked.add_wanted(std::string(output));
         }
     }
 }

@@ -108,17 +108,38 @@ TEST(Collaboration, CarriesAResultToALaterStep) {
 
 TEST(Collaboration, AResultThatIsNotThereFailsTheStepThatNeedsIt) {
     Fleet fleet(2);
-    auto service = globalService({"0 Turning 1", "1 Driving 2"});
+    auto service = globalService({"0 Driving 1", "1 Driving 2"});
+    *service.mutable_steps(0)->add_params() = test::paramOf("Distance=300");
     service.mutable_steps(0)->set_name("first");
     auto& source = *service.mutable_steps(1)->add_sources();
     source.set_param("Distance");
     source.set_step("first");
     source.set_output("Travelled");
-    fleet.launch(service, 0);
+    fleet.launch(service, 0);  // it tells no result
     fleet.advance(1s);
     EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
     EXPECT_EQ(fleet.told.reason.code(), proto::MISSING_DEPENDENCY);
     expectAllAtRest(fleet);
+}
+
+TEST(Collaboration, AResultThatNoStepCanTellIsNamedBeforeAnythingMoves) {
+    for (const auto& [output, code] : {std::pair("Height", proto::UNKNOWN_PARAMETER), {"Distance", proto::WRONG_TYPE}}) {
+        Fleet fleet(2);
+        auto service = globalService({"0 Driving 1", "1 Driving 2"});
+        *service.mutable_steps(0)->add_params() = test::paramOf("Distance=300");
+        service.mutable_steps(0)->set_name("first");
+        auto& source = *service.mutable_steps(1)->add_sources();
+        source.set_param("Distance");
+        source.set_step("first");
+        source.set_output(output);
+        fleet.launch(service, 1);
+        fleet.advance(1s);
+        EXPECT_EQ(fleet.told.state, proto::RUN_REFUSED) << output;
+        ASSERT_EQ(fleet.told.problems.size(), 1U) << output;
+        EXPECT_EQ(fleet.told.problems[0].step(), 0);
+        EXPECT_EQ(fleet.told.problems[0].refusal().code(), code) << fleet.told.problems[0].refusal().message();
+        EXPECT_TRUE(fleet.log.empty()) << "nothing has moved";
+    }
 }
 
 // -- before it begins

@@ -192,7 +192,8 @@ Refusal EntityManagerCore::Machine::checkSubLease(const Sender& master, const pr
 void EntityManagerCore::Machine::problemsOf(const proto::Invitation& invitation, proto::InvitationAnswer& answer) const {
     for (const auto& step : invitation.steps()) {
         const std::vector<std::string> later(step.later().begin(), step.later().end());
-        for (const auto& refusal : profiler_.problems(step.task().service(), step.task().params(), later))
+        const std::vector<std::string> wanted(step.wanted().begin(), step.wanted().end());
+        for (const auto& refusal : profiler_.problems(step.task().service(), step.task().params(), later, wanted))
             *answer.add_problems() = problem(step.step(), refusal);
         const auto service = profiler_.find(step.task().service());
         if (!service) continue;

@@ -192,7 +192,8 @@ Result<ServiceProfiler::Params> ServiceProfiler::typed(std::string_view service,
 }
 
 std::vector<Refusal> ServiceProfiler::problems(std::string_view service, const Params& given,
-                                               const std::vector<std::string>& later) const {
+                                               const std::vector<std::string>& later,
+                                               const std::vector<std::string>& wanted) const {
     const auto index = find(service);
     if (!index) return {index.refusal()};
     std::vector<Refusal> all;
@@ -219,6 +220,16 @@ std::vector<Refusal> ServiceProfiler::problems(std::string_view service, const P
             all.push_back(notSettable(record, record.params(at.value())));
         else
             awaited.push_back(record.params(at.value()).name());
+    }
+    for (const auto& name : wanted) {
+        const auto at = findParamIndex(record, name);
+        if (!at)
+            all.push_back({at.refusal().code, "A later step takes its result " + inQuotes(name) + ". " + at.refusal().message, {}});
+        else if (settable(record.params(at.value())))
+            all.push_back({RefusalCode::WrongType,
+                           "A later step takes " + inQuotes(name) + " of " + inQuotes(record.name()) +
+                               ", which is set and not told by the robot. Name an OUTPUT parameter.",
+                           {}});
     }
     if (auto order = prepare(service, good, awaited); !order) all.push_back(order.refusal());
     return all;

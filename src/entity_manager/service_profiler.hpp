@@ -62,9 +62,10 @@ class ServiceProfiler {
     /// The parameters of a global service: texts become values of the profile's types. The refusals of
     /// parseParam; a parameter that the service does not have stays as it is.
     Result<Params> typed(std::string_view service, const Params& given) const;
-    /// Everything for which a task of a global service would be refused; `later` will be given by other steps.
-    std::vector<Refusal> problems(std::string_view service, const Params& given,
-                                  const std::vector<std::string>& later) const;
+    /// Everything for which a task of a global service would be refused; `later` will be given by other steps, and other
+    /// steps take `wanted` from it.
+    std::vector<Refusal> problems(std::string_view service, const Params& given, const std::vector<std::string>& later,
+                                  const std::vector<std::string>& wanted = {}) const;
 
     /// UNKNOWN_SERVICE, or done; the service's position.
     Result<int> setActive(std::string_view service, bool active);
