@@ -65,6 +65,13 @@ Result<const Service*> findService(const std::vector<Service>& services, std::st
     return by_name;
 }
 
+Result<const client::GlobalService*> findGlobalService(const std::vector<client::GlobalService>& services,
+                                                       std::string_view name) {
+    return findByName(
+        services, name, [](const client::GlobalService& s) -> std::string_view { return s.name; },
+        RefusalCode::UnknownService, "the server", "global service");
+}
+
 Result<const Parameter*> findParameter(const Service& service, std::string_view name) {
     return findByName(
         service.parameters, name, [](const Parameter& p) -> std::string_view { return p.name; },

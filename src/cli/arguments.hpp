@@ -16,6 +16,8 @@ bool sameToAPerson(std::string_view a, std::string_view b);
 /// By exact name or global id, else the only one that is the same to a person. UNKNOWN_SERVICE names the near
 /// ones.
 Result<const Service*> findService(const std::vector<Service>& services, std::string_view name);
+Result<const client::GlobalService*> findGlobalService(const std::vector<client::GlobalService>& services,
+                                                       std::string_view name);
 Result<const Parameter*> findParameter(const Service& service, std::string_view name);
 Result<const client::Resource*> findResource(const Service& service, std::string_view name);
 

@@ -11,7 +11,18 @@ namespace {
 
 using client::CheckOut;
 using client::Client;
+using client::Run;
 using client::Task;
+
+/// The oldest that is over goes; those that are not are as many as the entities let wait.
+template <class Handle>
+void keepNewest(std::deque<Handle>& handles, Handle handle, std::size_t most) {
+    handles.push_back(std::move(handle));
+    if (handles.size() <= most) return;
+    const auto over = std::find_if(handles.begin(), handles.end(),
+                                   [](const Handle& one) { return client::isFinal(one.report().state); });
+    if (over != handles.end()) handles.erase(over);
+}
 
 /// Check-outs and tasks by name, and one callback of the library spread to those who listen.
 class ClientStation final : public Station {
@@ -111,14 +122,7 @@ class ClientStation final : public Station {
         const auto task = held->run(service, arguments, not_after);
         {
             const std::lock_guard lock(mutex_);
-            tasks_.push_back(task);
-            // The oldest that is over goes; those that are not are as many as the EM lets wait.
-            if (tasks_.size() > kTasksKept) {
-                const auto over = std::find_if(tasks_.begin(), tasks_.end(), [](const Task& one) {
-                    return client::isFinal(one.report().state);
-                });
-                if (over != tasks_.end()) tasks_.erase(over);
-            }
+            keepNewest(tasks_, task, kTasksKept);
         }
         task.onUpdate(std::move(update));
         return task.id();
@@ -144,6 +148,45 @@ class ClientStation final : public Station {
         }
         return Refusal{RefusalCode::UnknownTask, "no task " + id + " was begun here", {}};
     }
+
+    Result<GlobalServices> globalServices() const override { return client_->globalServices(); }
+    Result<collaboration::Proposal> propose(const GlobalService& service,
+                                            const Bindings& chosen) const override {
+        return client_->propose(service, chosen);
+    }
+    Result<std::string> runGlobal(const GlobalService& service, const Bindings& bindings,
+                                  const std::string& master, bool check_only,
+                                  std::function<void(const RunReport&)> update) override {
+        const auto run = check_only ? client_->checkGlobal(service, bindings, master)
+                                    : client_->runGlobal(service, bindings, master);
+        if (!run) return run.refusal();
+        {
+            const std::lock_guard lock(mutex_);
+            keepNewest(runs_, run.value(), kTasksKept);
+        }
+        run->onUpdate(std::move(update));
+        return run->id();
+    }
+    std::vector<RunReport> runs() const override {
+        std::vector<RunReport> reports;
+        for (const auto& run : copyOfRuns()) reports.push_back(run.report());
+        return reports;
+    }
+    Result<void> controlRun(const std::string& id, TaskAction action) override {
+        for (const auto& run : copyOfRuns()) {
+            if (run.id() != id) continue;
+            switch (action) {
+                case TaskAction::Pause:
+                    return run.pause();
+                case TaskAction::Resume:
+                    return run.resume();
+                case TaskAction::Cancel:
+                    return run.cancel();
+            }
+        }
+        return Refusal{RefusalCode::UnknownTask, "no run " + id + " was begun here", {}};
+    }
+    Result<RunHistory> runHistory(int most) const override { return client_->runHistory({}, most); }
 
     Result<std::shared_ptr<void>> watch(const std::string& entity, const std::vector<std::string>& streams,
                                         std::function<void(const Sample&)> sample) override {
@@ -258,10 +301,16 @@ class ClientStation final : public Station {
         return tasks_;
     }
 
+    std::deque<Run> copyOfRuns() const {
+        const std::lock_guard lock(mutex_);
+        return runs_;
+    }
+
     mutable std::mutex mutex_;
     // guarded by mutex_
     std::map<std::string, Room> rooms_;  // by entity
     std::deque<Task> tasks_;
+    std::deque<Run> runs_;
     const std::unique_ptr<Client> client_;  // last, so that it is destroyed first: its callbacks use the rest
 };
 

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <map>
 #include <sstream>
 
 #include "axon/client.hpp"
@@ -44,11 +45,32 @@ std::string usageOf(const Verb& verb) {
     return text + " [OPTIONS]";
 }
 
+/// As in Verb::name.
+std::string nameOf(const CLI::App& app) {
+    const auto* parent = app.get_parent();
+    if (parent == nullptr) return {};
+    const auto before = nameOf(*parent);
+    return before.empty() ? app.get_name() : before + " " + app.get_name();
+}
+
+/// The verb that is meant by the words of a command line, among which are options.
+const Verb* verbIn(const std::vector<std::string>& words) {
+    const VerbGroup* group = nullptr;
+    for (const auto& word : words) {
+        if (const auto* verb = findVerb(group == nullptr ? word : std::string(group->name) + " " + word))
+            return verb;
+        if (group == nullptr) group = findGroup(word);
+    }
+    return nullptr;
+}
+
 /// CLI11's help with the usage line from the verb's own table.
 class HelpFormatter final : public CLI::Formatter {
   public:
     std::string make_usage(const CLI::App* app, std::string name) const override {
-        const auto* verb = findVerb(app->get_name());
+        const auto* verb = findVerb(nameOf(*app));
+        if (const auto group = nameOf(*app); findGroup(group) != nullptr)
+            return "Usage: axon " + group + " VERB [OPTIONS]\n";
         return verb != nullptr ? usageOf(*verb) + "\n" : CLI::Formatter::make_usage(app, name);
     }
 };
@@ -107,11 +129,27 @@ void declare(CLI::App& app, const Verb& verb, Json& args) {
                             .description(""))
                     ->type_name("CHOICE");
                 break;
-            default:
-                app.add_option_function<std::string>(
-                       name, [&args, &option](const std::string& word) { args[option.name] = word; },
+            default: {
+                const auto type = option.takes == Takes::File      ? "FILE"
+                                  : option.takes == Takes::Entity  ? "ENTITY"
+                                  : option.takes == Takes::Binding ? "ROLE=ENTITY"
+                                                                   : "TEXT";
+                if (!option.repeated) {
+                    app.add_option_function<std::string>(
+                           name, [&args, &option](const std::string& word) { args[option.name] = word; },
+                           option.help)
+                        ->type_name(type);
+                    break;
+                }
+                // One word each time: what follows is an operand.
+                app.add_option_function<std::vector<std::string>>(
+                       name,
+                       [&args, &option](const std::vector<std::string>& words) { args[option.name] = words; },
                        option.help)
-                    ->type_name(option.takes == Takes::File ? "FILE" : "TEXT");
+                    ->allow_extra_args(false)
+                    ->delimiter('\0')
+                    ->type_name(type);
+            }
         }
     }
 }
@@ -181,13 +219,28 @@ std::string mistake(const std::vector<std::string>& words, const std::string& wh
     const auto first =
         std::find_if(words.begin(), words.end(), [](const auto& word) { return word.rfind('-', 0) != 0; });
     if (first == words.end()) return "axon: " + what + "\nmend: axon --help\n";
-    for (const auto& word : words) {
-        if (const auto* verb = findVerb(word)) return "axon: " + what + "\nmend: " + usageOf(*verb) + "\n";
-    }
+    if (const auto* verb = verbIn(words)) return "axon: " + what + "\nmend: " + usageOf(*verb) + "\n";
     std::vector<std::string_view> names;
-    for (const auto* verb : verbs()) {
-        if (!verb->hidden) names.emplace_back(verb->name);
+    if (const auto* group = findGroup(*first)) {
+        const std::string before = std::string(group->name) + " ";
+        const auto second = std::find_if(first + 1, words.end(),
+                                         [](const auto& word) { return word.rfind('-', 0) != 0; });
+        for (const auto* verb : verbs()) {
+            if (std::string_view(verb->name).rfind(before, 0) == 0)
+                names.push_back(std::string_view(verb->name).substr(before.size()));
+        }
+        const auto wanted = second == words.end() ? std::string() : *second;
+        const auto near = nearNames(wanted, names);
+        return "axon: " + (wanted.empty() ? what : before + "has no verb " + inQuotes(wanted)) + "\nmend: " +
+               (near.empty() ? "axon " + before + "--help shows the verbs"
+                             : "did you mean " + alternatives(near) + "?") +
+               "\n";
     }
+    for (const auto* verb : verbs()) {
+        if (!verb->hidden && std::string_view(verb->name).find(' ') == std::string_view::npos)
+            names.emplace_back(verb->name);
+    }
+    for (const auto& group : verbGroups()) names.emplace_back(group.name);
     const auto near = nearNames(*first, names);
     return "axon: there is no verb " + inQuotes(*first) + "\nmend: " +
            (near.empty() ? "axon --help shows the verbs" : "did you mean " + alternatives(near) + "?") + "\n";
@@ -254,8 +307,21 @@ Parsed parseCommandLine(std::vector<std::string> words,
         ->type_name("NAME");
     app.set_version_flag("--version", std::string("axon ") + AXON_VERSION);
     // A plain list of verbs, not each one's whole help.
+    std::map<std::string, CLI::App*> groups;
     for (const auto* verb : verbs()) {
-        auto* sub = app.add_subcommand(verb->name, verb->summary);
+        const std::string name = verb->name;
+        CLI::App* above = &app;
+        if (const auto space = name.find(' '); space != std::string::npos) {
+            const auto& group = *findGroup(name.substr(0, space));
+            auto& made = groups[group.name];
+            if (made == nullptr) {
+                made = app.add_subcommand(group.name, group.summary);
+                made->require_subcommand(1, 1)->fallthrough();
+                made->footer(group.footer);
+            }
+            above = made;
+        }
+        auto* sub = above->add_subcommand(name.substr(name.find(' ') + 1), verb->summary);
         sub->fallthrough();
         if (*verb->examples != '\0')
             sub->footer(std::string("Examples:\n") + verb->examples +
@@ -277,14 +343,17 @@ Parsed parseCommandLine(std::vector<std::string> words,
         }
         if (words.empty()) {
             parsed.out = app.help();
+        } else if (words.size() == 1 && groups.count(words[0]) != 0) {
+            parsed.out = groups[words[0]]->help("axon");
         } else {
             parsed.err = mistake(words, error.what());
         }
         parsed.exit = kUsage;
         return parsed;
     }
-    line.verb = findVerb(app.get_subcommands().front()->get_name());
     const auto* sub = app.get_subcommands().front();
+    while (!sub->get_subcommands().empty()) sub = sub->get_subcommands().front();
+    line.verb = findVerb(nameOf(*sub));
     auto wrong_option = readMaybeDurations(*sub, *line.verb, line.args);
     const bool connects = line.verb->runs != Runs::Local || std::string_view(line.verb->name) == "doctor";
     const bool finds_agent = connects || std::string_view(line.verb->name) == "agent";

@@ -11,6 +11,7 @@
 
 #include "cli/session.hpp"
 #include "cli/station.hpp"
+#include "cli/words.hpp"
 
 namespace axon::cli {
 
@@ -249,6 +250,81 @@ class FakeStation : public Station {
         for (const auto& one : samples) sample({id, "pose", one.first, one.second, {}});
         return std::shared_ptr<void>();
     }
+    Result<GlobalServices> globalServices() const override {
+        if (!global_refusal.ok()) return global_refusal;
+        return global_services;
+    }
+    /// The first PeopleBot plays role 0 and the arm role 1, unless others are chosen.
+    Result<collaboration::Proposal> propose(const GlobalService&, const Bindings& chosen) const override {
+        ++proposed;
+        const auto at = static_cast<std::size_t>(proposed - 1);
+        if (at < in_the_way.size()) {
+            collaboration::Proposal impossible;
+            impossible.why = in_the_way[at];
+            impossible.roles = {{0, "ROBOT/MOBILE", {}, {}, "", ""}, {1, "ROBOT/STATIONARY", {}, {}, "", ""}};
+            return impossible;
+        }
+        collaboration::Proposal proposal;
+        for (const auto& [role, place] : {std::pair{0, 0}, std::pair{1, 2}}) {
+            auto id = entities_[static_cast<std::size_t>(place)].id;
+            if (const auto choice = chosen.find(role); choice != chosen.end()) id = choice->second;
+            const auto name = callName(find(id).value(), entities_);
+            proposal.roles.push_back({role, "ROBOT", {name}, {}, id, name});
+        }
+        return proposal;
+    }
+    Result<std::string> runGlobal(const GlobalService& service, const Bindings& bindings,
+                                  const std::string& master, bool check_only,
+                                  std::function<void(const RunReport&)> update) override {
+        run_bindings = bindings;
+        run_master = master;
+        if (!run_refusal.ok()) return run_refusal;
+        RunReport report;
+        report.id = "fedcba00-0000-4000-8000-00000000000b";
+        report.service = service.name;
+        report.master = master;
+        report.check = check_only;
+        for (const auto& [role, id] : bindings) {
+            auto& step = report.steps.emplace_back();
+            step.step = role;
+            step.entity = id;
+            step.name = callName(find(id).value(), entities_);
+            step.service = role == 0 ? "drive" : "grab";
+            step.preced = role + 1;
+        }
+        update(report);
+        for (const auto& change : run_script) {
+            change(report);
+            update(report);
+        }
+        const std::lock_guard lock(mutex_);
+        journal.push_back(check_only ? "check" : "run");
+        last_run_ = report;
+        run_update_ = std::move(update);
+        return report.id;
+    }
+    std::vector<RunReport> runs() const override {
+        const std::lock_guard lock(mutex_);
+        return last_run_ ? std::vector{*last_run_} : std::vector<RunReport>{};
+    }
+    Result<void> controlRun(const std::string&, TaskAction action) override {
+        std::function<void(const RunReport&)> update;
+        RunReport report;
+        {
+            const std::lock_guard lock(mutex_);
+            journal.push_back(action == TaskAction::Cancel  ? "cancel run"
+                              : action == TaskAction::Pause ? "pause run"
+                                                            : "resume run");
+            if (action != TaskAction::Cancel || !last_run_ || !cancel_is_heard) return {};
+            last_run_->state = RunState::Cancelled;
+            last_run_->reason = {RefusalCode::Cancelled, "cancelled by ana@lab", {}};
+            report = *last_run_;
+            update = run_update_;
+        }
+        update(report);
+        return {};
+    }
+    Result<RunHistory> runHistory(int) const override { return history; }
     std::shared_ptr<void> listen(const std::string&, Listener listener) override {
         if (listener.text && !says.empty()) listener.text(says);
         if (listener.hand_over && !asks.empty()) listener.hand_over({asks, "a demonstration", Seconds(30)});
@@ -293,7 +369,15 @@ class FakeStation : public Station {
     bool cancel_is_heard = true;
     bool upload_is_stuck = false;
     std::function<void()> on_check_out;
+    GlobalServices global_services;
+    Refusal global_refusal, run_refusal;
+    std::vector<Refusal> in_the_way;  ///< of the first proposals
+    std::vector<std::function<void(RunReport&)>> run_script;
+    RunHistory history;
     // … and looks at.
+    Bindings run_bindings;
+    std::string run_master;
+    mutable int proposed = 0;
     std::vector<std::string> stopped, rearmed, watched, journal;
     std::vector<Argument> run_arguments, set_arguments;
     std::string sent, queried;
@@ -305,6 +389,8 @@ class FakeStation : public Station {
     mutable std::mutex mutex_;
     // guarded by mutex_, and journal too
     std::vector<std::string> held_;
+    std::optional<RunReport> last_run_;
+    std::function<void(const RunReport&)> run_update_;
     std::optional<TaskReport> last_;
     std::function<void(const TaskReport&)> update_;
 };

@@ -72,6 +72,10 @@ class AgentLog final : public Events {
     }
 };
 
+bool isStop(std::string_view verb) {
+    return verb == "stop" || verb == "global stop";
+}
+
 /// Runs the verbs that others ask for on the one kept station.
 std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<Station>& station,
                                const Settings& settings, const std::function<void()>& end) {
@@ -103,7 +107,7 @@ std::optional<int> performKept(const Agent::Work& work, const std::shared_ptr<St
     Session session{work.args, work.events, work.mailbox, station, settings, true};
     session.end_agent = end;
     // Who holds something should learn that somebody asks for it, whatever they came for; a stop has no time.
-    if (work.verb != "stop" && work.verb != "handover") {
+    if (!isStop(work.verb) && work.verb != "handover") {
         for (const auto& question : station->questions())
             work.events.emit(
                 toJson(question.request, callName(question.entity, station->entities()), "axon handover"));
@@ -232,6 +236,7 @@ bool Invoker::takeInterrupt() {
 }
 
 int Invoker::perform(const Verb& verb, Json args, Events& events) {
+    interrupts_ = verb.interrupts;
     if (verb.runs == Runs::Local) {
         const auto mailbox = std::make_shared<Mailbox>();
         may_ask_ = !verb.hidden;
@@ -246,7 +251,7 @@ int Invoker::perform(const Verb& verb, Json args, Events& events) {
         onInterrupt({});
         return exit;
     }
-    const bool stopping = std::string_view(verb.name) == "stop";
+    const bool stopping = isStop(verb.name);
     if (auto link = openAgent(settings_)) {
         onInterrupt([&link](int) { link->interrupt(); });
         const auto outcome = link->request(verb.name, args, events, stopping ? kAcceptStop : kAccept);
@@ -305,7 +310,7 @@ int Invoker::direct(const Verb& verb, Json args, Events& events) {
     auto station = connect_(settings);
     if (!station) {
         auto event = noServerEvent(station.refusal(), settings_.server);
-        if (std::string_view(verb.name) == "stop") {
+        if (isStop(verb.name)) {
             event["mend"] = "NOTHING WAS STOPPED: use the robot's own stop now";
         }
         events.emit(event);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <atomic>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -32,6 +33,8 @@ class Invoker {
     /// Ctrl-C (or a request to end): what runs is to come to an orderly end. False when a second one must not
     /// end this process at once, because a command that runs under it gets them too.
     bool interrupt(int signal);
+    /// So many of them what runs answers itself (Verb::interrupts).
+    unsigned interrupts() const { return interrupts_; }
 
   private:
     int direct(const Verb& verb, Json args, Events& events);
@@ -47,6 +50,7 @@ class Invoker {
     const Connect connect_;
     const AskPassword ask_password_;
     bool may_ask_ = true;  // not for shell completion
+    std::atomic<unsigned> interrupts_{1};
     std::mutex mutex_;
     // guarded by mutex_
     std::function<void(int)> on_interrupt_;

@@ -50,8 +50,9 @@ std::optional<Json> Mailbox::wait(std::optional<std::chrono::steady_clock::time_
 
 bool Mailbox::takeInterrupt() {
     const std::lock_guard lock(mutex_);
+    // One by one: two that come at once mean more than one.
     const bool any = interrupts_ != interrupts_taken_;
-    interrupts_taken_ = interrupts_;
+    if (any) ++interrupts_taken_;
     return any;
 }
 

@@ -22,13 +22,13 @@ using namespace axon;
 /// How long a verb may take to end in order after Ctrl-C.
 constexpr unsigned kPatience_s = 4;
 
-/// Takes the signals one by one. The second Ctrl-C ends the process at once, and so does the alarm after the
-/// first.
+/// Takes the signals one by one. The second Ctrl-C ends the process at once (where a verb answers more than
+/// one itself, the one after those), and so does the alarm after the first.
 void takeSignals(sigset_t signals, cli::Invoker& invoker) {
     for (unsigned count = 1;; ++count) {
         int signal = 0;
         if (::sigwait(&signals, &signal) != 0) continue;
-        const bool final = signal == SIGALRM || count > 1;
+        const bool final = signal == SIGALRM || count > invoker.interrupts();
         if (!invoker.interrupt(signal == SIGALRM ? SIGINT : signal)) continue;
         if (final) ::_exit(cli::kInterrupted);
         ::alarm(kPatience_s);

@@ -53,7 +53,7 @@ class Mailbox {
     /// The oldest event; nothing when the deadline has passed, or when there was an interrupt that this
     /// thread has not yet taken.
     std::optional<Json> wait(std::optional<std::chrono::steady_clock::time_point> deadline = std::nullopt);
-    /// Whether there was an interrupt since this was last asked.
+    /// Whether there was an interrupt that this thread has not yet taken; takes one.
     bool takeInterrupt();
     /// Events dropped since this was last asked.
     std::size_t takeDropped();
@@ -111,6 +111,9 @@ enum class Takes {
     File,
     Text,
     Task,
+    GlobalService,
+    Binding,  ///< ROLE=ENTITY
+    Run,      ///< of a global service
     Stream,
     Duration,
     MaybeDuration,  ///< "--wait" or "--wait=5": options only
@@ -130,12 +133,13 @@ struct Operand {
 };
 
 /// `--name`: a bool for Takes::Nothing, a number for Takes::Duration and Takes::Count, a number or true for
-/// Takes::MaybeDuration, else a string; absent when not given.
+/// Takes::MaybeDuration, else a string (a repeated one: an array of them); absent when not given.
 struct Option {
     const char* name;
     Takes takes;
     const char* help;
     std::vector<const char*> choices = {};
+    bool repeated = false;
 };
 
 /// Where a verb is run.
@@ -149,7 +153,7 @@ enum class Runs {
 
 /// One verb: one object in one file below verbs/, and one line in verbs.cpp.
 struct Verb {
-    const char* name;
+    const char* name;  ///< "run"; "global run" is the verb run of the group global
     const char* summary;
     const char* examples;
     Runs runs;
@@ -160,7 +164,18 @@ struct Verb {
     /// Returns what is wrong with them, or an empty text.
     std::string (*prepare)(Json& args) = nullptr;
     bool hidden = false;
+    /// So many Ctrl-C the verb answers itself; the next one ends the process at once.
+    unsigned interrupts = 1;
 };
+
+/// Verbs about one thing, with help of their own: `axon global --help`.
+struct VerbGroup {
+    const char* name;
+    const char* summary;
+    const char* footer;
+};
+const std::vector<VerbGroup>& verbGroups();
+const VerbGroup* findGroup(const std::string& name);
 
 const std::vector<const Verb*>& verbs();
 const Verb* findVerb(const std::string& name);

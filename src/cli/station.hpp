@@ -13,16 +13,24 @@
 namespace axon::cli {
 
 using client::Argument;
+using client::Bindings;
 using client::CheckOutOptions;
 using client::Details;
 using client::DrillReport;
 using client::Entity;
+using client::GlobalService;
+using client::GlobalServices;
 using client::HandOverRequest;
 using client::Parameter;
 using client::Receipt;
+using client::RunHistory;
+using client::RunRecord;
+using client::RunReport;
+using client::RunState;
 using client::Sample;
 using client::Seconds;
 using client::Service;
+using client::StepReport;
 using client::TaskReport;
 using client::TaskState;
 using client::Value;
@@ -109,6 +117,18 @@ class Station {
     /// The tasks that were asked for here, oldest first: all that are not final, and the last ones that are.
     virtual std::vector<TaskReport> tasks() const = 0;
     virtual Result<void> control(const std::string& task, TaskAction action) = 0;
+
+    virtual Result<GlobalServices> globalServices() const = 0;
+    virtual Result<collaboration::Proposal> propose(const GlobalService& service,
+                                                    const Bindings& chosen) const = 0;
+    /// The run's id. `update` is called with each change, the final one included.
+    virtual Result<std::string> runGlobal(const GlobalService& service, const Bindings& bindings,
+                                          const std::string& master, bool check_only,
+                                          std::function<void(const RunReport&)> update) = 0;
+    /// The runs (and checks) that were asked for here, as tasks().
+    virtual std::vector<RunReport> runs() const = 0;
+    virtual Result<void> controlRun(const std::string& run, TaskAction action) = 0;
+    virtual Result<RunHistory> runHistory(int most) const = 0;
 
     /// The handle ends the watch, or the listening, when it is dropped.
     virtual Result<std::shared_ptr<void>> watch(const std::string& entity,

@@ -8,14 +8,14 @@
 #include <algorithm>
 #include <cstdlib>
 #include <ostream>
+#include <utility>
 
+#include "cli/view_text.hpp"
 #include "cli/words.hpp"
 
 namespace axon::cli {
-namespace {
 
-/// A member of an event as harmless text; empty where there is none.
-std::string textOf(const Json& json, const char* member, bool lines = false) {
+std::string textOf(const Json& json, const char* member, bool lines) {
     const auto found = json.find(member);
     if (found == json.end() || found->is_null()) return {};
     return printable(found->is_string() ? found->get<std::string>() : line(*found), lines);
@@ -32,6 +32,8 @@ std::string valuesText(const Json& values) {
     for (const auto& value : values) text += (text.empty() ? "" : ", ") + valueText(value);
     return text;
 }
+
+namespace {
 
 Tint stateTint(const std::string& state) {
     if (state == "ERR" || state == "UNAV") return Tint::Red;
@@ -62,12 +64,6 @@ std::string allowedText(const Json& parameter) {
     if (low) return "from " + valueText(parameter["minimum"]);
     if (high) return "up to " + valueText(parameter["maximum"]);
     return {};
-}
-
-std::string lowerCase(std::string text) {
-    std::transform(text.begin(), text.end(), text.begin(),
-                   [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
-    return text;
 }
 
 std::string stageText(const Json& milliseconds) {
@@ -103,7 +99,14 @@ Terminal Terminal::ofStandardOutput() {
     terminal.colour = terminal.live && (no_colour == nullptr || *no_colour == '\0');
     winsize size{};
     if (::ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col >= 20) terminal.width = size.ws_col;
+    if (size.ws_row >= 5) terminal.height = size.ws_row;
     return terminal;
+}
+
+std::string lowerCase(std::string text) {
+    std::transform(text.begin(), text.end(), text.begin(),
+                   [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
+    return text;
 }
 
 std::string progressBar(double part, std::size_t width) {
@@ -140,6 +143,7 @@ std::string PersonView::paint(std::string_view text, Tint tint) const {
 }
 
 void PersonView::wipe() {
+    if (board_lines_ > 0) out_ << "\x1b[" << std::exchange(board_lines_, 0) << "F\x1b[J";
     if (!progress_shown_) return;
     out_ << "\r\x1b[K";
     progress_shown_ = false;
@@ -185,6 +189,12 @@ void PersonView::emit(const Json& event) {
     if (kind == "issued") return showIssued(event);
     if (kind == "agent") return showAgent(event);
     if (kind == "error") return showError(event);
+    if (kind == "global_services") return showGlobalServices(event);
+    if (kind == "global_service") return showGlobalService(event);
+    if (kind == "binding") return showBinding(event);
+    if (kind == "run") return showRun(event);
+    if (kind == "runs") return showRuns(event);
+    if (kind == "run_record") return showRunRecord(event);
     if (kind == "uploaded") {
         return say(paint("✓", Tint::Green) + " " + textOf(event, "entity") + " has " +
                    textOf(event, "resource") + " of " + textOf(event, "service"));
@@ -259,7 +269,8 @@ void PersonView::emit(const Json& event) {
                        (event.value("answer", "") == "accept" ? " is handed over" : " stays yours"));
         }
         auto what = textOf(event, "entity");
-        if (const auto service = textOf(event, "service"); !service.empty()) what += " " + service;
+        if (const auto service = textOf(event, "service"); !service.empty())
+            what += (what.empty() ? "" : " ") + service;
         for (const auto& [verb, said] : kSaid) {
             if (event.value("verb", "") == verb) return say(what + " " + said);
         }

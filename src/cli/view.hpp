@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <iosfwd>
+#include <map>
 #include <memory>
 #include <string>
 
@@ -14,7 +15,7 @@ namespace axon::cli {
 struct Terminal {
     bool live = false;    ///< a terminal: lines may be redrawn
     bool colour = false;  ///< a terminal, and NO_COLOR is not set
-    std::size_t width = 100;
+    std::size_t width = 100, height = 24;
     static Terminal ofStandardOutput();
 };
 
@@ -42,6 +43,15 @@ class PersonView final : public Events {
     void showHandOver(const Json& event);
     void showDrill(const Json& event);
     void showError(const Json& event);
+    void showGlobalServices(const Json& event);
+    void showGlobalService(const Json& event);
+    void showBinding(const Json& event);
+    void showRun(const Json& event);
+    void showRuns(const Json& event);
+    void showRunRecord(const Json& event);
+    void showRunLines(const Json& changed);
+    void showRunEnd(const Json& event);
+    void showProblems(const Json& problems);
     /// One that is replaced by what comes next; where lines cannot be redrawn, now and then an ordinary one.
     void progress(const std::string& text, double part);
     /// An ordinary line; takes the progress line away first.
@@ -58,6 +68,9 @@ class PersonView final : public Events {
     double last_part_ = -1;
     std::optional<TimePoint> last_progress_at_;
     std::string last_feedback_, last_state_;
+    int board_lines_ = 0;          // of a run's table, just above the cursor; it is drawn anew
+    std::map<int, Json> steps_;    // of the run that is shown
+    std::map<int, Json> printed_;  // likewise, as they were when a line was printed of them
 };
 
 /// Each event as one line of JSON. Threads: one.

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cctype>
+#include <set>
 #include <utility>
 
 namespace axon::cli {
@@ -12,6 +13,12 @@ Json toJson(const std::vector<Value>& values) {
     auto list = Json::array();
     for (const auto& value : values) list.push_back(cli::toJson(value));
     return list;
+}
+
+Json toJson(const std::map<std::string, std::vector<Value>>& values) {
+    auto json = Json::object();
+    for (const auto& [name, list] : values) json[name] = toJson(list);
+    return json;
 }
 
 Json toJson(const Parameter& parameter) {
@@ -130,9 +137,14 @@ Json toJson(const Service& service) {
             {"missing", service.missing}};
 }
 
+Json reasonOf(const Refusal& refusal) {
+    if (refusal.ok()) return nullptr;
+    Json json{{"code", refusalName(refusal.code)}, {"message", refusal.message}};
+    if (!refusal.holder.empty()) json["holder"] = refusal.holder;
+    return json;
+}
+
 Json toJson(const TaskReport& report) {
-    auto results = Json::object();
-    for (const auto& [name, values] : report.results) results[name] = toJson(values);
     Json json{{"event", "task"},
               {"id", report.id},
               {"entity", report.entity},
@@ -141,12 +153,142 @@ Json toJson(const TaskReport& report) {
               {"final", client::isFinal(report.state)},
               {"progress", report.progress < 0 ? -1 : report.progress},
               {"feedback", report.feedback},
-              {"results", std::move(results)},
-              {"reason", nullptr}};
-    if (!report.reason.ok()) {
-        json["reason"] = {{"code", refusalName(report.reason.code)}, {"message", report.reason.message}};
-        if (!report.reason.holder.empty()) json["reason"]["holder"] = report.reason.holder;
+              {"results", toJson(report.results)},
+              {"reason", reasonOf(report.reason)}};
+    return json;
+}
+
+Json toJson(const StepReport& step) {
+    const auto seconds = [](const std::optional<Seconds>& time) {
+        return time ? Json(time->count()) : Json(nullptr);
+    };
+    return {{"step", step.step},
+            {"called", step.called},
+            {"entity", step.name},
+            {"entity_id", step.entity},
+            {"service", step.service},
+            {"preced", step.preced},
+            {"compensation", step.compensation},
+            {"state", step.state ? Json(client::toString(*step.state)) : Json(nullptr)},
+            {"progress", step.progress < 0 ? -1 : step.progress},
+            {"feedback", step.feedback},
+            {"parameters", toJson(step.parameters)},
+            {"results", toJson(step.results)},
+            {"reason", reasonOf(step.reason)},
+            {"began_s", seconds(step.began)},
+            {"ended_s", seconds(step.ended)},
+            {"tries", step.tries}};
+}
+
+Json toJson(const RunReport& report) {
+    auto steps = Json::array();
+    std::string master;
+    for (const auto& step : report.steps) {
+        steps.push_back(toJson(step));
+        if (step.entity == report.master) master = step.name;
     }
+    auto problems = Json::array();
+    for (const auto& problem : report.problems) {
+        Json json{{"step", problem.step < 0 ? Json(nullptr) : Json(problem.step)},
+                  {"called", ""},
+                  {"service", ""},
+                  {"entity", problem.entity}};
+        for (const auto& step : report.steps) {
+            if (step.step != problem.step) continue;
+            json["called"] = step.called;
+            json["service"] = step.service;
+            if (problem.entity.empty()) json["entity"] = step.name;
+        }
+        const auto error = errorEvent(problem.refusal, json["entity"].get<std::string>());
+        for (const auto* member : {"code", "message", "holder", "mend"}) {
+            if (error.contains(member)) json[member] = error[member];
+        }
+        problems.push_back(std::move(json));
+    }
+    return {{"event", "run"},
+            {"id", report.id},
+            {"service", report.service},
+            {"master", master},
+            {"master_id", report.master},
+            {"check", report.check},
+            {"state", client::toString(report.state)},
+            {"final", client::isFinal(report.state)},
+            {"progress", report.progress},
+            {"elapsed_s", report.elapsed.count()},
+            {"steps", std::move(steps)},
+            {"problems", std::move(problems)},
+            {"reason", reasonOf(report.reason)}};
+}
+
+namespace {
+
+Json toJson(const std::vector<client::GlobalStep>& steps) {
+    auto list = Json::array();
+    for (const auto& step : steps) {
+        auto parameters = Json::object();
+        auto units = Json::object();
+        for (const auto& argument : step.parameters) {
+            parameters[argument.name] = toJson(argument.values);
+            if (!argument.units.empty()) units[argument.name] = argument.units;
+        }
+        auto sources = Json::array();
+        for (const auto& source : step.sources) {
+            sources.push_back(
+                {{"parameter", source.parameter}, {"step", source.step}, {"output", source.output}});
+        }
+        list.push_back({{"role", step.role},
+                        {"category", step.category},
+                        {"type", step.type},
+                        {"service", step.service_global_id},
+                        {"preced", step.preced},
+                        {"called", step.name},
+                        {"parameters", std::move(parameters)},
+                        {"units", std::move(units)},
+                        {"sources", std::move(sources)}});
+    }
+    return list;
+}
+
+}  // namespace
+
+Json toJson(const GlobalService& service) {
+    std::set<int> roles;
+    for (const auto* steps : {&service.steps, &service.compensation})
+        for (const auto& step : *steps) roles.insert(step.role);
+    return {{"name", service.name},
+            {"descr", service.descr},
+            {"file", service.file},
+            {"on_failure", client::toString(service.on_failure)},
+            {"roles", roles},
+            {"steps", toJson(service.steps)},
+            {"compensation", toJson(service.compensation)}};
+}
+
+Json toJson(const RunRecord& record, bool with_steps) {
+    using std::chrono::duration_cast;
+    using std::chrono::milliseconds;
+    auto participants = Json::array();
+    std::string master;
+    for (const auto& one : record.participants) {
+        participants.push_back({{"role", one.role}, {"entity", one.name}, {"entity_id", one.entity}});
+        if (one.entity == record.master) master = one.name;
+    }
+    Json json{{"id", record.id},
+              {"service", record.service.name},
+              {"by", record.by},
+              {"master", master},
+              {"master_id", record.master},
+              {"participants", std::move(participants)},
+              {"asked_at_ms", duration_cast<milliseconds>(record.asked_at.time_since_epoch()).count()},
+              {"duration_s", record.duration.count()},
+              {"state", client::toString(record.state)},
+              {"final", client::isFinal(record.state)},
+              {"reason", reasonOf(record.reason)}};
+    if (!with_steps) return json;
+    json["event"] = "run_record";
+    json["steps"] = Json::array();
+    for (const auto& step : record.steps) json["steps"].push_back(toJson(step));
+    json["global_service"] = toJson(record.service);
     return json;
 }
 
@@ -229,6 +371,22 @@ int exitOf(TaskState state, const Refusal& reason) {
         case TaskState::Refused:
             return reason.ok() ? static_cast<int>(kRefused) : exitOf(reason);
         case TaskState::Failed:
+            return kRefused;
+        default:
+            return kNotConfirmed;
+    }
+}
+
+int exitOf(RunState state, const Refusal& reason) {
+    switch (state) {
+        case RunState::Succeeded:
+            return kDone;
+        case RunState::Stopped:
+        case RunState::Cancelled:
+            return kStopped;
+        case RunState::Refused:
+            return reason.ok() ? static_cast<int>(kRefused) : exitOf(reason);
+        case RunState::Failed:
             return kRefused;
         default:
             return kNotConfirmed;

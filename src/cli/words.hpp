@@ -14,6 +14,15 @@ Json toJson(const Entity& entity, bool yours);
 Json toJson(const Service& service);
 Json toJson(const TaskReport& report);
 Json toJson(const Receipt& receipt);
+/// A step of a run; without the members of "run" and "run_record" events that are not its own.
+Json toJson(const StepReport& step);
+/// A "run" event, complete.
+Json toJson(const RunReport& report);
+Json toJson(const GlobalService& service);
+/// A member of "runs", and a "run_record" event; `with_steps`: the service and its steps too.
+Json toJson(const RunRecord& record, bool with_steps);
+/// {"code", "message", "holder"?}, or null.
+Json reasonOf(const Refusal& refusal);
 /// A "hand_over" event. `answer`: the command that answers it, up to the entity; empty = nobody can.
 Json toJson(const HandOverRequest& request, const std::string& entity, const std::string& answer);
 
@@ -27,6 +36,7 @@ Json noServerEvent(const Refusal& refusal, const std::string& server);
 /// The exit status that a refusal leads to.
 int exitOf(const Refusal& refusal);
 int exitOf(TaskState state, const Refusal& reason);
+int exitOf(RunState state, const Refusal& reason);
 
 /// The shortest name that means only this entity: its name, or "Name#2" where several have it.
 std::string callName(const Entity& entity, const std::vector<Entity>& all);

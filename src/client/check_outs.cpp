@@ -346,6 +346,9 @@ void SessionCore::sendCheckOut(CheckOutOrder& order, CheckOutParty& party, int p
             request.mutable_resume()->set_key(order.resume->key);
         } else {
             *request.mutable_hand_over() = toProto(order.options.hand_over);
+            // One for all that this session holds: who is to collaborate must be held under one root.
+            if (root_.empty()) root_ = Id128::random(random_).bytes();
+            request.set_root(root_);
         }
     }
     party.answered = false;
@@ -436,6 +439,9 @@ void SessionCore::grant(const std::string& entity, const proto::CheckOutReply& r
     lease.key = reply.lease().key();
     if (const auto before = leases_.find(entity); lease.key.empty() && before != leases_.end())
         lease.key = before->second.key;  // of a lease that is resumed
+    lease.root = reply.lease().root();
+    // Of another process, whose other leases may follow: what is checked out from now on belongs to them.
+    if (leases_.empty() && lease.root.size() == 16) root_ = lease.root;
     lease.name = label(entity);
     lease.services = reply.services();
     lease.grace = std::chrono::milliseconds(reply.grace_ms());
@@ -792,6 +798,7 @@ bool SessionCore::onResumeReply(const std::string& entity, Id128 id, const proto
     leases_.at(entity).number = held.lease;
     observer_.onResumed(held);
     askAfterTasks(held);
+    askAfterRuns(held);
     return true;
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <axon/collaboration.pb.h>
 #include <axon/profile.pb.h>
 #include <axon/status.pb.h>
 #include <axon/stream.pb.h>
@@ -11,6 +12,7 @@
 #include <vector>
 
 #include "axon/client.hpp"
+#include "common/ids.hpp"
 
 // Between the messages and the types of the public header. Pure functions: any thread.
 namespace axon::client {
@@ -21,6 +23,17 @@ Service fromProto(const proto::Service& service);
 /// Nothing for STATE_UNSPECIFIED and numbers this version does not know.
 std::optional<EntityState> stateFromProto(proto::EntityState state);
 std::optional<TaskState> taskStateFromProto(proto::TaskState state);
+
+std::optional<RunState> runStateFromProto(proto::RunState state);
+GlobalService fromProto(const proto::GlobalService& service);
+proto::GlobalService toProto(const GlobalService& service);
+GlobalServices fromProto(const proto::GlobalServices& services);
+StepReport fromProto(const proto::StepStatus& status);
+RunProblem fromProto(const proto::Problem& problem);
+RunRecord fromProto(const proto::RunRecord& record);
+
+/// What the roles of a service ask of their players, those of its compensation too.
+std::vector<collaboration::Role> rolesOf(const GlobalService& service);
 
 /// Arguments as the service's profile declares its parameters, checked by the rules that the Entity Manager
 /// has: UNKNOWN_PARAMETER, WRONG_TYPE, WRONG_UNITS, OUT_OF_RANGE.

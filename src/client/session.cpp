@@ -607,30 +607,44 @@ void Client::Session::onEntity(Presence presence, const Entity& entity) {
     if (tell) post([tell, presence, entity] { tell(presence, entity); }, presence == Presence::Changed);
 }
 
-void Client::Session::onTask(const TaskReport& report) {
-    const auto found = tasks_.find(report.id);
-    if (found == tasks_.end()) return;
-    const auto task = found->second.lock();
-    if (isFinal(report.state)) tasks_.erase(found);
-    if (!task) return;
+namespace {
+
+/// A new report of a task or a run, to whoever waits for it and to its callbacks.
+template <class Shared, class Report, class Post>
+void tell(std::unordered_map<std::string, std::weak_ptr<Shared>>& handles, const Report& report, Post post) {
+    const auto found = handles.find(report.id);
+    if (found == handles.end()) return;
+    const auto handle = found->second.lock();
+    if (isFinal(report.state)) handles.erase(found);
+    if (!handle) return;
     bool tell = false;
     {
-        const std::lock_guard lock(task->mutex);
-        task->report = report;
-        tell = !task->callbacks.empty();
+        const std::lock_guard lock(handle->mutex);
+        handle->report = report;
+        tell = !handle->callbacks.empty();
     }
-    task->changed.notify_all();
+    handle->changed.notify_all();
     if (!tell) return;
     post(
-        [task, report] {
-            std::vector<std::function<void(const TaskReport&)>> callbacks;
+        [handle, report] {
+            std::vector<std::function<void(const Report&)>> callbacks;
             {
-                const std::lock_guard lock(task->mutex);
-                callbacks = task->callbacks;
+                const std::lock_guard lock(handle->mutex);
+                callbacks = handle->callbacks;
             }
             for (const auto& callback : callbacks) callback(report);
         },
         !isFinal(report.state));
+}
+
+}  // namespace
+
+void Client::Session::onTask(const TaskReport& report) {
+    tell(tasks_, report, [this](auto callback, bool may_be_left_out) { post(callback, may_be_left_out); });
+}
+
+void Client::Session::onRun(const RunReport& report) {
+    tell(runs_, report, [this](auto callback, bool may_be_left_out) { post(callback, may_be_left_out); });
 }
 
 std::shared_ptr<CheckOut::Shared> Client::Session::shared(const Held& held) const {
@@ -790,6 +804,141 @@ Task Client::Session::run(const Held& held, std::string_view service, const std:
         if (!isFinal(task->report.state)) tasks_[task->text] = task;
         return Task(task);
     });
+}
+
+Result<Run> Client::Session::runGlobal(const GlobalService& service, const Bindings& bindings,
+                                       std::string_view master, bool check_only) {
+    return withCore([&](SessionCore& core) -> Result<Run> {
+        if (auto overloaded = admit(0); !overloaded.ok()) return overloaded;
+        RunOrder order{service, {}, {}, check_only, 0};
+        for (const auto& [role, name] : bindings) {
+            const auto entity = core.find(name);
+            if (!entity) return entity.refusal();
+            order.players[role] = entity->id;
+        }
+        const auto entity = core.find(master);
+        if (!entity) return entity.refusal();
+        order.master = entity->id;
+        order.asked_at_ms = std::chrono::duration_cast<std::chrono::milliseconds>(
+                                std::chrono::system_clock::now().time_since_epoch())
+                                .count();
+        const auto id = core.runGlobal(order);
+        if (!id) return id.refusal();
+        auto run = std::make_shared<Run::Shared>(id.value(), weak_from_this(), *core.runReport(id.value()));
+        if (!isFinal(run->report.state)) runs_[run->text] = run;
+        return Run(run);
+    });
+}
+
+namespace {
+
+/// The answers of several entities to one question. Filled under the core's lock.
+template <class Answer>
+struct Survey {
+    explicit Survey(std::size_t asked) : answers(asked, Refusal{RefusalCode::TimedOut, "No answer.", {}}), open(asked) {
+        if (asked == 0) all.set_value();
+    }
+    void put(std::size_t place, Answer answer) {
+        answers[place] = std::move(answer);
+        if (--open == 0) all.set_value();
+    }
+    std::vector<Answer> answers;
+    std::size_t open;
+    std::promise<void> all;
+};
+
+}  // namespace
+
+Result<collaboration::Proposal> Client::Session::propose(const GlobalService& service,
+                                                         const Bindings& chosen) {
+    mayWait();
+    using Answers = Survey<Result<Details>>;
+    std::shared_ptr<Answers> survey;
+    std::vector<collaboration::Candidate> candidates;
+    std::map<int, std::string> choices;
+    const auto asked = withCore([&](SessionCore& core) -> Result<void> {
+        if (!core.connected()) return core.find("").refusal();
+        for (const auto& [role, name] : chosen) {
+            const auto entity = core.find(name);
+            if (!entity) return entity.refusal();
+            choices[role] = entity->id;
+        }
+        const auto mine = core.held();
+        for (const auto& entity : core.entities()) {
+            auto& candidate = candidates.emplace_back();
+            candidate.entity = entity.id;
+            candidate.name = core.callName(entity.id);
+            candidate.category = entity.category;
+            candidate.type = entity.type;
+            candidate.state = entity.state;
+            candidate.latched = entity.latched;
+            candidate.holder = entity.holder.name;
+            candidate.held_here = std::any_of(mine.begin(), mine.end(),
+                                              [&](const Held& held) { return held.entity == entity.id; });
+        }
+        survey = std::make_shared<Answers>(candidates.size());
+        for (std::size_t i = 0; i < candidates.size(); ++i) {
+            core.fetchDetails(candidates[i].entity, [survey, i](Result<Details> details) {
+                survey->put(i, std::move(details));
+            });
+        }
+        return {};
+    });
+    if (!asked) return asked.refusal();
+    survey->all.get_future().wait();
+    for (std::size_t i = 0; i < candidates.size(); ++i) {
+        const auto& details = survey->answers[i];
+        if (!details) {
+            candidates[i].silent = details.refusal().message;
+            continue;
+        }
+        for (const auto& one : details->services)
+            candidates[i].offers.push_back({one.name, one.global_id, one.active, one.missing});
+    }
+    return collaboration::propose(rolesOf(service), std::move(candidates), choices);
+}
+
+Result<RunHistory> Client::Session::runHistory(const std::vector<std::string>& names, int most) {
+    mayWait();
+    using Answers = Survey<Result<std::vector<RunRecord>>>;
+    std::shared_ptr<Answers> survey;
+    std::vector<std::string> called;
+    const auto asked = withCore([&](SessionCore& core) -> Result<void> {
+        if (!core.connected()) return core.find("").refusal();
+        std::vector<std::string> entities;
+        for (const auto& name : names) {
+            const auto entity = core.find(name);
+            if (!entity) return entity.refusal();
+            if (std::find(entities.begin(), entities.end(), entity->id) == entities.end())
+                entities.push_back(entity->id);
+        }
+        if (names.empty()) {
+            for (const auto& entity : core.entities()) entities.push_back(entity.id);
+        }
+        survey = std::make_shared<Answers>(entities.size());
+        for (std::size_t i = 0; i < entities.size(); ++i) {
+            called.push_back(core.callName(entities[i]));
+            core.fetchRuns(entities[i], most, [survey, i](Result<std::vector<RunRecord>> runs) {
+                survey->put(i, std::move(runs));
+            });
+        }
+        return {};
+    });
+    if (!asked) return asked.refusal();
+    survey->all.get_future().wait();
+    RunHistory history;
+    for (std::size_t i = 0; i < called.size(); ++i) {
+        auto& answer = survey->answers[i];
+        if (!answer) {
+            history.silent.emplace_back(called[i], answer.refusal());
+            continue;
+        }
+        for (auto& record : answer.value()) history.runs.push_back(std::move(record));
+    }
+    std::stable_sort(history.runs.begin(), history.runs.end(), [](const RunRecord& a, const RunRecord& b) {
+        return a.asked_at > b.asked_at;
+    });
+    return history;
 }
 
 Result<void> Client::Session::upload(const Held& held, std::string_view service, std::string_view resource,
@@ -1075,6 +1224,29 @@ Result<Details> Client::details(std::string_view name) const {
     });
 }
 
+Result<GlobalServices> Client::globalServices() const {
+    return session_->ask<Result<GlobalServices>>(
+        [](SessionCore& core, auto done) { core.fetchGlobalServices(done); });
+}
+
+Result<collaboration::Proposal> Client::propose(const GlobalService& service, const Bindings& chosen) const {
+    return session_->propose(service, chosen);
+}
+
+Result<Run> Client::runGlobal(const GlobalService& service, const Bindings& bindings,
+                              std::string_view master) {
+    return session_->runGlobal(service, bindings, master, false);
+}
+
+Result<Run> Client::checkGlobal(const GlobalService& service, const Bindings& bindings,
+                                std::string_view master) {
+    return session_->runGlobal(service, bindings, master, true);
+}
+
+Result<RunHistory> Client::runHistory(const std::vector<std::string>& names, int most) const {
+    return session_->runHistory(names, most);
+}
+
 Result<std::vector<DrillReport>> Client::drill(const std::vector<std::string>& names, int count,
                                                Seconds period, std::stop_token give_up) {
     return session_->drill(names, count, period, give_up);
@@ -1093,37 +1265,38 @@ Refusal gone() {
 
 }  // namespace
 
-const std::string& Task::id() const {
-    return shared_->text;
-}
-
-TaskReport Task::report() const {
-    const std::lock_guard lock(shared_->mutex);
-    return shared_->report;
-}
-
-TaskReport Task::wait(std::optional<Seconds> time) const {
-    if (const auto session = shared_->session.lock()) session->mayWait();
-    std::unique_lock lock(shared_->mutex);
-    const auto over = [this] { return isFinal(shared_->report.state); };
-    if (time) {
-        shared_->changed.wait_for(lock, std::chrono::nanoseconds(toDuration(*time)), over);
-    } else {
-        shared_->changed.wait(lock, over);
-    }
-    return shared_->report;
-}
-
-void Task::onUpdate(std::function<void(const TaskReport&)> callback) const {
-    const auto session = shared_->session.lock();
-    if (!session) return;
-    // Under the task's lock, so that no change comes between the first call and the next.
-    const std::lock_guard lock(shared_->mutex);
-    session->post([callback, report = shared_->report] { callback(report); }, false);
-    shared_->callbacks.push_back(std::move(callback));
-}
-
 namespace {
+
+// What handles of tasks and of runs have in common.
+
+template <class Shared>
+auto newest(Shared& shared) {
+    const std::lock_guard lock(shared.mutex);
+    return shared.report;
+}
+
+template <class Shared>
+auto awaitEnd(Shared& shared, std::optional<Seconds> time) {
+    if (const auto session = shared.session.lock()) session->mayWait();
+    std::unique_lock lock(shared.mutex);
+    const auto over = [&] { return isFinal(shared.report.state); };
+    if (time) {
+        shared.changed.wait_for(lock, std::chrono::nanoseconds(toDuration(*time)), over);
+    } else {
+        shared.changed.wait(lock, over);
+    }
+    return shared.report;
+}
+
+template <class Shared, class Callback>
+void listen(Shared& shared, Callback callback) {
+    const auto session = shared.session.lock();
+    if (!session) return;
+    // Under the handle's lock, so that no change comes between the first call and the next.
+    const std::lock_guard lock(shared.mutex);
+    session->post([callback, report = shared.report] { callback(report); }, false);
+    shared.callbacks.push_back(std::move(callback));
+}
 
 Result<void> control(const Task::Shared& task, proto::TaskAction action) {
     const auto session = task.session.lock();
@@ -1132,8 +1305,27 @@ Result<void> control(const Task::Shared& task, proto::TaskAction action) {
         [&](SessionCore& core, auto done) { core.control(task.id, action, done); });
 }
 
+Result<void> control(const Run::Shared& run, proto::TaskAction action) {
+    const auto session = run.session.lock();
+    if (!session) return gone();
+    return session->ask<Result<void>>(
+        [&](SessionCore& core, auto done) { core.controlRun(run.id, action, done); });
+}
+
 }  // namespace
 
+const std::string& Task::id() const {
+    return shared_->text;
+}
+TaskReport Task::report() const {
+    return newest(*shared_);
+}
+TaskReport Task::wait(std::optional<Seconds> time) const {
+    return awaitEnd(*shared_, time);
+}
+void Task::onUpdate(std::function<void(const TaskReport&)> callback) const {
+    listen(*shared_, std::move(callback));
+}
 Result<void> Task::pause() const {
     return control(*shared_, proto::PAUSE);
 }
@@ -1141,6 +1333,28 @@ Result<void> Task::resume() const {
     return control(*shared_, proto::RESUME);
 }
 Result<void> Task::cancel() const {
+    return control(*shared_, proto::CANCEL);
+}
+
+const std::string& Run::id() const {
+    return shared_->text;
+}
+RunReport Run::report() const {
+    return newest(*shared_);
+}
+RunReport Run::wait(std::optional<Seconds> time) const {
+    return awaitEnd(*shared_, time);
+}
+void Run::onUpdate(std::function<void(const RunReport&)> callback) const {
+    listen(*shared_, std::move(callback));
+}
+Result<void> Run::pause() const {
+    return control(*shared_, proto::PAUSE);
+}
+Result<void> Run::resume() const {
+    return control(*shared_, proto::RESUME);
+}
+Result<void> Run::cancel() const {
     return control(*shared_, proto::CANCEL);
 }
 

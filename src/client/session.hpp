@@ -44,6 +44,22 @@ struct Task::Shared {
     std::vector<std::function<void(const TaskReport&)>> callbacks;
 };
 
+/// What copies of one Run share; as of a Task.
+struct Run::Shared {
+    Shared(Id128 run, std::weak_ptr<Client::Session> owner, RunReport first)
+        : id(run), text(run.toString()), session(std::move(owner)), report(std::move(first)) {}
+
+    const Id128 id;
+    const std::string text;
+    const std::weak_ptr<Client::Session> session;
+
+    std::mutex mutex;
+    std::condition_variable changed;
+    // Guarded by mutex:
+    RunReport report;
+    std::vector<std::function<void(const RunReport&)>> callbacks;
+};
+
 /// What copies of one CheckOut share.
 struct CheckOut::Shared {
     Shared(Held granted, std::weak_ptr<Client::Session> owner, Entity first)
@@ -106,6 +122,10 @@ class Client::Session final : public SessionObserver,
     std::vector<CheckOut> held() const;
     Task run(const Held& held, std::string_view service, const std::vector<Argument>& arguments,
              Seconds not_after);
+    Result<Run> runGlobal(const GlobalService& service, const Bindings& bindings, std::string_view master,
+                          bool check_only);
+    Result<collaboration::Proposal> propose(const GlobalService& service, const Bindings& chosen);
+    Result<RunHistory> runHistory(const std::vector<std::string>& names, int most);
     Result<void> upload(const Held& held, std::string_view service, std::string_view resource,
                         const std::filesystem::path& file,
                         const std::function<void(std::uint64_t, std::uint64_t)>& progress,
@@ -134,6 +154,7 @@ class Client::Session final : public SessionObserver,
     // SessionObserver: under core_mutex_.
     void onEntity(Presence presence, const Entity& entity) override;
     void onTask(const TaskReport& report) override;
+    void onRun(const RunReport& report) override;
     void onText(const Held& held, const std::string& text) override;
     void onRaw(const Held& held, const std::string& bytes) override;
     void onService(const Held& held, const Service& service) override;
@@ -236,6 +257,7 @@ class Client::Session final : public SessionObserver,
     std::optional<std::pair<std::int64_t, bool>> beat_;
     TimePoint timer_at_ = TimePoint::max(), heartbeat_at_ = TimePoint::max();
     std::unordered_map<std::string, std::weak_ptr<Task::Shared>> tasks_;
+    std::unordered_map<std::string, std::weak_ptr<Run::Shared>> runs_;
     std::map<Held, std::shared_ptr<CheckOut::Shared>> check_outs_;
     std::unordered_map<Id128, std::shared_ptr<UploadWindow>> uploads_;
     std::map<std::uint64_t, Watching> watches_;

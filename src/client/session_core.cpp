@@ -151,6 +151,8 @@ bool SessionCore::answer(Ask ask, Id128 id, const Result<void>& result) {
     if (ask == Ask::Upload) transfers_.erase(id);
     if (pending.done) pending.done(result);
     if (pending.details_done) pending.details_done(result.refusal());
+    if (pending.global_services_done) pending.global_services_done(result.refusal());
+    if (pending.run_records_done) pending.run_records_done(result.refusal());
     if (!result) noteRefusal(pending.entity, pending.lease, result.refusal());
     return true;
 }
@@ -166,7 +168,7 @@ void SessionCore::answerAll(const std::string& entity, const Refusal& why) {
     for (const auto& [ask, id] : pendingOf(entity)) {
         if (ask == Ask::CheckOut) {
             if (check_outs_.contains(id)) onPartyRefused(id, entity, why);  // a query looks for another
-        } else if (ask != Ask::Task && ask != Ask::Resume) {
+        } else if (ask != Ask::Task && ask != Ask::Run && ask != Ask::Resume) {
             answer(ask, id, ask == Ask::Release ? Result<void>{} : Result<void>{why});
         }
     }
@@ -238,6 +240,9 @@ void SessionCore::onDisconnected(const std::string& reason, bool for_good) {
         if (lease(held) == nullptr) tasks.insert(tasks.end(), open.begin(), open.end());
     }
     for (const auto id : tasks) finishTask(id, TaskState::Unknown, unknown);
+    for (const auto id : std::vector(open_runs_.begin(), open_runs_.end())) {
+        if (lease(runs_.at(id).master) == nullptr) finishRun(id, RunState::Unknown, unknown);
+    }
 
     auto gone = std::move(entities_);
     entities_.clear();
@@ -484,6 +489,20 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes) {
         case proto::ToClient::kHandOver:
             onHandOver(entity, message.hand_over());
             break;
+        case proto::ToClient::kRun:
+            onRunEvent(entity, message.run());
+            break;
+        case proto::ToClient::kRunHistory:
+            onRunHistory(entity, message.run_history());
+            break;
+        case proto::ToClient::kGlobalServices: {
+            const auto id = Id128::fromBytes(message.global_services().request_id());
+            const auto found = id ? pending_.find({Ask::GlobalServices, *id}) : pending_.end();
+            // Of the server, which is no entity.
+            if (found == pending_.end() || !entity.empty()) break;
+            take(found).global_services_done(fromProto(message.global_services()));
+            break;
+        }
         case proto::ToClient::BODY_NOT_SET:
             ++malformed_;  // or a message of a newer version: nothing this one could do with it
             break;
@@ -512,11 +531,15 @@ void SessionCore::onReply(const Header& head, const proto::Reply& reply) {
         if (answer(ask, *id, ask == Ask::Release ? Refusal{} : refusal)) return;
     }
     if (!refusal.ok()) {
-        for (const Ask ask : {Ask::Services, Ask::Control, Ask::Upload}) {
+        for (const Ask ask :
+             {Ask::Services, Ask::Control, Ask::Upload, Ask::GlobalServices, Ask::RunRecords}) {
             if (answer(ask, *id, refusal)) return;
         }
         if (tasks_.count(*id) != 0) {
             finishTask(*id, TaskState::Refused, refusal);
+        } else if (const auto run = runs_.find(*id);
+                   run != runs_.end() && run->second.master.entity == head.entity) {
+            finishRun(*id, RunState::Refused, refusal);
         }
     }
 }
@@ -534,6 +557,8 @@ void SessionCore::onRefusal(const Header& head, const Refusal& refusal) {
         if (pending != pending_.end() && pending->second.entity == head.entity) {
             if (ask == Ask::Task) {
                 finishTask(id, TaskState::Refused, refusal);
+            } else if (ask == Ask::Run) {
+                finishRun(id, RunState::Refused, refusal);
             } else if (ask == Ask::Resume) {
                 // Not there (yet): asked again when it joins.
                 postpone(pending, leases_.at(head.entity).expires);
@@ -624,6 +649,12 @@ void SessionCore::release(const Held& held, Done done) {
                         "Its check-out was released while the connection was lost.",
                         {}});
         }
+        for (const auto id : openRuns(held)) {
+            finishRun(id, RunState::Unknown,
+                      {RefusalCode::OutcomeUnknown,
+                       "The check-out of its master was released while the connection was lost.",
+                       {}});
+        }
         return done({});
     }
     const auto refusal = ready(held);
@@ -638,6 +669,7 @@ void SessionCore::release(const Held& held, Done done) {
     endLease(held.entity, {RefusalCode::NotHolder, label(held.entity) + " was released.", {}}, false);
     // The entity stops what runs and says so in events of the tasks; without them they become Unknown.
     for (const auto id : openTasks(held)) awaitTask(id, tasks_.at(id));
+    for (const auto id : openRuns(held)) awaitRun(id);
     await(Ask::Release, Id128::random(random_), std::move(pending));
 }
 
@@ -649,7 +681,7 @@ void SessionCore::endLease(std::string entity, const Refusal& why, bool tell) {
     observer_.onDatagrams(held, {}, {});
     countMoving(entity);
     for (const auto& [ask, id] : pendingOf(entity)) {
-        if (ask == Ask::Release || ask == Ask::Task || ask == Ask::CheckOut) continue;
+        if (ask == Ask::Release || ask == Ask::Task || ask == Ask::Run || ask == Ask::CheckOut) continue;
         const auto pending = pending_.find({ask, id});
         if (pending != pending_.end() && pending->second.lease == held.lease) answer(ask, id, why);
     }
@@ -657,6 +689,7 @@ void SessionCore::endLease(std::string entity, const Refusal& why, bool tell) {
         const Refusal unknown{RefusalCode::OutcomeUnknown,
                               "The lease ended while it was under way: " + why.message, why.holder};
         for (const auto id : openTasks(held)) finishTask(id, TaskState::Unknown, unknown);
+        for (const auto id : openRuns(held)) finishRun(id, RunState::Unknown, unknown);
         observer_.onLost(held, why);
     }
     pace();
@@ -1079,7 +1112,7 @@ void SessionCore::control(const Id128& task, proto::TaskAction action, Done done
 // ---- time
 
 bool SessionCore::busy() const {
-    if (running_tasks_ > 0) return true;
+    if (running_tasks_ > 0 || !open_runs_.empty()) return true;
     return !moving_.empty();
 }
 
@@ -1137,6 +1170,15 @@ void SessionCore::onTimer() {
                             label(pending.entity) + " has not said in time what became of it.",
                             {}});
             }
+        } else if (ask == Ask::Runs) {
+            onRunsDue(id);
+        } else if (ask == Ask::Run) {
+            const auto master = runs_.at(id).master;
+            if (ready(master).ok()) cancelRun(id, master);
+            finishRun(id, RunState::Unknown,
+                      {RefusalCode::OutcomeUnknown,
+                       label(master.entity) + ", its master, has not answered the request in time.",
+                       {}});
         } else if (ask == Ask::Task) {
             // It may or may not run: say so, and make an end of it if it does.
             const auto held = tasks_.at(id).held;

@@ -29,6 +29,8 @@ class CheckOutReply;
 class EntityStatus;
 class HandOverRequest;
 class Reply;
+class RunEvent;
+class RunHistory;
 class ToClient;
 class ToEntity;
 }  // namespace axon::proto
@@ -50,6 +52,7 @@ class SessionObserver {
     virtual ~SessionObserver() = default;
     virtual void onEntity(Presence presence, const Entity& entity) = 0;
     virtual void onTask(const TaskReport& report) = 0;
+    virtual void onRun(const RunReport& /*report*/) {}
     virtual void onText(const Held& held, const std::string& text) = 0;
     virtual void onRaw(const Held& held, const std::string& bytes) = 0;
     virtual void onService(const Held& held, const Service& service) = 0;
@@ -79,6 +82,9 @@ struct CoreSettings {
     Duration server_silence_busy = std::chrono::seconds{1};  ///< 20 heartbeats missed
     Duration server_silence_idle = std::chrono::seconds{10};
     std::size_t tasks_kept = 1024;  ///< finished tasks whose reports can still be asked for
+    std::size_t runs_kept = 64;     ///< likewise of runs
+    /// After a lost connection: how often a master that has not ended a run yet is asked what became of it.
+    Duration outcome_again = std::chrono::seconds{1};
     bool resume = true;             ///< leases outlive the connection for their grace
     /// How long after this client a server may notice that the connection is gone; the grace begins then.
     Duration loss_notice = std::chrono::seconds{10};
@@ -99,8 +105,17 @@ struct LeaseTicket {
     static Result<LeaseTicket> parse(std::string_view text);
 };
 
-/// A client's session without its connections: entities, leases, tasks, requests (architecture, sections 6
-/// and 8). Stops are StopDesk's.
+/// A global service to be carried out, or to be checked.
+struct RunOrder {
+    const GlobalService& service;
+    std::map<int, std::string> players;  ///< role → UUID
+    std::string master;                  ///< UUID, one of the players
+    bool check_only = false;
+    std::int64_t asked_at_ms = 0;  ///< of the calendar, since 1970 in UTC
+};
+
+/// A client's session without its connections: entities, leases, tasks, runs, requests (architecture, sections
+/// 6 and 8). Stops are StopDesk's.
 ///
 /// Where in the flow: the first station. An event of the server goes in as one call of on…(), a wish of the
 /// user as one of the other calls; messages leave through ServerLink, news through SessionObserver, answers
@@ -111,8 +126,8 @@ struct LeaseTicket {
 /// States: connected or not; each entity held, orphaned or neither. On a lost connection entities are
 /// forgotten until the server tells of them again, requests are answered, and leases become orphaned: each is
 /// resumed with its key as soon as its entity is there again (onResumed), and its tasks are asked after. It
-/// is lost (onLost, tasks Unknown) when its Entity Manager refuses, its time is up, or it has no grace. A
-/// check-out of one entity is asked for, perhaps queued, then granted; of several (or by a query) reserved,
+/// is lost (onLost, tasks Unknown) when its Entity Manager refuses, its time is up, or it has no grace. A run
+/// shares the fate of its master's lease as a task does; its master is asked after it. A check-out of one entity is asked for, perhaps queued, then granted; of several (or by a query) reserved,
 /// then committed, or parked until what is wanted is free again.
 ///
 /// Threads: none of its own, not thread-safe; the owner confines it. Failure: refusals. Malformed bytes are
@@ -123,6 +138,8 @@ class SessionCore {
     using CheckOutDone = std::function<void(Result<std::vector<Held>>)>;
     using ServicesDone = std::function<void(Result<std::vector<Service>>)>;
     using DetailsDone = std::function<void(Result<Details>)>;
+    using GlobalServicesDone = std::function<void(Result<GlobalServices>)>;
+    using RunRecordsDone = std::function<void(Result<std::vector<RunRecord>>)>;
 
     SessionCore(CoreSettings settings, const Clock& clock, RandomSource& random, ServerLink& link,
                 SessionObserver& observer, SignalMarks& marks);
@@ -161,6 +178,8 @@ class SessionCore {
     std::vector<Entity> entities() const;
     Result<Entity> find(std::string_view name) const;
     Result<Entity> entity(const std::string& id) const;
+    /// The shortest name that means only this entity.
+    std::string callName(const std::string& id) const { return names_.label(id); }
     std::vector<Held> held() const;
     bool holds(const Held& held) const;
     /// Held, and waiting for the connection or the Entity Manager's word that it still is.
@@ -171,7 +190,8 @@ class SessionCore {
     Result<Service> service(const Held& held, std::string_view name_or_global_id) const;
     /// Nothing for a task that is not known (any more).
     std::optional<TaskReport> task(const Id128& id) const;
-    /// A task of this client is not final, or an entity that it holds is busy: heartbeats are fast.
+    std::optional<RunReport> runReport(const Id128& id) const;
+    /// A task or a run of this client is not final, or an entity that it holds is busy: heartbeats are fast.
     bool busy() const;
     std::uint64_t malformed() const { return malformed_; }
     std::size_t pendingRequests() const { return pending_.size(); }
@@ -198,6 +218,13 @@ class SessionCore {
               Duration not_after);
     /// PAUSE is done when the task is paused, RESUME when it runs, CANCEL when it has ended.
     void control(const Id128& task, proto::TaskAction action, Done done);
+    /// Refused here: NOT_CONNECTED, NOT_HOLDER, WRONG_STATE for leases of more than one root, MALFORMED for
+    /// roles without a player or a master without a role. All else comes as reports of the run.
+    Result<Id128> runGlobal(const RunOrder& order);
+    void controlRun(const Id128& run, proto::TaskAction action, Done done);
+    void fetchGlobalServices(GlobalServicesDone done);
+    /// Runs of which the entity was the master; no lease needed. `most` = 0: all that it keeps.
+    void fetchRuns(const std::string& entity, int most, RunRecordsDone done);
     Result<void> sendText(const Held& held, std::string_view text);
     Result<void> sendRaw(const Held& held, std::string_view bytes);
     Result<void> reset(const Held& held);
@@ -224,7 +251,7 @@ class SessionCore {
     };
     struct Lease {
         LeaseNumber number;
-        std::string key;
+        std::string key, root;
         std::string name;  // the entity's, for when it is not known
         proto::ServicesProfile services;
         Duration grace{};
@@ -240,6 +267,11 @@ class SessionCore {
         Held held;
         TaskReport report;
     };
+    struct RunEntry {
+        Held master;
+        RunReport report;
+        std::uint64_t sequence = 0;  // of the last event
+    };
     enum class Ask : std::uint8_t {
         CheckOut,
         Release,
@@ -251,6 +283,10 @@ class SessionCore {
         Task,
         Resume,  // of an orphaned lease; outlives the connection
         Tasks,   // what became of those of a lease that was resumed
+        Run,
+        Runs,  // what became of those whose master was resumed
+        GlobalServices,
+        RunRecords,
     };
     using Key = std::pair<Ask, Id128>;
     struct Pending {
@@ -262,7 +298,10 @@ class SessionCore {
         proto::TaskAction action = proto::TASK_ACTION_UNSPECIFIED;
         Done done;
         DetailsDone details_done;
-        std::vector<Id128> tasks;  // of Ask::Tasks
+        GlobalServicesDone global_services_done;
+        RunRecordsDone run_records_done;
+        std::vector<Id128> tasks;  // of Ask::Tasks; of Ask::Runs the runs
+        TimePoint until;           // of Ask::Runs: when it is given up
     };
     /// One check-out of one or more entities, on its way.
     struct CheckOutParty {
@@ -368,6 +407,19 @@ class SessionCore {
     void settleControls(Id128 id, const TaskReport& report);
     void noteFinal(Id128 id);
     std::vector<Id128> openTasks(const Held& held) const;
+    /// Its master was released: until it is final, or the time is up and it becomes Unknown.
+    void awaitRun(Id128 id);
+    void onRunEvent(const std::string& entity, const proto::RunEvent& event);
+    void onRunHistory(const std::string& entity, const proto::RunHistory& history);
+    void onRunsDue(Id128 id);
+    void askAfterRuns(const Held& master);
+    void sendRunHistoryRequest(Pending& pending, Id128 id);
+    void finishRun(Id128 id, RunState state, const Refusal& why);
+    /// What is new of it, to the observer and to who waits for its state.
+    void tellRun(Id128 id);
+    void settleRunControls(Id128 id, const RunReport& report);
+    void cancelRun(Id128 id, const Held& master);
+    std::vector<Id128> openRuns(const Held& master) const;
     /// A refusal that says that the lease is no longer ours.
     void noteRefusal(const std::string& entity, LeaseNumber under, const Refusal& refusal);
     void sendWatches(const std::string& entity);
@@ -401,6 +453,10 @@ class SessionCore {
     std::size_t running_tasks_ = 0;
     std::deque<Id128> finished_tasks_;
     std::map<Held, std::set<Id128>> open_tasks_;  // those of tasks_ that are not final
+    std::unordered_map<Id128, RunEntry> runs_;
+    std::set<Id128> open_runs_;  // those of runs_ that are not final
+    std::deque<Id128> finished_runs_;
+    std::string root_;  // of every lease of this session; of a resumed one, when that was the first
     CheckOutOrders check_outs_;
     std::unordered_map<Id128, Id128> attempts_;  // request → of which of check_outs_
     std::set<Id128> parked_;                     // those of check_outs_ that wait for entities to be free

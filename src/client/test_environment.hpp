@@ -48,6 +48,7 @@ class RecordingObserver final : public SessionObserver {
         entities.emplace_back(presence, entity);
     }
     void onTask(const TaskReport& report) override { tasks.push_back(report); }
+    void onRun(const RunReport& report) override { runs.push_back(report); }
     void onText(const Held&, const std::string& text) override { texts.push_back(text); }
     void onRaw(const Held&, const std::string& bytes) override { raws.push_back(bytes); }
     void onService(const Held&, const Service& service) override { services.push_back(service); }
@@ -63,6 +64,7 @@ class RecordingObserver final : public SessionObserver {
 
     std::vector<std::pair<Presence, Entity>> entities;
     std::vector<TaskReport> tasks;
+    std::vector<RunReport> runs;
     std::vector<std::string> texts, raws;
     std::vector<Service> services;
     std::vector<std::pair<Held, Refusal>> lost;
@@ -108,7 +110,7 @@ class CoreWorld {
     }
     /// The entity's answer to a check-out message that was sent.
     void answerCheckOut(const SentMessage& asked, RefusalCode code = RefusalCode::Ok, int lease = 1,
-                        std::chrono::milliseconds grace = {}) {
+                        std::chrono::milliseconds grace = {}, const std::string& root = {}) {
         proto::ToClient message;
         auto& reply = *message.mutable_check_out();
         reply.set_request_id(asked.body.check_out().request_id());
@@ -121,6 +123,7 @@ class CoreWorld {
             reply.mutable_lease()->set_epoch(1);
             reply.mutable_lease()->set_number(static_cast<std::uint32_t>(lease));
             reply.mutable_lease()->set_key("0123456789abcdef");
+            reply.mutable_lease()->set_root(root);
             reply.set_grace_ms(static_cast<std::uint32_t>(grace.count()));
             auto& service = *reply.mutable_services()->add_services();
             service.set_name("Driving");

@@ -122,6 +122,7 @@ class Completer {
     std::vector<std::string> complete(const Words& words) {
         std::vector<std::string> given;
         const Verb* verb = nullptr;
+        std::string group;   // "global "
         std::string option;  // that still wants its value
         for (const auto& word : words.done) {
             if (!option.empty()) {
@@ -129,8 +130,10 @@ class Completer {
             } else if (word.rfind("--", 0) == 0) {
                 if (word.find('=') == std::string::npos && wantsValue(verb, word)) option = word;
             } else if (verb == nullptr) {
-                verb = findVerb(word);
-                if (verb == nullptr) return {};
+                verb = findVerb(group + word);
+                if (verb != nullptr) continue;
+                if (!group.empty() || findGroup(word) == nullptr) return {};
+                group = word + " ";
             } else {
                 given.push_back(word);
             }
@@ -140,6 +143,8 @@ class Completer {
             for (const auto& one : verb == nullptr ? std::vector<Option>{} : verb->options) {
                 if (option != std::string("--") + one.name) continue;
                 if (one.takes == Takes::File) return {"__files__"};
+                if (one.takes == Takes::Entity) return entities();
+                if (one.takes == Takes::Binding) return bindings(given, words.current);
                 return {one.choices.begin(), one.choices.end()};
             }
             return {};
@@ -148,7 +153,12 @@ class Completer {
         if (verb == nullptr) {
             std::vector<std::string> names;
             for (const auto* one : verbs()) {
-                if (!one->hidden) names.emplace_back(one->name);
+                const std::string name = one->name;
+                if (one->hidden || name.compare(0, group.size(), group) != 0) continue;
+                // The next word of it: a verb, or a group once.
+                const auto next = name.substr(group.size());
+                const auto word = next.substr(0, next.find(' '));
+                if (names.empty() || names.back() != word) names.push_back(word);
             }
             return names;
         }
@@ -208,6 +218,20 @@ class Completer {
             }
             case Takes::KeyValue:
                 return parameters(given, current);
+            case Takes::GlobalService: {
+                std::vector<std::string> names;
+                for (const auto& service : globalServices()) names.push_back(service.at("name"));
+                return names;
+            }
+            case Takes::Run: {
+                Collected seen;
+                session_.perform("global history", Json::object(), seen);
+                std::vector<std::string> ids;
+                if (const auto* list = seen.first("runs")) {
+                    for (const auto& run : list->at("runs")) ids.push_back(run.at("id").get<std::string>().substr(0, 8));
+                }
+                return ids;
+            }
             default:
                 return {};
         }
@@ -221,6 +245,27 @@ class Completer {
             for (const auto& entity : list->at("entities")) names.push_back(entity.at("call"));
         }
         return names;
+    }
+
+    Json globalServices() {
+        Collected seen;
+        session_.perform("global ls", Json::object(), seen);
+        const auto* list = seen.first("global_services");
+        return list == nullptr ? Json::array() : list->at("services");
+    }
+
+    /// `0=`, and after the '=' the entities.
+    std::vector<std::string> bindings(const std::vector<std::string>& given, const std::string& current) {
+        std::vector<std::string> words;
+        if (const auto equals = current.find('='); equals != std::string::npos) {
+            for (const auto& entity : entities()) words.push_back(current.substr(0, equals + 1) + entity);
+            return words;
+        }
+        for (const auto& service : globalServices()) {
+            if (given.empty() || !sameToAPerson(service.at("name").get<std::string>(), given[0])) continue;
+            for (const auto& role : service.at("roles")) words.push_back(line(role) + "=");
+        }
+        return words;
     }
 
     Json services(const std::vector<std::string>& given) {
@@ -328,7 +373,7 @@ extern const Verb kCompletion{
     "  axon completion bash > ~/.local/share/bash-completion/completions/axon   always\n"
     "  axon completion zsh > ~/.zfunc/_axon\n"
     "  axon completion fish > ~/.config/fish/completions/axon.fish\n"
-    "Completes verbs, options, entities, their services, parameters and values.\n",
+    "Completes verbs, options, entities, their services, parameters and values, global services and roles.\n",
     Runs::Local,
     {{"shell", Takes::Choice, true, false, "bash, zsh or fish", {"bash", "zsh", "fish"}}},
     {},

@@ -78,6 +78,8 @@ namespace {
 /// How long a check-out that was given up may take to say so.
 constexpr std::chrono::seconds kGiveUpTime{2};
 
+}  // namespace
+
 /// The library's call waits: on a thread, so that the wait is shown and Ctrl-C heard. What the thread needs
 /// it owns, because a verb that is interrupted twice leaves it behind.
 Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std::string>& ids,
@@ -118,8 +120,6 @@ Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std:
     }
     return *answer;
 }
-
-}  // namespace
 
 Taken takeOut(Session& session) {
     Taken taken;

@@ -33,6 +33,14 @@ class Holding {
     bool own_;
 };
 
+/// A check-out whose wait is shown and which Ctrl-C gives up (`interrupted`).
+Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std::string>& ids,
+                                        const std::string& query, CheckOutOptions options, bool& interrupted);
+
+/// `axon stop`: stops these (none = everything), shows the receipts and after them the `errors`.
+int stopAndShow(Session& session, const std::vector<std::string>& names, Seconds deadline,
+                const std::vector<Json>& errors = {});
+
 /// `axon checkout` up to the grant: reads what is asked for (names or a query, wait, ask, force, policy),
 /// shows how the wait comes along, and gives it up when the user does. Emits its own errors.
 struct Taken {

@@ -7,30 +7,10 @@
 
 // axon stop, rearm, reset, clear
 namespace axon::cli {
-namespace {
 
-int stop(Session& session) {
-    std::vector<std::string> names;
-    std::vector<Json> errors;
-    if (!session.args.value("all", false)) {
-        // A word that means nothing here must not hide the receipts of the others; what a word that means
-        // several stops, the library knows best.
-        for (const auto& name : session.args.value("entity", std::vector<std::string>{})) {
-            const auto found = session.station->find(name);
-            if (!found && found.refusal().code == RefusalCode::UnknownEntity) {
-                errors.push_back(errorEvent(found.refusal(), name));
-            } else {
-                names.push_back(name);
-            }
-        }
-        if (names.empty() && !errors.empty()) {
-            for (const auto& error : errors) session.events.emit(error);
-            session.events.emit(
-                {{"event", "notice"}, {"message", "nothing was stopped; axon stop --all stops everything"}});
-            return kRefused;
-        }
-    }
-    const auto receipts = session.station->stop(names, Seconds(session.args.value("deadline", 1.0)));
+int stopAndShow(Session& session, const std::vector<std::string>& names, Seconds deadline,
+                const std::vector<Json>& errors) {
+    const auto receipts = session.station->stop(names, deadline);
     if (!receipts) {
         for (const auto& error : errors) session.events.emit(error);
         return refuse(session, receipts.refusal());
@@ -54,6 +34,32 @@ int stop(Session& session) {
     for (const auto& error : errors) session.events.emit(error);
     if (!confirmed) return kNotConfirmed;
     return errors.empty() ? kDone : kRefused;
+}
+
+namespace {
+
+int stop(Session& session) {
+    std::vector<std::string> names;
+    std::vector<Json> errors;
+    if (!session.args.value("all", false)) {
+        // A word that means nothing here must not hide the receipts of the others; what a word that means
+        // several stops, the library knows best.
+        for (const auto& name : session.args.value("entity", std::vector<std::string>{})) {
+            const auto found = session.station->find(name);
+            if (!found && found.refusal().code == RefusalCode::UnknownEntity) {
+                errors.push_back(errorEvent(found.refusal(), name));
+            } else {
+                names.push_back(name);
+            }
+        }
+        if (names.empty() && !errors.empty()) {
+            for (const auto& error : errors) session.events.emit(error);
+            session.events.emit(
+                {{"event", "notice"}, {"message", "nothing was stopped; axon stop --all stops everything"}});
+            return kRefused;
+        }
+    }
+    return stopAndShow(session, names, Seconds(session.args.value("deadline", 1.0)), errors);
 }
 
 int rearm(Session& session) {

@@ -7,7 +7,8 @@ namespace axon::cli {
 
 extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, kWatch, kTasks, kPause,
     kResume, kCancel, kStop, kDrill, kHandover, kRearm, kReset, kClear, kProfile, kDoctor, kAgent,
-    kCerts, kCompletion, kComplete, kVersion;
+    kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
+    kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory;
 
 const std::vector<const Verb*>& verbs() {
     static const std::vector<const Verb*> all{
@@ -29,6 +30,15 @@ const std::vector<const Verb*>& verbs() {
         &kCancel,      //
         &kReset,       //
         &kClear,       //
+        &kGlobalLs,       //
+        &kGlobalInfo,     //
+        &kGlobalCheck,    //
+        &kGlobalRun,      //
+        &kGlobalStop,     //
+        &kGlobalPause,    //
+        &kGlobalResume,   //
+        &kGlobalCancel,   //
+        &kGlobalHistory,  //
         &kProfile,     //
         &kDrill,       //
         &kDoctor,      //
@@ -39,6 +49,25 @@ const std::vector<const Verb*>& verbs() {
         &kVersion,     //
     };
     return all;
+}
+
+const std::vector<VerbGroup>& verbGroups() {
+    static const std::vector<VerbGroup> all{
+        {"global", "Global services: several robots together",
+         "To begin:\n"
+         "  axon global ls                  what can the server offer?\n"
+         "  axon global info 'Fetch ball'   its steps, and who could play which role\n"
+         "  axon global check 'Fetch ball'  would it go? nothing moves\n"
+         "  axon global run 'Fetch ball'    do it\n"
+         "axon global VERB --help shows more. Options of every verb (--server, --json, …): axon --help\n"}};
+    return all;
+}
+
+const VerbGroup* findGroup(const std::string& name) {
+    for (const auto& group : verbGroups()) {
+        if (name == group.name) return &group;
+    }
+    return nullptr;
 }
 
 const Verb* findVerb(const std::string& name) {

@@ -13,6 +13,7 @@
 #include <variant>
 #include <vector>
 
+#include "collaboration/bindings.hpp"
 #include "common/refusal.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
@@ -112,6 +113,135 @@ struct TaskReport {
     std::string feedback;
     std::map<std::string, std::vector<Value>> results;
     Refusal reason;  ///< why it failed, was stopped, refused …
+};
+
+// Global services: what several entities do together (docs/reference/profiles.md).
+
+/// An input of a step that an earlier one gives as its output.
+struct ParameterSource {
+    std::string parameter, step, output;
+};
+
+struct GlobalStep {
+    int role = 0;                ///< which participant
+    std::string category, type;  ///< of who may play the role: ROBOT or MACHINE, MOBILE or STATIONARY
+    std::string service_global_id;
+    int preced = 0;                    ///< equal numbers run at the same time
+    std::string name;                  ///< what later steps call it; empty = nothing
+    std::vector<Argument> parameters;  ///< as texts: only the entity knows their types
+    std::vector<ParameterSource> sources;
+};
+
+/// What happens to the others when a step fails. A stop stops all of them in any case.
+enum class OnFailure : std::uint8_t {
+    StopAll,
+    HoldOthers,  ///< steps that can be paused are, the others are stopped; then the operator decides
+    Compensate,  ///< all are stopped, then the steps of the compensation run
+};
+const char* toString(OnFailure on_failure);
+
+struct GlobalService {
+    std::string name, descr;
+    std::string file;  ///< of the server, without its folder
+    OnFailure on_failure = OnFailure::StopAll;
+    std::vector<GlobalStep> steps, compensation;
+};
+
+/// One file of the server's folder. What has errors offers no services.
+struct GlobalFile {
+    std::string name;
+    std::vector<std::string> findings;  ///< "file:line: severity: element: what was expected: how to mend it"
+    bool bad = false;                   ///< there is an error among them
+};
+
+struct GlobalServices {
+    std::vector<GlobalService> services;
+    std::vector<GlobalFile> files;
+};
+
+/// Role → entity: a name as Client::find takes it.
+using Bindings = std::map<int, std::string>;
+
+enum class RunState : std::uint8_t {
+    Checking = 1,  ///< the participants are asked whether they can and may
+    Running,
+    Paused,
+    Held,      ///< a step failed, the others were held: resume tries it again, cancel ends the run
+    Stopping,  ///< a step failed: everybody is being stopped
+    Compensating,
+    Succeeded,  ///< the states from here on are final; of a check: it would be possible
+    Failed,
+    Stopped,
+    Cancelled,
+    Refused,  ///< nothing has moved
+    Unknown   ///< the master was lost while it ran
+};
+inline bool isFinal(RunState state) {
+    return state >= RunState::Succeeded;
+}
+const char* toString(RunState state);
+
+/// How far a step is.
+struct StepReport {
+    int step = 0;              ///< position in the service from 0; those of the compensation after the steps
+    bool compensation = false;
+    std::string called;        ///< its name in the service; empty = none
+    std::string entity, name;  ///< UUID, name
+    std::string service;       ///< global id
+    int preced = 0;
+    std::optional<TaskState> state;  ///< none: its turn has not come
+    double progress = -1;            ///< 0 to 1; negative = not known
+    std::string feedback;
+    std::map<std::string, std::vector<Value>> parameters, results;
+    Refusal reason;
+    std::optional<Seconds> began, ended;  ///< since the launch
+    int tries = 1;                        ///< above 1: after a hold it was tried again
+};
+
+/// Why a run is not possible.
+struct RunProblem {
+    int step = -1;       ///< as in StepReport; -1 = no single one
+    std::string entity;  ///< name
+    Refusal refusal;
+};
+
+struct RunReport {
+    std::string id;       ///< UUID text of the run
+    std::string service;  ///< name of the global service
+    std::string master;   ///< UUID
+    bool check = false;   ///< only whether it would be possible
+    RunState state = RunState::Checking;
+    double progress = 0;  ///< of the whole, 0 to 1
+    Seconds elapsed{0};   ///< since the launch, by the master's clock
+    std::vector<StepReport> steps;  ///< in order of their positions
+    std::vector<RunProblem> problems;
+    Refusal reason;  ///< why it failed, was stopped, refused …
+};
+
+/// Who played a role.
+struct Participant {
+    int role = 0;
+    std::string entity, name;  ///< UUID, name
+};
+
+/// What became of a run; kept by its master.
+struct RunRecord {
+    std::string id;
+    GlobalService service;
+    std::string by;      ///< the client
+    std::string master;  ///< UUID
+    std::vector<Participant> participants;
+    std::chrono::system_clock::time_point asked_at;  ///< by the client's clock
+    Seconds duration{0};
+    RunState state = RunState::Unknown;
+    Refusal reason;
+    std::vector<StepReport> steps;
+};
+
+struct RunHistory {
+    std::vector<RunRecord> runs;  ///< newest first
+    /// Entities that were asked and have not answered: names, and why.
+    std::vector<std::pair<std::string, Refusal>> silent;
 };
 
 /// What became of a stop, stage by stage (architecture, section 7.4). Times since the call, on the client's
@@ -225,6 +355,29 @@ class Task {
 
     struct Shared;
     explicit Task(std::shared_ptr<Shared> shared) : shared_(std::move(shared)) {}
+
+  private:
+    std::shared_ptr<Shared> shared_;
+};
+
+/// A run of a global service, told of by its master. Copies refer to the same run. Dropping the last copy does
+/// not cancel it. Threads and ownership: as of a Task.
+class Run {
+  public:
+    const std::string& id() const;
+    RunReport report() const;
+    /// Until it is final, or the time is up; the newest report either way.
+    RunReport wait(std::optional<Seconds> time = std::nullopt) const;
+    /// Each change from now on, and the present state at once. On the library's callback thread.
+    void onUpdate(std::function<void(const RunReport&)> callback) const;
+    /// Of everything that runs in it. NOT_PAUSABLE where a running step is not.
+    Result<void> pause() const;
+    /// A run that is held tries its failed steps again.
+    Result<void> resume() const;
+    Result<void> cancel() const;
+
+    struct Shared;
+    explicit Run(std::shared_ptr<Shared> shared) : shared_(std::move(shared)) {}
 
   private:
     std::shared_ptr<Shared> shared_;
@@ -353,6 +506,22 @@ class Client {
     Result<std::vector<Service>> services(std::string_view name) const;
     /// Likewise, and how near its dead-men came to their end.
     Result<Details> details(std::string_view name) const;
+
+    /// The global services that the front-end server offers, and what it found in their files.
+    Result<GlobalServices> globalServices() const;
+    /// Who could play which role: everybody who is there is asked for their services. A name of `chosen` that
+    /// means nobody, or several, refuses the whole; what else is in the way stands in the proposal.
+    Result<collaboration::Proposal> propose(const GlobalService& service, const Bindings& chosen = {}) const;
+    /// Asks `master`, one of the participants, to carry the service out; it makes no difference which. Every
+    /// role needs an entity of its own that this client holds (NOT_HOLDER), all under leases of one root
+    /// (check-outs of one session, or resumed from one: WRONG_STATE otherwise). What the participants have
+    /// against it comes as RunState::Refused, with all the problems; nothing has moved then.
+    Result<Run> runGlobal(const GlobalService& service, const Bindings& bindings, std::string_view master);
+    /// Likewise, but nothing moves: Succeeded when it would be possible, else Refused with the problems.
+    Result<Run> checkGlobal(const GlobalService& service, const Bindings& bindings, std::string_view master);
+    /// The runs that these entities, or all that are there, were the master of; `most` of each, 0 = all that
+    /// it keeps.
+    Result<RunHistory> runHistory(const std::vector<std::string>& names = {}, int most = 0) const;
 
     /// Samples of an entity's streams, held or not; no stream named = all. The handle ends the watch when
     /// dropped.

@@ -1,0 +1,288 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "cli/verbs/global.hpp"
+
+#include <algorithm>
+#include <set>
+
+#include "cli/arguments.hpp"
+#include "cli/verbs/holding.hpp"
+#include "cli/words.hpp"
+
+// axon global ls, info, stop, pause, resume, cancel, history
+namespace axon::cli {
+
+Result<GlobalService> findGlobal(Session& session, const std::string& name) {
+    const auto offered = session.station->globalServices();
+    if (!offered) return offered.refusal();
+    const auto found = findGlobalService(offered->services, name);
+    if (found) return *found.value();
+    auto refusal = found.refusal();
+    std::string bad;
+    for (const auto& file : offered->files) {
+        if (file.bad) bad += (bad.empty() ? "" : ", ") + file.name;
+    }
+    if (!bad.empty()) refusal.message += ". What is in " + bad + " is not offered: there are errors in it";
+    return refusal;
+}
+
+int refuseGlobal(Session& session, const Refusal& refusal) {
+    auto event = errorEvent(refusal);
+    switch (refusal.code) {
+        case RefusalCode::UnknownService:
+            event["mend"] = "axon global ls shows the services and what is wrong with their files; axon global "
+                            "info SERVICE who could do what";
+            break;
+        case RefusalCode::UnknownTask:
+            event["mend"] = "axon global history shows the runs";
+            break;
+        case RefusalCode::NotSupported:
+            event["mend"] = "the server, or a robot's Entity Manager, is older than this command: update it";
+            break;
+        default:
+            break;
+    }
+    session.events.emit(event);
+    return exitOf(refusal);
+}
+
+Json toJson(const collaboration::Proposal& proposal) {
+    auto roles = Json::array();
+    for (const auto& outlook : proposal.roles) {
+        auto unfit = Json::array();
+        for (const auto& one : outlook.unfit) {
+            unfit.push_back({{"entity", one.name},
+                             {"entity_id", one.entity},
+                             {"code", refusalName(one.why.code)},
+                             {"why", one.why.message}});
+        }
+        roles.push_back({{"role", outlook.role},
+                         {"wanted", outlook.wanted},
+                         {"able", outlook.able},
+                         {"unfit", std::move(unfit)},
+                         {"entity", outlook.entity.empty() ? Json(nullptr) : Json(outlook.name)},
+                         {"entity_id", outlook.entity.empty() ? Json(nullptr) : Json(outlook.entity)}});
+    }
+    return roles;
+}
+
+namespace {
+
+int ls(Session& session) {
+    const auto offered = session.station->globalServices();
+    if (!offered) return refuseGlobal(session, offered.refusal());
+    auto services = Json::array();
+    for (const auto& service : offered->services) services.push_back(toJson(service));
+    auto files = Json::array();
+    for (const auto& file : offered->files)
+        files.push_back({{"name", file.name}, {"bad", file.bad}, {"findings", file.findings}});
+    session.events.emit({{"event", "global_services"},
+                         {"server", session.station->server()},
+                         {"services", std::move(services)},
+                         {"files", std::move(files)}});
+    return kDone;
+}
+
+int info(Session& session) {
+    const auto service = findGlobal(session, session.args.at("name").get<std::string>());
+    if (!service) return refuseGlobal(session, service.refusal());
+    const auto proposal = session.station->propose(service.value(), {});
+    if (!proposal) return refuseGlobal(session, proposal.refusal());
+    session.events.emit({{"event", "global_service"},
+                         {"service", toJson(service.value())},
+                         {"roles", toJson(proposal.value())},
+                         {"nobody_offers", proposal->nobody_offers},
+                         {"possible", proposal->complete()},
+                         {"why", proposal->why.message}});
+    return kDone;
+}
+
+bool isMeant(const std::string& word, const std::string& id, const std::string& service) {
+    return id.compare(0, word.size(), word) == 0 || sameToAPerson(service, word);
+}
+
+/// The run that was begun here and is meant: by the beginning of its id, by its service, or the only one.
+Result<RunReport> findRun(Session& session, const std::string& word) {
+    std::vector<RunReport> open;
+    std::vector<RunReport> over;
+    for (auto& run : session.station->runs()) {
+        if (run.check || (!word.empty() && !isMeant(word, run.id, run.service))) continue;
+        (client::isFinal(run.state) ? over : open).push_back(std::move(run));
+    }
+    if (open.size() == 1) return open.front();
+    if (open.empty()) {
+        return Refusal{RefusalCode::UnknownTask,
+                       !over.empty()  ? over.back().service + " has ended already: " +
+                                           client::toString(over.back().state)
+                       : session.kept ? "no such run was begun here"
+                                      : "no run was begun here: only a run under axon checkout can be reached "
+                                        "from another command",
+                       {}};
+    }
+    std::string list;
+    for (const auto& run : open) list += "\n  " + run.id + "  " + run.service;
+    return Refusal{RefusalCode::UnknownTask,
+                   "several runs may be meant; name one by the beginning of its id:" + list,
+                   {}};
+}
+
+int control(Session& session, TaskAction action, const char* verb) {
+    const auto run = findRun(session, session.args.value("run", ""));
+    if (!run) return refuseGlobal(session, run.refusal());
+    if (const auto done = session.station->controlRun(run->id, action); !done)
+        return refuseGlobal(session, done.refusal());
+    session.events.emit({{"event", "done"}, {"verb", verb}, {"service", run->service}, {"run", run->id}});
+    return kDone;
+}
+
+int pauseRun(Session& session) {
+    return control(session, TaskAction::Pause, "pause");
+}
+int resumeRun(Session& session) {
+    return control(session, TaskAction::Resume, "resume");
+}
+int cancelRun(Session& session) {
+    return control(session, TaskAction::Cancel, "cancel");
+}
+
+int stop(Session& session) {
+    const auto word = session.args.value("run", "");
+    std::set<std::string> meant;
+    for (const auto& run : session.station->runs()) {
+        if (client::isFinal(run.state) || run.check) continue;
+        if (!word.empty() && !isMeant(word, run.id, run.service)) continue;
+        for (const auto& step : run.steps) meant.insert(step.entity);
+    }
+    if (word.empty()) {
+        for (const auto& entity : session.station->entities()) {
+            if (entity.state == EntityState::COLLAB || entity.state == EntityState::SLAVE)
+                meant.insert(entity.id);
+        }
+    } else if (meant.empty()) {
+        // A run of somebody else: its master knows who takes part. In doubt all that may be meant are stopped.
+        const auto history = session.station->runHistory(0);
+        if (!history) return refuseGlobal(session, history.refusal());
+        for (const auto& run : history->runs) {
+            if (client::isFinal(run.state) || !isMeant(word, run.id, run.service.name)) continue;
+            for (const auto& one : run.participants) meant.insert(one.entity);
+        }
+    }
+    if (meant.empty()) {
+        session.events.emit(
+            {{"event", "notice"},
+             {"message", std::string(word.empty() ? "no robots work together now" : "no such run is going on") +
+                             "; nothing was stopped. axon stop --all stops everything"}});
+        return kNotConfirmed;
+    }
+    return stopAndShow(session, {meant.begin(), meant.end()}, Seconds(session.args.value("deadline", 1.0)));
+}
+
+int history(Session& session) {
+    const auto word = session.args.value("run", "");
+    const auto known = session.station->runHistory(session.args.value("most", 0));
+    if (!known) return refuseGlobal(session, known.refusal());
+    auto silent = Json::array();
+    for (const auto& [name, why] : known->silent)
+        silent.push_back({{"entity", name}, {"code", refusalName(why.code)}, {"message", why.message}});
+    if (word.empty()) {
+        auto runs = Json::array();
+        for (const auto& run : known->runs) runs.push_back(toJson(run, false));
+        session.events.emit({{"event", "runs"}, {"runs", std::move(runs)}, {"silent", std::move(silent)}});
+        return kDone;
+    }
+    std::vector<const RunRecord*> found;
+    for (const auto& run : known->runs) {
+        if (run.id.compare(0, word.size(), word) == 0) found.push_back(&run);
+    }
+    if (found.size() == 1) {
+        session.events.emit(toJson(*found.front(), true));
+        return kDone;
+    }
+    std::string list;
+    for (const auto* run : found) list += "\n  " + run->id + "  " + run->service.name;
+    return refuseGlobal(session, {RefusalCode::UnknownTask,
+                                  found.empty() ? "no run that is remembered has an id that begins with " + word
+                                                : "several runs may be meant; write more of the id:" + list,
+                                  {}});
+}
+
+std::vector<Operand> runOperand() {
+    return {{"run", Takes::GlobalService, false, false,
+             "Its service, or the beginning of its id; none = the only one"}};
+}
+
+}  // namespace
+
+extern const Verb kGlobalLs{"global ls",
+                            "List the global services of the server, and what is wrong with their files",
+                            "  axon global ls\n"
+                            "  axon global ls --json | jq -r '.files[].findings[]'\n"
+                            "The server reads the files of its folder again when they change.\n",
+                            Runs::Anywhere,
+                            {},
+                            {},
+                            ls};
+
+extern const Verb kGlobalInfo{
+    "global info",
+    "Show the steps of a global service, and who could play its roles",
+    "  axon global info 'Fetch ball'\n"
+    "Every entity that is there is asked for its services. For who cannot play it says what is in the way,\n"
+    "and names each service that nobody offers.\n",
+    Runs::Anywhere,
+    {{"name", Takes::GlobalService, true, false, "Name of the global service"}},
+    {},
+    info};
+
+extern const Verb kGlobalStop{
+    "global stop",
+    "Stop at once every robot that takes part in a run",
+    "  axon global stop                everybody who works together with others now\n"
+    "  axon global stop 'Fetch ball'   who takes part in it, whoever began it\n"
+    "  axon global stop 3f2a           in the run whose id begins so\n"
+    "A stop as of axon stop: receipts, exit status 0 only when all are confirmed, no task until axon rearm.\n"
+    "axon global cancel ends a run without a latch.\n",
+    Runs::Anywhere,
+    {{"run", Takes::GlobalService, false, false,
+      "The service, or the beginning of the run's id; none = all that work together"}},
+    {{"deadline", Takes::Duration, "How long to wait for the receipts (1)"}},
+    stop};
+
+extern const Verb kGlobalPause{"global pause",
+                               "Pause a run; every step that runs must be pausable",
+                               "  axon global pause\n"
+                               "  axon global pause 'Fetch ball'\n"
+                               "Reaches the runs that were begun under axon checkout.\n",
+                               Runs::Anywhere,
+                               runOperand(),
+                               {},
+                               pauseRun};
+extern const Verb kGlobalResume{"global resume",
+                                "Let a paused run go on; one that is held tries its failed steps again",
+                                "  axon global resume\n"
+                                "Reaches the runs that were begun under axon checkout.\n",
+                                Runs::Anywhere,
+                                runOperand(),
+                                {},
+                                resumeRun};
+extern const Verb kGlobalCancel{"global cancel",
+                                "End a run without a latch",
+                                "  axon global cancel\n"
+                                "Reaches the runs that were begun under axon checkout.\n",
+                                Runs::Anywhere,
+                                runOperand(),
+                                {},
+                                cancelRun};
+
+extern const Verb kGlobalHistory{
+    "global history",
+    "Show the runs that the robots here remember, newest first",
+    "  axon global history\n"
+    "  axon global history 3f2a     one run with its steps, parameters, results and times\n"
+    "  axon global history --json | jq '.runs[] | select(.state != \"SUCCEEDED\")'\n"
+    "Each robot keeps the last runs of which it was the master.\n",
+    Runs::Anywhere,
+    {{"run", Takes::Run, false, false, "Beginning of a run's id: shows its steps"}},
+    {{"most", Takes::Count, "So many of each robot (all that it keeps)"}},
+    history};
+
+}  // namespace axon::cli

@@ -1,0 +1,16 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <string>
+
+#include "cli/session.hpp"
+
+// What the views have in common: from the members of an event to text that a terminal may show. Pure functions.
+namespace axon::cli {
+
+/// A member of an event as harmless text; empty where there is none.
+std::string textOf(const Json& json, const char* member, bool lines = false);
+std::string valueText(const Json& value);
+std::string valuesText(const Json& values);
+std::string lowerCase(std::string text);
+
+}  // namespace axon::cli
