@@ -319,7 +319,19 @@ void PersonView::showRun(const Json& event) {
     last_progress_at_ = now;
     last_state_ = state;
     if (progress_shown_) wipe();
+    drawRun(event);
+    if (!over) return;
+    board_lines_ = 0;  // it stays
+    showRunEnd(event);
+}
 
+void PersonView::drawRun(const Json& event) {
+    const auto state = textOf(event, "state");
+    const bool over = event.value("final", false);
+    if (!over) {
+        last_run_ = event;
+        last_run_["steps"] = Json::array();
+    }
     const auto width = terminal_.width - 1;
     const auto elapsed = event.value("elapsed_s", 0.0);
     const auto steps = inOrder(steps_, state == "COMPENSATING");
@@ -354,9 +366,6 @@ void PersonView::showRun(const Json& event) {
         ++board_lines_;
     }
     out_ << text << "\x1b[J" << std::flush;
-    if (!over) return;
-    board_lines_ = 0;  // it stays
-    showRunEnd(event);
 }
 
 /// Where nothing can be redrawn: what has changed enough to be worth a line.
@@ -381,6 +390,7 @@ void PersonView::showRunLines(const Json& event) {
 }
 
 void PersonView::showRunEnd(const Json& event) {
+    last_run_ = nullptr;
     const auto state = textOf(event, "state");
     const auto name = textOf(event, "service");
     const bool good = state == "SUCCEEDED";

@@ -134,6 +134,7 @@ PersonView::PersonView(std::ostream& out, std::ostream& err, Terminal terminal, 
     : out_(out), err_(err), terminal_(terminal), clock_(clock) {}
 
 PersonView::~PersonView() {
+    board_lines_ = 0;  // a run that was left behind stays as it was last seen
     wipe();
     out_.flush();
 }
@@ -175,6 +176,12 @@ void PersonView::progress(const std::string& text, double part) {
 }
 
 void PersonView::emit(const Json& event) {
+    show(event);
+    // What was said has taken the place of the run's table.
+    if (terminal_.live && board_lines_ == 0 && last_run_.is_object()) drawRun(last_run_);
+}
+
+void PersonView::show(const Json& event) {
     const auto kind = event.value("event", "");
     if (kind == "entities") return showEntities(event);
     if (kind == "entity") return showEntity(event);

@@ -28,6 +28,7 @@ class PersonView final : public Events {
     void emit(const Json& event) override;
 
   private:
+    void show(const Json& event);
     void showEntities(const Json& event);
     void showEntity(const Json& event);
     void showTask(const Json& event);
@@ -49,7 +50,8 @@ class PersonView final : public Events {
     void showRun(const Json& event);
     void showRuns(const Json& event);
     void showRunRecord(const Json& event);
-    void showRunLines(const Json& changed);
+    void drawRun(const Json& event);
+    void showRunLines(const Json& event);
     void showRunEnd(const Json& event);
     void showProblems(const Json& problems);
     /// One that is replaced by what comes next; where lines cannot be redrawn, now and then an ordinary one.
@@ -69,6 +71,7 @@ class PersonView final : public Events {
     std::optional<TimePoint> last_progress_at_;
     std::string last_feedback_, last_state_;
     int board_lines_ = 0;          // of a run's table, just above the cursor; it is drawn anew
+    Json last_run_;                // without its steps; null when none is shown
     std::map<int, Json> steps_;    // of the run that is shown
     std::map<int, Json> printed_;  // likewise, as they were when a line was printed of them
 };

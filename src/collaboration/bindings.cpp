@@ -217,12 +217,15 @@ Proposal propose(std::vector<Role> roles, std::vector<Candidate> candidates,
     std::vector<std::size_t> player(roles.size(), kNobody);
     std::vector<bool> tried;
     const std::function<bool(std::size_t)> seat = [&](std::size_t candidate) {
-        for (std::size_t r = 0; r < roles.size(); ++r) {
-            if (tried[r] || !fits[r][candidate]) continue;
-            tried[r] = true;
-            if (player[r] == kNobody || seat(player[r])) {
-                player[r] = candidate;
-                return true;
+        // A free role, before anybody has to change his.
+        for (const bool free : {true, false}) {
+            for (std::size_t r = 0; r < roles.size(); ++r) {
+                if (tried[r] || !fits[r][candidate] || (player[r] == kNobody) != free) continue;
+                tried[r] = true;
+                if (free || seat(player[r])) {
+                    player[r] = candidate;
+                    return true;
+                }
             }
         }
         return false;

@@ -66,7 +66,11 @@ class Cast {
                                "axon global info " + shellWord(service.name) + " shows its roles");
         }
         if (const auto refused = appoint(); refused) return refused;
-        if (!proposal->complete()) {
+        // Who is named for every role is asked, whatever seems to be in the way: they say it step by step.
+        const bool all_named =
+            std::all_of(proposal->roles.begin(), proposal->roles.end(),
+                        [&](const auto& outlook) { return chosen.count(outlook.role) != 0; });
+        if (!proposal->complete() && !all_named) {
             auto event = errorEvent(proposal->why);
             event["mend"] = "axon global info " + shellWord(service.name) + " shows who could play what" +
                             (proposal->why.code == RefusalCode::AlreadyHeld
@@ -76,7 +80,13 @@ class Cast {
             session_.events.emit(event);
             return exitOf(proposal->why);
         }
-        for (const auto& outlook : proposal->roles) {
+        for (auto& outlook : proposal->roles) {
+            if (outlook.entity.empty()) {
+                const auto named = session_.station->find(chosen.at(outlook.role));
+                if (!named) return refuse(session_, named.refusal());
+                outlook.entity = named->id;
+                outlook.name = callOf(session_, named.value());
+            }
             players_[outlook.role] = outlook.entity;
             names_.push_back(outlook.name);
         }

@@ -150,6 +150,14 @@ TEST_F(Global, ARoleThatNobodyCanPlayIsSaidAndNothingIsCheckedOut) {
     EXPECT_THAT(seen.last("error")->at("mend").get<std::string>(), HasSubstr("--wait"));
 }
 
+TEST_F(Global, WhoIsNamedForEveryRoleIsAskedWhateverSeemsToBeInTheWay) {
+    station->in_the_way = {{RefusalCode::UnknownService, "role 1: Cyton does not offer fly", {}}};
+    station->run_script = {[](RunReport& report) { report.state = RunState::Refused; }};
+    EXPECT_EQ(perform("check", {{"name", "Fetch ball"}, {"bind", {"0=1111", "1=Cyton"}}}), kRefused);
+    EXPECT_THAT(station->journalNow(), ElementsAre("checkOut", "check", "release", "release"));
+    EXPECT_EQ(seen.events.front()["roles"][1]["entity"], "Cyton");
+}
+
 TEST_F(Global, WaitLooksAgainUntilOthersHaveReleased) {
     station->in_the_way = {{RefusalCode::AlreadyHeld, "role 1: Cyton is held", "cl2@lab"}};
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}, {"wait", 60.0}}), kDone);
