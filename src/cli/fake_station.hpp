@@ -220,9 +220,12 @@ class FakeStation : public Station {
             report.results = step.results;
             update(report);
         }
-        const std::lock_guard lock(mutex_);
-        last_ = report;
-        update_ = std::move(update);
+        {
+            const std::lock_guard lock(mutex_);
+            last_ = report;
+            update_ = std::move(update);
+        }
+        if (on_run) on_run();
         return report.id;
     }
     std::vector<TaskReport> tasks() const override {
@@ -368,7 +371,7 @@ class FakeStation : public Station {
     bool stop_is_confirmed = true;
     bool cancel_is_heard = true;
     bool upload_is_stuck = false;
-    std::function<void()> on_check_out;
+    std::function<void()> on_check_out, on_run;
     GlobalServices global_services;
     Refusal global_refusal, run_refusal;
     std::vector<Refusal> in_the_way;  ///< of the first proposals

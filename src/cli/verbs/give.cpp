@@ -33,8 +33,9 @@ int set(Session& session) {
             return misused(session, arguments.refusal().message);
         return refuse(session, arguments.refusal(), name);
     }
-    const auto holding = Holding::of(session, name, "command");
-    if (!holding) return refuse(session, holding.refusal(), name);
+    int exit = kDone;
+    const auto holding = Holding::of(session, name, "command", exit);
+    if (!holding) return exit;
     for (const auto& argument : arguments.value()) {
         const auto done = session.station->set(found->id, service.value()->name, argument);
         if (!done) return refuse(session, done.refusal(), name);
@@ -70,8 +71,9 @@ int upload(Session& session) {
     if (!service) return refuse(session, service.refusal(), name);
     const auto resource = findResource(*service.value(), session.args.at("resource").get<std::string>());
     if (!resource) return refuse(session, resource.refusal(), name);
-    const auto holding = Holding::of(session, name, "upload");
-    if (!holding) return refuse(session, holding.refusal(), name);
+    int exit = kDone;
+    const auto holding = Holding::of(session, name, "upload", exit);
+    if (!holding) return exit;
 
     const std::string file = session.args.at("file");
     const Json about{{"event", "upload"},
@@ -160,8 +162,9 @@ std::string prepareSend(Json& args) {
 
 int send(Session& session) {
     const auto name = session.args.at("entity").get<std::string>();
-    const auto holding = Holding::of(session, name, "message");
-    if (!holding) return refuse(session, holding.refusal(), name);
+    int exit = kDone;
+    const auto holding = Holding::of(session, name, "message", exit);
+    if (!holding) return exit;
     const auto& entity = holding->entity();
     const auto listening = session.args.contains("for") ? listenTo(session, entity) : nullptr;
     std::size_t size = 0;

@@ -184,14 +184,8 @@ class Cast {
         if (until) options.wait = Seconds(std::max(*until - Clock::now(), Clock::duration{}));
         bool interrupted = false;
         const auto granted = takeAndShow(session_, wanted, "", options, interrupted);
-        if (!granted && !interrupted) return refuse(session_, granted.refusal());
-        if (granted) {
-            for (const auto& entity : granted.value()) own_.push_back(entity.id);
-        }
-        if (interrupted) {
-            session_.events.emit({{"event", "notice"}, {"message", "given up; nothing has moved"}});
-            return kInterrupted;
-        }
+        if (!granted) return interrupted ? kInterrupted : refuse(session_, granted.refusal());
+        for (const auto& entity : granted.value()) own_.push_back(entity.id);
         auto items = Json::array();
         for (const auto& entity : granted.value())
             items.push_back({{"id", entity.id}, {"name", entity.name}, {"call", callOf(session_, entity)}});

@@ -25,14 +25,69 @@ bool holds(const Station& station, const std::string& id) {
     const auto held = station.held();
     return std::any_of(held.begin(), held.end(), [&](const Entity& entity) { return entity.id == id; });
 }
+
+/// How long a check-out that was given up may take to say so.
+constexpr std::chrono::seconds kGiveUpTime{2};
+
 }  // namespace
 
-Result<Holding> Holding::of(Session& session, const std::string& name, const std::string& what) {
-    auto found = session.station->find(name);
-    if (!found) return found.refusal();
+/// The library's call waits: on a thread, so that the wait is shown and Ctrl-C heard. What the thread needs
+/// it owns, because a verb that is interrupted twice leaves it behind.
+Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std::string>& ids,
+                                        const std::string& query, CheckOutOptions options,
+                                        bool& interrupted) {
+    using Answer = Result<std::vector<Entity>>;
+    const auto answer = std::make_shared<Answer>(Refusal{RefusalCode::Cancelled, "it was given up", {}});
+    std::stop_source give_up;
+    options.give_up = give_up.get_token();
+    const auto started = std::chrono::steady_clock::now();
+    options.on_waiting = [mailbox = session.mailbox, started](const client::Waiting& waiting) {
+        const Seconds elapsed = std::chrono::steady_clock::now() - started;
+        mailbox->post({{"event", "waiting"},
+                       {"entity_id", waiting.entity},
+                       {"place", waiting.place},
+                       {"message", waiting.message},
+                       {"elapsed_s", elapsed.count()}},
+                      true);
+    };
+    std::thread([mailbox = session.mailbox, station = session.station, answer, ids, query, options] {
+        *answer = query.empty() ? station->checkOut(ids, options) : station->checkOutQuery(query, options);
+        mailbox->post({{"event", "end"}});
+    }).detach();
+    std::optional<std::chrono::steady_clock::time_point> deadline;
+    bool answered = false;
+    while (!answered) {
+        if (const auto event = session.mailbox->wait(deadline)) {
+            answered = event->at("event") == "end";
+            if (!answered) session.events.emit(*event);
+            continue;
+        }
+        if (!session.mailbox->takeInterrupt() || interrupted) break;  // the thread is left behind
+        interrupted = true;
+        give_up.request_stop();
+        deadline = std::chrono::steady_clock::now() + kGiveUpTime;
+    }
+    if (!interrupted) return *answer;
+    // Granted in the very moment that it was given up.
+    if (answered && answer->ok())
+        for (const auto& entity : answer->value()) static_cast<void>(session.station->release(entity.id).ok());
+    session.events.emit({{"event", "notice"}, {"message", "given up; nothing was checked out"}});
+    return Refusal{RefusalCode::Cancelled, "it was given up", {}};
+}
+
+std::optional<Holding> Holding::of(Session& session, const std::string& name, const std::string& what, int& exit) {
+    const auto found = session.station->find(name);
+    if (!found) {
+        exit = refuse(session, found.refusal(), name);
+        return std::nullopt;
+    }
     const auto& entity = found.value();
     if (holds(*session.station, entity.id)) return Holding(session, entity, false);
-    if (auto granted = session.station->checkOut({entity.id}); !granted) return granted.refusal();
+    bool interrupted = false;
+    if (const auto granted = takeAndShow(session, {entity.id}, {}, {}, interrupted); !granted) {
+        exit = interrupted ? kInterrupted : refuse(session, granted.refusal(), name);
+        return std::nullopt;
+    }
     session.events.emit(
         {{"event", "checked_out"},
          {"entities", {{{"id", entity.id}, {"name", entity.name}, {"call", callOf(session, entity)}}}},
@@ -73,54 +128,6 @@ Result<CheckOutOptions> checkOutOptions(const Json& args) {
     return options;
 }
 
-namespace {
-
-/// How long a check-out that was given up may take to say so.
-constexpr std::chrono::seconds kGiveUpTime{2};
-
-}  // namespace
-
-/// The library's call waits: on a thread, so that the wait is shown and Ctrl-C heard. What the thread needs
-/// it owns, because a verb that is interrupted twice leaves it behind.
-Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std::string>& ids,
-                                        const std::string& query, CheckOutOptions options,
-                                        bool& interrupted) {
-    using Answer = Result<std::vector<Entity>>;
-    const auto answer = std::make_shared<Answer>(Refusal{RefusalCode::Cancelled, "it was given up", {}});
-    std::stop_source give_up;
-    options.give_up = give_up.get_token();
-    const auto started = std::chrono::steady_clock::now();
-    options.on_waiting = [mailbox = session.mailbox, started](const client::Waiting& waiting) {
-        const Seconds elapsed = std::chrono::steady_clock::now() - started;
-        mailbox->post({{"event", "waiting"},
-                       {"entity_id", waiting.entity},
-                       {"place", waiting.place},
-                       {"message", waiting.message},
-                       {"elapsed_s", elapsed.count()}},
-                      true);
-    };
-    std::thread([mailbox = session.mailbox, station = session.station, answer, ids, query, options] {
-        *answer = query.empty() ? station->checkOut(ids, options) : station->checkOutQuery(query, options);
-        mailbox->post({{"event", "end"}});
-    }).detach();
-    std::optional<std::chrono::steady_clock::time_point> deadline;
-    while (true) {
-        const auto event = session.mailbox->wait(deadline);
-        if (event) {
-            if (event->at("event") == "end") break;
-            session.events.emit(*event);
-            continue;
-        }
-        if (!session.mailbox->takeInterrupt() || interrupted) {
-            return Refusal{RefusalCode::Cancelled, "it was given up", {}};  // the thread is left behind
-        }
-        interrupted = true;
-        give_up.request_stop();
-        deadline = std::chrono::steady_clock::now() + kGiveUpTime;
-    }
-    return *answer;
-}
-
 Taken takeOut(Session& session) {
     Taken taken;
     const auto fail = [&](int exit) {
@@ -152,15 +159,7 @@ Taken takeOut(Session& session) {
     if (ids.empty() && query.empty()) return taken;
     bool interrupted = false;
     const auto granted = takeAndShow(session, ids, query, options.value(), interrupted);
-    if (interrupted) {
-        // Granted in the very moment that it was given up.
-        if (granted) {
-            for (const auto& entity : granted.value())
-                static_cast<void>(session.station->release(entity.id).ok());
-        }
-        session.events.emit({{"event", "notice"}, {"message", "given up; nothing was checked out"}});
-        return fail(kInterrupted);
-    }
+    if (interrupted) return fail(kInterrupted);
     if (!granted) {
         if (granted.refusal().code == RefusalCode::Malformed && !query.empty())
             return fail(misused(session, granted.refusal().message));

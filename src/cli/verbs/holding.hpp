@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -13,11 +14,12 @@ int misused(Session& session, const std::string& message, const std::string& men
 
 /// An entity that is held for as long as this lives: the check-out that is kept anyway, or one of its own,
 /// which is released at the end. Says so with a "checked_out" event ("PeopleBot is checked out for this
-/// run").
+/// run"). Ctrl-C gives the check-out up, whatever it waits for.
 class Holding {
   public:
-    /// `what` completes the sentence: "run", "upload".
-    static Result<Holding> of(Session& session, const std::string& name, const std::string& what);
+    /// `what` completes the sentence: "run", "upload". None: the reason has been emitted, and `exit` is what the
+    /// verb ends with.
+    static std::optional<Holding> of(Session& session, const std::string& name, const std::string& what, int& exit);
     Holding(Holding&& other) noexcept;
     Holding& operator=(Holding&&) = delete;
     ~Holding();
@@ -33,7 +35,8 @@ class Holding {
     bool own_;
 };
 
-/// A check-out whose wait is shown and which Ctrl-C gives up (`interrupted`).
+/// A check-out whose wait is shown and which Ctrl-C gives up. `interrupted`: it was given up, the user has been told, and
+/// nothing is held.
 Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std::string>& ids,
                                         const std::string& query, CheckOutOptions options, bool& interrupted);
 

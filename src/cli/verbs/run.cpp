@@ -116,8 +116,9 @@ int run(Session& session) {
         return refuse(session, arguments.refusal(), name);
     }
 
-    const auto holding = Holding::of(session, name, "run");
-    if (!holding) return refuse(session, holding.refusal(), name);
+    int exit = kDone;
+    const auto holding = Holding::of(session, name, "run", exit);
+    if (!holding) return exit;
     const auto& entity = holding->entity();
     const auto listening = detached ? nullptr : listenTo(session, entity);
     const auto started = Clock::now();

@@ -74,16 +74,41 @@ TEST_F(Verbs, RunExitsByWhatBecameOfTheTask) {
 
 TEST_F(Verbs, AnInterruptCancelsTheTaskAndReleases) {
     station->script = {{TaskState::Running, 0.1, "", {}, {}}};
-    mailbox->interrupt();
+    station->on_run = [this] { mailbox->interrupt(); };
     EXPECT_EQ(perform("run", runCyton()), kInterrupted);
     EXPECT_THAT(station->journalNow(), ElementsAre("checkOut", "cancel", "release"));
     EXPECT_EQ(seen.events.back()["state"], "CANCELLED");
 }
 
+TEST_F(Verbs, AnInterruptOfACheckOutOfItsOwnGivesThatUpAndBeginsNothing) {
+    station->waits_for_ever = true;
+    const std::pair<const char*, Json> verbs[] = {
+        {"run", runCyton()},
+        {"set", {{"entity", "Cyton"}, {"service", "Driving"}, {"parameters", {"Range Threshold=500"}}}},
+        {"upload", {{"entity", "Cyton"}, {"service", "Driving"}, {"resource", "Map"}, {"file", "m"}}},
+        {"send", {{"entity", "Cyton"}, {"text", "hello"}}}};
+    for (const auto& [verb, args] : verbs) {
+        station->on_check_out = [this] { mailbox->interrupt(); };
+        EXPECT_EQ(perform(verb, args), kInterrupted) << verb;
+        EXPECT_EQ(seen.last("notice")->at("message"), "given up; nothing was checked out") << verb;
+        EXPECT_EQ(seen.last("error"), nullptr) << verb;
+    }
+    EXPECT_TRUE(station->held().empty());
+    EXPECT_TRUE(station->run_arguments.empty() && station->set_arguments.empty() && station->sent.empty());
+}
+
+TEST_F(Verbs, ACheckOutThatIsGrantedAsItIsGivenUpIsReleased) {
+    station->on_check_out = [this] { mailbox->interrupt(); };
+    station->script = {{TaskState::Succeeded, 1, "", {}, {}}};
+    EXPECT_EQ(perform("run", runCyton()), kInterrupted);
+    EXPECT_THAT(station->journalNow(), ElementsAre("checkOut", "release"));
+    EXPECT_TRUE(station->run_arguments.empty());
+}
+
 TEST_F(Verbs, ASecondInterruptDoesNotWaitForTheTask) {
     station->script = {{TaskState::Running, 0.1, "", {}, {}}};
     station->cancel_is_heard = false;
-    mailbox->interrupt();
+    station->on_run = [this] { mailbox->interrupt(); };
     // The second one comes as the first is handled: the fake never answers, and only this ends the wait at
     // once.
     std::thread second([this] {
@@ -146,6 +171,7 @@ TEST_F(Verbs, AStopThatReachedNothingIsNotConfirmed) {
 }
 
 TEST_F(Verbs, AnInterruptedUploadSendsNoMore) {
+    ASSERT_TRUE(station->checkOut({cyton()}));
     station->upload_is_stuck = true;
     mailbox->interrupt();
     EXPECT_EQ(
