@@ -30,6 +30,19 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
     self->server_ = std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), std::move(server), self);
     self->core_ = std::make_unique<EntityManagerCore>(std::move(settings), clock, random, *self->back_end_.port, *self->server_,
                                                       storage, resources, self->gate_, journal);
+    // The store's thread must not be the one that drops the last reference.
+    self->resources_ = &resources;
+    resources.onWritten([strand = self->strand_, weak = self->weak_from_this(),
+                         told = std::make_shared<std::atomic<bool>>(false)] {
+        if (told->exchange(true)) return;
+        asio::post(strand, [weak, told] {
+            told->store(false);
+            const auto manager = weak.lock();
+            if (!manager || manager->stopped_) return;
+            manager->core_->onResourcesWritten();
+            manager->afterEvents();
+        });
+    });
     return self;
 }
 
@@ -57,6 +70,7 @@ void EntityManager::start() {
 }
 
 void EntityManager::stop() {
+    resources_->onWritten({});
     std::promise<void> done;
     asio::post(strand_, [this, &done] {
         if (!std::exchange(stopped_, true)) {

@@ -104,6 +104,7 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     StopGate gate_;
     BackEnd back_end_;
     std::unique_ptr<EntityCommunicator> server_;
+    ResourceStore* resources_ = nullptr;
     std::unique_ptr<EntityManagerCore> core_;
     asio::steady_timer timer_;
     TimePoint armed_ = TimePoint::max();

@@ -61,6 +61,9 @@ void EntityManagerCore::onServerHeartbeat() {
 void EntityManagerCore::onTimer() {
     machine_->onTimer();
 }
+void EntityManagerCore::onResourcesWritten() {
+    machine_->onResourcesWritten();
+}
 TimePoint EntityManagerCore::nextDeadline() const {
     return machine_->nextDeadline();
 }

@@ -93,6 +93,9 @@ class EntityManagerCore {
     void onTimer();
     TimePoint nextDeadline() const;
 
+    /// ResourceStore::onWritten() has called.
+    void onResourcesWritten();
+
     /// Where the holder may send stops as datagrams (docs/reference/datagrams.md); told with each grant from now on.
     void offerDatagrams(std::string endpoint);
 

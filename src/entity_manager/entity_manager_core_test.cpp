@@ -481,8 +481,7 @@ TEST(EntityManagerCore, WhatIsLargerThanAFrameIsRefusedAndWedgesNothing) {
     EXPECT_EQ(dispatches(rig), 1);
 }
 
-TEST_F(Held, AnUploadStaysInItsWindowAndIsCreditedAsItIsConsumed) {
-    const std::string content(900'000, 'm');
+proto::ToEntity mapOffer(const std::string& content) {
     proto::ToEntity offer;
     offer.mutable_resource_offer()->set_transfer_id(idOf("x"));
     offer.mutable_resource_offer()->set_service("Delivery");
@@ -490,7 +489,20 @@ TEST_F(Held, AnUploadStaysInItsWindowAndIsCreditedAsItIsConsumed) {
     offer.mutable_resource_offer()->set_file_name("map");
     offer.mutable_resource_offer()->set_size(content.size());
     offer.mutable_resource_offer()->set_sha256(test::MemoryResources::fakeHash(content));
-    rig.send("client1", offer);
+    return offer;
+}
+
+proto::ToEntity mapChunk(const std::string& content, std::size_t at, std::size_t size) {
+    proto::ToEntity chunk;
+    chunk.mutable_resource_chunk()->set_transfer_id(idOf("x"));
+    chunk.mutable_resource_chunk()->set_offset(at);
+    chunk.mutable_resource_chunk()->set_content(content.substr(at, size));
+    return chunk;
+}
+
+TEST_F(Held, AnUploadStaysInItsWindowAndIsCreditedAsItIsConsumed) {
+    const std::string content(900'000, 'm');
+    rig.send("client1", mapOffer(content));
     std::uint64_t allowed = 0;
     std::size_t seen = 0;
     const auto readCredits = [&] {
@@ -502,15 +514,59 @@ TEST_F(Held, AnUploadStaysInItsWindowAndIsCreditedAsItIsConsumed) {
         readCredits();
         const auto size = std::min<std::size_t>(50'000, content.size() - at);
         ASSERT_LE(at + size, allowed);
-        proto::ToEntity chunk;
-        chunk.mutable_resource_chunk()->set_transfer_id(idOf("x"));
-        chunk.mutable_resource_chunk()->set_offset(at);
-        chunk.mutable_resource_chunk()->set_content(content.substr(at, size));
-        rig.send("client1", chunk);
+        rig.send("client1", mapChunk(content, at, size));
         at += size;
     }
     ASSERT_TRUE(rig.to_application.back().has_resource());
     EXPECT_EQ(rig.to_application.back().resource().size(), content.size());
+}
+
+TEST_F(Held, AnUploadIsCreditedAndDoneForWhatTheDiskHasTaken) {
+    const std::string content(700'000, 'm');
+    rig.send("client1", mapOffer(content));
+    const auto creditOf = [&] { return rig.to_clients.back().message.resource_credit(); };
+    const auto window = creditOf().window();
+    ASSERT_LT(window, content.size());
+    std::size_t at = 0;
+    const auto sendUpTo = [&](std::size_t end) {
+        for (; at < end;) {
+            const auto size = std::min<std::size_t>(50'000, end - at);
+            rig.resources.behind += size;
+            rig.send("client1", mapChunk(content, at, size));
+            at += size;
+        }
+    };
+    const auto messages = rig.to_clients.size();
+    sendUpTo(window);
+    EXPECT_EQ(rig.to_clients.size(), messages) << "no credit for what waits";
+    rig.resources.behind = 1000;
+    rig.core().onResourcesWritten();
+    EXPECT_EQ(creditOf().offset(), window - 1000);
+    EXPECT_EQ(creditOf().window(), window);
+    rig.core().onResourcesWritten();
+    EXPECT_EQ(rig.to_clients.size(), messages + 1) << "and none twice";
+    sendUpTo(content.size());
+    const auto told = std::any_of(rig.to_application.begin(), rig.to_application.end(),
+                                  [](const auto& message) { return message.has_resource(); });
+    EXPECT_FALSE(told) << "the application would open half a file";
+    rig.resources.behind = 0;
+    rig.core().onResourcesWritten();
+    ASSERT_TRUE(rig.to_application.back().has_resource());
+    EXPECT_EQ(rig.to_application.back().resource().size(), content.size());
+}
+
+TEST_F(Held, AnUploadEndsWithTheReasonWhenTheDiskTakesNoMore) {
+    const std::string content(200'000, 'm');
+    rig.send("client1", mapOffer(content));
+    rig.resources.behind = 50'000;
+    rig.send("client1", mapChunk(content, 0, 50'000));
+    rig.resources.failure = {RefusalCode::Overloaded, "no space left", {}};
+    rig.core().onResourcesWritten();
+    EXPECT_EQ(rig.to_clients.back().message.resource_done().refusal().code(), proto::OVERLOADED);
+    EXPECT_EQ(rig.to_clients.back().message.resource_done().resource(), "Map");
+    const auto messages = rig.to_clients.size();
+    rig.send("client1", mapChunk(content, 50'000, 50'000));
+    EXPECT_EQ(rig.to_clients.size(), messages) << "it has been told";
 }
 
 TEST(EntityManagerCore, AllClientsThatAskAreToldWhyItIsUnavailable) {

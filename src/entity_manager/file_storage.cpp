@@ -321,11 +321,14 @@ class FileResourceStore::Synchroniser {
     std::thread thread_;    // last: it uses the others
 };
 
+/// One upload. `accepted` is the strand's; what is below it belongs to the writer while something waits for it, and to
+/// the strand before and after.
 struct FileResourceStore::Transfer {
     std::string service;
     std::string resource;
     std::string sha256;
     std::uint64_t size = 0;
+    std::uint64_t accepted = 0;
     std::uint64_t written = 0;
     fs::path path;
     File file;
@@ -375,7 +378,138 @@ struct FileResourceStore::Transfer {
         std::error_code ignored;
         fs::remove(noteOf(path), ignored);
     }
+    /// What was complete before a chunk that cannot be written still is.
+    Refusal append(std::string_view content) {
+        if (!file.writeAll(content)) {
+            auto refusal = storeRefusal("write", path);
+            [[maybe_unused]] const auto cut = ::ftruncate(file.fd(), static_cast<off_t>(written));
+            return refusal;
+        }
+        feed(content);
+        if (written - noted >= kNotePeriod) note();
+        return {};
+    }
     std::uint64_t noted = 0;
+};
+
+/// The thread that writes what arrives. What waits is written in the order of its coming, and at the end, too.
+class FileResourceStore::Writer {
+  public:
+    Writer() : thread_([this] { run(); }) {}
+    ~Writer() {
+        onWritten({});
+        {
+            const std::lock_guard lock(mutex_);
+            ending_ = true;
+        }
+        wake_.notify_one();
+        thread_.join();
+    }
+    void onWritten(std::function<void()> changed) {
+        const std::lock_guard lock(telling_);
+        changed_ = std::move(changed);
+    }
+    void write(std::shared_ptr<Transfer> transfer, std::string content) {
+        {
+            const std::lock_guard lock(mutex_);
+            waiting_[transfer.get()].bytes += content.size();
+            bytes_ += content.size();
+            jobs_.push_back({std::move(transfer), std::move(content), false});
+        }
+        wake_.notify_one();
+    }
+    /// After what waits: notes how far it has come, and lets it go.
+    void close(std::shared_ptr<Transfer> transfer) {
+        {
+            const std::lock_guard lock(mutex_);
+            closing_.try_emplace(transfer->path, false);
+            jobs_.push_back({std::move(transfer), {}, true});
+        }
+        wake_.notify_one();
+    }
+    Result<std::uint64_t> waiting(const Transfer& transfer) const {
+        const std::lock_guard lock(mutex_);
+        const auto at = waiting_.find(&transfer);
+        if (at == waiting_.end()) return std::uint64_t{0};
+        if (!at->second.failure.ok()) return at->second.failure;
+        return at->second.bytes;
+    }
+    /// Whether the file is nobody's any more, for which it waits a little, and there is room for more.
+    bool mayOpen(const fs::path& path) {
+        std::unique_lock lock(mutex_);
+        return bytes_ <= kBacklog && closed_.wait_for(lock, kPatience, [&] { return !closing_.contains(path); });
+    }
+    /// Of a file that is being closed: it is to be deleted then. False: it is none.
+    bool dropWhenClosed(const fs::path& path) {
+        const std::lock_guard lock(mutex_);
+        const auto at = closing_.find(path);
+        if (at == closing_.end()) return false;
+        at->second = true;
+        return true;
+    }
+
+  private:
+    struct Job {
+        std::shared_ptr<Transfer> transfer;
+        std::string content;
+        bool last = false;
+    };
+    struct Backlog {
+        std::uint64_t bytes = 0;
+        Refusal failure;
+    };
+
+    void run() {
+        std::unique_lock lock(mutex_);
+        while (true) {
+            wake_.wait(lock, [this] { return ending_ || !jobs_.empty(); });
+            if (jobs_.empty()) return;
+            const auto job = std::move(jobs_.front());
+            jobs_.pop_front();
+            if (job.last) {
+                waiting_.erase(job.transfer.get());
+                lock.unlock();
+                job.transfer->note();
+                lock.lock();
+                if (closing_.at(job.transfer->path)) {
+                    std::error_code ignored;
+                    lock.unlock();
+                    job.transfer->forgetNote();
+                    fs::remove(job.transfer->path, ignored);
+                    lock.lock();
+                }
+                closing_.erase(job.transfer->path);
+                closed_.notify_all();
+                continue;
+            }
+            auto* const backlog = &waiting_[job.transfer.get()];  // this thread alone erases it
+            const bool failed = !backlog->failure.ok();
+            lock.unlock();
+            const auto failure = failed ? Refusal{} : job.transfer->append(job.content);
+            lock.lock();
+            if (!failed) backlog->failure = failure;
+            backlog->bytes -= job.content.size();
+            bytes_ -= job.content.size();
+            if (backlog->bytes == 0 && backlog->failure.ok()) waiting_.erase(job.transfer.get());
+            lock.unlock();
+            {
+                const std::lock_guard telling(telling_);
+                if (changed_) changed_();
+            }
+            lock.lock();
+        }
+    }
+
+    mutable std::mutex mutex_;
+    std::condition_variable wake_, closed_;
+    std::deque<Job> jobs_;                        // guarded by mutex_
+    std::map<const Transfer*, Backlog> waiting_;  // guarded by mutex_
+    std::map<fs::path, bool> closing_;            // guarded by mutex_; true = delete it then
+    std::uint64_t bytes_ = 0;                     // guarded by mutex_; of all that wait
+    bool ending_ = false;                         // guarded by mutex_
+    std::mutex telling_;
+    std::function<void()> changed_;  // guarded by telling_
+    std::thread thread_;             // last: it uses the others
 };
 
 FileResourceStore::FileResourceStore(fs::path folder) : folder_(std::move(folder)) {
@@ -383,6 +517,7 @@ FileResourceStore::FileResourceStore(fs::path folder) : folder_(std::move(folder
     makeFolder(folder_ / "resources");
     makeFolder(folder_ / "incoming");
     synchroniser_ = std::make_unique<Synchroniser>();
+    writer_ = std::make_unique<Writer>();
     dropIncoming(fs::file_time_type::clock::now() - kIncomingKept);
 }
 
@@ -398,14 +533,18 @@ Result<std::uint64_t> FileResourceStore::begin(const proto::ResourceOffer& offer
         if (other->path == incoming)
             return Refusal{
                 RefusalCode::Duplicate, "The same content is being uploaded already. Wait for its end.", {}};
-    auto transfer = std::make_unique<Transfer>(incoming);
+    if (!writer_->mayOpen(incoming))
+        return Refusal{RefusalCode::Overloaded,
+                       "The disk has not taken yet what was uploaded before. Try again in a moment.",
+                       {}};
+    auto transfer = std::make_shared<Transfer>(incoming);
     if (!transfer->file.isOpen()) return storeRefusal("open", incoming);
     transfer->service = offer.service();
     transfer->resource = offer.resource();
     transfer->sha256 = offer.sha256();
     transfer->size = offer.size();
     if (!transfer->resume()) return storeRefusal("use", incoming);
-    const auto here = transfer->written;
+    const auto here = transfer->accepted = transfer->written;
     transfers_[offer.transfer_id()] = std::move(transfer);
     return here;
 }
@@ -415,23 +554,27 @@ Result<void> FileResourceStore::write(std::string_view transfer_id, std::uint64_
     const auto at = transfers_.find(transfer_id);
     if (at == transfers_.end()) return Refusal{RefusalCode::UnknownResource, "There is no such upload.", {}};
     auto& transfer = *at->second;
-    if (offset != transfer.written || content.size() > transfer.size - transfer.written)
+    if (offset != transfer.accepted || content.size() > transfer.size - transfer.accepted)
         return Refusal{RefusalCode::Malformed, "The chunk does not continue the upload.", {}};
-    if (!transfer.file.writeAll(content)) {
-        auto refusal = storeRefusal("write", transfer.path);
-        // A part of the chunk may be there: what was complete before it still is.
-        [[maybe_unused]] const auto cut =
-            ::ftruncate(transfer.file.fd(), static_cast<off_t>(transfer.written));
-        return refusal;
-    }
-    transfer.feed(content);
-    if (transfer.written - transfer.noted >= kNotePeriod) transfer.note();
+    transfer.accepted += content.size();
+    writer_->write(at->second, std::string(content));
     return {};
+}
+
+Result<std::uint64_t> FileResourceStore::waiting(std::string_view transfer_id) const {
+    const auto at = transfers_.find(transfer_id);
+    return at == transfers_.end() ? Result<std::uint64_t>(std::uint64_t{0}) : writer_->waiting(*at->second);
+}
+
+void FileResourceStore::onWritten(std::function<void()> changed) {
+    writer_->onWritten(std::move(changed));
 }
 
 Result<std::string> FileResourceStore::finish(std::string_view transfer_id) {
     const auto at = transfers_.find(transfer_id);
     if (at == transfers_.end()) return Refusal{RefusalCode::UnknownResource, "There is no such upload.", {}};
+    if (const auto waiting = writer_->waiting(*at->second); !waiting || waiting.value() > 0)
+        return Refusal{RefusalCode::WrongState, "It has not been written yet.", {}};
     const auto transfer = std::move(at->second);
     transfers_.erase(at);
     transfer->forgetNote();
@@ -462,7 +605,7 @@ Result<std::string> FileResourceStore::finish(std::string_view transfer_id) {
 void FileResourceStore::suspend(std::string_view transfer_id) {
     const auto at = transfers_.find(transfer_id);
     if (at == transfers_.end()) return;
-    at->second->note();
+    writer_->close(std::move(at->second));
     transfers_.erase(at);
 }
 
@@ -479,6 +622,7 @@ void FileResourceStore::dropIncoming(fs::file_time_type older_than) {
         const bool under_way = std::any_of(transfers_.begin(), transfers_.end(), [&](const auto& transfer) {
             return transfer.second->path == path || noteOf(transfer.second->path) == path;
         });
+        if (writer_->dropWhenClosed(path)) continue;
         const auto written = entry.last_write_time(ignored);
         if (under_way || (!ignored && written >= older_than)) continue;
         auto gone = path;

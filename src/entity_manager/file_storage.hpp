@@ -3,6 +3,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -49,23 +50,30 @@ class FileStorage final : public Storage {
 /// has left there when it has not grown for kIncomingKept. Service and resource names become safe folder
 /// names (letters, digits, '-', '_', ' ' stay; any other byte is %XX).
 ///
-/// No call waits for the disk to synchronise, or reads what has arrived before: a gigabyte would hold up the
-/// strand, and the robot would stop for want of heartbeats. A thread of its own synchronises what finish()
-/// has put in its place and then writes "stored"; a file that has none, because the power was lost before, is
-/// not found by a next life and is uploaded again.
+/// No call waits for the disk to write or synchronise what was uploaded, or reads what has arrived before: a gigabyte would
+/// hold up the strand, and the robot would stop for want of heartbeats. One thread writes and hashes what write()
+/// takes, and notes and closes what is suspended. Another synchronises what finish() has put in its place and then
+/// writes "stored"; a file that has none, because the power was lost before, is not found by a next life and is
+/// uploaded again. begin() and finish() open and rename in the caller's thread.
 ///
-/// Threads: one at a time; one of its own. Bounded: kUnsynchronised files wait for that thread, of more the
-/// oldest is not marked. Failure: refusals; the message names the file. A disk that is full is OVERLOADED.
+/// Threads: one at a time; two of its own. Bounded: what waits to be written by whoever calls write(), who asks
+/// waiting() first, and begin() takes nothing new above kBacklog; kUnsynchronised files wait for their thread, of more the
+/// oldest is not marked. Failure: refusals; the message names the file. A disk that is full is OVERLOADED, and so is one
+/// that has not taken the rest of a suspended transfer when the same content is offered again (kPatience).
 class FileResourceStore final : public ResourceStore {
   public:
     static constexpr std::size_t kUnsynchronised = 64;
     static constexpr std::chrono::hours kIncomingKept{24};
+    static constexpr std::uint64_t kBacklog = 8U << 20U;
+    static constexpr std::chrono::milliseconds kPatience{40};  ///< below the shortest watchdog of the link
 
     explicit FileResourceStore(std::filesystem::path folder);
     ~FileResourceStore() override;
 
     Result<std::uint64_t> begin(const proto::ResourceOffer& offer) override;
     Result<void> write(std::string_view transfer_id, std::uint64_t offset, std::string_view content) override;
+    Result<std::uint64_t> waiting(std::string_view transfer_id) const override;
+    void onWritten(std::function<void()> changed) override;
     Result<std::string> finish(std::string_view transfer_id) override;
     void suspend(std::string_view transfer_id) override;
     void dropSuspended() override;
@@ -75,13 +83,15 @@ class FileResourceStore final : public ResourceStore {
   private:
     struct Transfer;
     class Synchroniser;
+    class Writer;
     std::filesystem::path placeOf(std::string_view service, std::string_view resource) const;
     void dropIncoming(std::filesystem::file_time_type older_than);
 
     std::filesystem::path folder_;
-    std::map<std::string, std::unique_ptr<Transfer>, std::less<>> transfers_;
+    std::map<std::string, std::shared_ptr<Transfer>, std::less<>> transfers_;
     std::set<std::filesystem::path> placed_;  ///< in this life: found whether the disk has them or not
     std::unique_ptr<Synchroniser> synchroniser_;
+    std::unique_ptr<Writer> writer_;
 };
 
 }  // namespace axon::entity_manager

@@ -9,7 +9,10 @@
 #include <unistd.h>
 
 #include <fstream>
+#include <future>
 #include <sstream>
+
+#include "support/loopback.hpp"
 
 namespace axon::entity_manager {
 namespace {
@@ -37,6 +40,10 @@ struct Folder : testing::Test {
         made.set_size(size);
         made.set_sha256(sha256);
         return made;
+    }
+    /// The thread that writes has written it.
+    static bool arrives(const FileResourceStore& store, const std::string& id) {
+        return test::waitUntil([&] { return store.waiting(id).value() == 0; });
     }
     static std::string content(const std::string& path) {
         std::stringstream text;
@@ -138,6 +145,7 @@ TEST_F(Folder, AResourceArrivesInPartsIsCheckedAndFoundAgain) {
     FileResourceStore store(folder);
     EXPECT_EQ(store.begin(offer("t2", 3, kAbc)).value(), 2U) << "resumes after a restart";
     ASSERT_TRUE(store.write("t2", 2, "c").ok());
+    ASSERT_TRUE(arrives(store, "t2"));
     const auto placed = store.finish("t2");
     ASSERT_TRUE(placed.ok()) << placed.refusal().message;
     EXPECT_EQ(content(placed.value()), "abc");
@@ -152,9 +160,11 @@ TEST_F(Folder, AWrongHashDeletesWhatArrivedAndKeepsTheOldFile) {
     FileResourceStore store(folder);
     (void)store.begin(offer("t1", 3, kAbc));
     ASSERT_TRUE(store.write("t1", 0, "abc").ok());
+    ASSERT_TRUE(arrives(store, "t1"));
     ASSERT_TRUE(store.finish("t1").ok());
     (void)store.begin(offer("t2", 3, std::string(32, 'h')));
     ASSERT_TRUE(store.write("t2", 0, "abd").ok());
+    ASSERT_TRUE(arrives(store, "t2"));
     EXPECT_EQ(store.finish("t2").refusal().code, RefusalCode::HashMismatch);
     EXPECT_EQ(content(*store.find("Ser/../vice", "..")), "abc");
     EXPECT_EQ(store.begin(offer("t3", 3, std::string(32, 'h'))).value(), 0U) << "nothing of it is left";
@@ -166,6 +176,7 @@ TEST_F(Folder, ALaterLifeFindsWhatTheDiskHasAndNothingElse) {
         FileResourceStore store(folder);
         (void)store.begin(offer("t1", 3, kAbc));
         ASSERT_TRUE(store.write("t1", 0, "abc").ok());
+        ASSERT_TRUE(arrives(store, "t1"));
         path = store.finish("t1").value();
         EXPECT_EQ(store.find("Ser/../vice", ".."), path) << "at once in the same life";
     }  // which waits for the disk
@@ -186,6 +197,7 @@ TEST_F(Folder, AKilledUploadGoesOnWhereItsLastNoteWas) {
         auto* killed = new FileResourceStore(folder);
         (void)killed->begin(offer("t1", 40U << 20U, kAbc));
         for (std::uint64_t i = 0; i < 20; ++i) ASSERT_TRUE(killed->write("t1", i << 20U, megabyte).ok());
+        ASSERT_TRUE(arrives(*killed, "t1"));
         FileResourceStore next(folder);
         EXPECT_EQ(next.begin(offer("t2", 40U << 20U, kAbc)).value(), 16U << 20U);
         delete killed;
@@ -194,6 +206,50 @@ TEST_F(Folder, AKilledUploadGoesOnWhereItsLastNoteWas) {
         if (entry.path().extension() == ".state") std::ofstream(entry.path()) << "damaged";
     FileResourceStore next(folder);
     EXPECT_EQ(next.begin(offer("t3", 40U << 20U, kAbc)).value(), 0U) << "a damaged note is worth nothing";
+}
+
+TEST_F(Folder, NobodyWaitsForADiskThatDoesNotTakeWhatIsUploaded) {
+    std::promise<void> release;
+    const auto released = release.get_future().share();
+    std::promise<void> stuck;
+    FileResourceStore store(folder);
+    store.onWritten([&, released, first = true]() mutable {
+        if (!std::exchange(first, false)) return;
+        stuck.set_value();
+        released.wait();  // as a write that does not return
+    });
+    (void)store.begin(offer("t1", 3, kAbc));
+    ASSERT_TRUE(store.write("t1", 0, "a").ok());
+    stuck.get_future().wait();
+    ASSERT_TRUE(store.write("t1", 1, "b").ok());
+    ASSERT_TRUE(store.write("t1", 2, "c").ok());
+    EXPECT_EQ(store.waiting("t1").value(), 2U);
+    EXPECT_EQ(store.finish("t1").refusal().code, RefusalCode::WrongState) << "it is not there yet";
+    store.suspend("t1");
+    EXPECT_EQ(store.begin(offer("t2", 3, kAbc)).refusal().code, RefusalCode::Overloaded);
+    // Other content has nothing to wait for but its bytes.
+    EXPECT_EQ(store.begin(offer("t3", FileResourceStore::kBacklog + 1, std::string(32, 'h'))).value(), 0U);
+    ASSERT_TRUE(store.write("t3", 0, std::string(FileResourceStore::kBacklog + 1, 'x')).ok());
+    EXPECT_EQ(store.begin(offer("t4", 3, std::string(32, 'i'))).refusal().code, RefusalCode::Overloaded)
+        << "what waits is bounded";
+    release.set_value();
+    ASSERT_TRUE(arrives(store, "t3"));
+    EXPECT_EQ(store.begin(offer("t5", 3, kAbc)).value(), 3U) << "all that was taken has been written";
+    EXPECT_EQ(content(store.finish("t5").value()), "abc");
+}
+
+TEST_F(Folder, WhatGoesWithItsHolderWhileItIsBeingWrittenIsDeletedToo) {
+    std::promise<void> release;
+    const auto released = release.get_future().share();
+    FileResourceStore store(folder);
+    store.onWritten([released] { released.wait(); });
+    (void)store.begin(offer("t1", 3, kAbc));
+    ASSERT_TRUE(store.write("t1", 0, "ab").ok());
+    store.suspend("t1");
+    store.dropSuspended();
+    release.set_value();
+    ASSERT_TRUE(test::waitUntil([&] { return fs::is_empty(folder / "incoming"); }));
+    EXPECT_EQ(store.begin(offer("t2", 3, kAbc)).value(), 0U);
 }
 
 TEST_F(Folder, ATransferThatIsNotKnownIsRefused) {

@@ -53,6 +53,7 @@ class EntityManagerCore::Machine {
     void onClientUpdate(const Header& head, ClientChange change);
     void onServerHeartbeat();
     void onTimer();
+    void onResourcesWritten();
     TimePoint nextDeadline() const;
     void shutDown();
 

@@ -553,6 +553,19 @@ void EntityManagerCore::Machine::carryResource(const Incident& incident) {
     }
 }
 
+/// On a thread of its own the store has written what a client has sent.
+void EntityManagerCore::Machine::onResourcesWritten() {
+    if (quit_) return;
+    for (const auto& [upload, progress] : uploads_.written()) {
+        const auto& id = upload.offer.transfer_id();
+        if (progress)
+            uploadProgress(id, progress.value());
+        else if (holder() != nullptr)
+            sendResourceDone(*holder(), id, upload.offer.resource(), progress.refusal());
+    }
+    settle();
+}
+
 void EntityManagerCore::Machine::uploadProgress(const std::string& transfer_id,
                                                 const UploadDesk::Progress& progress) {
     if (progress.window > 0 && holder() != nullptr) {

@@ -101,10 +101,15 @@ class ResourceStore {
     virtual ~ResourceStore() = default;
     /// How many bytes of exactly this content (same hash and size) are here already: 0 to offer.size().
     virtual Result<std::uint64_t> begin(const proto::ResourceOffer& offer) = 0;
-    /// `offset` continues where the last write of this transfer ended.
+    /// `offset` continues where the last write of this transfer ended. Nobody waits for the disk.
     virtual Result<void> write(std::string_view transfer_id, std::uint64_t offset,
                                std::string_view content) = 0;
-    /// Checks size and SHA-256 and puts the file in its place; its path, or HASH_MISMATCH (what arrived is
+    /// Bytes that write() has taken and that are not in their file yet; or why they never will be.
+    virtual Result<std::uint64_t> waiting(std::string_view) const { return std::uint64_t{0}; }
+    /// `changed` is called, on any thread, when waiting() of a transfer has. Set before the first begin(). Where
+    /// nothing ever waits it is not called.
+    virtual void onWritten(std::function<void()>) {}
+    /// When nothing waits any more. Checks size and SHA-256 and puts the file in its place; its path, or HASH_MISMATCH (what arrived is
     /// deleted).
     virtual Result<std::string> finish(std::string_view transfer_id) = 0;
     /// Keeps what has arrived, so that a later offer of the same content resumes.

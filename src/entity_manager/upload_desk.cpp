@@ -90,11 +90,35 @@ Result<UploadDesk::Progress> UploadDesk::chunk(const proto::ResourceChunk& chunk
         return refusal;
     }
     upload.received += size;
-    if (upload.received == upload.offer.size()) return Progress{upload.received, 0, true};
+    return advance(at->first, upload);
+}
+
+Result<UploadDesk::Progress> UploadDesk::advance(const std::string& transfer_id, Upload& upload) {
+    const auto waiting = store_.waiting(transfer_id);
+    if (!waiting) {
+        const std::string id = transfer_id;
+        store_.suspend(id);
+        end(id);
+        return waiting.refusal();
+    }
+    const auto written = upload.received - waiting.value();
+    if (written == upload.offer.size()) return Progress{written, 0, true};
     // New credit when half of the old is used: few reverse messages, and the client need not pause.
-    if (upload.credited - upload.received > window_ / 2) return Progress{upload.received, 0, false};
-    upload.credited = upload.received + window_;
-    return Progress{upload.received, window_, false};
+    if (upload.credited - written > window_ / 2 || upload.received == upload.offer.size())
+        return Progress{written, 0, false};
+    upload.credited = written + window_;
+    return Progress{written, window_, false};
+}
+
+std::vector<std::pair<UploadDesk::Upload, Result<UploadDesk::Progress>>> UploadDesk::written() {
+    std::vector<std::pair<Upload, Result<Progress>>> news;
+    for (auto at = uploads_.begin(); at != uploads_.end();) {
+        auto& [id, upload] = *at++;  // it may end
+        const auto before = upload;
+        auto progress = advance(id, upload);
+        if (!progress || progress->window > 0 || progress->complete) news.emplace_back(before, std::move(progress));
+    }
+    return news;
 }
 
 bool UploadDesk::endedLately(std::string_view transfer_id) const {

@@ -6,6 +6,7 @@
 #include <deque>
 #include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/ids.hpp"
@@ -17,7 +18,7 @@ namespace axon::entity_manager {
 /// The resources that are on their way from clients into the store: windows, order, completeness.
 ///
 /// Where in the flow: an offer and then chunks in order; what the client may send ahead is bounded by
-/// credits. Threads: the core's strand. Bounded: at most kMaxUploads at once (OVERLOADED), chunks of at most
+/// credits, which are given for what is written: behind a slow disk no more waits than the window. Threads: the core's strand. Bounded: at most kMaxUploads at once (OVERLOADED), chunks of at most
 /// kMaxChunk bytes, a window per upload. Failure: any broken rule ends that upload, keeping what has arrived
 /// for a later offer of the same content; a hash that differs deletes it.
 class UploadDesk {
@@ -48,6 +49,8 @@ class UploadDesk {
     /// MALFORMED (order), TOO_LARGE (chunk or window): the upload has ended then. UNKNOWN_RESOURCE: no such
     /// upload.
     Result<Progress> chunk(const proto::ResourceChunk& chunk);
+    /// The store has written more of some: what that leads to, or why the upload has ended.
+    std::vector<std::pair<Upload, Result<Progress>>> written();
     /// Whether chunks of this ended upload may still be under way, so that they need no answer.
     bool endedLately(std::string_view transfer_id) const;
     const Upload* find(std::string_view transfer_id) const;
@@ -57,6 +60,7 @@ class UploadDesk {
     std::vector<Upload> suspendAll();
 
   private:
+    Result<Progress> advance(const std::string& transfer_id, Upload& upload);
     void end(const std::string& transfer_id);
 
     ResourceStore& store_;

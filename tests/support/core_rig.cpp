@@ -113,6 +113,10 @@ Result<void> MemoryResources::write(std::string_view transfer_id, std::uint64_t 
     so_far += content;
     return {};
 }
+Result<std::uint64_t> MemoryResources::waiting(std::string_view) const {
+    if (!failure.ok()) return failure;
+    return behind;
+}
 Result<std::string> MemoryResources::finish(std::string_view transfer_id) {
     const auto at = open.find(transfer_id);
     const auto offer = at->second;

@@ -45,6 +45,7 @@ class MemoryResources final : public entity_manager::ResourceStore {
     static std::string fakeHash(std::string_view content);
     Result<std::uint64_t> begin(const proto::ResourceOffer& offer) override;
     Result<void> write(std::string_view transfer_id, std::uint64_t offset, std::string_view content) override;
+    Result<std::uint64_t> waiting(std::string_view transfer_id) const override;
     Result<std::string> finish(std::string_view transfer_id) override;
     void suspend(std::string_view transfer_id) override;
     void dropSuspended() override;
@@ -54,6 +55,8 @@ class MemoryResources final : public entity_manager::ResourceStore {
     std::map<std::string, std::string> partial;   ///< hash → content so far
     std::map<std::string, std::string> complete;  ///< service/resource → content
     std::map<std::string, proto::ResourceOffer, std::less<>> open;
+    std::uint64_t behind = 0;  ///< bytes that a slow disk has not taken yet, of each
+    Refusal failure;           ///< why it never will
 };
 
 /// An EntityManagerCore between fake ports that write every effect down, as a line of text and as it is.
