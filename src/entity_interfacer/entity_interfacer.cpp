@@ -33,7 +33,7 @@ const char* toString(StopSignal::Cause cause) {
         case Cause::Cancel:
             return "cancelled";
         case Cause::Shutdown:
-            return "the robot application shuts down";
+            return "the robot application or its Entity Manager shuts down";
         case Cause::Fault:
             return "an exception left a callback";
     }

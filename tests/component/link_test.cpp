@@ -3,6 +3,7 @@
 // TCP.
 #include <arpa/inet.h>
 #include <axon/link.pb.h>
+#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/socket.h>
 #include <sys/wait.h>
@@ -738,6 +739,46 @@ TEST(Link, ASlowStopCallbackIsNoSilenceOfTheManager) {
     EXPECT_TRUE(manager.linked());
 }
 
+TEST(Link, AStopCallbackMayWaitForALockThatTheTaskHolds) {
+    std::mutex robot;  // of the application
+    std::mutex mutex;
+    std::vector<std::uint32_t> stopped;
+    std::atomic<bool> in_callback{false}, task_saw_it{false};
+    std::atomic<int> lost{0};
+    std::promise<void> release;
+    const auto released = release.get_future().share();
+    EntityInterfacer interfacer(options("Lock"));
+    interfacer.onStop([&](const StopSignal& stop) {
+        if (stop.cause == Cause::LinkLost) lost++;
+        in_callback = true;
+        const std::lock_guard held(robot);
+        const std::lock_guard lock(mutex);
+        stopped.push_back(stop.generation);
+    });
+    interfacer.onTask("Grip", [&, released](Task& task) {
+        const std::lock_guard held(robot);
+        task.waitFor(30s);
+        task_saw_it = task.stopRequested();
+        released.wait_for(400ms * kSlow);  // four of the watchdogs below
+    });
+    interfacer.start();
+    Manager manager("Lock", {5500, 5600}, {}, 100ms, 500ms);
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    manager.setBusy(true);
+    const auto id = manager.dispatch("Grip", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(id) == proto::OK; }));
+    const auto first = manager.stop();
+    // The task learns of the stop while the callback waits for it: who looks at stopRequested() cannot lock up.
+    ASSERT_TRUE(waitUntil([&] { return in_callback && task_saw_it; }));
+    const auto second = manager.stop();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(second) && manager.finalOf(id); }));
+    EXPECT_EQ(manager.finalOf(id)->state(), proto::TASK_STOPPED);
+    const std::lock_guard lock(mutex);
+    EXPECT_EQ(stopped, (std::vector{first, second}));
+    EXPECT_EQ(lost, 0) << "beats were answered all the time";
+    EXPECT_EQ(manager.downs, 0);
+}
+
 TEST(Link, AnExceptionInAHandlerFailsTheTaskStopsAndNoQueuedTaskBegins) {
     Stops stops;
     std::atomic<int> good_runs{0};
@@ -1284,6 +1325,35 @@ TEST(HelloEntity, GreetsWithProgressWaitsAndEndsOnSigterm) {
     EXPECT_EQ(::waitpid(child, &status, 0), child);
     EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0);
     EXPECT_TRUE(waitUntil([&] { return manager.downs == 1; }));
+}
+
+TEST(HelloEntity, EndedInTheMiddleOfATaskItLeavesOnceItHasStopped) {
+    const ScratchFile ports("leave-ports.cfg",
+                            "Axon.Ports = 5600-5620\nAxon.Address = " + test::loopbackAddress() + "\n");
+    const ScratchFile said("leave-said", "");
+    const auto child = ::fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+        ::dup2(::open(said.path().c_str(), O_WRONLY | O_APPEND), STDOUT_FILENO);
+        ::execl(HELLO_ENTITY, "hello-entity", "examples/01_hello_entity", ports.path().c_str(), nullptr);
+        ::_exit(127);
+    }
+    Manager manager("Greeter", {5600, 5620});
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && manager.messages().size() >= 2; }));
+    const auto id = manager.dispatch("Wait", 0, {param("Seconds", 600)});
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(id).has_value(); }));
+    ::kill(child, SIGTERM);
+    int status = -1;
+    EXPECT_EQ(::waitpid(child, &status, 0), child);
+    EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+    // What the stop callback says, it says before it returns.
+    std::string last;
+    std::ifstream text(said.path());
+    for (std::string line; std::getline(text, line);) last = line;
+    EXPECT_EQ(last, toString(Cause::Shutdown));
+    ASSERT_TRUE(waitUntil([&] { return manager.downs == 1; }));
+    ASSERT_TRUE(manager.finalOf(id)) << "the last words come before the end of the link";
+    EXPECT_EQ(manager.finalOf(id)->state(), proto::TASK_STOPPED);
 }
 #endif
 
