@@ -211,11 +211,11 @@ struct ServerStation::Life final : public front_end_server::EntityTopic, public 
               }) {}
 
     // To the entity server.
-    Result<void> clientMsg(const Header& head, std::string_view message) override {
+    Result<void> clientMsg(const std::string&, const Header& head, std::string_view message) override {
         entities.clientMsg(head, message);
         return {};
     }
-    void clientMsgDataSeq(const Header& head, std::string_view data) override {
+    void clientMsgDataSeq(const std::string&, const Header& head, std::string_view data) override {
         entities.clientMsgDataSeq(head, data);
     }
     void clientRequest(const Header& head) override { entities.clientRequest(head); }
@@ -234,7 +234,7 @@ struct ServerStation::Life final : public front_end_server::EntityTopic, public 
                                std::string_view profile) override {
         front_end.entityBasicPrflUpdate(presence, registration, profile);
     }
-    void entityUpdate(const EntityStatus& status) override { front_end.entityUpdate(status); }
+    void entityUpdate(const EntityStatus& status, std::int64_t) override { front_end.entityUpdate(status); }
     void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
                          std::string_view record) override {
         front_end.entitySvcRecord(head, record_id, count, record);

@@ -218,8 +218,12 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
     const bool was_confirmed = receipt.confirmed();
     const Seconds after = clock_.now() - order->given;
     receipt.stop_generation = std::max(receipt.stop_generation, generation);
-    receipt.state = stateFromProto(incoming.state()).value_or(receipt.state);
-    receipt.fault = incoming.fault();
+    // The other copy of an earlier one may come after a later one (several servers: directly, and by the topic).
+    if (auto& said_at = order->said_at[entity]; incoming.at_us() >= said_at) {
+        said_at = incoming.at_us();
+        receipt.state = stateFromProto(incoming.state()).value_or(receipt.state);
+        receipt.fault = incoming.fault();
+    }
     const auto mark = [&](std::optional<Seconds>& stage) {
         if (!stage) stage = after;
     };

@@ -76,6 +76,7 @@ class StopDesk {
         TimePoint given, deadline, resend;
         TimePoint due;                            // the earlier of the two, in due_
         std::map<std::string, Receipt> receipts;  // by UUID
+        std::map<std::string, std::int64_t> said_at;  // by UUID, on the Entity Manager's clock: the newest receipt
         std::size_t unconfirmed = 0;              // of the receipts
         std::optional<int> reached;               // entities, of a stop of everything that was accepted
         std::optional<Seconds> accepted;          // likewise

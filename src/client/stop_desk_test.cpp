@@ -99,6 +99,47 @@ TEST_F(StopDeskTest, AReceiptCollectsItsStagesWithTheirTimes) {
     EXPECT_EQ(marks.of(uuid(3)), 7) << "commands after this stop carry its generation";
 }
 
+TEST_F(StopDeskTest, AReceiptThatComesTwiceIsOne) {
+    stop({"Cyton", "PeopleBot#1"});
+    clock.advance(1ms);
+    receipt(3, proto::StopReceipt::MANAGER);
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED);
+    clock.advance(1ms);  // by the topic between the servers, after the direct ones
+    receipt(3, proto::StopReceipt::MANAGER);
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED);
+    EXPECT_EQ(answers, 0) << "the other one has not answered";
+    receipt(1, proto::StopReceipt::CALLBACK_RETURNED);
+    receipt(1, proto::StopReceipt::CALLBACK_RETURNED);
+    EXPECT_EQ(answers, 1);
+    ASSERT_THAT(receipts, SizeIs(2));
+    for (const auto& one : receipts) {
+        EXPECT_TRUE(one.confirmed());
+        if (one.entity == uuid(3)) {
+            EXPECT_EQ(one.manager, Seconds(1ms)) << "the first counts";
+        }
+    }
+}
+
+TEST_F(StopDeskTest, WhatComesAgainLateTakesNothingBack) {
+    stop({"Cyton"});
+    proto::StopReceipt first;
+    first.set_stop_id(kMe.id + ":1");
+    first.set_stage(proto::StopReceipt::MANAGER);
+    first.set_state(proto::BUSY);
+    first.set_at_us(100);
+    auto second = first;
+    second.set_state(proto::ERR);
+    second.set_fault("the motors did not answer");
+    second.set_at_us(200);
+    desk.onReceipt(uuid(3), first);
+    desk.onReceipt(uuid(3), second);
+    desk.onReceipt(uuid(3), first);
+    advance(10s);
+    ASSERT_THAT(receipts, SizeIs(1));
+    EXPECT_EQ(receipts[0].fault, "the motors did not answer");
+    EXPECT_EQ(receipts[0].state, EntityState::ERR);
+}
+
 TEST_F(StopDeskTest, ALateStageIsSentAgainOnBothLanesAt100ThenEach250Milliseconds) {
     stop({"Cyton"});
     link.sent.clear();

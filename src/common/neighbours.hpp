@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
 #pragma once
+#include <cstdint>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -12,6 +13,9 @@
 #include "common/watchdog.hpp"
 
 namespace axon {
+
+/// How something came from another server: by the topic, or straight.
+enum class Way : std::uint8_t { Topic, Straight };
 
 /// The servers of one kind as one of several servers sees them: who there is, where they take signals, and
 /// who lives (safety.md, "front-end → entity server").

@@ -4,6 +4,7 @@
 #include "entity_server/servants.hpp"
 #include "transport/adapter.hpp"
 #include "transport/timer_thread.hpp"
+#include "transport/topic_adapters.hpp"
 
 namespace axon::entity_server {
 
@@ -23,7 +24,8 @@ class EntityServer::Rim {
         const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
         EntityServerCore::Note note)
         : topic(data, settings.topic_signals,
-                [this](const Header& head, const Refusal& refusal) { core.peerRefusal(Lane::Data, head, refusal); }),
+                {[this](const Header& head, const Refusal& refusal) { core.peerRefusal(Lane::Data, head, refusal); },
+                 [this](const Header& head, const Refusal& refusal) { core.clientUnreached(head, refusal); }}),
           core(
               settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this] { wake(); },
@@ -49,7 +51,10 @@ class EntityServer::Rim {
             router_adapter =
                 transport::listenForRouters(*data, "EntityServerRouter", settings.router_endpoint, *door);
         }
-        if (settings.here == nullptr) listenToFrontEnds(settings, *data);
+        if (settings.here == nullptr) {
+            others = transport::listenToServers<FrontEndToEntityServant>(core, "EntityServer", settings, *data);
+            topic.setDirect(others.signals, others.messages);
+        }
         timer = std::make_unique<transport::TimerThread>(
             // Thousands of idle entities are served in batches, not with a wake-up for each.
             "axon-ent-timer", Lane::Signal, std::chrono::milliseconds{5}, clock, [this] {
@@ -65,24 +70,15 @@ class EntityServer::Rim {
         publisher->wake();  // for what was left before it could be woken
     }
 
-    void listenToFrontEnds(const EntityServerSettings& settings, Ice::Communicator& data) {
-        data_topic = transport::listen(data, "EntityServerTopic", settings.topic_endpoint);
-        signal_topic = transport::listen(*settings.topic_signals, "EntityServerTopicSignal",
-                                         settings.topic_signal_endpoint);
-        const Ice::Identity identity{settings.core.name, "EntityServer"};
-        subscriber =
-            data_topic->add(std::make_shared<FrontEndToEntityServant>(core, Lane::Data), identity)->ice_toString();
-        topic.setDirect(
-            signal_topic->add(std::make_shared<FrontEndToEntityServant>(core, Lane::Signal), identity)->ice_toString(),
-            subscriber);
-    }
-
     void end() {
         timer_ready = nullptr;
         timer.reset();
         publisher_ready = nullptr;
         publisher.reset();
-        if (data_topic) topic.publishTo({}, {});  // what still waits there is refused while there is a core to do it
+        if (!others.data) return;
+        topic.publishTo({}, {});  // what still waits there is refused while there is a core to do it
+        topic.reach({});
+        topic.reachPeers({});
     }
 
     void wake() {
@@ -98,9 +94,7 @@ class EntityServer::Rim {
     std::unique_ptr<transport::RouterConnections> routers;
     std::unique_ptr<transport::RouterDoor> door;
     std::shared_ptr<Ice::ObjectAdapter> router_adapter;
-    std::shared_ptr<Ice::ObjectAdapter> data_topic;  // null where the front-end server is here, as the next
-    std::shared_ptr<Ice::ObjectAdapter> signal_topic;
-    std::string subscriber;
+    transport::TopicAdapters others;
     std::atomic<transport::TimerThread*> timer_ready{nullptr};
     std::atomic<transport::TimerThread*> publisher_ready{nullptr};
     std::unique_ptr<transport::TimerThread> publisher;
@@ -115,7 +109,7 @@ EntityServer::EntityServer(EntityServerSettings settings, const std::shared_ptr<
 EntityServer::~EntityServer() = default;
 
 std::string EntityServer::subscriber() const {
-    return rim_->subscriber;
+    return rim_->others.subscriber;
 }
 
 void EntityServer::publishTo(const std::vector<std::string>& front_ends,
@@ -128,10 +122,7 @@ void EntityServer::activate() {
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
     if (rim_->router_adapter) rim_->router_adapter->activate();
-    if (rim_->data_topic) {
-        rim_->signal_topic->activate();
-        rim_->data_topic->activate();
-    }
+    if (rim_->others.data) rim_->others.activate();
 }
 
 std::string EntityServer::routerAddress() const {

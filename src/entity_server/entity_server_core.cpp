@@ -358,6 +358,10 @@ void EntityServerCore::peerMsg(Lane lane, const Header& head, std::string_view m
     if (const auto from = elsewhere(head.sender.id, lane)) topic_.peerRefusal(lane, from->server, head, noSuchPeer(head));
 }
 
+void EntityServerCore::clientUnreached(const Header& head, const Refusal& refusal) {
+    if (const auto sender = atHome(head.entity, Lane::Data)) sender->data->newRefusalMsg(head, refusal);
+}
+
 void EntityServerCore::peerRefusal(Lane lane, const Header& head, const Refusal& refusal) {
     if (const auto sender = atHome(head.sender.id, lane)) sender->outbox(lane).newRefusalMsg(head, refusal);
 }
@@ -388,8 +392,8 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
     }
 }
 
-void EntityServerCore::refuseUnknown(Lane lane, const Header& head) {
-    if (!alone()) return;
+void EntityServerCore::refuseUnknown(Lane lane, const Header& head, Way way) {
+    if (!alone() && way == Way::Topic) return;
     topic_.entityRefusal(
         lane, head,
         refuse(RefusalCode::UnknownEntity, "no entity " + head.entity.substr(0, 64) +
@@ -408,16 +412,16 @@ bool EntityServerCore::refusedLately(const std::string& sender) {
     return false;
 }
 
-void EntityServerCore::clientMsg(const Header& head, std::string_view message) {
+void EntityServerCore::clientMsg(const Header& head, std::string_view message, Way way) {
     const auto entity = table_.find(head.entity, kData);
-    if (!entity) return refuseUnknown(Lane::Data, head);
+    if (!entity) return refuseUnknown(Lane::Data, head, way);
     entity->data->newClientMsg(head, message);
 }
 
-void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view data) {
+void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view data, Way way) {
     const auto entity = table_.find(head.entity, kData);
     if (!entity) {
-        if (!refusedLately(head.sender.id)) refuseUnknown(Lane::Data, head);
+        if (!refusedLately(head.sender.id)) refuseUnknown(Lane::Data, head, way);
         return;
     }
     entity->data->newClientMsgDataSeq(head, data);
@@ -878,8 +882,7 @@ void EntityServerCore::publishOne(const std::string& entity, const RecordRef& be
         presence(Presence::Changed, now->registration, *now->profile);
     }
     if (again || !same_session || now->status != before->status) {
-        ++publications_;
-        topic_.entityUpdate(now->status);
+        topic_.entityUpdate(now->status, ++publications_);
     }
 }
 

@@ -55,8 +55,8 @@ struct CoreSettings {
 ///
 /// One of several: it announces itself to the front-end servers, and misses them. A front-end server that falls
 /// silent, or has started anew, leaves clients behind that nobody watches: each entity that one of them holds is
-/// stopped and told that it lost its client, also where the grant becomes known later. What is for an entity that
-/// is not here may be another's, and is not refused; the front-end servers know all entities and refuse. Entity
+/// stopped and told that it lost its client, also where the grant becomes known later. What comes by the topic for an
+/// entity that is not here may be another's, and is not refused; what comes straight is. Entity
 /// servers tell each other what entities they have, each second and when that changes: what one entity sends another
 /// finds its way by that, or is refused, and an entity that another living server has is refused as a duplicate
 /// (unless both join within the 50 ms until that is told).
@@ -88,6 +88,8 @@ class EntityServerCore {
                                std::string_view profile);
     /// Its texts are mended: cut at 1024 bytes, and UTF-8.
     void sendStatus(const SessionRef& session, EntityStatus status);
+    /// A message of an entity here, `head.entity`, did not reach the client's front-end server.
+    void clientUnreached(const Header& head, const Refusal& refusal);
     /// An operation that came on the signal lane and belongs on the other: two lanes would overtake each
     /// other.
     void refuseOnSignalLane(const SessionRef& session, const char* msg_type);
@@ -102,8 +104,9 @@ class EntityServerCore {
     void leave(const SessionRef& session, bool orderly, const std::string& why);
 
     // From the front-end servers. `head.sender` has been vouched for.
-    void clientMsg(const Header& head, std::string_view message);
-    void clientMsgDataSeq(const Header& head, std::string_view data);
+    /// What came straight was for an entity here: it is refused where that is not.
+    void clientMsg(const Header& head, std::string_view message, Way way = Way::Topic);
+    void clientMsgDataSeq(const Header& head, std::string_view data, Way way = Way::Topic);
     /// STATUS: everything that is known is published again, and a list of it all at the end; for a front-end
     /// server in a process of its own that comes later than the entities. The embedded one has heard of them all
     /// and does not ask. `head.entity` names the entity server, empty = all.
@@ -160,7 +163,7 @@ class EntityServerCore {
 
     template <class Send>
     void toEntities(const Header& head, Send&& send);
-    void refuseUnknown(Lane lane, const Header& head);
+    void refuseUnknown(Lane lane, const Header& head, Way way = Way::Topic);
     SessionRef atHome(const std::string& entity, Lane lane) const { return table_.find(entity, static_cast<std::size_t>(lane)); }
     ElsewhereRef elsewhere(const std::string& entity, Lane lane) const {
         return elsewhere_.find(entity, static_cast<std::size_t>(lane));

@@ -71,7 +71,7 @@ class FakeTopic final : public FrontEndTopic {
         const char* text[] = {"joined ", "changed ", "left "};
         lines.push_back(text[static_cast<int>(presence)] + registration.name);
     }
-    void entityUpdate(const EntityStatus& status) override {
+    void entityUpdate(const EntityStatus& status, std::int64_t) override {
         lines.push_back(std::string("status ") + toString(status.state));
         last = status;
     }
@@ -738,6 +738,8 @@ TEST_F(OneOfSeveral, RefusesNothingThatAnotherMayHave) {
     core.stopSignal(head(kSecond), StopCause::Requested);
     core.stopSignals(head(""), {kSecond}, StopCause::Requested);
     EXPECT_THAT(topic.take(), IsEmpty());
+    core.clientMsg(head(kSecond), "hello", Way::Straight);
+    EXPECT_THAT(topic.take(), ElementsAre("refused UNKNOWN_ENTITY to c1 of 9")) << "it has left since";
 }
 
 class OtherEntityServers : public OneOfSeveral {

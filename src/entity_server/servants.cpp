@@ -110,13 +110,22 @@ Refusal serverUnreached(const std::string& server) {
 
 IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
                                    const std::shared_ptr<Ice::Communicator>& signal,
-                                   std::function<void(const Header&, const Refusal&)> lost)
-    : lost_([lost = std::move(lost)](const Header& head) {
+                                   Lost lost)
+    : peer_lost_([lost = std::move(lost.to_peer)](const Header& head) {
           lost(head, {RefusalCode::NotConnected,
                       "the connection to the entity server that has that entity has failed; try again", {}});
       }),
+      client_lost_([lost = std::move(lost.to_client)](const Header& head) {
+          lost(head, {RefusalCode::NotConnected, "the connection to the client's front-end server has failed", {}});
+      }),
       front_ends_(data, signal, "entity server"),
       peers_(data, signal, "entity server") {}
+
+/// To the front-end server of the recipient, or to all.
+template <class Call>
+void IceFrontEndTopic::toOne(Traffic traffic, const Header& head, std::string_view bytes, const Call& call) {
+    front_ends_.one(std::string(originOf(head.sender.id).server), traffic, head, bytes, call);
+}
 
 void IceFrontEndTopic::entityBasicPrflUpdate(Presence presence, const Registration& registration,
                                              std::string_view profile) {
@@ -127,15 +136,17 @@ void IceFrontEndTopic::entityBasicPrflUpdate(Presence presence, const Registrati
                                                         std::move(f), std::move(s));
                      });
 }
-void IceFrontEndTopic::entityUpdate(const EntityStatus& status) {
-    front_ends_.data(Traffic::Control, std::size_t{0},
-                     [its_status = toIce(status)](FrontEndPrx& prx, Answered a, Failed f, Sent s) {
-                         prx.entityUpdateAsync(its_status, std::move(a), std::move(f), std::move(s));
-                     });
+void IceFrontEndTopic::entityUpdate(const EntityStatus& status, std::int64_t number) {
+    const auto call = [its_status = toIce(status), its_number = static_cast<double>(number)](
+                          FrontEndPrx& prx, Answered a, Failed f, Sent s) {
+        prx.entityUpdateAsync(its_status, its_number, std::move(a), std::move(f), std::move(s));
+    };
+    front_ends_.neighboursData(Traffic::Control, std::size_t{0}, call);
+    front_ends_.data(Traffic::Control, std::size_t{0}, call);
 }
 void IceFrontEndTopic::entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
                                        std::string_view record) {
-    front_ends_.data(
+    toOne(
         Traffic::Control, head, record,
         [record_id, count](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
             prx.entitySvcRecordAsync(h, record_id, count, bytes, std::move(a), std::move(f), std::move(s));
@@ -148,15 +159,23 @@ void IceFrontEndTopic::entityMsg(Lane lane, const Header& head, std::string_view
     };
     if (lane == Lane::Signal) {
         front_ends_.signal(Traffic::Signal, head, message, call);
-    } else {
+    } else if (head.sender.id.empty()) {
         front_ends_.data(Traffic::Control, head, message, call);
+    } else {
+        const auto ticket = std::make_shared<transport::PublicationTicket>(client_lost_, head);
+        toOne(Traffic::Control, head, message,
+              [ticket](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                  prx.entityMsgAsync(Axon::CommUtil::Lane::Data, h, bytes, std::move(a),
+                                     transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
+                  ticket->given();
+              });
     }
 }
 void IceFrontEndTopic::entityMsgDataSeq(const Header& head, std::string_view data) {
-    front_ends_.data(Traffic::Data, head, data,
-                     [](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                         prx.entityMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-                     });
+    toOne(Traffic::Data, head, data,
+          [](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+              prx.entityMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+          });
 }
 void IceFrontEndTopic::entityRefusal(Lane lane, const Header& head, const Refusal& refusal) {
     const auto call = [code = static_cast<int>(refusal.code), reason = refusal.message](
@@ -166,7 +185,7 @@ void IceFrontEndTopic::entityRefusal(Lane lane, const Header& head, const Refusa
     if (lane == Lane::Signal) {
         front_ends_.signal(Traffic::Signal, head, std::string_view(), call);
     } else {
-        front_ends_.data(Traffic::Control, head, std::string_view(), call);
+        toOne(Traffic::Control, head, std::string_view(), call);
     }
 }
 void IceFrontEndTopic::entityServerEntities(const std::string& server,
@@ -218,7 +237,7 @@ Result<void> IceFrontEndTopic::peerMsg(Lane lane, const std::string& server, con
             });
         return reached ? Result<void>() : serverUnreached(server);
     }
-    const auto ticket = std::make_shared<transport::PublicationTicket>(lost_, head);
+    const auto ticket = std::make_shared<transport::PublicationTicket>(peer_lost_, head);
     peers_.straight(lane, server, Traffic::Control, head, message,
                     [ticket](PeerPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
                         prx.peerMsgAsync(h, bytes, std::move(a),
@@ -329,36 +348,18 @@ transport::RouterDoor doorForRouters(EntityLane& data,
                                      EntityLane& signal,
                                      const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter,
                                      transport::RouterConnections& routers) {
-    auto* const logins = data.logins;
-    transport::RouterDoor door{routers, {}, {}, {}, data.server, {}};
-    door.verify = [logins](transport::LoginRequest request, transport::Logins::Answer answer) {
-        if (logins == nullptr) return answer(transport::LoggedIn{});
-        logins->entity(std::move(request), std::move(answer));
-    };
-    door.vouched =
-        [logins](
-            const std::string& user,
-            const std::optional<transport::PeerCertificate>& certificate) -> Result<transport::LoggedIn> {
-        if (logins == nullptr) return transport::LoggedIn{};
-        return logins->vouchedEntity(user, certificate);
-    };
-    door.open = [&data, &signal, data_adapter, signal_adapter](
-                    Lane lane, const transport::LoggedIn& who, const std::string&,
-                    const std::shared_ptr<transport::RoutedConnection>& peer)
-        -> std::shared_ptr<Glacier2::SessionPrx> {
-        auto& its = lane == Lane::Signal ? signal : data;
-        return transport::addSession<Axon::EntityComm::EntitySessionPrx>(
-            its, peer, std::make_shared<EntitySessionServant>(its, peer, who.entity),
-            lane == Lane::Signal ? signal_adapter : data_adapter);
-    };
-    return door;
+    return transport::makeDoor<Axon::EntityComm::EntitySessionPrx>(
+        data, data_adapter, signal, signal_adapter, routers, &transport::Logins::entity,
+        &transport::Logins::vouchedEntity,
+        [](EntityLane& lane, const std::shared_ptr<transport::RoutedConnection>& peer, const transport::LoggedIn& who,
+           const std::string&) { return std::make_shared<EntitySessionServant>(lane, peer, who.entity); });
 }
 
 void FrontEndToEntityServant::clientMsg(IceHeader head, ByteRange message, const Ice::Current&) {
-    core_.clientMsg(fromIce(std::move(head)), toView(message));
+    core_.clientMsg(fromIce(std::move(head)), toView(message), way_);
 }
 void FrontEndToEntityServant::clientMsgDataSeq(IceHeader head, ByteRange data, const Ice::Current&) {
-    core_.clientMsgDataSeq(fromIce(std::move(head)), toView(data));
+    core_.clientMsgDataSeq(fromIce(std::move(head)), toView(data), way_);
 }
 void FrontEndToEntityServant::clientRequest(IceHeader head, const Ice::Current&) {
     core_.clientRequest(fromIce(std::move(head)));

@@ -37,15 +37,18 @@ class IceEntityOutbox final : public EntityOutbox {
     const transport::CallbackSender<Axon::EntityComm::EntityCallbackPrx> sender_;
 };
 
-/// FrontEndTopic towards front-end servers in other processes: by the topic, and signals besides straight to
-/// each.
+/// FrontEndTopic towards front-end servers in other processes: by the topic; signals and statuses besides straight to
+/// each, and what is for one client straight to its server instead.
 class IceFrontEndTopic final : public FrontEndTopic {
   public:
-    /// `signal`: the communicator of signals between servers. `lost` is called for a message to an entity of another
-    /// server that found nobody after it was taken; any thread.
+    /// What is called for a message that was taken and found nobody then: one to an entity of another server, and
+    /// one to a client. Any thread.
+    struct Lost {
+        std::function<void(const Header&, const Refusal&)> to_peer, to_client;
+    };
+    /// `signal`: the communicator of signals between servers.
     IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
-                     const std::shared_ptr<Ice::Communicator>& signal,
-                     std::function<void(const Header&, const Refusal&)> lost);
+                     const std::shared_ptr<Ice::Communicator>& signal, Lost lost);
     /// As stringified proxies; none: the topic is down.
     void publishTo(const std::vector<std::string>& front_ends, const std::vector<std::string>& entity_servers) {
         front_ends_.publishTo(front_ends);
@@ -58,7 +61,7 @@ class IceFrontEndTopic final : public FrontEndTopic {
     }
     void entityBasicPrflUpdate(Presence presence, const Registration& registration,
                                std::string_view profile) override;
-    void entityUpdate(const EntityStatus& status) override;
+    void entityUpdate(const EntityStatus& status, std::int64_t number) override;
     void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
                          std::string_view record) override;
     void entityMsg(Lane lane, const Header& head, std::string_view message) override;
@@ -73,9 +76,12 @@ class IceFrontEndTopic final : public FrontEndTopic {
     void peerRefusal(Lane lane, const std::string& server, const Header& head, const Refusal& refusal) override;
 
   private:
+    template <class Call>
+    void toOne(transport::Traffic traffic, const Header& head, std::string_view bytes, const Call& call);
     Axon::CommUtil::ServerAnnouncement withProxies(const ServerAnnouncement& self) const;
 
-    const transport::PublicationTicket::Lost lost_;
+    const transport::PublicationTicket::Lost peer_lost_;
+    const transport::PublicationTicket::Lost client_lost_;
     transport::TopicPublisher<Axon::EntityComm::EntityToFrontEndCommPrx> front_ends_;
     transport::TopicPublisher<Axon::FrontEndComm::FrontEndToEntityCommPrx> peers_;
     std::string signals_;
@@ -160,7 +166,7 @@ transport::RouterDoor doorForRouters(EntityLane& data,
 /// Listens to the front-end servers on one lane (thesis figure 3.15).
 class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntityComm {
   public:
-    FrontEndToEntityServant(EntityServerCore& core, Lane lane) : core_(core), lane_(lane) {}
+    FrontEndToEntityServant(EntityServerCore& core, Lane lane, Way way) : core_(core), lane_(lane), way_(way) {}
     void clientMsg(Axon::CommUtil::Header head, transport::ByteRange message, const Ice::Current&) override;
     void clientMsgDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,
                           const Ice::Current&) override;
@@ -182,6 +188,7 @@ class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntit
   private:
     EntityServerCore& core_;
     const Lane lane_;
+    const Way way_;
 };
 
 }  // namespace axon::entity_server

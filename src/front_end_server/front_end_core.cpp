@@ -223,8 +223,10 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
     if (flooded(client)) return;
     head.sender = client->me;
-    if (!alone() && !known_.find(head.entity, kData)) return refuseUnknown(*client->data, head);
-    if (const auto sent = topic_.clientMsg(head, message); !sent.ok()) {
+    const auto known = alone() ? nullptr : known_.find(head.entity, kData);
+    if (!alone() && !known) return refuseUnknown(*client->data, head);
+    if (const auto sent = topic_.clientMsg(known ? known->registration.server : std::string(), head, message);
+        !sent.ok()) {
         client->data->newRefusalMsg(head, sent.refusal());
         return;
     }
@@ -233,7 +235,8 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
 
 void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data) {
     head.sender = client->me;
-    topic_.clientMsgDataSeq(head, data);
+    const auto known = alone() ? nullptr : known_.find(head.entity, kData);
+    if (alone() || known) topic_.clientMsgDataSeq(known ? known->registration.server : std::string(), head, data);
 }
 
 std::size_t FrontEndCore::stopTargets(const std::string& entity) const {
@@ -406,12 +409,13 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
             next->profile = std::make_shared<const std::string>(profile);
             next->status.entity = registration.entity;
             next->status.server = registration.server;
+            if (of_another) next->number = 0;  // that server counts for itself
             next->registration = std::move(registration);
             record = next;
             countBusy(known ? found->second.get() : nullptr, record.get());
             records_[record->registration.entity] = record;
             presence = known ? Presence::Changed : Presence::Joined;
-            if (!known) known_.put(record->registration.entity, record);
+            if (!known || of_another) known_.put(record->registration.entity, record);
         }
     }
     if (!told) return;
@@ -581,17 +585,25 @@ TimePoint FrontEndCore::onNeighboursTimer() {
     return std::min({news.next, next_beat_, next_announcement_});
 }
 
-void FrontEndCore::entityUpdate(EntityStatus status) {
+void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way way) {
     const bool busy = status.state == EntityState::BUSY;
     std::optional<Gone> late;
     std::string entity;
     {
         const std::lock_guard lock(mutex_);
-        hearOf(status.server);
+        if (way == Way::Topic) hearOf(status.server);
         const auto found = records_.find(status.entity);
-        if (found == records_.end() || found->second->status == status) return;
+        if (found == records_.end()) return;
         if (found->second->registration.server != status.server) {
-            disputed_.insert(status.entity);
+            if (found->second->status != status) disputed_.insert(status.entity);
+            return;
+        }
+        if (number != 0 && number <= found->second->number) return;
+        if (found->second->status == status) {
+            if (number == 0) return;
+            auto same = std::make_shared<Record>(*found->second);
+            same->number = number;
+            found->second = std::move(same);
             return;
         }
         entity = status.entity;
@@ -599,6 +611,7 @@ void FrontEndCore::entityUpdate(EntityStatus status) {
         const auto holder = status.holder.id;
         auto next = std::make_shared<Record>(*found->second);
         next->status = status;
+        next->number = number;
         countBusy(found->second.get(), next.get());
         found->second = std::move(next);
         if (before != holder && !before.empty()) {
@@ -623,7 +636,16 @@ void FrontEndCore::entityUpdate(EntityStatus status) {
     }
     if (late && !AXON_PLANTED(LateGrantLeft)) settle(late->sender, late->ending, {{entity, busy}});
     if (busy) wake_();
-    toClients(Lane::Data, {}, [&](ClientOutbox& client) { client.newStatusMsg(status); });
+    // Two copies come on two threads, so a newer one may have been told meanwhile: the last word is the newest.
+    while (true) {
+        toClients(Lane::Data, {}, [&](ClientOutbox& client) { client.newStatusMsg(status); });
+        if (number == 0) return;
+        const std::lock_guard lock(mutex_);
+        const auto found = records_.find(entity);
+        if (found == records_.end() || found->second->number <= number) return;
+        status = found->second->status;
+        number = found->second->number;
+    }
 }
 
 void FrontEndCore::entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,

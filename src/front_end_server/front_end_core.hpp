@@ -105,7 +105,8 @@ class FrontEndCore {
 
     // From the entity servers. `head.sender` is the recipient, its id empty for all.
     void entityBasicPrflUpdate(Presence presence, Registration registration, std::string_view profile);
-    void entityUpdate(EntityStatus status);
+    /// `number`: grows with each of its server, and the first copy counts; 0 = there is one copy.
+    void entityUpdate(EntityStatus status, std::int64_t number = 0, Way way = Way::Topic);
     void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
                          std::string_view record);
     void entityMsg(Lane lane, const Header& head, std::string_view message);
@@ -134,6 +135,7 @@ class FrontEndCore {
         Registration registration;
         std::shared_ptr<const std::string> profile;
         EntityStatus status;
+        std::int64_t number = 0;  // of the status, as its server counts
     };
     using RecordRef = std::shared_ptr<const Record>;
     using Records = std::unordered_map<std::string, RecordRef>;

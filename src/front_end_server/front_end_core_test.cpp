@@ -72,12 +72,13 @@ class FakeOutbox final : public ClientOutbox {
 
 class FakeTopic final : public EntityTopic {
   public:
-    Result<void> clientMsg(const Header& head, std::string_view message) override {
+    Result<void> clientMsg(const std::string& server, const Header& head, std::string_view message) override {
         if (down) return Refusal{RefusalCode::NotConnected, "down", {}};
+        at = server;
         lines.push_back(head.sender.name + " to " + head.entity + " " + std::string(message));
         return {};
     }
-    void clientMsgDataSeq(const Header& head, std::string_view) override {
+    void clientMsgDataSeq(const std::string&, const Header& head, std::string_view) override {
         lines.push_back("data to " + head.entity);
     }
     void clientRequest(const Header& head) override { lines.push_back("request" + head.entity); }
@@ -110,6 +111,7 @@ class FakeTopic final : public EntityTopic {
     std::vector<std::string> lines;
     std::vector<std::int64_t> numbers;  // of stops
     bool down = false;
+    std::string at;  // whose the entity of the last message was
     int beats = 0;
     int announcements = 0;
     ServerAnnouncement announced;
@@ -533,12 +535,13 @@ class OneOfSeveral : public FrontEndTest {
         registration.server = server;
         several.entityBasicPrflUpdate(presence, registration, "profile");
     }
-    void statusAt(const std::string& server, const std::string& id, EntityState state) {
+    void statusAt(const std::string& server, const std::string& id, EntityState state, std::int64_t number = 0,
+                  Way way = Way::Topic) {
         EntityStatus out;
         out.entity = id;
         out.state = state;
         out.server = server;
-        several.entityUpdate(out);
+        several.entityUpdate(out, number, way);
     }
     void passHere(Duration time) {
         const auto end = clock.now() + time;
@@ -675,6 +678,38 @@ TEST_F(OneOfSeveral, RefusesWhatIsForNobodyAndPassesItsStopOnAllTheSame) {
     topic.down = true;
     several.sendToEntity(client, to("e1"), "hello");
     EXPECT_THAT(data->take(), ElementsAre("refused NOT_CONNECTED"));
+}
+
+TEST_F(OneOfSeveral, OfAStatusThatComesTwoWaysTheFirstCounts) {
+    const auto [data, client] = joinHere();
+    entityAt("es1", "e1");
+    announce(Lane::Data, "es1", 1);
+    several.entityServerEntities("es1", {"e1"});
+    data->take();
+    statusAt("es1", "e1", EntityState::REG, 2, Way::Straight);
+    statusAt("es1", "e1", EntityState::BUSY, 3, Way::Straight);
+    const auto told = data->take();
+    EXPECT_EQ(told.size(), 2U);
+    statusAt("es1", "e1", EntityState::REG, 2);
+    statusAt("es1", "e1", EntityState::BUSY, 3);
+    EXPECT_THAT(data->take(), IsEmpty()) << "the topic is late, not new";
+    topic.take();
+    announce(Lane::Data, "es1", 3);
+    EXPECT_THAT(topic.take(), IsEmpty()) << "all that went by the topic has come";
+    entityAt("es2", "e1");
+    data->take();
+    statusAt("es2", "e1", EntityState::IDLE, 1);
+    EXPECT_EQ(data->take().size(), 1U) << "another server counts for itself";
+}
+
+TEST_F(OneOfSeveral, AMessageGoesToTheServerThatHasTheEntityNow) {
+    const auto [data, client] = joinHere();
+    entityAt("es1", "e1");
+    several.sendToEntity(client, to("e1"), "hello");
+    EXPECT_EQ(topic.at, "es1");
+    entityAt("es2", "e1");
+    several.sendToEntity(client, to("e1"), "hello");
+    EXPECT_EQ(topic.at, "es2");
 }
 
 TEST_F(OneOfSeveral, AsksEverybodyWhenTheTopicIsFound) {

@@ -4,6 +4,7 @@
 #include "front_end_server/servants.hpp"
 #include "transport/adapter.hpp"
 #include "transport/timer_thread.hpp"
+#include "transport/topic_adapters.hpp"
 
 namespace axon::front_end_server {
 
@@ -47,7 +48,10 @@ class FrontEndServer::Rim {
             router_adapter =
                 transport::listenForRouters(*data, "FrontEndServerRouter", settings.router_endpoint, *door);
         }
-        if (settings.here == nullptr) listenToEntityServers(settings, *data);
+        if (settings.here == nullptr) {
+            others = transport::listenToServers<EntityToFrontEndServant>(core, "FrontEndServer", settings, *data);
+            topic.setDirect(others.signals, others.messages);
+        }
         timer = std::make_unique<transport::TimerThread>(
             // It walks all clients, and each task that begins wakes it: not for every one of them.
             "axon-fe-timer", Lane::Signal, std::chrono::milliseconds{5}, clock, [this] {
@@ -56,22 +60,12 @@ class FrontEndServer::Rim {
         timer_ready = timer.get();
     }
 
-    void listenToEntityServers(const FrontEndServerSettings& settings, Ice::Communicator& data) {
-        data_topic = transport::listen(data, "FrontEndServerTopic", settings.topic_endpoint);
-        signal_topic = transport::listen(*settings.topic_signals, "FrontEndServerTopicSignal",
-                                         settings.topic_signal_endpoint);
-        const Ice::Identity identity{settings.core.name, "FrontEndServer"};
-        subscriber =
-            data_topic->add(std::make_shared<EntityToFrontEndServant>(core, Lane::Data), identity)->ice_toString();
-        topic.setDirect(
-            signal_topic->add(std::make_shared<EntityToFrontEndServant>(core, Lane::Signal), identity)->ice_toString(),
-            subscriber);
-    }
-
     void end() {
         timer_ready = nullptr;
         timer.reset();
-        if (data_topic) topic.publishTo({});  // what still waits there is refused while there is a core to do it
+        if (!others.data) return;
+        topic.publishTo({});  // what still waits there is refused while there is a core to do it
+        topic.reach({});
     }
 
     void wake() {
@@ -87,9 +81,7 @@ class FrontEndServer::Rim {
     std::unique_ptr<transport::RouterConnections> routers;
     std::unique_ptr<transport::RouterDoor> door;
     std::shared_ptr<Ice::ObjectAdapter> router_adapter;
-    std::shared_ptr<Ice::ObjectAdapter> data_topic;  // null where the entity server is here, as the next
-    std::shared_ptr<Ice::ObjectAdapter> signal_topic;
-    std::string subscriber;
+    transport::TopicAdapters others;
     std::atomic<transport::TimerThread*> timer_ready{nullptr};
     std::unique_ptr<transport::TimerThread> timer;
 };
@@ -103,7 +95,7 @@ FrontEndServer::FrontEndServer(FrontEndServerSettings settings,
 FrontEndServer::~FrontEndServer() = default;
 
 std::string FrontEndServer::subscriber() const {
-    return rim_->subscriber;
+    return rim_->others.subscriber;
 }
 
 void FrontEndServer::publishTo(const std::vector<std::string>& entity_servers) {
@@ -115,10 +107,7 @@ void FrontEndServer::activate() {
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
     if (rim_->router_adapter) rim_->router_adapter->activate();
-    if (rim_->data_topic) {
-        rim_->signal_topic->activate();
-        rim_->data_topic->activate();
-    }
+    if (rim_->others.data) rim_->others.activate();
 }
 
 std::string FrontEndServer::routerAddress() const {

@@ -39,9 +39,10 @@ class ClientOutbox {
 class EntityTopic {
   public:
     virtual ~EntityTopic() = default;
-    /// Refuses where it is known at once that nobody will hear it; the client is told.
-    virtual Result<void> clientMsg(const Header& head, std::string_view message) = 0;
-    virtual void clientMsgDataSeq(const Header& head, std::string_view data) = 0;
+    /// `server` has the entity; empty where there is but one. Refuses where it is known at once that nobody will hear
+    /// it; the client is told.
+    virtual Result<void> clientMsg(const std::string& server, const Header& head, std::string_view message) = 0;
+    virtual void clientMsgDataSeq(const std::string& server, const Header& head, std::string_view data) = 0;
     /// STATUS of the entity server that `head.entity` names, empty = all. For one of several front-end servers;
     /// the only one has heard of everything.
     virtual void clientRequest(const Header& head) = 0;

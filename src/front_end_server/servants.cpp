@@ -111,8 +111,8 @@ namespace {
 
 Refusal topicDown() {
     return {RefusalCode::NotConnected,
-            "the topic between the servers is down: stops get through, nothing else; try again in a few seconds, "
-            "and if that lasts, start icebox again",
+            "the way to the entity's server has failed, and the topic between the servers is down: only stops may get "
+            "through; try again in a few seconds, and if that lasts, start icebox again",
             {}};
 }
 
@@ -124,22 +124,22 @@ IceEntityTopic::IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
     : lost_([lost = std::move(lost)](const Header& head) { lost(head, topicDown()); }),
       publisher_(data, signal, "front-end server") {}
 
-Result<void> IceEntityTopic::clientMsg(const Header& head, std::string_view message) {
+Result<void> IceEntityTopic::clientMsg(const std::string& server, const Header& head, std::string_view message) {
     const auto ticket = std::make_shared<transport::PublicationTicket>(lost_, head);
-    publisher_.data(Traffic::Control, head, message,
-                    [ticket](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                        prx.clientMsgAsync(h, bytes, std::move(a),
-                                           transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
-                        ticket->given();
-                    });
+    publisher_.one(server, Traffic::Control, head, message,
+                   [ticket](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                       prx.clientMsgAsync(h, bytes, std::move(a),
+                                          transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
+                       ticket->given();
+                   });
     if (ticket.use_count() == 1 && ticket->take()) return topicDown();
     return {};
 }
-void IceEntityTopic::clientMsgDataSeq(const Header& head, std::string_view data) {
-    publisher_.data(Traffic::Data, head, data,
-                    [](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                        prx.clientMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-                    });
+void IceEntityTopic::clientMsgDataSeq(const std::string& server, const Header& head, std::string_view data) {
+    publisher_.one(server, Traffic::Data, head, data,
+                   [](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                       prx.clientMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+                   });
 }
 void IceEntityTopic::clientRequest(const Header& head) {
     publisher_.data(Traffic::Control, head, std::string_view(),
@@ -308,29 +308,11 @@ transport::RouterDoor doorForRouters(ClientLane& data,
                                      ClientLane& signal,
                                      const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter,
                                      transport::RouterConnections& routers) {
-    auto* const logins = data.logins;
-    transport::RouterDoor door{routers, {}, {}, {}, data.server, {}};
-    door.verify = [logins](transport::LoginRequest request, transport::Logins::Answer answer) {
-        if (logins == nullptr) return answer(transport::LoggedIn{});
-        logins->client(std::move(request), std::move(answer));
-    };
-    door.vouched =
-        [logins](
-            const std::string& user,
-            const std::optional<transport::PeerCertificate>& certificate) -> Result<transport::LoggedIn> {
-        if (logins == nullptr) return transport::LoggedIn{};
-        return logins->vouchedClient(user, certificate);
-    };
-    door.open = [&data, &signal, data_adapter, signal_adapter](
-                    Lane lane, const transport::LoggedIn& who, const std::string& display_name,
-                    const std::shared_ptr<transport::RoutedConnection>& peer)
-        -> std::shared_ptr<Glacier2::SessionPrx> {
-        auto& its = lane == Lane::Signal ? signal : data;
-        return transport::addSession<Axon::FrontEndComm::ClientSessionPrx>(
-            its, peer, std::make_shared<ClientSessionServant>(its, peer, nameOf(who, display_name), who.role),
-            lane == Lane::Signal ? signal_adapter : data_adapter);
-    };
-    return door;
+    return transport::makeDoor<Axon::FrontEndComm::ClientSessionPrx>(
+        data, data_adapter, signal, signal_adapter, routers, &transport::Logins::client,
+        &transport::Logins::vouchedClient,
+        [](ClientLane& lane, const std::shared_ptr<transport::RoutedConnection>& peer, const transport::LoggedIn& who,
+           const std::string& display_name) { return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who.role); });
 }
 
 void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence presence,
@@ -338,8 +320,8 @@ void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence pre
                                                     ByteRange profile, const Ice::Current&) {
     core_.entityBasicPrflUpdate(fromIce(presence), fromIce(std::move(registration)), toView(profile));
 }
-void EntityToFrontEndServant::entityUpdate(Axon::CommUtil::EntityStatus status, const Ice::Current&) {
-    core_.entityUpdate(fromIce(std::move(status)));
+void EntityToFrontEndServant::entityUpdate(Axon::CommUtil::EntityStatus status, double number, const Ice::Current&) {
+    core_.entityUpdate(fromIce(std::move(status)), static_cast<std::int64_t>(number), way_);
 }
 void EntityToFrontEndServant::entitySvcRecord(IceHeader head, int record_id, int count, ByteRange record,
                                               const Ice::Current&) {

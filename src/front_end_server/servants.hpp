@@ -40,7 +40,8 @@ class IceClientOutbox final : public ClientOutbox {
     const transport::CallbackSender<Axon::FrontEndComm::ClientCallbackPrx> sender_;
 };
 
-/// EntityTopic towards entity servers in other processes: by the topic, and signals besides straight to each.
+/// EntityTopic towards entity servers in other processes: by the topic; signals besides straight to each, and what is
+/// for one entity straight to its server instead.
 class IceEntityTopic final : public EntityTopic {
   public:
     /// `signal`: the communicator of signals between servers. `lost` is called for a client's control message that
@@ -55,8 +56,8 @@ class IceEntityTopic final : public EntityTopic {
         signals_ = std::move(signals);
         messages_ = std::move(messages);
     }
-    Result<void> clientMsg(const Header& head, std::string_view message) override;
-    void clientMsgDataSeq(const Header& head, std::string_view data) override;
+    Result<void> clientMsg(const std::string& server, const Header& head, std::string_view message) override;
+    void clientMsgDataSeq(const std::string& server, const Header& head, std::string_view data) override;
     void clientRequest(const Header& head) override;
     void clientUpdate(const Header& head, ClientChange change) override;
     void stopSignal(const Header& head, StopCause cause) override;
@@ -156,10 +157,10 @@ transport::RouterDoor doorForRouters(ClientLane& data,
 /// Listens to the entity servers on one lane (thesis figure 3.14).
 class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndComm {
   public:
-    EntityToFrontEndServant(FrontEndCore& core, Lane lane) : core_(core), lane_(lane) {}
+    EntityToFrontEndServant(FrontEndCore& core, Lane lane, Way way) : core_(core), lane_(lane), way_(way) {}
     void entityBasicPrflUpdate(Axon::CommUtil::Presence presence, Axon::CommUtil::Registration registration,
                                transport::ByteRange profile, const Ice::Current&) override;
-    void entityUpdate(Axon::CommUtil::EntityStatus status, const Ice::Current&) override;
+    void entityUpdate(Axon::CommUtil::EntityStatus status, double number, const Ice::Current&) override;
     void entitySvcRecord(Axon::CommUtil::Header head, int record_id, int count, transport::ByteRange record,
                          const Ice::Current&) override;
     void entityMsg(Axon::CommUtil::Lane lane, Axon::CommUtil::Header head, transport::ByteRange message,
@@ -175,6 +176,7 @@ class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndC
   private:
     FrontEndCore& core_;
     const Lane lane_;
+    const Way way_;
 };
 
 }  // namespace axon::front_end_server

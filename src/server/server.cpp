@@ -181,11 +181,11 @@ transport::CommunicatorSettings receiptSettings(const ServerSettings& settings) 
 class EntitiesHere final : public front_end_server::EntityTopic {
   public:
     void set(entity_server::EntityServerCore& core) { core_ = &core; }
-    Result<void> clientMsg(const Header& head, std::string_view message) override {
+    Result<void> clientMsg(const std::string&, const Header& head, std::string_view message) override {
         core_->clientMsg(head, message);
         return {};
     }
-    void clientMsgDataSeq(const Header& head, std::string_view data) override {
+    void clientMsgDataSeq(const std::string&, const Header& head, std::string_view data) override {
         core_->clientMsgDataSeq(head, data);
     }
     void clientRequest(const Header& head) override { core_->clientRequest(head); }
@@ -208,7 +208,7 @@ class ClientsHere final : public entity_server::FrontEndTopic {
                                std::string_view profile) override {
         core_->entityBasicPrflUpdate(presence, registration, profile);
     }
-    void entityUpdate(const EntityStatus& status) override { core_->entityUpdate(status); }
+    void entityUpdate(const EntityStatus& status, std::int64_t) override { core_->entityUpdate(status); }
     void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
                          std::string_view record) override {
         core_->entitySvcRecord(head, record_id, count, record);

@@ -94,6 +94,17 @@ class TopicPublisher {
         for (const auto& route : *routes) route.sender->send(arguments...);
     }
 
+    /// To each neighbour, straight; on the data lane.
+    template <class... Arguments>
+    void neighboursData(Arguments&&... arguments) const {
+        const auto routes = direct_data_.load();
+        for (const auto& route : *routes) route.sender->send(arguments...);
+    }
+    /// To this server alone: straight, or by the topic while it is not reached.
+    template <class... Arguments>
+    void one(const std::string& server, Arguments&&... arguments) const {
+        if (!straight(Lane::Data, server, arguments...)) data(arguments...);
+    }
     /// To this neighbour, straight. False where it is not reached.
     template <class... Arguments>
     bool straight(Lane lane, const std::string& server, Arguments&&... arguments) const {

@@ -182,6 +182,7 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
     std::atomic<std::uint64_t> data_received{0};
     std::atomic<std::uint64_t> messages_received{0};
     std::atomic<Role> last_role{Role::Observer};  // of whoever sent a message last
+    std::function<void(const Header&)> on_stop;   // besides the log; set before there are any
 
   private:
     class Callback final : public Axon::EntityComm::EntityCallback {
@@ -202,6 +203,7 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
         void stopSignal(Axon::CommUtil::Header head, Axon::CommUtil::StopCause cause,
                         const Ice::Current&) override {
             entity_.log.add(lane_ + " stop " + toString(transport::fromIce(cause)) + " " + head.sender.name);
+            if (entity_.on_stop) entity_.on_stop(transport::fromIce(Axon::CommUtil::Header(head)));
             if (head.msgType != kMsgDrill) return;
             // As an Entity Manager whose Entity Interfacer acknowledges at once.
             Header receipt;

@@ -7,6 +7,7 @@
 import json
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 import unittest
@@ -58,6 +59,42 @@ class ClusterCommandTest(unittest.TestCase):
         self.assertEqual(self.status()[0], 1)
         for program in before.values():
             self.assertFalse(os.path.exists(f"/proc/{program['pid']}/exe"), program["name"])
+
+    def test_with_tls_a_certificate_opens_the_door_and_binds_the_name(self):
+        cluster = self.lab.start_cluster(shape=("--base-port", 0, "--tls"))
+        certs = cluster.folder / "certs"
+        self.assertEqual(self.lab.axon("ls")[0], 0)
+        client = pathlib.Path(cluster.status["client_config"])
+        lines = [line for line in client.read_text().splitlines() if not line.startswith(("Axon.User=", "Axon.Password="))]
+        bare = [line for line in lines if not line.startswith(("IceSSL.CertFile=", "IceSSL.KeyFile="))]
+        for name, text, expected in (("certificate", lines, 0), ("nothing", bare, 1)):
+            file = self.lab.folder / f"{name}.cfg"
+            file.write_text("\n".join(text) + "\n")
+            status, _, errors = self.lab.axon("ls", env={**self.lab.env, "AXON_CONFIG": str(file)})
+            self.assertEqual(status, expected, f"{name}: {errors}")
+
+        status, _, errors = self.lab.axon("certs", "issue", "--entity", "Greeter", "--folder", str(certs))
+        self.assertEqual(status, 0, errors)
+        robot = self.lab.folder / "robot"
+        shutil.copytree(ROOT / "examples" / "01_hello_entity", robot)
+        low = 5600 + os.getpid() % 1900
+        (robot / "ports.cfg").write_text(f"Axon.Ports = {low}-{low + 3}\n")
+        self.lab.start("application", "hello-entity", robot, robot / "ports.cfg")
+        manager = [line for line in pathlib.Path(cluster.status["entity_config"]).read_text().splitlines()
+                   if not line.startswith(("Axon.User=", "Axon.Password="))]
+
+        def run(name, certificate):
+            file = self.lab.folder / f"{name}.cfg"
+            file.write_text("\n".join(manager).replace("entity-entity.", f"{certificate}.") + "\n")
+            return self.lab.start(name, "axon-entity-manager", "--config", file, "--application", "Greeter",
+                                  "--ports", f"{low}-{low + 3}", "--state", self.lab.folder / f"state-{name}")
+
+        other = run("another-name", "entity-entity")
+        wait_until(lambda: "the certificate that was shown is the entity 'entity's" in other.text(), "it is told why", 15)
+        self.assertEqual(self.lab.entities(), [])
+        other.end()
+        run("its-name", "entity-Greeter")
+        self.assertEqual(len(self.lab.wait_for_entity("Greeter")), 1)
 
     def test_without_the_password_nobody_gets_in_and_both_sides_say_why(self):
         self.lab.start_server()
