@@ -10,19 +10,15 @@
 
 #include <thread>
 
+#include "component/any_ports.hpp"
 #include "component/raw_peers.hpp"
 #include "entity_manager/entity_communicator.hpp"
 #include "entity_manager/server_communicators.hpp"
-#include "server/server.hpp"
-#include "support/loopback.hpp"
 
 namespace axon::test {
 namespace {
 
 using entity_manager::EntityCommunicator;
-
-constexpr const char* kFirst = "00000000-0000-4000-8000-000000000001";
-constexpr const char* kSecond = "00000000-0000-4000-8000-000000000002";
 
 /// Registers itself when there is a session, and writes down what comes.
 class Peer final : public entity_manager::ServerEvents, public std::enable_shared_from_this<Peer> {
@@ -76,11 +72,7 @@ class Peer final : public entity_manager::ServerEvents, public std::enable_share
 };
 
 TEST(Peers, AnEntityManagerReachesAnotherOnBothLanesAndHearsOfWhatDidNotArrive) {
-    server::ServerSettings settings;
-    const auto any_port = loopbackAddress() + ":0";
-    settings.client_endpoint = settings.client_signal_endpoint = any_port;
-    settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
-    server::Server server(settings);
+    server::Server server(onLoopback());
     const auto address = server.entityAddress(Lane::Data);
     const auto port = static_cast<std::uint16_t>(std::stoi(address.substr(address.rfind(':') + 1)));
 

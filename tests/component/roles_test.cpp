@@ -17,28 +17,20 @@
 #include <memory>
 #include <sstream>
 
+#include "component/any_ports.hpp"
 #include "component/raw_peers.hpp"
-#include "server/server.hpp"
-#include "support/loopback.hpp"
 
 namespace axon::test {
 namespace {
 
 using namespace std::chrono_literals;
 
-constexpr const char* kFirst = "00000000-0000-4000-8000-000000000001";
-constexpr const char* kSecond = "00000000-0000-4000-8000-000000000002";
-constexpr const char* kThird = "00000000-0000-4000-8000-000000000003";
 const std::string kUnknownEntity = "refused 20";
 
 server::ServerSettings oneOfSeveral(server::ServerRole role, const std::string& name) {
-    const auto any_port = loopbackAddress() + ":0";
-    server::ServerSettings settings;
+    auto settings = onLoopback();
     settings.role = role;
     settings.name = name;
-    settings.client_endpoint = settings.client_signal_endpoint = any_port;
-    settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
-    settings.topic_endpoint = settings.topic_signal_endpoint = any_port;
     return settings;
 }
 

@@ -14,28 +14,15 @@
 #include <filesystem>
 #include <fstream>
 
+#include "component/any_ports.hpp"
 #include "component/raw_peers.hpp"
 #include "server/options.hpp"
-#include "server/server.hpp"
 #include "server/users.hpp"
-#include "support/loopback.hpp"
 
 namespace axon::test {
 namespace {
 
 using namespace std::chrono_literals;
-
-constexpr const char* kFirst = "00000000-0000-4000-8000-000000000001";
-constexpr const char* kSecond = "00000000-0000-4000-8000-000000000002";
-constexpr const char* kThird = "00000000-0000-4000-8000-000000000003";
-
-server::ServerSettings onLoopback() {
-    const auto any_port = loopbackAddress() + ":0";
-    server::ServerSettings settings;
-    settings.client_endpoint = settings.client_signal_endpoint = any_port;
-    settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
-    return settings;
-}
 
 class Servers : public testing::Test {
   protected:
