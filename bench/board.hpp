@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <string>
 
 namespace axon::bench {
+
+/// So many of its last tasks a receiver remembers.
+inline constexpr int kTaskMarks = 32;
 
 /// What one receiver noted, in memory shared by the processes of a run. Times are CLOCK_MONOTONIC in nanoseconds.
 struct alignas(64) Slot {
@@ -13,6 +17,11 @@ struct alignas(64) Slot {
     std::atomic<std::uint32_t> stops{0};
     std::atomic<std::uint32_t> data{0};
     std::atomic<std::uint32_t> corrupt{0};
+    std::atomic<std::uint32_t> tasks{0};  ///< ever
+    std::array<std::atomic<std::int64_t>, kTaskMarks> task_at{};
+
+    /// When the handler of its task with this number, from 0, was entered.
+    std::int64_t entered(std::uint32_t task) const { return task_at[task % kTaskMarks]; }
 };
 
 /// A file of slots, mapped by the sender and by the process of the receivers. Throws std::system_error.

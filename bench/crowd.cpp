@@ -48,6 +48,20 @@ class MemoryLink final : public BackEndPort {
         });
     }
     bool send(const proto::EmToEi& message) override {
+        if (message.has_task()) {
+            slot_.task_at[slot_.tasks % kTaskMarks] = nowNs();
+            ++slot_.tasks;
+            asio::post(strand_, [this, id = message.task().task_id()] {
+                proto::EiToEm answer;
+                answer.mutable_task_answer()->set_task_id(id);
+                sink_.onLinkMessage(answer);
+                proto::EiToEm ended;
+                ended.mutable_task()->mutable_event()->set_task_id(id);
+                ended.mutable_task()->mutable_event()->set_state(proto::TASK_SUCCEEDED);
+                sink_.onLinkMessage(ended);
+            });
+            return true;
+        }
         if (!message.has_raw()) return true;
         slot_.data_at = nowNs();  // before the content is checked, as with the other's receivers
         for (const auto& block : message.raw().data()) {

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <signal.h>
-#include <sys/prctl.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
@@ -17,10 +15,11 @@
 #include <sstream>
 #include <thread>
 
+#include "axon_crowd.hpp"
 #include "board.hpp"
-#include "client/axon/client.hpp"
 #include "crowd.hpp"
 #include "mosquitto_peer.hpp"
+#include "runs.hpp"
 
 // Relayed stop and data latency, Axon beside Mosquitto in the same run: one sender, N receivers, a message to each of
 // them back to back, latency of each from the start of the batch (performance.md). Method: docs/reference/benchmarks.md.
@@ -32,57 +31,6 @@ using namespace axon;
 using namespace axon::bench;
 using namespace std::chrono_literals;
 
-volatile sig_atomic_t interrupted = 0;
-
-/// A child process, killed by its own id when this goes out of scope.
-class Child {
-  public:
-    Child(const std::vector<std::string>& words, const fs::path& log) {
-        std::fflush(nullptr);  // or the child would print our buffers again
-        pid_ = ::fork();
-        if (pid_ == 0) {
-            ::setpgid(0, 0);  // Ctrl-C is for the benchmark, which then ends its children itself
-            ::prctl(PR_SET_PDEATHSIG, SIGKILL);
-            std::freopen(log.c_str(), "w", stdout);
-            std::freopen(log.c_str(), "a", stderr);
-            std::vector<char*> arguments;
-            for (const auto& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
-            arguments.push_back(nullptr);
-            ::execvp(arguments[0], arguments.data());
-            std::perror(arguments[0]);
-            ::_exit(127);
-        }
-    }
-    ~Child() {
-        ::kill(pid_, SIGKILL);
-        ::waitpid(pid_, nullptr, 0);
-    }
-    Child(const Child&) = delete;
-    Child& operator=(const Child&) = delete;
-    bool running() const { return ::waitpid(pid_, nullptr, WNOHANG) == 0; }
-
-  private:
-    pid_t pid_ = -1;
-};
-
-std::string waitForLine(const fs::path& log, const std::string& begin, const Child& child) {
-    for (int i = 0; i < 2000 && !interrupted; ++i) {
-        std::ifstream in(log);
-        for (std::string line; std::getline(in, line);)
-            if (line.rfind(begin, 0) == 0) return line;
-        if (!child.running()) break;
-        std::this_thread::sleep_for(5ms);
-    }
-    throw std::runtime_error("a program did not become ready; see " + log.string());
-}
-
-std::string field(const std::string& ready_line, const std::string& key) {
-    std::istringstream words(ready_line);
-    for (std::string word; words >> word;)
-        if (word.rfind(key + "=", 0) == 0) return word.substr(key.size() + 1);
-    throw std::runtime_error("no " + key + "= in: " + ready_line);
-}
-
 /// One system under test: sends a batch and leaves the arrivals on its board.
 class Subject {
   public:
@@ -93,52 +41,23 @@ class Subject {
 
 class AxonSubject final : public Subject {
   public:
-    AxonSubject(const fs::path& programs, const fs::path& folder, std::size_t n)
-        : board_((folder / "axon.board").string(), n, true),
-          server_({(programs / "axon-server").string(), "--client-endpoint", "127.0.0.1:0", "--client-signal-endpoint",
-                   "127.0.0.1:0", "--entity-endpoint", "127.0.0.1:0", "--entity-signal-endpoint", "127.0.0.1:0"},
-                  folder / "server.log") {
-        const auto ready = waitForLine(folder / "server.log", "ready ", server_);
-        crowd_ = std::make_unique<Child>(
-            std::vector<std::string>{(programs / "axon-bench").string(), "crowd", (folder / "axon.board").string(),
-                                     std::to_string(n), field(ready, "entity")},
-            folder / "crowd.log");
-        while (board_.ready() < n && !interrupted) {
-            if (!crowd_->running()) throw std::runtime_error("the entities did not start; see " + (folder / "crowd.log").string());
-            std::this_thread::sleep_for(10ms);
-        }
-        auto connected = client::Client::connect({.server = field(ready, "client"), .timeout = client::Seconds{30}});
-        if (!connected) throw std::runtime_error(connected.refusal().message);
-        client_ = std::move(connected).value();
-        for (std::size_t i = 0; i < n; ++i) names_.push_back("bench-" + std::to_string(i));
-        for (const auto& name : names_)
-            if (const auto there = client_->waitFor(name, client::Seconds{10}); !there)
-                throw std::runtime_error(there.refusal().message);
-        auto held = client_->checkOut(names_);
-        if (!held) throw std::runtime_error(held.refusal().message);
-        held_ = std::move(held).value();
-    }
-    Board& board() override { return board_; }
+    AxonSubject(const fs::path& programs, const fs::path& folder, std::size_t n) : crowd_(programs, folder, n) {}
+    Board& board() override { return crowd_.board(); }
     void send(bool stop, const std::string& bytes) override {
         if (stop) {
             // Sends one stop to each and then waits for the receipts; the arrivals are on the board by then.
-            if (const auto receipts = client_->stop(names_, client::Seconds{5}); !receipts)
+            if (const auto receipts = crowd_.client().stop(crowd_.names(), client::Seconds{5}); !receipts)
                 std::cerr << "stop: " << receipts.refusal().message << "\n";
             return;
         }
-        for (const auto& entity : held_) {
+        for (const auto& entity : crowd_.held()) {
             // The batch may be larger than what may wait for the server.
             if (const auto sent = entity.sendRaw(bytes, client::Seconds{2}); !sent) std::cerr << "data: " << sent.refusal().message << "\n";
         }
     }
 
   private:
-    Board board_;
-    Child server_;
-    std::unique_ptr<Child> crowd_;
-    std::unique_ptr<client::Client> client_;
-    std::vector<std::string> names_;
-    std::vector<client::CheckOut> held_;
+    AxonCrowd crowd_;
 };
 
 class MosquittoSubject final : public Subject {
@@ -226,17 +145,6 @@ void runBatch(Subject& subject, bool stop, const std::string& bytes, Series* ser
     series->last_ms.push_back(last);
 }
 
-nlohmann::json machine() {
-    std::string model = "unknown";
-    std::ifstream cpu("/proc/cpuinfo");
-    for (std::string line; std::getline(cpu, line);)
-        if (line.rfind("model name", 0) == 0) {
-            model = line.substr(line.find(':') + 2);
-            break;
-        }
-    return {{"cpu", model}, {"cores", std::thread::hardware_concurrency()}, {"clock", "CLOCK_MONOTONIC"}};
-}
-
 int run(const fs::path& programs, const std::vector<std::size_t>& sizes, int rounds, const std::string& only,
         const std::string& json_file) {
     const fs::path root = fs::temp_directory_path() / ("axon-bench-" + std::to_string(::getpid()));
@@ -300,7 +208,7 @@ int run(const fs::path& programs, const std::vector<std::size_t>& sizes, int rou
 int main(int argc, char** argv) {
     CLI::App app{
         "Relayed stop and data latency through axon-server, beside Mosquitto (QoS 0) in the same run.\n\n"
-        "  axon-bench\n  axon-bench --entities 1,64 --batches 50 --json result.json\n\n"
+        "  axon-bench\n  axon-bench --entities 1,64 --batches 50 --json result.json\n  axon-bench runs --entities 64\n\n"
         "Exit status: 0 done, 1 something of Axon's was lost, corrupt or interrupted.\n"};
     app.require_subcommand(0, 1);
     std::vector<std::size_t> sizes{1, 64, 1024};
@@ -310,6 +218,14 @@ int main(int argc, char** argv) {
     app.add_option("--batches", batches, "Batches of each kind")->check(CLI::Range(1, 100000));
     app.add_option("--only", only, "One of the two, for a profiler: data or stop")->check(CLI::IsMember({"data", "stop"}));
     app.add_option("--json", json_file, "Write the results, with the machine described, to this file");
+
+    std::size_t together = 64;
+    int levels = 10, rounds = 20;
+    auto* runs = app.add_subcommand("runs", "How long a step of a global service takes to begin, beside a task of the client");
+    runs->add_option("--entities", together, "How many take part")->check(CLI::Range(2, 256))->capture_default_str();
+    runs->add_option("--levels", levels, "Steps of each, one after the other")->check(CLI::Range(2, kTaskMarks))->capture_default_str();
+    runs->add_option("--rounds", rounds, "Runs that are measured")->check(CLI::Range(1, 10000))->capture_default_str();
+    runs->add_option("--json", json_file, "Write the results, with the machine described, to this file");
 
     std::string board, server;
     std::size_t count = 0;
@@ -326,6 +242,10 @@ int main(int argc, char** argv) {
 
     try {
         if (crowd->parsed()) return runCrowd(board, count, server);
+        if (runs->parsed()) {
+            ::signal(SIGINT, [](int) { interrupted = 1; });
+            return runRuns(fs::canonical("/proc/self/exe").parent_path(), together, levels, rounds, json_file);
+        }
         if (receivers->parsed()) return runMosquittoReceivers(board, count, port);
         ::signal(SIGINT, [](int) { interrupted = 1; });
         return run(fs::canonical("/proc/self/exe").parent_path(), sizes, batches, only, json_file);

@@ -39,6 +39,8 @@ struct alignas(64) Desk {
     std::atomic<std::uint32_t> prepare{0};   ///< "see that every robot moves", a number for each such order
     std::atomic<std::uint32_t> prepared{0};  ///< the newest order that was carried out
     std::atomic<std::uint32_t> wedged{0};    ///< 1: keep_running says no; 2: it does not return
+    std::atomic<std::uint32_t> together{0};  ///< 1: the robots move as steps of one run; 2: of the first one's
+    std::atomic<std::uint32_t> master{0};    ///< whose run it is
     std::atomic<std::uint32_t> applications{0};
 };
 

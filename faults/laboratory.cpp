@@ -71,6 +71,10 @@ Laboratory::Laboratory(const Wishes& wishes, const Needs& needs)
     if (needs_.relay_managers)
         server << "EntityServerSignal.PublishedEndpoints=" << between_ << ":" << kClientPort + 3 << "\n";
     std::ofstream(folder_ / "manager.cfg") << "Axon.LeaseGrace=" << kLeaseGrace << "\n";
+    std::ofstream(folder_ / "master.cfg") << "Axon.LeaseGrace=" << kLeaseGrace << "\nIce.Default.SourceAddress="
+                                          << loopback(3) << "\n";
+    if (needs_.first_master) relay_.divert(loopback(3), Hop::Master);
+    board_->desk().together = needs_.first_master ? 2 : needs_.together ? 1 : 0;
     if (wishes_.busy) burners_ = std::make_unique<Burners>(std::max(1U, std::thread::hardware_concurrency()));
 }
 
@@ -91,7 +95,7 @@ void Laboratory::endClient() {
 
 void Laboratory::startAnew() {
     endAll();
-    for (const auto hop : {Hop::Client, Hop::Manager, Hop::Link}) {
+    for (const auto hop : {Hop::Client, Hop::Manager, Hop::Link, Hop::Master}) {
         relay_.heal(hop);
         relay_.reset(hop);
     }
@@ -157,7 +161,8 @@ void Laboratory::startManagers() {
             std::vector<std::string>{
                 (wishes_.programs / "axon-entity-manager").string(), "--application", applicationName(i),
                 "--server", server, "--address", links, "--ports", portText(linkPort(i)), "--state",
-                (folder_ / ("state-" + number)).string(), "--config", (folder_ / "manager.cfg").string()},
+                (folder_ / ("state-" + number)).string(), "--config",
+                (folder_ / (needs_.first_master && i == 0 ? "master.cfg" : "manager.cfg")).string()},
             folder_ / ("manager-" + number + ".log"));
         started.push_back(i);
     }

@@ -22,6 +22,9 @@ struct Needs {
          relay_links = false;  ///< which hops go through the relay
     bool daemons =
         false;  ///< a process for each Entity Manager, for faults of one; without, only where robots are few
+    bool together = false;     ///< the robots move as steps of one run; Desk::master is whose it is
+    bool first_master = false; ///< it is always the first robot's, whose Entity Manager has a cable of its own:
+                               ///< Hop::Master (with relay_managers and daemons)
 };
 
 /// What the person asked for.

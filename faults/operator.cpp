@@ -3,6 +3,7 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <map>
 #include <memory>
@@ -104,6 +105,7 @@ class Operator {
             if (!granted) return no(granted.refusal());
             for (auto& one : granted.value()) held.emplace(one.entity().name, one);
         }
+        if (board_.desk().together != 0) return together();
         bool all = true;
         for (const auto& name : names_) {
             if (const auto task = tasks_.find(name); task != tasks_.end()) {
@@ -127,11 +129,47 @@ class Operator {
         return all;
     }
 
+    /// All that is held drives in one run, each time under another master.
+    bool together() {
+        if (run_) {
+            const auto report = run_->report();
+            if (!isFinal(report.state))
+                return report.state == RunState::Running &&
+                       std::all_of(report.steps.begin(), report.steps.end(),
+                                   [](const StepReport& step) { return step.state == client::TaskState::Running; });
+            if (!report.reason.ok()) no(report.reason);
+            run_.reset();
+        }
+        for (const auto& name : names_)
+            if (const auto entity = client_->find(name); entity && entity->latched)
+                if (const auto armed = client_->rearm(name); !armed) return no(armed.refusal());
+        GlobalService service;
+        service.name = "Drive together";
+        Bindings bindings;
+        for (std::size_t i = 0; i < names_.size(); ++i) {
+            GlobalStep step;
+            step.role = static_cast<int>(i);
+            step.category = "ROBOT";
+            step.type = "MOBILE";
+            step.service_global_id = "Drive";
+            service.steps.push_back(std::move(step));
+            bindings[static_cast<int>(i)] = names_[i];
+        }
+        auto& desk = board_.desk();
+        desk.master = desk.together == 2 ? 0 : static_cast<std::uint32_t>(++launches_ % names_.size());
+        auto run = client_->runGlobal(service, bindings, names_[desk.master]);
+        if (!run) return no(run.refusal());
+        run_ = std::move(run).value();
+        return false;
+    }
+
     Board board_;
     const std::string server_;
     std::vector<std::string> names_;
     std::unique_ptr<Client> client_;
     std::map<std::string, client::Task> tasks_;
+    std::optional<client::Run> run_;
+    std::size_t launches_ = 0;
     std::string said_;
 };
 

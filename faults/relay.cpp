@@ -90,6 +90,11 @@ class Relay::Pump {
         return ntohs(at.sin_port);
     }
 
+    void divert(const std::string& source, Hop hop) {
+        const std::lock_guard lock(mutex_);
+        diverted_[addressOf(source, 0).sin_addr.s_addr] = hop;
+    }
+
     void set(Hop hop, Mode mode) {
         const std::lock_guard lock(mutex_);
         mode_[index(hop)] = mode;
@@ -210,8 +215,12 @@ class Relay::Pump {
 
     void accept(int fd, const Listener& listener) {
         while (true) {
-            const int from = ::accept4(fd, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
+            sockaddr_in peer{};
+            socklen_t size = sizeof peer;
+            const int from = ::accept4(fd, reinterpret_cast<sockaddr*>(&peer), &size, SOCK_NONBLOCK | SOCK_CLOEXEC);
             if (from < 0) return;
+            const auto diverted = diverted_.find(peer.sin_addr.s_addr);
+            const auto hop = diverted != diverted_.end() ? diverted->second : listener.hop;
             const int to = ::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
             const bool reached =
                 to >= 0 && (::connect(to, reinterpret_cast<const sockaddr*>(&listener.target),
@@ -224,7 +233,7 @@ class Relay::Pump {
             }
             const int on = 1;
             for (const int one : {from, to}) ::setsockopt(one, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
-            auto* pair = new Pair{listener.hop, mode_[index(listener.hop)] == Mode::Cut, {}};
+            auto* pair = new Pair{hop, mode_[index(hop)] == Mode::Cut, {}};
             pair->sides[0].fd = from;
             pair->sides[1].fd = to;
             pairs_.insert(pair);
@@ -365,6 +374,7 @@ class Relay::Pump {
     std::map<int, Listener> listeners_;
     std::map<int, Pair*> by_fd_;
     std::set<Pair*> pairs_;
+    std::map<in_addr_t, Hop> diverted_;
     std::array<Mode, kHops> mode_{};
     std::array<std::chrono::milliseconds, kHops> delay_{};
     std::array<Impairment, kHops> impaired_{};
@@ -378,6 +388,9 @@ Relay::~Relay() = default;
 std::uint16_t Relay::open(Hop hop, const std::string& address, std::uint16_t port, const std::string& target,
                           std::uint16_t target_port) {
     return pump_->open(hop, address, port, addressOf(target, target_port));
+}
+void Relay::divert(const std::string& source, Hop hop) {
+    pump_->divert(source, hop);
 }
 void Relay::cut(Hop hop) {
     pump_->set(hop, Pump::Mode::Cut);

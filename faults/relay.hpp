@@ -9,8 +9,8 @@
 namespace axon::faults {
 
 /// Which cable a connection goes through.
-enum class Hop : std::size_t { Client, Manager, Link };
-inline constexpr std::size_t kHops = 3;
+enum class Hop : std::size_t { Client, Manager, Link, Master };
+inline constexpr std::size_t kHops = 4;
 
 /// What a bad cable does to a TCP connection, as its peers see it: TCP repeats what was lost and puts in
 /// order what was not, so nothing is missing and nothing overtakes; but the stream comes in pieces, late, and
@@ -46,6 +46,8 @@ class Relay {
     /// Passes what arrives at address:port on to target:port. Port 0 takes a free one; the one taken.
     std::uint16_t open(Hop hop, const std::string& address, std::uint16_t port, const std::string& target,
                        std::uint16_t target_port);
+    /// Connections that come from this address belong to that hop from now on, wherever they are accepted.
+    void divert(const std::string& source, Hop hop);
     void cut(Hop hop);
     void stall(Hop hop);
     /// Ends what was cut (it has lost bytes) with RST to both sides, lets go what was stalled, and passes

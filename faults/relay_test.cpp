@@ -207,6 +207,25 @@ TEST_F(RelayTest, OtherHopsAreNotDisturbed) {
     EXPECT_EQ(heard(far.fd), "fine");
 }
 
+TEST_F(RelayTest, AConnectionFromADivertedAddressIsOnACableOfItsOwn) {
+    relay.divert("127.99.99.99", Hop::Master);
+    Descriptor other(::socket(AF_INET, SOCK_STREAM, 0));
+    sockaddr_in source{};
+    source.sin_family = AF_INET;
+    ::inet_pton(AF_INET, "127.99.99.99", &source.sin_addr);
+    ASSERT_EQ(::bind(other.fd, reinterpret_cast<sockaddr*>(&source), sizeof source), 0);
+    const auto address = at(port);
+    ASSERT_EQ(::connect(other.fd, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+    const auto its_far = accept();
+    const auto near = connect();
+    const auto far = accept();
+    relay.cut(Hop::Master);
+    say(other, "lost");
+    say(near, "passed on");
+    EXPECT_EQ(heard(far.fd), "passed on");
+    EXPECT_EQ(heard(its_far.fd, 100ms), "nothing");
+}
+
 TEST_F(RelayTest, ManyBytesArriveWholeAtASlowReader) {
     const auto near = connect();
     const auto far = accept();

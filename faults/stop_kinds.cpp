@@ -309,6 +309,21 @@ std::vector<Kind> stopKinds() {
         {[](Run& run, const Robots&) { run.lab.application().freeze(); },
          [](Run& run, const Robots&) { run.lab.application().thaw(); }, false, true, 150ms});
 
+    // The master of a run: nobody else would tell its slaves.
+    const Promise run_hop{kServerHop_ms, 0, "every robot of the run stops within 350 ms (watchdog + 100 ms)"};
+    const auto master = [](Run& run) -> Child& { return run.lab.manager(run.lab.board().desk().master); };
+    add("kill-master", kNoTrial, "kill -9 of the Entity Manager of a run's master, while every participant moves", run_hop,
+        {.daemons = true, .together = true},
+        {[master](Run& run, const Robots&) { master(run).kill(); }, [master](Run& run, const Robots&) { master(run).reap(); }});
+    add("freeze-master", kNoTrial, "SIGSTOP of the Entity Manager of a run's master", run_hop,
+        {.daemons = true, .together = true},
+        {[master](Run& run, const Robots&) { master(run).freeze(); }, [master](Run& run, const Robots&) { master(run).thaw(); },
+         false, false, 150ms});
+    add("cut-master", kNoTrial, "the cable between server and the Entity Manager of a run's master is cut", run_hop,
+        {.relay_managers = true, .daemons = true, .together = true, .first_master = true},
+        {[](Run& run, const Robots&) { run.lab.relay().cut(Hop::Master); },
+         [](Run& run, const Robots&) { run.lab.relay().heal(Hop::Master); }, false, false, 100ms});
+
     // What a radio link does to TCP.
     const auto addBadCable = [&all](std::string name, std::string what, Impairment how) {
         all.push_back(

@@ -74,6 +74,15 @@ def wait_until(holds, what, seconds=10.0):
     raise Failed(f"{what}: not within {seconds:g} s")
 
 
+def stays(holds, what, seconds):
+    """What must not happen has no effect to wait for: looked at for so long."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if not holds():
+            raise Failed(f"{what}: not for {seconds:g} s")
+        time.sleep(0.02)
+
+
 def keep_if_failed(test, folder):
     """The folder stays, and is named, where this unittest.TestCase failed; otherwise it goes."""
     result = test._outcome.result

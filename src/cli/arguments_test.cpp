@@ -6,6 +6,8 @@
 
 #include <filesystem>
 #include <fstream>
+#include <iterator>
+#include <sstream>
 
 #include "cli/command_line.hpp"
 #include "cli/fake_station.hpp"
@@ -193,7 +195,10 @@ TEST(CommandLine, HelpTeachesByExamples) {
     EXPECT_THAT(root.out, testing::Not(HasSubstr("__complete")));
     for (const auto* verb : verbs()) {
         if (verb->hidden) continue;
-        const auto help = parse({verb->name, "--help"});
+        std::istringstream words(verb->name);
+        std::vector<std::string> line{std::istream_iterator<std::string>(words), {}};
+        line.emplace_back("--help");
+        const auto help = parse(line);
         EXPECT_EQ(help.exit, kDone) << verb->name;
         EXPECT_THAT(help.out, HasSubstr("Examples:")) << verb->name;
         EXPECT_THAT(help.out, HasSubstr(std::string("Usage: axon ") + verb->name)) << verb->name;

@@ -264,7 +264,11 @@ class FakeStation : public Station {
         if (at < in_the_way.size()) {
             collaboration::Proposal impossible;
             impossible.why = in_the_way[at];
-            impossible.roles = {{0, "ROBOT/MOBILE", {}, {}, "", ""}, {1, "ROBOT/STATIONARY", {}, {}, "", ""}};
+            for (const int role : {0, 1}) {
+                auto& outlook = impossible.roles.emplace_back();
+                outlook.role = role;
+                if (role == 1) outlook.unfit.push_back({entities_[2].id, "Cyton", in_the_way[at], 1});
+            }
             return impossible;
         }
         collaboration::Proposal proposal;
@@ -272,7 +276,7 @@ class FakeStation : public Station {
             auto id = entities_[static_cast<std::size_t>(place)].id;
             if (const auto choice = chosen.find(role); choice != chosen.end()) id = choice->second;
             const auto name = callName(find(id).value(), entities_);
-            proposal.roles.push_back({role, "ROBOT", {name}, {}, id, name});
+            proposal.roles.push_back({role, "ROBOT", "ROBOT", {name}, {}, id, name});
         }
         return proposal;
     }
@@ -293,6 +297,7 @@ class FakeStation : public Station {
             step.entity = id;
             step.name = callName(find(id).value(), entities_);
             step.service = role == 0 ? "drive" : "grab";
+            if (role == 0) step.called = "approach";
             step.preced = role + 1;
         }
         update(report);

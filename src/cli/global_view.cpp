@@ -42,13 +42,25 @@ Cell stepState(const Json& step, bool over) {
 std::string barOf(const Json& step, std::size_t width) {
     if (!step.at("state").is_string()) return {};
     const auto part = textOf(step, "state") == "SUCCEEDED" ? 1.0 : step.value("progress", -1.0);
-    return part < 0 ? std::string() : progressBar(part, width) + fmt::format(" {:3.0f} %", part * 100);
+    if (part < 0) return {};
+    return (width > 0 ? progressBar(part, width) + " " : "") + fmt::format("{:3.0f} %", part * 100);
 }
 
 std::string timeOf(const Json& step, double elapsed) {
     if (!step.at("began_s").is_number()) return {};
     const auto until = step.at("ended_s").is_number() ? step.at("ended_s").get<double>() : elapsed;
     return duration(std::max(0.0, until - step.at("began_s").get<double>()));
+}
+
+/// Equal ones run at the same time; those of the compensation all do.
+std::string orderOf(const Json& step) {
+    return step.value("compensation", false) ? "after" : std::to_string(step.value("preced", 0));
+}
+
+/// "Arm arm_pick (pick)".
+std::string whatOf(const Json& step) {
+    const auto called = textOf(step, "called");
+    return textOf(step, "entity") + " " + textOf(step, "service") + (called.empty() ? "" : " (" + called + ")");
 }
 
 Cell remarkOf(const Json& step) {
@@ -132,7 +144,7 @@ void fit(const std::vector<std::string>& head, Rows& rows, std::size_t width,
     while (total() > width) {
         auto widest = head.size();
         for (const auto i : may_shrink) {
-            if (widths[i] > kLeast && (widest == head.size() || widths[i] > widths[widest])) widest = i;
+            if (widths[i] > std::max(kLeast, columns(head[i])) && (widest == head.size() || widths[i] > widths[widest])) widest = i;
         }
         if (widest == head.size()) break;
         --widths[widest];
@@ -142,16 +154,23 @@ void fit(const std::vector<std::string>& head, Rows& rows, std::size_t width,
     }
 }
 
+/// As a table; on a terminal no line is wider than it.
+std::string fitted(const std::vector<std::string>& head, Rows rows, const std::set<std::size_t>& may_shrink,
+                   const Terminal& terminal) {
+    if (terminal.live) fit(head, rows, terminal.width - 1, may_shrink);
+    Table table(head);
+    for (auto& row : rows) table.add(std::move(row));
+    return table.text(terminal.colour);
+}
+
 /// The lines of a run's steps, heads first.
 std::string stepTable(const std::vector<const Json*>& steps, double elapsed, bool over, std::size_t width,
                       bool colour) {
     const std::vector<std::string> head{"ORDER", "NAME", "ENTITY", "SERVICE", "STATE", "PROGRESS", "TIME", ""};
-    const std::size_t bar = width >= 110 ? 22 : width >= 90 ? 12 : 8;
+    const std::size_t bar = width >= 110 ? 22 : width >= 90 ? 12 : width >= 70 ? 8 : 0;
     Rows rows;
     for (const auto* step : steps) {
-        const auto order = std::to_string(step->value("preced", 0)) +
-                           (step->value("compensation", false) ? " (compensation)" : "");
-        rows.push_back({{order, Tint::Dim},
+        rows.push_back({{orderOf(*step), Tint::Dim},
                         {textOf(*step, "called")},
                         {textOf(*step, "entity"), Tint::Bold},
                         {textOf(*step, "service")},
@@ -160,10 +179,7 @@ std::string stepTable(const std::vector<const Json*>& steps, double elapsed, boo
                         {timeOf(*step, elapsed)},
                         remarkOf(*step)});
     }
-    fit(head, rows, width, {0, 1, 2, 3, 4});
-    Table table(head);
-    for (auto& row : rows) table.add(std::move(row));
-    return table.text(colour);
+    return fitted(head, std::move(rows), {1, 2, 3, 4}, {true, colour, width + 1});
 }
 
 std::string calendar(std::int64_t milliseconds) {
@@ -199,16 +215,18 @@ void PersonView::showGlobalServices(const Json& event) {
         say("no global services at " + textOf(event, "server") +
             ": put profiles into the folder of its --global-services");
     } else {
-        Table table({"NAME", "STEPS", "ROLES", "ON FAILURE", "FILE", "DESCRIPTION"});
+        Rows rows;
         for (const auto& service : services) {
-            table.add({{textOf(service, "name"), Tint::Bold},
-                       {std::to_string(service.at("steps").size())},
-                       {std::to_string(service.at("roles").size())},
-                       {textOf(service, "on_failure")},
-                       {textOf(service, "file")},
-                       {textOf(service, "descr"), Tint::Dim}});
+            rows.push_back({{textOf(service, "name"), Tint::Bold},
+                            {std::to_string(service.at("steps").size())},
+                            {std::to_string(service.at("roles").size())},
+                            {textOf(service, "on_failure")},
+                            {textOf(service, "file")},
+                            {textOf(service, "descr"), Tint::Dim}});
         }
-        out_ << table.text(terminal_.colour) << std::flush;
+        out_ << fitted({"NAME", "STEPS", "ROLES", "ON FAILURE", "FILE", "DESCRIPTION"}, std::move(rows), {0, 4},
+                       terminal_)
+             << std::flush;
     }
     for (const auto& file : event.at("files")) {
         const bool bad = file.value("bad", false);
@@ -227,33 +245,32 @@ void PersonView::showGlobalService(const Json& event) {
     out_ << paint(textOf(service, "name"), Tint::Bold) << "  " << paint(textOf(service, "file"), Tint::Dim) << '\n';
     if (const auto descr = textOf(service, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
     out_ << "  when a step fails: " << textOf(service, "on_failure") << "\n\n";
-    const auto showSteps = [&](const Json& all, const char* title) {
-        if (all.empty()) return;
-        std::vector<const Json*> steps;
-        for (const auto& step : all) steps.push_back(&step);
-        std::stable_sort(steps.begin(), steps.end(), [](const Json* a, const Json* b) {
-            return a->value("preced", 0) < b->value("preced", 0);
-        });
-        Table table({title, "NAME", "ROLE", "SERVICE", "INPUTS"});
-        for (const auto* step : steps) {
-            table.add({{std::to_string(step->value("preced", 0))},
-                       {textOf(*step, "called")},
-                       {std::to_string(step->value("role", 0))},
-                       {textOf(*step, "service"), Tint::Bold},
-                       {inputsOf(*step)}});
-        }
-        out_ << table.text(terminal_.colour) << '\n';
-    };
-    showSteps(service.at("steps"), "ORDER");
-    showSteps(service.at("compensation"), "COMPENSATION");
-    Table table({"ROLE", "WANTED", "COULD BE PLAYED NOW BY"});
+    std::vector<const Json*> steps;
+    for (const auto& step : service.at("steps")) steps.push_back(&step);
+    std::stable_sort(steps.begin(), steps.end(), [](const Json* a, const Json* b) {
+        return a->value("preced", 0) < b->value("preced", 0);
+    });
+    const auto after = steps.size();
+    for (const auto& step : service.at("compensation")) steps.push_back(&step);
+    Rows rows;
+    for (const auto* step : steps) {
+        const bool compensation = rows.size() >= after;
+        rows.push_back({{compensation ? "after" : std::to_string(step->value("preced", 0)),
+                         compensation ? Tint::Dim : Tint::None},
+                        {textOf(*step, "called")},
+                        {std::to_string(step->value("role", 0))},
+                        {textOf(*step, "service"), Tint::Bold},
+                        {inputsOf(*step)}});
+    }
+    out_ << fitted({"ORDER", "NAME", "ROLE", "SERVICE", "INPUTS"}, std::move(rows), {1, 3}, terminal_) << '\n';
+    rows.clear();
     for (const auto& role : event.at("roles")) {
         const auto able = valuesText(role.at("able"));
-        table.add({{std::to_string(role.value("role", 0))},
-                   {textOf(role, "wanted")},
-                   {able.empty() ? "nobody" : able, able.empty() ? Tint::Red : Tint::Green}});
+        rows.push_back({{std::to_string(role.value("role", 0))},
+                        {able.empty() ? "nobody" : able, able.empty() ? Tint::Red : Tint::Green},
+                        {textOf(role, "wanted"), Tint::Dim}});
     }
-    out_ << table.text(terminal_.colour) << std::flush;
+    out_ << fitted({"ROLE", "COULD BE PLAYED NOW BY", "WANTED"}, std::move(rows), {1}, terminal_) << std::flush;
     for (const auto& role : event.at("roles")) {
         std::size_t shown = 0;
         for (const auto& unfit : role.at("unfit")) {
@@ -273,15 +290,15 @@ void PersonView::showGlobalService(const Json& event) {
 
 void PersonView::showBinding(const Json& event) {
     wipe();
-    Table table({"ROLE", "PLAYED BY", "", "", "WANTED"});
+    Rows rows;
     for (const auto& role : event.at("roles")) {
-        table.add({{std::to_string(role.value("role", 0))},
-                   {textOf(role, "entity"), Tint::Bold},
-                   {role.value("chosen", false) ? "as bound" : "found"},
-                   {role.at("entity_id") == event.at("master_id") ? "master" : ""},
-                   {textOf(role, "wanted"), Tint::Dim}});
+        rows.push_back({{std::to_string(role.value("role", 0))},
+                        {textOf(role, "entity"), Tint::Bold},
+                        {role.value("chosen", false) ? "as bound" : "found"},
+                        {role.at("entity_id") == event.at("master_id") ? "master" : ""},
+                        {textOf(role, "wanted"), Tint::Dim}});
     }
-    out_ << table.text(terminal_.colour) << std::flush;
+    out_ << fitted({"ROLE", "PLAYED BY", "", "", "WANTED"}, std::move(rows), {1}, terminal_) << std::flush;
 }
 
 // ---- a run
@@ -337,7 +354,7 @@ void PersonView::drawRun(const Json& event) {
     const auto steps = inOrder(steps_, state == "COMPENSATING");
     auto visible = steps;
     std::string left_out;
-    const auto room = terminal_.height > 5 ? terminal_.height - 4 : 1;
+    const auto room = terminal_.height > 6 ? terminal_.height - 5 : 1;
     if (!over && steps.size() > room) {
         const auto rows = chosenRows(steps, room - 1);
         visible.clear();
@@ -358,6 +375,8 @@ void PersonView::drawRun(const Json& event) {
                  fmt::format(" {:3.0f} %  ", part * 100) + paint(lowerCase(state), runTint(state)) + "  " +
                  duration(elapsed) + "\n";
     below += stepTable(visible, elapsed, over, width, terminal_.colour) + left_out;
+    if (const auto& reason = event.at("reason"); !over && reason.is_object())
+        below += paint(shortened(textOf(reason, "message"), width), Tint::Yellow) + "\n";
     board_lines_ = 0;
     for (std::size_t at = 0; at < below.size();) {
         const auto end = below.find('\n', at);
@@ -376,12 +395,10 @@ void PersonView::showRunLines(const Json& event) {
         const bool same = known.is_object() && known.at("state") == step.at("state") &&
                           known.at("feedback") == step.at("feedback") && known.at("tries") == step.at("tries") &&
                           step.value("progress", -1.0) - known.value("progress", -1.0) < kPartPerLine;
-        if (same || textOf(step, "state") == "DISPATCHED") continue;
+        if (same || textOf(step, "state") == "QUEUED" || textOf(step, "state") == "DISPATCHED") continue;
         known = step;
-        const auto called = textOf(step, "called");
-        auto text = duration(event.value("elapsed_s", 0.0)) + "  " + textOf(step, "entity") + " " +
-                    textOf(step, "service") + (called.empty() ? "" : " (" + called + ")") + "  " +
-                    stepState(step, false).text;
+        auto text =
+            duration(event.value("elapsed_s", 0.0)) + "  " + whatOf(step) + "  " + stepState(step, false).text;
         if (textOf(step, "state") == "RUNNING" && step.value("progress", -1.0) >= 0)
             text += fmt::format(" {:.0f} %", step.at("progress").get<double>() * 100);
         if (const auto remark = remarkOf(step).text; !remark.empty()) text += "  " + remark;
@@ -405,7 +422,7 @@ void PersonView::showRunEnd(const Json& event) {
     }
     for (const auto* step : inOrder(steps_, true)) {
         if (const auto results = valueList(step->at("results")); !results.empty())
-            say("  " + textOf(*step, "entity") + " " + textOf(*step, "service") + ": " + results);
+            say("  " + whatOf(*step) + ": " + results);
     }
     showProblems(event.at("problems"));
     if (const auto& reason = event.at("reason"); !good && reason.is_object()) {
@@ -443,7 +460,6 @@ void PersonView::showRuns(const Json& event) {
     if (runs.empty()) {
         say("nobody here remembers a run");
     } else {
-        const std::vector<std::string> head{"RUN", "WHEN", "SERVICE", "OUTCOME", "TIME", "MASTER", "BY", "REASON"};
         Rows rows;
         for (const auto& run : runs) {
             const auto state = textOf(run, "state");
@@ -456,10 +472,9 @@ void PersonView::showRuns(const Json& event) {
                             {textOf(run, "by")},
                             {run.at("reason").is_object() ? textOf(run.at("reason"), "message") : "", Tint::Dim}});
         }
-        if (terminal_.live) fit(head, rows, terminal_.width - 1, {2, 5, 6});
-        Table table(head);
-        for (auto& row : rows) table.add(std::move(row));
-        out_ << table.text(terminal_.colour) << std::flush;
+        out_ << fitted({"RUN", "WHEN", "SERVICE", "OUTCOME", "TIME", "MASTER", "BY", "REASON"}, std::move(rows),
+                       {2, 5, 6}, terminal_)
+             << std::flush;
     }
     for (const auto& one : event.at("silent"))
         say(paint("! " + textOf(one, "entity") + " does not tell: " + textOf(one, "message"), Tint::Yellow));
@@ -482,9 +497,7 @@ void PersonView::showRunRecord(const Json& event) {
     Table table({"ORDER", "NAME", "ENTITY", "SERVICE", "STATE", "BEGAN", "TIME", "INPUTS", "RESULTS", "REASON"});
     for (const auto* step : inOrder(steps, false)) {
         const auto& began = step->at("began_s");
-        table.add({{std::to_string(step->value("preced", 0)) +
-                        (step->value("compensation", false) ? " (compensation)" : ""),
-                    Tint::Dim},
+        table.add({{orderOf(*step), Tint::Dim},
                    {textOf(*step, "called")},
                    {textOf(*step, "entity"), Tint::Bold},
                    {textOf(*step, "service")},

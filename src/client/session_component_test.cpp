@@ -64,6 +64,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
         const auto facts = data_session_->setCallback(callback);
         const auto signal_callback = openLane(signal_, facts.signalEndpoint, signal_session_);
         signal_session_->attachSignalLane(facts.token, signal_callback);
+        resources_.onWritten([this] { onStrand([&] { core_.onResourcesWritten(); }); });
         onStrand([&] { core_.onLinkUp(); });
         profile(false,
                 "<BasicProfile name=\"" + name + "\" category=\"ROBOT\" type=\"MOBILE\" descr=\"a robot\"/>");
@@ -81,6 +82,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
     ~TestRobot() override { leave(); }
     void leave() {
         beat_.reset();
+        resources_.onWritten({});
         data_.communicator()->destroy();
         signal_.communicator()->destroy();
         std::filesystem::remove_all(folder_);

@@ -26,12 +26,12 @@ std::string joined(const std::vector<std::string>& parts, const char* last) {
 }
 
 std::string kindOf(const std::string& category, const std::string& type) {
+    if (category.empty() && type.empty()) return "any entity";
     return category + (category.empty() || type.empty() ? "" : "/") + type;
 }
 
 std::string wantedBy(const Role& role) {
-    auto text = kindOf(role.category, role.type);
-    if (text.empty()) text = "any entity";
+    const auto text = kindOf(role.category, role.type);
     std::vector<std::string> services;
     for (const auto& need : role.needs) {
         if (std::find(services.begin(), services.end(), need.service) == services.end())
@@ -131,7 +131,7 @@ std::optional<Unfit> unfitness(const Role& role, const Candidate& candidate) {
 /// Why nobody plays the role, as a line of its own.
 std::string explained(const RoleOutlook& outlook, const std::string& chosen, const std::string& chosen_name,
                       const std::set<std::string>& unoffered) {
-    auto text = "role " + std::to_string(outlook.role) + " (" + outlook.wanted + "): ";
+    auto text = "role " + std::to_string(outlook.role) + " (" + outlook.kind + "): ";
     if (!chosen.empty()) {
         for (const auto& unfit : outlook.unfit) {
             if (unfit.entity == chosen) return text + unfit.name + " " + unfit.why.message;
@@ -156,8 +156,10 @@ std::string explained(const RoleOutlook& outlook, const std::string& chosen, con
     }
     text += parts[0];
     for (std::size_t i = 1; i < parts.size(); ++i) text += "; " + parts[i];
-    if (outlook.unfit.size() > parts.size())
-        text += "; " + std::to_string(outlook.unfit.size() - parts.size()) + " more are further from it";
+    const auto near = static_cast<std::size_t>(
+        std::count_if(outlook.unfit.begin(), outlook.unfit.end(),
+                      [](const Unfit& unfit) { return unfit.distance != kOtherKind; }));
+    if (near > parts.size()) text += "; and " + std::to_string(near - parts.size()) + " more";
     return text;
 }
 
@@ -190,6 +192,7 @@ Proposal propose(std::vector<Role> roles, std::vector<Candidate> candidates,
         auto& outlook = proposal.roles.emplace_back();
         outlook.role = roles[r].number;
         outlook.wanted = wantedBy(roles[r]);
+        outlook.kind = kindOf(roles[r].category, roles[r].type);
         const auto choice = choiceOf(roles[r]);
         for (std::size_t c = 0; c < candidates.size(); ++c) {
             if (auto unfit = unfitness(roles[r], candidates[c])) {

@@ -53,6 +53,7 @@ struct Unfit {
 struct RoleOutlook {
     int role = 0;
     std::string wanted;             ///< "ROBOT/MOBILE with drive, look"
+    std::string kind;               ///< "ROBOT/MOBILE"
     std::vector<std::string> able;  ///< names of those that could play it now
     std::vector<Unfit> unfit;       ///< nearest first
     std::string entity, name;       ///< who plays it; empty = nobody

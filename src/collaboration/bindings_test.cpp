@@ -77,14 +77,13 @@ TEST(Bindings, AChoiceIsCheckedLikeAnythingElse) {
     EXPECT_FALSE(proposal.complete());
     EXPECT_EQ(proposal.why.code, RefusalCode::AlreadyHeld);
     EXPECT_EQ(proposal.why.holder, "ana@lab");
-    EXPECT_EQ(proposal.why.message, "role 0 (ROBOT/MOBILE with drive): A is held by ana@lab");
+    EXPECT_EQ(proposal.why.message, "role 0 (ROBOT/MOBILE): A is held by ana@lab");
 }
 
 TEST(Bindings, OneEntityChosenForTwoRolesIsSaid) {
     const auto proposal =
         propose({role(0), role(1)}, {robot("A"), robot("B")}, {{0, "uuid of A"}, {1, "uuid of A"}});
-    EXPECT_EQ(proposal.why.message,
-              "role 1 (ROBOT/MOBILE with drive): A was chosen for another role as well");
+    EXPECT_EQ(proposal.why.message, "role 1 (ROBOT/MOBILE): A was chosen for another role as well");
 }
 
 TEST(Bindings, TheReasonSaysRoleByRoleWhatTheNearestLack) {
@@ -102,10 +101,10 @@ TEST(Bindings, TheReasonSaysRoleByRoleWhatTheNearestLack) {
     EXPECT_THAT(players(proposal), ElementsAre("", ""));
     EXPECT_EQ(proposal.why.code, RefusalCode::Latched);
     EXPECT_EQ(proposal.why.message,
-              "role 0 (ROBOT/MOBILE with drive): A was stopped and is not rearmed; B is UNAV; D lacks Distance "
-              "and Map of drive; 2 more are further from it\n"
-              "role 1 (ROBOT/MOBILE with fly): nobody offers fly; A does not offer fly, and was stopped and is "
-              "not rearmed; B does not offer fly, and is UNAV; C does not offer fly; 2 more are further from it");
+              "role 0 (ROBOT/MOBILE): A was stopped and is not rearmed; B is UNAV; D lacks Distance and Map of "
+              "drive; and 1 more\n"
+              "role 1 (ROBOT/MOBILE): nobody offers fly; A does not offer fly, and was stopped and is not "
+              "rearmed; B does not offer fly, and is UNAV; C does not offer fly; and 1 more");
     EXPECT_THAT(proposal.nobody_offers, ElementsAre("fly"));
     EXPECT_EQ(proposal.roles[0].unfit.back().name, "E");
     EXPECT_EQ(proposal.roles[0].unfit.back().why.message, "is ROBOT/STATIONARY, and does not offer drive");
@@ -125,8 +124,8 @@ TEST(Bindings, TooFewAreToldAsSuch) {
     const auto proposal = propose({role(0), role(1)}, {robot("A")});
     EXPECT_THAT(players(proposal), ElementsAre("A", ""));
     EXPECT_EQ(proposal.why.code, RefusalCode::Unavailable);
-    EXPECT_EQ(proposal.why.message, "role 1 (ROBOT/MOBILE with drive): A plays other roles that nobody else "
-                                    "can; one more such entity is missing");
+    EXPECT_EQ(proposal.why.message,
+              "role 1 (ROBOT/MOBILE): A plays other roles that nobody else can; one more such entity is missing");
     EXPECT_THAT(propose({role(0)}, {}).why.message, HasSubstr("there is no entity at all"));
 }
 

@@ -175,6 +175,7 @@ void FileStorage::run() {
         wake_.wait(lock, [this] { return ending_ || !waiting_.empty(); });
         if (waiting_.empty()) return;
         const auto [key, value] = *waiting_.begin();
+        const bool last = ending_;  // what had begun before the end is tried once more
         lock.unlock();
         fs::path fresh;
         try {
@@ -189,7 +190,7 @@ void FileStorage::run() {
             lock.unlock();
             synchroniseFolder(folder_);
             lock.lock();
-        } else if (ending_) {
+        } else if (last) {
             return;
         } else {
             wake_.wait_for(lock, kTryAgain, [this] { return ending_; });

@@ -17,7 +17,7 @@ import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
-from laboratory import Laboratory, keep_if_failed, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, stays, wait_until  # noqa: E402
 
 BIN = ROOT / "build" / "dev" / "bin"
 EXAMPLE = ROOT / "examples" / "05_collaboration"
@@ -208,8 +208,7 @@ class CollaborationTest(unittest.TestCase):
         paused = self.wait_for_run(client, "PAUSED")
         self.assertFalse(paused["final"])
         at = self.driven()
-        time.sleep(0.5)  # several cells' time
-        self.assertLessEqual(self.driven(), at + 1, "it stands")
+        stays(lambda: self.driven() <= at + 1, "it stands", 0.5)  # several cells' time
         status, lines, errors = self.lab.axon("global", "resume")
         self.assertEqual(status, 0, f"{lines} {errors}")
         run = self.ended(client)
@@ -293,8 +292,7 @@ class CollaborationTest(unittest.TestCase):
         self.assertFalse(held["final"])
         at = self.driven()
         (self.folder / "table.txt").write_text("anvil 4\n")  # somebody brings one of plastic
-        time.sleep(1)  # several cells' time
-        self.assertLessEqual(self.driven(), at + 1, "it stands")
+        stays(lambda: self.driven() <= at + 1, "it stands", 1)  # several cells' time
         status, lines, errors = self.lab.axon("global", "resume")
         self.assertEqual(status, 0, f"{lines} {errors}")
         run = self.ended(client)
@@ -368,8 +366,7 @@ class CollaborationTest(unittest.TestCase):
         print(f"master lost: the shuttle's application was stopped after {took_s * 1000:.0f} ms", file=sys.stderr)
         self.assertLess(took_s, bound_s)
         at = self.driven()
-        time.sleep(0.6)  # two cells' time
-        self.assertEqual(self.driven(), at, "it stands")
+        stays(lambda: self.driven() == at, "it stands", 0.6)  # two cells' time
         return client, run["id"]
 
     # 250 ms without a beat, and what it takes to see it: the log is looked at each 20 ms.
@@ -386,7 +383,7 @@ class CollaborationTest(unittest.TestCase):
 
     def test_the_masters_manager_frozen_stops_all_and_is_found_in_the_history(self):
         client, run = self.lose_master(lambda manager: manager.child.send_signal(signal.SIGSTOP), self.BOUND_S)
-        time.sleep(1)
+        stays(lambda: self.managers["Planner"].child.poll() is None, "the master is frozen", 1)
         self.managers["Planner"].child.send_signal(signal.SIGCONT)
         self.ended(client, 40)
         self.assertNotEqual(client.child.returncode, 0)

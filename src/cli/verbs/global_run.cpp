@@ -25,7 +25,8 @@ constexpr std::chrono::seconds kLookAgain{1};
 /// Who plays what in a run, held for as long as this lives.
 class Cast {
   public:
-    explicit Cast(Session& session) : session_(session), station_(session.station) {}
+    /// `what` for: "run", "check".
+    Cast(Session& session, const char* what) : session_(session), what_(what), station_(session.station) {}
     Cast(const Cast&) = delete;
     ~Cast() {
         // A refusal means that it is not ours any more: what was wanted.
@@ -76,7 +77,8 @@ class Cast {
                             (proposal->why.code == RefusalCode::AlreadyHeld
                                  ? "; --wait waits for what others hold"
                                  : "");
-            if (proposal->why.code == RefusalCode::Latched) event["mend"] = errorEvent(proposal->why)["mend"];
+            if (const auto stopped = stoppedOnes(proposal.value()); !stopped.empty())
+                event["mend"] = "axon rearm" + stopped + ", when it is safe to move again";
             session_.events.emit(event);
             return exitOf(proposal->why);
         }
@@ -145,6 +147,19 @@ class Cast {
         }
     }
 
+    /// " Arm 'Shuttle 2'": the nearest for roles that nobody plays, where a rearm is all that they need.
+    static std::string stoppedOnes(const collaboration::Proposal& proposal) {
+        std::set<std::string> names;
+        for (const auto& outlook : proposal.roles) {
+            if (!outlook.entity.empty() || outlook.unfit.empty()) continue;
+            const auto& nearest = outlook.unfit.front();
+            if (nearest.why.code == RefusalCode::Latched) names.insert(nearest.name);
+        }
+        std::string text;
+        for (const auto& name : names) text += " " + shellWord(name);
+        return text;
+    }
+
     /// The master that was named, should one have been.
     std::optional<int> appoint() {
         const auto word = session_.args.value("master", "");
@@ -190,11 +205,12 @@ class Cast {
         for (const auto& entity : granted.value())
             items.push_back({{"id", entity.id}, {"name", entity.name}, {"call", callOf(session_, entity)}});
         session_.events.emit(
-            {{"event", "checked_out"}, {"entities", std::move(items)}, {"kept", false}, {"for", "run"}});
+            {{"event", "checked_out"}, {"entities", std::move(items)}, {"kept", false}, {"for", what_}});
         return std::nullopt;
     }
 
     Session& session_;
+    const char* const what_;
     const std::shared_ptr<Station> station_;
     Bindings players_;
     std::vector<std::string> names_;  // in order of players_
@@ -325,7 +341,7 @@ int perform(Session& session, bool check_only) {
         return misused(session, "--detach needs check-outs that outlive this command",
                        "axon checkout the entities first");
     }
-    Cast cast(session);
+    Cast cast(session, check_only ? "check" : "run");
     if (const auto exit = cast.gather(service.value())) return *exit;
     if (detached && cast.ownsSome()) {
         return misused(session, "--detach needs check-outs that outlive this command",

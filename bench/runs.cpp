@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "runs.hpp"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <fstream>
+#include <iostream>
+#include <thread>
+
+#include "axon_crowd.hpp"
+
+namespace axon::bench {
+
+namespace {
+
+namespace fs = std::filesystem;
+using namespace std::chrono_literals;
+constexpr int kWarmUp = 3;
+
+nlohmann::json figures(std::vector<double> all) {
+    nlohmann::json out{{"n", all.size()}};
+    if (all.empty()) return out;
+    std::sort(all.begin(), all.end());
+    const auto at = [&all](double q) { return all[static_cast<std::size_t>(q * static_cast<double>(all.size() - 1))]; };
+    double sum = 0;
+    for (const auto value : all) sum += value;
+    out.update({{"mean", sum / static_cast<double>(all.size())}, {"p50", at(0.5)}, {"p99", at(0.99)}, {"max", all.back()}});
+    return out;
+}
+
+client::GlobalService serviceOf(std::size_t entities, int levels) {
+    client::GlobalService service;
+    service.name = "benchmark";
+    for (int level = 0; level < levels; ++level)
+        for (std::size_t i = 0; i < entities; ++i) {
+            client::GlobalStep step;
+            step.role = static_cast<int>(i);
+            step.category = "MACHINE";
+            step.type = "STATIONARY";
+            step.service_global_id = "nothing";
+            step.preced = level;
+            service.steps.push_back(std::move(step));
+        }
+    return service;
+}
+
+}  // namespace
+
+int runRuns(const fs::path& programs, std::size_t entities, int levels, int rounds, const std::string& json_file) {
+    const fs::path folder = fs::temp_directory_path() / ("axon-bench-" + std::to_string(::getpid()));
+    fs::create_directories(folder);
+    AxonCrowd crowd(programs, folder, entities);
+    auto& board = crowd.board();
+    const auto service = serviceOf(entities, levels);
+    client::Bindings bindings;
+    for (std::size_t i = 0; i < entities; ++i) bindings[static_cast<int>(i)] = crowd.names()[i];
+
+    std::vector<double> single, batch, steps, last;
+    int failed = 0;
+    const auto waitForTasks = [&](const std::vector<std::uint32_t>& before, std::size_t of) {
+        const auto give_up = nowNs() + 5'000'000'000LL;
+        for (std::size_t i = 0; i < of; ++i)
+            while (board[i].tasks == before[i] && nowNs() < give_up) std::this_thread::sleep_for(50us);
+    };
+    const auto marks = [&] {
+        std::vector<std::uint32_t> all(entities);
+        for (std::size_t i = 0; i < entities; ++i) all[i] = board[i].tasks;
+        return all;
+    };
+    for (int round = -kWarmUp; round < rounds && !interrupted; ++round) {
+        std::fprintf(stderr, "\rround %d of %d ", std::max(round + 1, 0), rounds);
+        // What one relayed message takes: a task of the client, alone and in a batch to all.
+        for (const std::size_t count : {std::size_t{1}, entities}) {
+            const auto before = marks();
+            std::vector<client::Task> tasks;
+            const auto begin = nowNs();
+            for (std::size_t i = 0; i < count; ++i) tasks.push_back(crowd.held()[i].run("nothing"));
+            waitForTasks(before, count);
+            for (const auto& task : tasks) task.wait(client::Seconds{5});
+            for (std::size_t i = 0; i < count && round >= 0; ++i)
+                (count == 1 ? single : batch).push_back(static_cast<double>(board[i].entered(before[i]) - begin) / 1e6);
+        }
+        const auto before = marks();
+        const auto master = static_cast<std::size_t>(round + kWarmUp) % entities;
+        const auto run = crowd.client().runGlobal(service, bindings, crowd.names()[master]);
+        if (!run) {
+            std::fprintf(stderr, "\n");
+            std::cerr << run.refusal().message << "\n";
+            ++failed;
+            break;
+        }
+        const auto report = run->wait(client::Seconds{30});
+        if (report.state != client::RunState::Succeeded) {
+            std::fprintf(stderr, "\n");
+            std::cerr << "a run ended " << client::toString(report.state) << ": " << report.reason.message << "\n";
+            ++failed;
+            continue;
+        }
+        if (round < 0) continue;
+        std::int64_t ended = 0;  // the last step of the level before: its handler ends as it is entered
+        for (int level = 0; level < levels; ++level) {
+            std::int64_t newest = 0;
+            for (std::size_t i = 0; i < entities; ++i) {
+                const auto at = board[i].entered(before[i] + static_cast<std::uint32_t>(level));
+                newest = std::max(newest, at);
+                if (level > 0) steps.push_back(static_cast<double>(at - ended) / 1e6);
+            }
+            if (level > 0) last.push_back(static_cast<double>(newest - ended) / 1e6);
+            ended = newest;
+        }
+    }
+    std::fprintf(stderr, "\r%40s\r", "");
+    const auto one = figures(single), many = figures(batch), step = figures(steps), level = figures(last);
+    std::printf("%zu entities, %d levels, %d runs; ms. One way = client to handler, relayed.\n", entities, levels, rounds);
+    std::printf("%-44s %8s %8s %8s %8s %8s\n", "", "n", "mean", "p50", "p99", "max");
+    const auto row = [](const char* what, const nlohmann::json& of) {
+        if (!of.contains("mean")) return;
+        std::printf("%-44s %8zu %8.3f %8.3f %8.3f %8.3f\n", what, of["n"].get<std::size_t>(), of["mean"].get<double>(),
+                    of["p50"].get<double>(), of["p99"].get<double>(), of["max"].get<double>());
+    };
+    row("one way, a single task", one);
+    row("one way, a batch of one to each", many);
+    row("end of a level to a handler of the next", step);
+    row("end of a level to the last of the next", level);
+    nlohmann::json ratios;
+    if (step.contains("mean") && many.contains("mean")) {
+        ratios = {{"step / one way of a batch", step["mean"].get<double>() / many["mean"].get<double>()},
+                  {"step / single one way", step["mean"].get<double>() / one["mean"].get<double>()}};
+        std::printf("A step takes %.2f one-way latencies of a batch of this size (bound: 3), %.2f of a single message.\n",
+                    ratios["step / one way of a batch"].get<double>(), ratios["step / single one way"].get<double>());
+    }
+    if (!json_file.empty())
+        std::ofstream(json_file) << nlohmann::json{{"machine", machine()}, {"entities", entities}, {"levels", levels},
+                                                   {"runs", rounds}, {"failed", failed}, {"partial", interrupted != 0},
+                                                   {"single", one}, {"batch", many}, {"step", step}, {"level", level},
+                                                   {"ratios", ratios}}.dump(2)
+                                 << "\n";
+    fs::remove_all(folder);
+    return failed > 0 || interrupted ? 1 : 0;
+}
+
+}  // namespace axon::bench
