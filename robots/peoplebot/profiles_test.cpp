@@ -36,7 +36,7 @@ TEST(PeopleBotProfiles, ARenamedProfileIsTheSameProfileWithAnotherName) {
 
 TEST(PeopleBotProfiles, WhatTheServicesProfileAllowsTheMotionsDo) {
     const auto profile = readServicesProfile(contentOf("services_profile.xml"), "services");
-    ASSERT_EQ(profile.message.services_size(), 2);
+    ASSERT_EQ(profile.message.services_size(), 3);
     const auto& driving = profile.message.services(0);
     EXPECT_EQ(driving.global_id(), "Drive");
     EXPECT_TRUE(driving.is_pausable());

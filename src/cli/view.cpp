@@ -374,7 +374,7 @@ void PersonView::showEntity(const Json& event) {
         } else {
             out_ << paint("ready", Tint::Green);
         }
-        if (textOf(service, "type") == "CMPLX") out_ << "; composite";
+        if (textOf(service, "type") == "CMPLX") out_ << "; composite of " << valuesText(service.value("parts", Json::array()));
         if (!service.value("blocking", true)) out_ << "; runs beside others";
         if (service.value("pausable", false)) out_ << "; pausable";
         out_ << '\n';

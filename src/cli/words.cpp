@@ -134,7 +134,8 @@ Json toJson(const Service& service) {
             {"pausable", service.pausable},
             {"parameters", std::move(parameters)},
             {"resources", std::move(resources)},
-            {"missing", service.missing}};
+            {"missing", service.missing},
+            {"parts", service.parts}};
 }
 
 Json reasonOf(const Refusal& refusal) {

@@ -103,6 +103,7 @@ Service fromProto(const proto::Service& service) {
         r.size = resource.size();
     }
     out.missing.assign(service.missing().begin(), service.missing().end());
+    out.parts.assign(service.service_list().begin(), service.service_list().end());
     return out;
 }
 

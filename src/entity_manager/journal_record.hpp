@@ -26,6 +26,7 @@ struct JournalRecord {
         Rearmed,
         Dispatched,  ///< a task; written before it is sent
         TaskEnded,   ///< a task that had been dispatched
+        Part,        ///< a further part of a composite task; the first one is its dispatch
     };
     Kind kind = Kind::Started;
     LeaseNumber lease{};           ///< note() fills in the present one
@@ -40,9 +41,9 @@ struct JournalRecord {
     bool operator==(const JournalRecord&) const = default;
 };
 
-inline constexpr std::array<std::string_view, 11> kJournalKinds{
+inline constexpr std::array<std::string_view, 12> kJournalKinds{
     "started", "granted", "lost",    "resumed",    "taken-over", "lease-ended",
-    "refused", "stopped", "rearmed", "dispatched", "task-ended"};
+    "refused", "stopped", "rearmed", "dispatched", "task-ended", "part"};
 
 inline std::string_view toString(JournalRecord::Kind kind) {
     return kJournalKinds.at(static_cast<std::size_t>(kind));

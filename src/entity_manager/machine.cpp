@@ -345,7 +345,7 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             spareTasks();
             break;
         case Action::HaltTasks:
-            for (auto& active : active_) active.halted = true;
+            haltTasks();
             break;
         case Action::DispatchNext:
             dispatchNext();
@@ -521,7 +521,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
                 active_told_[message.active().service()] = message.active().active();
             if (const auto service =
                     profiler_.setActive(message.active().service(), message.active().active()))
-                sendService(service.value());
+                sendServices({service.value()});
             else
                 ++counters_.unexpected;
             break;
@@ -1073,7 +1073,7 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
         task.set_state(active.phase == Active::Phase::Dispatched ? proto::TASK_DISPATCHED
                        : active.phase == Active::Phase::Paused   ? proto::TASK_PAUSED
                                                                  : proto::TASK_RUNNING);
-        task.set_progress(-1);
+        task.set_progress(progressOf(active));
     }
     for (const auto& waiting : queue_.waiting()) {
         auto& task = *status.add_tasks();
@@ -1193,7 +1193,7 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     if (const auto expiry = queue_.nextExpiry()) next = std::min(next, *expiry);
     if (!questions_.empty()) next = std::min(next, questions_.begin()->second.until);
     for (const auto& active : active_)
-        if (active.phase == Active::Phase::Dispatched) next = std::min(next, active.answer_until);
+        if (active.sent && !active.answered) next = std::min(next, active.answer_until);
     for (const auto& active : active_)
         if (active.alone_until) next = std::min(next, *active.alone_until);
     if (run_) next = std::min(next, run_->nextDeadline());

@@ -32,8 +32,8 @@ namespace axon::entity_manager {
 
 /// The inside of EntityManagerCore: it finds the row of each event in the state table and has one function
 /// for each Action. Private to the core; machine.cpp has states and messages, machine_leases.cpp who holds
-/// the entity and who wants it, machine_tasks.cpp tasks and resources, machine_collaboration.cpp what it does with
-/// other entities.
+/// the entity and who wants it, machine_tasks.cpp tasks and resources, machine_composites.cpp tasks with parts,
+/// machine_collaboration.cpp what it does with other entities.
 class EntityManagerCore::Machine {
   public:
     Machine(CoreSettings settings, Clock& clock, RandomSource& random, BackEndPort& back_end,
@@ -78,20 +78,30 @@ class EntityManagerCore::Machine {
         Refusal reason;                ///< what those are told who lose a task or a lease
         proto::CheckOutPhase phase = proto::CHECK_OUT_UNSPECIFIED;  ///< of a check-out that is granted
     };
-    /// A task that the robot application has been given.
+    /// A task that has begun: the robot application has been given it, or, of a composite, one part after the other.
     struct Active {
         enum class Phase : std::uint8_t { Dispatched, Running, Paused };
+        const ServiceProfiler::Order& order() const { return task.plan.parts[part]; }
+        bool lastPart() const { return part + 1 == task.plan.parts.size(); }
+
         Task task;
-        Phase phase = Phase::Dispatched;
+        Phase phase = Phase::Dispatched;  ///< of the whole
         bool halted = false;       ///< by a reset: its end lets the queue go on
-        TimePoint answer_until{};  ///< while it has only been dispatched
-        std::optional<TimePoint> alone_until;  ///< without its client: then it is stopped
+        bool cancelled = false;    ///< asked for: no further part begins
+        bool hold = false;         ///< a pause was asked for: no further part begins before it is resumed
+        std::size_t part = 0;      ///< the present one
+        std::optional<Id128> sent; ///< the id under which the application has it; none between two parts
+        bool answered = false;     ///< the application has granted it
+        TimePoint answer_until{};  ///< while it has not
+        std::optional<TimePoint> alone_until;   ///< without its client: then it is stopped
+        std::optional<TimePoint> finish_until;  ///< likewise, of the whole, whatever its parts are allowed
+        std::vector<proto::Param> results;      ///< of the parts of a composite, "Part.Name", the newest of each
     };
     /// A task whose end has been told to the client, and of which the robot application has not yet said that
     /// its handler has returned. Nothing that excludes it is dispatched before.
     struct Lingering {
-        Id128 id;
-        std::string service;
+        Id128 id;  ///< that the application knows
+        int service;
         bool blocking;
     };
     /// A stop whose later receipts are still to come.
@@ -201,18 +211,26 @@ class EntityManagerCore::Machine {
     void dispatchNext();
     bool admissible(const Task& task) const;
     void dispatch(Task task);
+    bool mayStart() const;
+    void sendPart(Active& active);
     void taskAnswer(const proto::TaskAnswer& answer);
     void taskUpdate(proto::TaskEvent& update);
     void granted(Active& active);
     void endTask(std::size_t at, proto::TaskEvent event);
+    void endTask(std::size_t at, proto::TaskState state, const Refusal& reason);
     void endTasks(const Incident& incident, proto::TaskState state, bool linger);
     void voidQueue(const Incident& incident);
+    void haltTasks();
     void leaveService(const Task& task, bool clear);
     void controlTask(const Incident& incident);
     void expireTasks();
     bool lingeringEnded(const Id128& id);
     void applicationStatus(const proto::StatusNote& note);
     Active* findActive(const Id128& id);
+    Active* findSent(const Id128& id);
+    void markExecuting(const Task& task);
+    /// It is gone from active_.
+    void taskGone();
     bool anyRuns() const;
     /// To who asked for the task: the holder, or the master of the run of which it is a step.
     void tellTask(proto::TaskEvent& event);
@@ -223,7 +241,20 @@ class EntityManagerCore::Machine {
     void tellFinals();
     void expireAnswers();
 
+    // Composite services (machine_composites.cpp).
+    std::string partText(const Active& active) const;
+    double progressOf(const Active& active, double of_part = -1) const;
+    void nameAsWhole(const Active& active, proto::TaskEvent& event) const;
+    void keepResults(Active& active, const proto::TaskEvent& event) const;
+    bool goOn(std::size_t at, proto::TaskEvent& event);
+    void endAsWhole(const Active& active, proto::TaskEvent& event) const;
+    void continueParts();
+    void controlBetweenParts(Active& active);
+    void sendServices(const std::vector<int>& services);
+
     // Tasks whose client is lost (machine_losses.cpp).
+    proto::OnClientLoss lossPolicyOfParts(const Active& active) const;
+    TimePoint finishesUntil(const Active& active) const;
     proto::OnClientLoss lossPolicyOf(const Active& active) const;
     bool survivesClientLoss() const;
     void loseHolder(Incident& incident);

@@ -204,7 +204,8 @@ void EntityManagerCore::Machine::problemsOf(const proto::Invitation& invitation,
             if (!beside) continue;
             const auto& one = profiler_.record(service.value());
             const auto& two = profiler_.record(beside.value());
-            if (one.is_blocking() || two.is_blocking() || service.value() == beside.value())
+            if (one.is_blocking() || two.is_blocking() ||
+                profiler_.shareParts(service.value(), beside.value()))
                 *answer.add_problems() = problem(
                     other.step(), {RefusalCode::Blocked,
                                    "It is to run at the same time as " + inQuotes(one.name()) +

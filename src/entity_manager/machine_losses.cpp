@@ -18,17 +18,30 @@ constexpr Duration kPauseWithin = std::chrono::seconds{1};
 
 /// What holds for the task as it is now; whatever is in doubt stops.
 proto::OnClientLoss EntityManagerCore::Machine::lossPolicyOf(const Active& active) const {
-    const auto& service = profiler_.record(active.task.order.service);
-    if (active.phase == Active::Phase::Dispatched || active.halted) return proto::STOP_TASK;
-    switch (service.on_client_loss()) {
-        case proto::HOLD_TASK:
-            return service.is_pausable() && settings_.lease_grace > Duration::zero() ? proto::HOLD_TASK
-                                                                                     : proto::STOP_TASK;
-        case proto::FINISH_TASK:
-            return service.max_duration_s() > 0 ? proto::FINISH_TASK : proto::STOP_TASK;
-        default:
+    const bool begins = !active.answered && active.phase != Active::Phase::Paused;
+    return begins || active.halted ? proto::STOP_TASK : lossPolicyOfParts(active);
+}
+
+/// What the profile says of the present part: the strictest of its service and of the composites around it.
+proto::OnClientLoss EntityManagerCore::Machine::lossPolicyOfParts(const Active& active) const {
+    auto strictest = proto::FINISH_TASK;
+    for (const auto position : active.order().way) {
+        const auto& service = profiler_.record(position);
+        if (service.on_client_loss() == proto::FINISH_TASK && service.max_duration_s() <= 0) return proto::STOP_TASK;
+        strictest = std::min(strictest, service.on_client_loss());
+        // Who comes back resumes the whole.
+        if (strictest == proto::HOLD_TASK && !profiler_.record(active.task.plan.service).is_pausable())
             return proto::STOP_TASK;
     }
+    return strictest == proto::HOLD_TASK && settings_.lease_grace <= Duration::zero() ? proto::STOP_TASK : strictest;
+}
+
+/// How long the present part may go on alone, from now on; the whole no longer than its own allows.
+TimePoint EntityManagerCore::Machine::finishesUntil(const Active& active) const {
+    auto most = profiler_.record(active.order().service).max_duration_s();
+    for (const auto position : active.order().way) most = std::min(most, profiler_.record(position).max_duration_s());
+    const auto until = clock_.now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(most));
+    return active.finish_until ? std::min(until, *active.finish_until) : until;
 }
 
 /// Of several that run side by side the strictest counts: a stop cannot leave one of them out.
@@ -48,17 +61,17 @@ void EntityManagerCore::Machine::loseHolder(Incident& incident) {
 void EntityManagerCore::Machine::spareTasks() {
     for (auto& active : active_) {
         if (lossPolicyOf(active) == proto::FINISH_TASK) {
-            const auto most = profiler_.record(active.task.order.service).max_duration_s();
-            active.alone_until =
-                AXON_PLANTED(FinishWithoutEnd)
-                    ? TimePoint::max()
-                    : clock_.now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(most));
+            active.finish_until =
+                clock_.now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(
+                                   profiler_.record(active.task.plan.service).max_duration_s()));
+            active.alone_until = AXON_PLANTED(FinishWithoutEnd) ? TimePoint::max() : finishesUntil(active);
             continue;
         }
+        active.hold = true;
         if (active.phase == Active::Phase::Paused || AXON_PLANTED(HeldTaskGoesOn)) continue;
         active.alone_until = clock_.now() + kPauseWithin;
         proto::EmToEi pause;
-        pause.mutable_pause()->set_task_id(active.task.id.bytes());
+        pause.mutable_pause()->set_task_id(active.sent->bytes());
         pause.mutable_pause()->set_stop_generation(generation_);
         back_end_.send(pause);
     }
@@ -66,7 +79,10 @@ void EntityManagerCore::Machine::spareTasks() {
 
 /// Its client is back and answers for it again. What was held stays paused until the client resumes it.
 void EntityManagerCore::Machine::attendTasks() {
-    for (auto& active : active_) active.alone_until.reset();
+    for (auto& active : active_) {
+        active.alone_until.reset();
+        active.finish_until.reset();
+    }
 }
 
 /// A task without its client has changed between running and paused.
@@ -80,7 +96,7 @@ void EntityManagerCore::Machine::watchHeld(Active& active) {
 
 bool EntityManagerCore::Machine::finishesAlone() const {
     return std::any_of(active_.begin(), active_.end(), [this](const Active& active) {
-        return active.alone_until && lossPolicyOf(active) == proto::FINISH_TASK;
+        return active.alone_until && !active.halted && lossPolicyOfParts(active) == proto::FINISH_TASK;
     });
 }
 
@@ -98,7 +114,7 @@ void EntityManagerCore::Machine::expireSpared() {
     });
     if (late == active_.end()) return;
     const auto service = inQuotes(late->task.service);
-    endSpared(lossPolicyOf(*late) == proto::FINISH_TASK
+    endSpared(lossPolicyOfParts(*late) == proto::FINISH_TASK
                   ? "The client was lost, and " + service +
                         " has gone on without it for as long as max_duration allows."
                   : "The client was lost, and the robot application has not paused " + service + '.');

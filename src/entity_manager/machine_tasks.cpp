@@ -22,22 +22,23 @@ constexpr double kLongestNotAfter_s = 1e6;
 /// Some bytes are left for a stop generation that grows while a task waits.
 constexpr std::size_t kMessageMax = kFrameMax - 64;
 
-proto::EmToEi dispatchOf(const Task& task) {
+proto::EmToEi dispatchOf(const ServiceProfiler::Order& part, const std::string& service, const Id128& id,
+                         std::uint32_t generation) {
     proto::EmToEi message;
     auto& order = *message.mutable_task();
-    order.set_task_id(task.id.bytes());
-    order.set_service(task.service);
-    order.set_stop_generation(task.generation);
-    for (const auto& param : task.order.params) *order.add_params() = param;
-    for (const auto& resource : task.order.resources) *order.add_resources() = resource;
+    order.set_task_id(id.bytes());
+    order.set_service(service);
+    order.set_stop_generation(generation);
+    for (const auto& param : part.params) *order.add_params() = param;
+    for (const auto& resource : part.resources) *order.add_resources() = resource;
     return message;
 }
 
 /// The link has no larger frames, and what cannot be sent would never be answered.
-Refusal checkSize(const proto::EmToEi& message) {
-    if (message.ByteSizeLong() <= kMessageMax) return {};
+Refusal checkSize(std::size_t bytes) {
+    if (bytes <= kMessageMax) return {};
     return {RefusalCode::TooLarge,
-            "With all parameters it has " + std::to_string(message.ByteSizeLong()) +
+            "With all parameters it has " + std::to_string(bytes) +
                 " bytes, and the robot application takes at most " + std::to_string(kMessageMax) +
                 " at once. Shorten the parameters, or upload a resource.",
             {}};
@@ -71,20 +72,23 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
         return {RefusalCode::Malformed, "not_after_s must be a number of seconds from 0 on.", {}};
     if (const auto again = memory_.whyNotAgain(*id); again && !AXON_PLANTED(TaskIdForgotten)) return *again;
     if (const auto refusal = queue_.mayPush(); !refusal.ok()) return refusal;
-    auto order = profiler_.prepare(request.service(), request.params());
-    if (!order) return order.refusal();
-    const auto& service = profiler_.record(order->service);
+    auto plan = profiler_.prepare(request.service(), request.params());
+    if (!plan) return plan.refusal();
+    const auto& service = profiler_.record(plan->service);
     Task task;
     task.id = *id;
     task.service = service.name();
     task.blocking = service.is_blocking();
-    task.order = std::move(order).value();
+    task.plan = std::move(plan).value();
     task.generation = generation_;
     if (request.not_after_s() > 0 && request.not_after_s() < kLongestNotAfter_s && !AXON_PLANTED(ExpiryUnchecked))
         task.not_after = (AXON_PLANTED(ExpiryByTheSendersClock) ? TimePoint{std::chrono::microseconds{sent_at_us}}
                                                                 : clock_.now()) +
                          std::chrono::duration_cast<Duration>(std::chrono::duration<double>(request.not_after_s()));
-    if (const auto refusal = checkSize(dispatchOf(task)); !refusal.ok()) return refusal;
+    std::size_t bytes = 0;  // of all parts: a composite takes no more memory than another task
+    for (const auto& part : task.plan.parts)
+        bytes += dispatchOf(part, profiler_.record(part.service).name(), task.id, generation_).ByteSizeLong();
+    if (const auto refusal = checkSize(bytes); !refusal.ok()) return refusal;
     memory_.accept(task.id);
     queue_.push(std::move(task));
     dispatchNext();
@@ -94,22 +98,26 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
 }
 
 bool EntityManagerCore::Machine::admissible(const Task& task) const {
-    const auto excludes = [&](bool blocking, const std::string& service) {
-        return blocking || task.blocking || service == task.service;
-    };
+    if (task.blocking && !(active_.empty() && lingering_.empty())) return false;
+    // Two tasks of one service do not run at the same time, be it as a part of a composite.
     for (const auto& active : active_)
-        if (active.halted || excludes(active.task.blocking, active.task.service)) return false;
+        if (active.halted || active.task.blocking || profiler_.shareParts(active.task.plan.service, task.plan.service))
+            return false;
     for (const auto& lingering : lingering_)
-        if (excludes(lingering.blocking, lingering.service)) return false;
+        if (lingering.blocking || profiler_.shareParts(lingering.service, task.plan.service)) return false;
     return true;
+}
+
+/// After a stop nothing starts before its callback has returned: on its own lane it could arrive after the task and
+/// end that one.
+bool EntityManagerCore::Machine::mayStart() const {
+    return !latched_ && link_up_ && holder() != nullptr && !application_busy_ && standing();
 }
 
 /// In order of arrival: a task that must wait holds back those behind it, or it might wait for ever.
 void EntityManagerCore::Machine::dispatchNext() {
-    // After a stop nothing starts before its callback has returned: on its own lane it could arrive after the
-    // task and end that one.
-    while (!queue_.empty() && !latched_ && link_up_ && holder() != nullptr && !application_busy_ &&
-           standing()) {
+    continueParts();
+    while (!queue_.empty() && mayStart()) {
         if (queue_.front().not_after && clock_.now() >= *queue_.front().not_after) {
             expireTasks();
             continue;
@@ -122,12 +130,15 @@ void EntityManagerCore::Machine::dispatchNext() {
 }
 
 void EntityManagerCore::Machine::dispatch(Task task) {
+    Active active{.task = std::move(task)};
     // Before it is sent, or a next life might send it again.
-    if (!AXON_PLANTED(DispatchNotInTheJournal) && !note({.kind = JournalRecord::Kind::Dispatched,
+    if (!AXON_PLANTED(DispatchNotInTheJournal) &&
+        !note({.kind = JournalRecord::Kind::Dispatched,
                .who = named(*holder()),
-               .task = task.id,
-               .service = task.service})) {
-        sendTask(task, proto::TASK_REFUSED,
+               .task = active.task.id,
+               .service = active.task.service,
+               .text = active.task.plan.composite ? partText(active) : std::string()})) {
+        sendTask(active.task, proto::TASK_REFUSED,
                  {RefusalCode::Overloaded,
                   "The Entity Manager cannot write its journal, so it starts no task. Is the robot's disk "
                   "full? Make room, "
@@ -135,24 +146,35 @@ void EntityManagerCore::Machine::dispatch(Task task) {
                   {}});
         return;
     }
-    memory_.dispatched(task.id);
+    memory_.dispatched(active.task.id);
+    active_.push_back(std::move(active));
+    sendPart(active_.back());
+    sendTask(active_.back().task, proto::TASK_DISPATCHED, {});
+}
+
+/// The present part, to the robot application. It sees ordinary tasks only: each part of a composite has an id of its
+/// own, which nobody else knows.
+void EntityManagerCore::Machine::sendPart(Active& active) {
     if (!busy_told_) {
         // Before the task, so that the short watchdog is running when the robot starts.
         busy_told_ = true;
         back_end_.setBusy(true);
     }
     stop_gate_.spareClientLoss(false);
-    auto message = dispatchOf(task);
-    if (task.not_after) {
+    const auto& task = active.task;
+    active.sent = task.plan.composite ? Id128::random(random_) : task.id;
+    active.answered = false;
+    active.answer_until = clock_.now() + settings_.answer_within;
+    auto message =
+        dispatchOf(active.order(), profiler_.record(active.order().service).name(), *active.sent, task.generation);
+    if (task.not_after && active.part == 0) {
         const auto left =
             std::chrono::duration_cast<std::chrono::milliseconds>(*task.not_after - clock_.now());
         message.mutable_task()->set_start_within_ms(static_cast<std::uint32_t>(
             std::clamp<std::int64_t>(left.count(), 1, std::numeric_limits<std::int32_t>::max())));
     }
-    profiler_.setExecuting(task.order.service, true);
-    active_.push_back({.task = std::move(task), .answer_until = clock_.now() + settings_.answer_within});
+    markExecuting(task);
     back_end_.send(message);
-    sendTask(active_.back().task, proto::TASK_DISPATCHED, {});
 }
 
 /// Granted ones: what has only been dispatched does not make BUSY.
@@ -167,22 +189,36 @@ EntityManagerCore::Machine::Active* EntityManagerCore::Machine::findActive(const
     return nullptr;
 }
 
+/// By the id that the robot application knows.
+EntityManagerCore::Machine::Active* EntityManagerCore::Machine::findSent(const Id128& id) {
+    for (auto& active : active_)
+        if (active.sent == id) return &active;
+    return nullptr;
+}
+
 void EntityManagerCore::Machine::granted(Active& active) {
+    active.answered = true;
+    const bool first = active.phase == Active::Phase::Dispatched;
     active.phase = Active::Phase::Running;
-    const Task task = active.task;  // the row may dispatch, and then `active` moves
-    fire(Event::TaskGranted);
-    sendTask(task, proto::TASK_RUNNING, {});
+    proto::TaskEvent event;
+    event.set_task_id(active.task.id.bytes());
+    event.set_service(active.task.service);
+    event.set_state(proto::TASK_RUNNING);
+    event.set_progress(progressOf(active));
+    if (active.task.plan.composite) event.set_feedback(partText(active));
+    if (first) fire(Event::TaskGranted);  // the row may dispatch, and then `active` moves
+    tellTask(event);
 }
 
 void EntityManagerCore::Machine::taskAnswer(const proto::TaskAnswer& answer) {
     const auto id = Id128::fromBytes(answer.task_id());
-    auto* active = id ? findActive(*id) : nullptr;
+    auto* active = id ? findSent(*id) : nullptr;
     const bool denied = answer.has_refusal() && answer.refusal().code() != proto::OK;
     if (active == nullptr) {
         if (!(id && denied && lingeringEnded(*id))) ++counters_.unexpected;
         return;
     }
-    if (active->phase != Active::Phase::Dispatched) {
+    if (active->answered) {
         ++counters_.unexpected;
         return;
     }
@@ -203,26 +239,37 @@ void EntityManagerCore::Machine::taskAnswer(const proto::TaskAnswer& answer) {
 
 void EntityManagerCore::Machine::taskUpdate(proto::TaskEvent& update) {
     const auto id = Id128::fromBytes(update.task_id());
-    auto* active = id ? findActive(*id) : nullptr;
+    auto* active = id ? findSent(*id) : nullptr;
     if (active == nullptr) {
         // A task whose end has been told already: it was stopped, and now its handler has returned.
         if (!(id && isFinal(update.state()) && lingeringEnded(*id))) ++counters_.unexpected;
         return;
     }
+    // A part that has succeeded has been granted, and the composite runs.
+    if (active->task.plan.composite && !active->answered && update.state() == proto::TASK_SUCCEEDED) {
+        granted(*active);
+        active = findSent(*id);
+        if (active == nullptr) return;
+    }
     if (isFinal(update.state())) {
         endTask(static_cast<std::size_t>(active - active_.data()), std::move(update));
         return;
     }
-    if (active->phase == Active::Phase::Dispatched) {
+    if (!active->answered) {
         granted(*active);  // it runs, so it was granted
-        active = findActive(*id);
+        active = findSent(*id);
         if (active == nullptr) return;
     }
+    const auto before = active->phase;
     if (update.state() == proto::TASK_PAUSED) active->phase = Active::Phase::Paused;
     if (update.state() == proto::TASK_RUNNING) active->phase = Active::Phase::Running;
+    // Without having been asked for: the next part of a composite waits all the same, or goes on.
+    if (active->phase != before) active->hold = active->phase == Active::Phase::Paused;
     watchHeld(*active);
     update.set_state(active->phase == Active::Phase::Paused ? proto::TASK_PAUSED : proto::TASK_RUNNING);
+    update.set_task_id(active->task.id.bytes());
     update.set_service(active->task.service);
+    if (active->task.plan.composite) nameAsWhole(*active, update);
     tellTask(update);
 }
 
@@ -233,9 +280,17 @@ bool EntityManagerCore::Machine::lingeringEnded(const Id128& id) {
     return true;
 }
 
+void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskState state, const Refusal& reason) {
+    proto::TaskEvent event;
+    event.set_state(state);
+    event.set_progress(-1);
+    if (!reason.ok()) *event.mutable_reason() = toProto(reason);
+    endTask(at, std::move(event));
+}
+
 /// The robot application has said how it ended.
 void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskEvent event) {
-    const Task task = std::move(active_[at].task);
+    if (active_[at].task.plan.composite && goOn(at, event)) return;
     if (!event.has_reason() && event.state() == proto::TASK_STOPPED)
         *event.mutable_reason() =
             toProto(Refusal{RefusalCode::Stopped,
@@ -245,9 +300,15 @@ void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskEvent event)
         *event.mutable_reason() = toProto(Refusal{RefusalCode::Cancelled, "Cancelled while it ran.", {}});
     if (!event.has_reason() && event.state() == proto::TASK_FAILED)
         *event.mutable_reason() = toProto(Refusal{RefusalCode::Failed, "The robot application gave no reason.", {}});
+    const auto active = std::move(active_[at]);
     active_.erase(active_.begin() + static_cast<std::ptrdiff_t>(at));
-    leaveService(task, event.state() != proto::TASK_REFUSED);
-    concludeTask(task, event);
+    leaveService(active.task, event.state() != proto::TASK_REFUSED);
+    endAsWhole(active, event);
+    concludeTask(active.task, event);
+    taskGone();
+}
+
+void EntityManagerCore::Machine::taskGone() {
     const bool last = !anyRuns() && !application_busy_ && state_ == EntityState::BUSY;
     fire(last ? Event::LastTaskEnded : Event::TaskEnded);
 }
@@ -259,21 +320,41 @@ void EntityManagerCore::Machine::endTasks(const Incident& incident, proto::TaskS
     if (state == proto::TASK_UNKNOWN) reason.code = RefusalCode::OutcomeUnknown;
     for (auto& active : ended) {
         leaveService(active.task, true);
-        sendTask(active.task, state, reason);
-        if (linger && link_up_)
-            lingering_.push_back({active.task.id, active.task.service, active.task.blocking});
+        proto::TaskEvent event;
+        event.set_state(state);
+        event.set_progress(-1);
+        if (!reason.ok()) *event.mutable_reason() = toProto(reason);
+        endAsWhole(active, event);
+        concludeTask(active.task, event);
+        if (linger && link_up_ && active.sent)
+            lingering_.push_back({*active.sent, active.order().service, active.task.blocking});
     }
 }
 
+void EntityManagerCore::Machine::haltTasks() {
+    for (auto& active : active_) active.halted = true;  // between two parts: continueParts()
+}
+
+/// Of the task's service and of its parts, whether a task that is active uses them.
+void EntityManagerCore::Machine::markExecuting(const Task& task) {
+    const auto mark = [this](int service) {
+        profiler_.setExecuting(service, std::any_of(active_.begin(), active_.end(), [service](const Active& active) {
+                                   return active.task.plan.service == service ||
+                                          (active.sent && active.order().service == service);
+                               }));
+    };
+    mark(task.plan.service);
+    if (task.plan.composite)
+        for (const auto& part : task.plan.parts) mark(part.service);
+}
+
 void EntityManagerCore::Machine::leaveService(const Task& task, bool clear) {
-    const auto service = task.order.service;
-    profiler_.setExecuting(service, std::any_of(active_.begin(), active_.end(), [&](const Active& active) {
-                               return active.task.order.service == service;
-                           }));
+    markExecuting(task);
     if (!clear) return;
-    const auto cleared = profiler_.clearAfterTask(task.order);
-    for (const auto& resource : cleared.files) store_.remove(task.service, resource);
-    if (cleared.changed) sendService(service);
+    const auto cleared = profiler_.clearAfterTask(task.plan);
+    for (const auto& [service, resource] : cleared.files)
+        store_.remove(profiler_.record(service).name(), resource);
+    sendServices(cleared.changed);
 }
 
 void EntityManagerCore::Machine::voidQueue(const Incident& incident) {
@@ -314,16 +395,16 @@ void EntityManagerCore::Machine::controlTask(const Incident& incident) {
         return;
     }
     proto::EmToEi message;
+    const bool resume = incident.event == Event::Resume;
     if (incident.event == Event::Cancel) {
-        message.mutable_cancel()->set_task_id(control.task_id());
+        if (active->sent) message.mutable_cancel()->set_task_id(active->sent->bytes());
     } else {
-        if (!profiler_.record(active->task.order.service).is_pausable()) {
+        if (!profiler_.record(active->task.plan.service).is_pausable()) {
             refuse(incident, {RefusalCode::NotPausable,
                               "Service " + inQuotes(active->task.service) + " cannot be paused. Cancel it.",
                               {}});
             return;
         }
-        const bool resume = incident.event == Event::Resume;
         const auto needed = resume ? Active::Phase::Paused : Active::Phase::Running;
         if (active->phase != needed) {
             refuse(incident, {RefusalCode::WrongState,
@@ -331,17 +412,24 @@ void EntityManagerCore::Machine::controlTask(const Incident& incident) {
                               {}});
             return;
         }
-        message.mutable_pause()->set_task_id(control.task_id());
-        message.mutable_pause()->set_resume(resume);
-        message.mutable_pause()->set_stop_generation(generation_);
+        if (active->sent) {
+            message.mutable_pause()->set_task_id(active->sent->bytes());
+            message.mutable_pause()->set_resume(resume);
+            message.mutable_pause()->set_stop_generation(generation_);
+        }
     }
-    if (!back_end_.send(message)) {
+    if (active->sent && !back_end_.send(message)) {
         refuse(incident, {RefusalCode::TooLarge,
                           "The link to the robot application does not take it: it is too large.",
                           {}});
         return;
     }
     reply(to, control.task_id(), {});
+    if (incident.event == Event::Cancel)
+        active->cancelled = true;
+    else
+        active->hold = !resume;
+    if (!active->sent) controlBetweenParts(*active);
 }
 
 void EntityManagerCore::Machine::sendTask(const Task& task, proto::TaskState state, const Refusal& reason) {
@@ -413,25 +501,22 @@ void EntityManagerCore::Machine::expireAnswers() {
                             {}});
     }
     for (std::size_t i = 0; i < active_.size();) {
-        if (active_[i].phase != Active::Phase::Dispatched || active_[i].answer_until > now) {
+        if (!active_[i].sent || active_[i].answered || active_[i].answer_until > now) {
             ++i;
             continue;
         }
         // It may still begin, so it is cancelled, and nothing that it excludes starts before it has ended
         // there.
-        const Task task = std::move(active_[i].task);
-        active_.erase(active_.begin() + static_cast<std::ptrdiff_t>(i));
+        const auto& active = active_[i];
         proto::EmToEi cancel;
-        cancel.mutable_cancel()->set_task_id(task.id.bytes());
+        cancel.mutable_cancel()->set_task_id(active.sent->bytes());
         back_end_.send(cancel);
-        lingering_.push_back({task.id, task.service, task.blocking});
-        leaveService(task, true);
-        sendTask(task, proto::TASK_UNKNOWN,
-                 {RefusalCode::TimedOut,
-                  "The robot application has neither granted nor denied it within " + within +
-                      ". It has been cancelled and may have begun: look at the robot.",
-                  {}});
-        fire(Event::TaskEnded);
+        lingering_.push_back({*active.sent, active.order().service, active.task.blocking});
+        endTask(i, proto::TASK_UNKNOWN,
+                {RefusalCode::TimedOut,
+                 "The robot application has neither granted nor denied it within " + within +
+                     ". It has been cancelled and may have begun: look at the robot.",
+                 {}});
     }
 }
 
@@ -465,7 +550,7 @@ void EntityManagerCore::Machine::askParameter(const Incident& incident) {
     ask.set_service(profiler_.record(question.service).name());
     *ask.mutable_param() = question.param;
     ask.set_stop_generation(generation_);
-    if (const auto refusal = checkSize(message); !refusal.ok()) {
+    if (const auto refusal = checkSize(message.ByteSizeLong()); !refusal.ok()) {
         refuse(incident, refusal);
         return;
     }
@@ -505,7 +590,7 @@ void EntityManagerCore::Machine::answer(const proto::RequestAnswer& answer) {
         profiler_.storeParam(question.service, question.param);
     }
     conclude(question, refusal);
-    if (refusal.ok()) sendService(question.service);
+    if (refusal.ok()) sendServices({question.service});
 }
 
 void EntityManagerCore::Machine::conclude(const Question& question, const Refusal& refusal) {

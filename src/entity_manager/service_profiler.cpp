@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "entity_manager/service_profiler.hpp"
 
+#include <algorithm>
+#include <set>
+
 #include "entity_manager/ports.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -9,8 +12,8 @@ namespace axon::entity_manager {
 
 namespace {
 
-bool settable(const proto::CtrlParam& meta) {
-    return meta.type() == proto::INPUT || meta.type() == proto::CONFIG;
+std::size_t place(int position) {
+    return static_cast<std::size_t>(position);
 }
 
 Refusal notSettable(const proto::Service& service, const proto::CtrlParam& meta) {
@@ -27,12 +30,16 @@ void ServiceProfiler::load(proto::ServicesProfile profile, const std::string& en
                            ResourceStore& store) {
     profile_ = std::move(profile);
     declared_ = profile_;
+    composites_ = readComposites(profile_);
     stamps_.clear();
+    active_.clear();
+    around_.assign(place(profile_.services_size()), {});
     for (int i = 0; i < profile_.services_size(); ++i) {
         auto& service = *profile_.mutable_services(i);
         service.set_entity_id(entity_id);
         service.set_id(i);
         service.set_is_exec(false);
+        active_.push_back(service.is_active());
         for (auto& param : *service.mutable_params()) param.set_ready(param.initial_size() > 0);
         for (auto& resource : *service.mutable_resources()) {
             if (!resource.savable()) continue;
@@ -41,37 +48,125 @@ void ServiceProfiler::load(proto::ServicesProfile profile, const std::string& en
                 resource.set_ready(true);
             }
         }
-        stamps_.push_back({std::vector<std::uint64_t>(static_cast<std::size_t>(service.params_size())),
-                           std::vector<std::uint64_t>(static_cast<std::size_t>(service.resources_size()))});
-        refreshMissing(i);
+        stamps_.push_back({std::vector<std::uint64_t>(place(service.params_size())),
+                           std::vector<std::uint64_t>(place(service.resources_size()))});
+    }
+    for (int i = 0; i < profile_.services_size(); ++i) showParts(i);
+    for (int i = 0; i < profile_.services_size(); ++i) {
+        refreshActive(i);
+        refreshRecord(i);
     }
 }
 
-void ServiceProfiler::refreshMissing(int index) {
+/// Once: the names of what the parts have, and the flags of the whole.
+void ServiceProfiler::showParts(int index) {
     auto& service = *profile_.mutable_services(index);
+    if (service.type() != proto::CMPLX) return;
+    std::set<int> with;
+    for (const auto& part : composites_.parts[place(index)]) with.insert(part.begin() + 1, part.end());
+    for (const auto part : with) {
+        const auto& declared = declared_.services(part);
+        around_[place(part)].push_back(index);
+        service.set_is_blocking(service.is_blocking() || declared.is_blocking());
+        service.set_is_pausable(service.is_pausable() && declared.is_pausable());
+    }
+    for (const auto& view : composites_.params[place(index)]) {
+        auto& param = *service.add_params();
+        param = declared_.services(view.service).params(view.item);
+        param.set_name(viewName(declared_, view.service, param.name()));
+    }
+    for (const auto& view : composites_.resources[place(index)]) {
+        auto& resource = *service.add_resources();
+        resource = declared_.services(view.service).resources(view.item);
+        resource.set_name(viewName(declared_, view.service, resource.name()));
+    }
+}
+
+/// What of the service has changed is seen in the composites with it too.
+void ServiceProfiler::refresh(int service) {
+    refreshRecord(service);
+    for (const auto composite : compositesWith(service)) refreshRecord(composite);
+}
+
+void ServiceProfiler::refreshRecord(int index) {
+    auto& service = *profile_.mutable_services(index);
+    int at = ownParams(index);
+    for (const auto& view : composites_.params[place(index)]) {
+        const auto& part = record(view.service).params(view.item);
+        auto& param = *service.mutable_params(at++);
+        *param.mutable_initial() = part.initial();
+        param.set_ready(part.ready());
+    }
+    at = ownResources(index);
+    for (const auto& view : composites_.resources[place(index)]) {
+        auto& resource = *service.mutable_resources(at++);
+        const auto name = resource.name();
+        resource = record(view.service).resources(view.item);
+        resource.set_name(name);
+    }
+    std::vector<Lack> lacks;
+    for (const auto& part : composites_.parts[place(index)]) merge(part, {}, lacks);
     service.clear_missing();
-    for (const auto& param : service.params())
-        if (param.required() && settable(param) && !param.ready()) service.add_missing(param.name());
-    for (const auto& resource : service.resources())
-        if (resource.required() && !resource.ready()) service.add_missing(resource.name());
+    for (const auto& lack : lacks) service.add_missing(lack.name);
+}
+
+std::optional<int> ServiceProfiler::inactivePart(int service) const {
+    for (const auto& part : composites_.parts[place(service)])
+        for (const auto step : part)
+            if (!active_[place(step)]) return step;
+    return std::nullopt;
+}
+
+void ServiceProfiler::refreshActive(int service) {
+    profile_.mutable_services(service)->set_is_active(active_[place(service)] && !inactivePart(service));
+}
+
+std::optional<int> ServiceProfiler::ownSettable(int service, std::string_view name) const {
+    const auto& params = declared_.services(service).params();
+    for (int i = 0; i < params.size(); ++i)
+        if (params[i].name() == name && isSettable(params[i])) return i;
+    return std::nullopt;
 }
 
 Result<int> ServiceProfiler::find(std::string_view service) const {
     return findServiceIndex(profile_, service);
 }
 
+Composites::View ServiceProfiler::ownerOf(int service, int param) const {
+    const int view = param - ownParams(service);
+    return view < 0 ? Composites::View{service, param} : composites_.params[place(service)][place(view)];
+}
+
+Result<ServiceProfiler::Accepted> ServiceProfiler::accept(int service, const proto::Param& param) const {
+    const auto& record = this->record(service);
+    const auto at = findParamIndex(record, param.name());
+    if (!at) return at.refusal();
+    const auto& meta = record.params(at.value());
+    if (!isSettable(meta)) return notSettable(record, meta);
+    auto value = acceptParam(meta, param);
+    if (!value) return value.refusal();
+    Accepted accepted{ownerOf(service, at.value()), std::move(value).value()};
+    const auto& name = declared_.services(accepted.of.service).params(accepted.of.item).name();
+    accepted.param.set_name(name);
+    for (const auto& way : composites_.parts[place(accepted.of.service)])
+        for (std::size_t level = 1; level < way.size(); ++level) {
+            const auto fed = ownSettable(way[level], name);
+            if (!fed) continue;
+            auto refusal = axon::checkParam(declared_.services(way[level]).params(*fed), accepted.param);
+            if (refusal.ok()) continue;
+            refusal.message = "For its part " + inQuotes(this->record(way[level]).name()) + ": " + refusal.message;
+            return refusal;
+        }
+    return accepted;
+}
+
 Result<std::pair<int, proto::Param>> ServiceProfiler::checkParam(std::string_view service,
                                                                  const proto::Param& param) const {
     const auto index = find(service);
     if (!index) return index.refusal();
-    const auto& record = this->record(index.value());
-    const auto at = findParamIndex(record, param.name());
-    if (!at) return at.refusal();
-    const auto& meta = record.params(at.value());
-    if (!settable(meta)) return notSettable(record, meta);
-    auto accepted = acceptParam(meta, param);
+    auto accepted = accept(index.value(), param);
     if (!accepted) return accepted.refusal();
-    return std::pair{index.value(), std::move(accepted).value()};
+    return std::pair{accepted->of.service, std::move(accepted->param)};
 }
 
 void ServiceProfiler::storeParam(int service, const proto::Param& param) {
@@ -80,8 +175,8 @@ void ServiceProfiler::storeParam(int service, const proto::Param& param) {
     auto& meta = *profile_.mutable_services(service)->mutable_params(at.value());
     *meta.mutable_initial() = param.values();
     meta.set_ready(true);
-    stamps_[static_cast<std::size_t>(service)].params[static_cast<std::size_t>(at.value())] = ++clock_;
-    refreshMissing(service);
+    stamps_[place(service)].params[place(at.value())] = ++clock_;
+    refresh(service);
 }
 
 Result<std::pair<int, int>> ServiceProfiler::findResource(std::string_view service,
@@ -90,6 +185,10 @@ Result<std::pair<int, int>> ServiceProfiler::findResource(std::string_view servi
     if (!index) return index.refusal();
     const auto at = findResourceIndex(record(index.value()), resource);
     if (!at) return at.refusal();
+    if (const int view = at.value() - ownResources(index.value()); view >= 0) {
+        const auto& part = composites_.resources[place(index.value())][place(view)];
+        return std::pair{part.service, part.item};
+    }
     return std::pair{index.value(), at.value()};
 }
 
@@ -100,75 +199,130 @@ void ServiceProfiler::storeResource(int service, int resource, std::string path,
     record.set_sha256(std::move(sha256));
     record.set_size(size);
     record.set_ready(true);
-    stamps_[static_cast<std::size_t>(service)].resources[static_cast<std::size_t>(resource)] = ++clock_;
-    refreshMissing(service);
+    stamps_[place(service)].resources[place(resource)] = ++clock_;
+    refresh(service);
 }
 
-Result<ServiceProfiler::Order> ServiceProfiler::prepare(std::string_view service, const Params& given,
-                                                        const std::vector<std::string>& later) const {
+const ServiceProfiler::Values* ServiceProfiler::valuesOf(int service, int param, const Given& given) const {
+    if (const auto at = given.find({service, param}); at != given.end()) return &at->second.values();
+    const auto& meta = record(service).params(param);
+    return meta.ready() ? &meta.initial() : nullptr;
+}
+
+/// Of the outermost composite around it that declares a parameter of the name and has a value for it, else its own;
+/// null = none.
+const ServiceProfiler::Values* ServiceProfiler::valuesOf(const Composites::Part& way, std::size_t level, int param,
+                                                         const Given& given) const {
+    const auto& name = declared_.services(way[level]).params(param).name();
+    for (std::size_t around = 0; around < level; ++around)
+        if (const auto own = ownSettable(way[around], name))
+            if (const auto* values = valuesOf(way[around], *own, given)) return values;
+    return valuesOf(way[level], param, given);
+}
+
+/// Under which name a client of the service at the beginning of the way sets it.
+std::string ServiceProfiler::nameIn(const Composites::Part& way, std::size_t level, const std::string& name) const {
+    std::size_t owner = 0;
+    while (owner < level && !ownSettable(way[owner], name)) ++owner;
+    return owner == 0 ? name : viewName(declared_, way[owner], name);
+}
+
+/// What the service at the end of the way is given, and what it and the composites around it lack.
+ServiceProfiler::Order ServiceProfiler::merge(const Composites::Part& way, const Given& given,
+                                              std::vector<Lack>& lacks) const {
+    const auto lack = [&lacks](const char* kind, std::string name) {
+        Lack found{kind, std::move(name)};
+        if (std::find(lacks.begin(), lacks.end(), found) == lacks.end()) lacks.push_back(std::move(found));
+    };
+    Order order;
+    order.service = way.back();
+    order.way = way;
+    for (std::size_t level = 0; level < way.size(); ++level) {
+        const auto& service = record(way[level]);
+        const bool simple = level + 1 == way.size();
+        for (int i = 0; i < ownParams(way[level]); ++i) {
+            const auto& meta = service.params(i);
+            if (!isSettable(meta)) continue;
+            if (const auto* values = valuesOf(way, level, i, given)) {
+                if (!simple) continue;
+                auto& param = order.params.emplace_back();
+                param.set_name(meta.name());
+                param.set_units(meta.units());
+                *param.mutable_values() = *values;
+            } else if (meta.required()) {
+                lack("parameter", nameIn(way, level, meta.name()));
+            }
+        }
+        for (int i = 0; i < ownResources(way[level]); ++i) {
+            const auto& resource = service.resources(i);
+            if (resource.ready() && simple)
+                order.resources.push_back(resource);
+            else if (resource.required() && !resource.ready())
+                lack("resource", level == 0 ? resource.name() : viewName(declared_, way[level], resource.name()));
+        }
+    }
+    return order;
+}
+
+bool ServiceProfiler::shareParts(int one, int other) const {
+    const auto& parts = composites_.parts[place(one)];
+    const auto& others = composites_.parts[place(other)];
+    return std::any_of(parts.begin(), parts.end(), [&](const auto& part) {
+        return std::any_of(others.begin(), others.end(),
+                           [&](const auto& beside) { return part.back() == beside.back(); });
+    });
+}
+
+Result<ServiceProfiler::Plan> ServiceProfiler::prepare(std::string_view service, const Params& given,
+                                                       const std::vector<std::string>& later) const {
     const auto index = find(service);
     if (!index) return index.refusal();
     const auto& record = this->record(index.value());
-    if (!record.is_active())
+    if (!active_[place(index.value())])
         return Refusal{
             RefusalCode::InactiveService,
             "Service " + inQuotes(record.name()) + " is switched off by the robot application at present.",
             {}};
-    if (record.type() == proto::CMPLX)
+    if (const auto part = inactivePart(index.value()))
+        return Refusal{RefusalCode::InactiveService,
+                       "Service " + inQuotes(record.name()) + " cannot run: its part " +
+                           inQuotes(this->record(*part).name()) +
+                           " is switched off by the robot application at present.",
+                       {}};
+    const auto& parts = composites_.parts[place(index.value())];
+    if (parts.empty())
         return Refusal{RefusalCode::NotSupported,
                        "Service " + inQuotes(record.name()) +
-                           " is composite (CMPLX), which this version cannot run. Run its parts one by one.",
+                           " is composite and lists no service that could run. Its profile needs a <Services> list.",
                        {}};
-    Order order;
-    order.service = index.value();
-    order.stamp = clock_;
-    std::vector<const proto::Param*> own(static_cast<std::size_t>(record.params_size()), nullptr);
-    std::vector<proto::Param> accepted;
-    accepted.reserve(static_cast<std::size_t>(given.size()));
+    Given accepted;
     for (const auto& param : given) {
-        const auto at = findParamIndex(record, param.name());
-        if (!at) return at.refusal();
-        const auto& meta = record.params(at.value());
-        if (!settable(meta)) return notSettable(record, meta);
-        auto value = acceptParam(meta, param);
+        auto value = accept(index.value(), param);
         if (!value) return value.refusal();
-        auto*& slot = own[static_cast<std::size_t>(at.value())];
-        if (slot != nullptr)
+        if (!accepted.emplace(std::pair{value->of.service, value->of.item}, std::move(value->param)).second)
             return Refusal{
-                RefusalCode::Malformed, "Parameter " + inQuotes(meta.name()) + " is given twice.", {}};
-        accepted.push_back(std::move(value).value());
-        slot = &accepted.back();
+                RefusalCode::Malformed, "Parameter " + inQuotes(param.name()) + " is given twice.", {}};
     }
-    std::string missing;
-    const auto lack = [&missing](const std::string& what, const std::string& name) {
-        missing += (missing.empty() ? "" : ", ") + what + " " + inQuotes(name);
-    };
-    for (int i = 0; i < record.params_size(); ++i) {
-        const auto& meta = record.params(i);
-        if (!settable(meta)) continue;
-        if (const auto* param = own[static_cast<std::size_t>(i)]) {
-            order.params.push_back(*param);
-        } else if (meta.ready()) {
-            auto& stored = order.params.emplace_back();
-            stored.set_name(meta.name());
-            stored.set_units(meta.units());
-            *stored.mutable_values() = meta.initial();
-        } else if (meta.required() && std::find(later.begin(), later.end(), meta.name()) == later.end()) {
-            lack("parameter", meta.name());
+    for (const auto& name : later)
+        if (const auto at = findParamIndex(record, name)) {
+            const auto of = ownerOf(index.value(), at.value());
+            accepted.try_emplace({of.service, of.item});
         }
-    }
-    for (const auto& resource : record.resources()) {
-        if (resource.ready())
-            order.resources.push_back(resource);
-        else if (resource.required())
-            lack("resource", resource.name());
-    }
-    if (!missing.empty())
-        return Refusal{RefusalCode::MissingDependency,
-                       "Service " + inQuotes(record.name()) + " still needs: " + missing +
-                           ". Give the parameters with the task or set them first, and upload the resources.",
-                       {}};
-    return order;
+    Plan plan;
+    plan.service = index.value();
+    plan.composite = record.type() == proto::CMPLX;
+    plan.stamp = clock_;
+    std::vector<Lack> lacks;
+    plan.parts.reserve(parts.size());
+    for (const auto& part : parts) plan.parts.push_back(merge(part, accepted, lacks));
+    if (lacks.empty()) return plan;
+    std::string missing;
+    for (const auto& lack : lacks)
+        missing += (missing.empty() ? "" : ", ") + std::string(lack.kind) + ' ' + inQuotes(lack.name);
+    return Refusal{RefusalCode::MissingDependency,
+                   "Service " + inQuotes(record.name()) + " still needs: " + missing +
+                       ". Give the parameters with the task or set them first, and upload the resources.",
+                   {}};
 }
 
 Result<ServiceProfiler::Params> ServiceProfiler::typed(std::string_view service, const Params& given) const {
@@ -216,7 +370,7 @@ std::vector<Refusal> ServiceProfiler::problems(std::string_view service, const P
         const auto at = findParamIndex(record, name);
         if (!at)
             all.push_back(at.refusal());
-        else if (!settable(record.params(at.value())))
+        else if (!isSettable(record.params(at.value())))
             all.push_back(notSettable(record, record.params(at.value())));
         else
             awaited.push_back(record.params(at.value()).name());
@@ -231,13 +385,16 @@ std::vector<Refusal> ServiceProfiler::problems(std::string_view service, const P
                                ", which is set and not told by the robot. Name an OUTPUT parameter.",
                            {}});
     }
-    if (auto order = prepare(service, good, awaited); !order) all.push_back(order.refusal());
+    if (auto plan = prepare(service, good, awaited); !plan) all.push_back(plan.refusal());
     return all;
 }
 
 Result<int> ServiceProfiler::setActive(std::string_view service, bool active) {
     const auto index = find(service);
-    if (index) profile_.mutable_services(index.value())->set_is_active(active);
+    if (!index) return index;
+    active_[place(index.value())] = active;
+    refreshActive(index.value());
+    for (const auto composite : compositesWith(index.value())) refreshActive(composite);
     return index;
 }
 
@@ -245,32 +402,39 @@ void ServiceProfiler::setExecuting(int service, bool executing) {
     profile_.mutable_services(service)->set_is_exec(executing);
 }
 
-ServiceProfiler::Cleared ServiceProfiler::clearAfterTask(const Order& order) {
+ServiceProfiler::Cleared ServiceProfiler::clearAfterTask(const Plan& plan) {
     Cleared cleared;
-    auto& service = *profile_.mutable_services(order.service);
-    const auto& stamps = stamps_[static_cast<std::size_t>(order.service)];
-    for (int i = 0; i < service.params_size(); ++i) {
+    std::set<int> services;
+    for (const auto& part : plan.parts) services.insert(part.way.begin(), part.way.end());
+    for (const auto service : services) clear(service, plan.stamp, cleared);
+    return cleared;
+}
+
+void ServiceProfiler::clear(int index, std::uint64_t before, Cleared& cleared) {
+    auto& service = *profile_.mutable_services(index);
+    const auto& stamps = stamps_[place(index)];
+    bool changed = false;
+    for (int i = 0; i < ownParams(index); ++i) {
         auto& param = *service.mutable_params(i);
-        if (param.savable() || !settable(param) || !param.ready() ||
-            stamps.params[static_cast<std::size_t>(i)] > order.stamp)
-            continue;
-        *param.mutable_initial() = declared_.services(order.service).params(i).initial();
+        if (param.savable() || !isSettable(param) || !param.ready() || stamps.params[place(i)] > before) continue;
+        *param.mutable_initial() = declared_.services(index).params(i).initial();
         param.set_ready(param.initial_size() > 0);
-        cleared.changed = true;
+        changed = true;
     }
-    for (int i = 0; i < service.resources_size(); ++i) {
+    for (int i = 0; i < ownResources(index); ++i) {
         auto& resource = *service.mutable_resources(i);
-        const auto stamp = stamps.resources[static_cast<std::size_t>(i)];
+        const auto stamp = stamps.resources[place(i)];
         // Stamp 0: it was never uploaded; a file that the robot's owner has put there is not ours to delete.
-        if (resource.savable() || !resource.ready() || stamp > order.stamp) continue;
+        if (resource.savable() || !resource.ready() || stamp > before) continue;
         resource.set_ready(false);
-        cleared.changed = true;
+        changed = true;
         if (stamp == 0) continue;
         resource.clear_url();
-        cleared.files.push_back(resource.name());
+        cleared.files.emplace_back(index, resource.name());
     }
-    refreshMissing(order.service);
-    return cleared;
+    if (!changed) return;
+    cleared.changed.push_back(index);
+    refresh(index);
 }
 
 }  // namespace axon::entity_manager

@@ -3,12 +3,15 @@
 #include <axon/profile.pb.h>
 
 #include <cstdint>
+#include <map>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
 #include <vector>
 
 #include "common/result.hpp"
+#include "messages/composites.hpp"
 
 namespace axon::entity_manager {
 
@@ -23,14 +26,26 @@ class ResourceStore;
 ///
 /// A service's record (proto::Service) always shows the present: `initial` of a parameter is its present
 /// value, `ready` whether it has one, `missing` what must be set before the service can run.
+///
+/// The record of a composite service shows its parts' parameters and resources too, as "Part.Name": to set one is
+/// to set the part's. What the composite declares itself under the name of a part's parameter is, where it has a
+/// value, the value of that part's. Its flags are those of the whole: active and pausable where it and all its
+/// parts are, blocking where it or one of them is.
 class ServiceProfiler {
   public:
     using Params = google::protobuf::RepeatedPtrField<proto::Param>;
-    /// A merged task: everything the robot application needs to run it.
+    /// A merged part of a task: everything the robot application needs to run one simple service.
     struct Order {
         int service = 0;
+        Composites::Part way;  ///< to it, from the service that was asked for; for a simple one it is alone
         std::vector<proto::Param> params;
         std::vector<proto::Resource> resources;
+    };
+    /// A merged task. A simple service has one part, itself.
+    struct Plan {
+        int service = 0;
+        bool composite = false;
+        std::vector<Order> parts;
         std::uint64_t stamp = 0;  ///< what was set later is not cleared by this task's end
     };
 
@@ -42,23 +57,23 @@ class ServiceProfiler {
     /// By name or global id; UNKNOWN_SERVICE names near ones.
     Result<int> find(std::string_view service) const;
 
-    /// A parameter that a client wants to set: of which service, and in the profile's own type.
-    /// UNKNOWN_SERVICE, UNKNOWN_PARAMETER, WRONG_TYPE, WRONG_UNITS, OUT_OF_RANGE; WRONG_TYPE too for what
-    /// only the robot may set.
+    /// A parameter that a client wants to set: of which service (of a composite's "Part.Name" the part), and in
+    /// the profile's own type. UNKNOWN_SERVICE, UNKNOWN_PARAMETER, WRONG_TYPE, WRONG_UNITS, OUT_OF_RANGE;
+    /// WRONG_TYPE too for what only the robot may set.
     Result<std::pair<int, proto::Param>> checkParam(std::string_view service,
                                                     const proto::Param& param) const;
     /// After the robot application has granted it.
     void storeParam(int service, const proto::Param& param);
 
-    /// Position of service and resource; UNKNOWN_SERVICE, UNKNOWN_RESOURCE.
+    /// Position of service (of a composite's "Part.Name" the part) and resource; UNKNOWN_SERVICE, UNKNOWN_RESOURCE.
     Result<std::pair<int, int>> findResource(std::string_view service, std::string_view resource) const;
     void storeResource(int service, int resource, std::string path, std::string sha256, std::uint64_t size);
 
-    /// The task's own parameters over the stored ones: INACTIVE_SERVICE, NOT_SUPPORTED (composite services),
-    /// the refusals of checkParam, and MISSING_DEPENDENCY with everything that is missing.
+    /// The task's own parameters over the stored ones: INACTIVE_SERVICE, NOT_SUPPORTED (a composite without
+    /// parts), the refusals of checkParam, and MISSING_DEPENDENCY with everything that is missing.
     /// `later`: parameters that count as given.
-    Result<Order> prepare(std::string_view service, const Params& given,
-                          const std::vector<std::string>& later = {}) const;
+    Result<Plan> prepare(std::string_view service, const Params& given,
+                         const std::vector<std::string>& later = {}) const;
     /// The parameters of a global service: texts become values of the profile's types. The refusals of
     /// parseParam; a parameter that the service does not have stays as it is.
     Result<Params> typed(std::string_view service, const Params& given) const;
@@ -67,26 +82,64 @@ class ServiceProfiler {
     std::vector<Refusal> problems(std::string_view service, const Params& given, const std::vector<std::string>& later,
                                   const std::vector<std::string>& wanted = {}) const;
 
+    /// The composites that run this service, or show what is its: their records change with its own.
+    const std::vector<int>& compositesWith(int service) const {
+        return around_[static_cast<std::size_t>(service)];
+    }
+    /// Whether the two come down to a simple service of both.
+    bool shareParts(int one, int other) const;
+
     /// UNKNOWN_SERVICE, or done; the service's position.
     Result<int> setActive(std::string_view service, bool active);
     void setExecuting(int service, bool executing);
 
     struct Cleared {
-        bool changed = false;
-        std::vector<std::string> files;  ///< resources whose files are to be deleted
+        std::vector<int> changed;                         ///< services
+        std::vector<std::pair<int, std::string>> files;  ///< resources whose files are to be deleted, by service
     };
-    /// What is not savable and was set before the task was accepted goes back to the profile's own value, or to none.
-    Cleared clearAfterTask(const Order& order);
+    /// What is not savable and was set before the task was accepted goes back to the profile's own value, or to
+    /// none: of the service and of all its parts, those included that have not run.
+    Cleared clearAfterTask(const Plan& plan);
 
   private:
     struct Stamps {
         std::vector<std::uint64_t> params;
         std::vector<std::uint64_t> resources;
     };
-    void refreshMissing(int service);
+    using Values = google::protobuf::RepeatedPtrField<proto::Value>;
+    /// Given with a task: of which service's own parameters, by position.
+    using Given = std::map<std::pair<int, int>, proto::Param>;
+    struct Lack {
+        const char* kind;
+        std::string name;
+        bool operator==(const Lack&) const = default;
+    };
+    struct Accepted {
+        Composites::View of;  ///< whose own parameter it is
+        proto::Param param;
+    };
+
+    void showParts(int service);
+    void refresh(int service);
+    void refreshRecord(int service);
+    void refreshActive(int service);
+    std::optional<int> inactivePart(int service) const;
+    int ownParams(int service) const { return declared_.services(service).params_size(); }
+    int ownResources(int service) const { return declared_.services(service).resources_size(); }
+    std::optional<int> ownSettable(int service, std::string_view name) const;
+    Composites::View ownerOf(int service, int param) const;
+    Result<Accepted> accept(int service, const proto::Param& param) const;
+    const Values* valuesOf(int service, int param, const Given& given) const;
+    const Values* valuesOf(const Composites::Part& way, std::size_t level, int param, const Given& given) const;
+    std::string nameIn(const Composites::Part& way, std::size_t level, const std::string& name) const;
+    Order merge(const Composites::Part& way, const Given& given, std::vector<Lack>& lacks) const;
+    void clear(int service, std::uint64_t stamp, Cleared& cleared);
 
     proto::ServicesProfile profile_;
     proto::ServicesProfile declared_;  ///< as it was loaded: what a value that is not savable goes back to
+    Composites composites_;
+    std::vector<std::vector<int>> around_;  ///< of each service the composites with it
+    std::vector<bool> active_;              ///< each by itself, whatever its parts are
     std::vector<Stamps> stamps_;
     std::uint64_t clock_ = 0;  ///< counts what has been set
 };

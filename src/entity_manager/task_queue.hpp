@@ -14,12 +14,12 @@
 
 namespace axon::entity_manager {
 
-/// An accepted task: all its checks are behind it.
+/// An accepted task: all its checks are behind it. That of a composite service is one task with several parts.
 struct Task {
     Id128 id;
     std::string service;  ///< its name in the profile
     bool blocking = true;
-    ServiceProfiler::Order order;
+    ServiceProfiler::Plan plan;
     std::uint32_t generation =
         0;  ///< stop generation under which it was accepted; it is void under any other
     std::optional<TimePoint> not_after;

@@ -12,6 +12,7 @@
 #include <system_error>
 #include <utility>
 
+#include "messages/composites.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 #include "messages/xml_document.hpp"
@@ -769,13 +770,22 @@ class ServicesReader {
                 near.empty() ? "name a service that is declared here"
                              : "did you mean " + alternatives(near) + "?");
         }
-        reportCycles(edges);
+        if (reportCycles(edges)) return;
+        for (const auto& fault : readComposites(profile_).faults) {
+            const int line = lines_[static_cast<std::size_t>(fault.service)];
+            const auto element = "Service " + inQuotes(profile_.services(fault.service).name());
+            if (fault.error)
+                findings_.error(line, element, fault.expected, fault.mend);
+            else
+                findings_.warning(line, element, fault.expected, fault.mend);
+        }
     }
 
     /// Depth first with an explicit stack: a chain of composites may be as long as the profile.
-    void reportCycles(const std::vector<std::vector<std::pair<int, int>>>& edges) {
+    bool reportCycles(const std::vector<std::vector<std::pair<int, int>>>& edges) {
         enum class Mark { Fresh, Open, Done };
         std::vector<Mark> marks(edges.size(), Mark::Fresh);
+        bool found = false;
         for (std::size_t start = 0; start < edges.size(); ++start) {
             if (marks[start] != Mark::Fresh) continue;
             std::vector<std::pair<std::size_t, std::size_t>> stack{{start, 0}};
@@ -790,6 +800,7 @@ class ServicesReader {
                 const auto [target, line] = edges[service][next++];
                 const auto to = static_cast<std::size_t>(target);
                 if (marks[to] == Mark::Open) {
+                    found = true;
                     findings_.error(line,
                                     "ServiceRef in Service " +
                                         inQuotes(profile_.services(static_cast<int>(service)).name()),
@@ -802,6 +813,7 @@ class ServicesReader {
                 }
             }
         }
+        return found;
     }
 
     Findings& findings_;

@@ -142,9 +142,17 @@ class ProfileMaker {
             // References go to services above, so that no circle closes.
             if (i > 0 && coin()) {
                 service.set_type(proto::CMPLX);
-                for (std::uint64_t r = 1 + below(3); r > 0; --r)
-                    service.add_service_list(
-                        out.services(static_cast<int>(below(static_cast<std::uint64_t>(i)))).name());
+                service.clear_params();
+                const std::uint64_t parts = 1 + below(3);
+                for (std::uint64_t r = 0; r < parts; ++r) {
+                    const auto& part = out.services(static_cast<int>(below(static_cast<std::uint64_t>(i))));
+                    service.add_service_list(part.name());
+                    // Of its own only what suits its one part.
+                    if (parts > 1) continue;
+                    for (const auto& theirs : part.params())
+                        if (theirs.type() == proto::INPUT || theirs.type() == proto::CONFIG)
+                            *service.add_params() = theirs;
+                }
             }
         }
         return out;

@@ -78,6 +78,23 @@ class ChainTest(unittest.TestCase):
         self.assertAlmostEqual(moved, 0.5, delta=0.06)
         self.assertEqual(self.lab.entities()[0]["state"], "IDLE", "released after the run")
 
+    def test_a_composite_service_runs_its_parts_and_ends_with_one_that_fails(self):
+        self.start_all()
+        status, lines, errors = self.lab.axon("run", "PeopleBot", "Patrol", "Driving.Distance=300", "Driving.Velocity=300",
+                                              "Angle=20", "Turning.Velocity=60")
+        self.assertEqual(status, 0, errors)
+        self.assertEqual(final(lines)["state"], "SUCCEEDED", lines)
+        self.assertEqual(set(final(lines)["results"]), {"Driving.Travelled", "Turning.Turned"})
+        told = [line.get("feedback", "") for line in lines]
+        for part in ("part 1 of 4, Driving", "part 2 of 4, Turning", "part 3 of 4, Driving", "part 4 of 4, Turning"):
+            self.assertTrue(any(text.startswith(part) for text in told), f"{part} in {told}")
+        status, lines, errors = self.lab.axon("run", "PeopleBot", "Patrol", "Driving.Distance=300",
+                                              "Driving.Range Threshold=4999")
+        self.assertEqual(status, 1, lines)
+        self.assertEqual(final(lines)["state"], "FAILED", lines)
+        self.assertIn("part 1 of 4, Driving: ", final(lines)["reason"]["message"])
+        self.assert_works()
+
     def test_a_stop_in_mid_drive_is_confirmed_latches_and_needs_a_rearm(self):
         self.start_all()
         client = self.start_driving()

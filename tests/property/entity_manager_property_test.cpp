@@ -60,6 +60,7 @@ class World {
     std::size_t resumed() const { return resumed_; }
     std::size_t passedOn() const { return passed_on_; }
     std::size_t takenOver() const { return taken_over_; }
+    std::size_t partsRun() const { return parts_run_; }
 
   private:
     std::uint64_t roll(std::uint64_t sides) { return dice_.next() % sides; }
@@ -75,8 +76,10 @@ class World {
     void toApplication(const proto::EmToEi& message) {
         if (message.has_param()) questions_.push_back(message.param().request());
         if (!message.has_task()) return;
-        const auto id = nameOf(message.task().task_id());
+        const auto id = rig_.nameOfSent(message.task().task_id());
         const auto& service = message.task().service();
+        const auto& noted = rig_.journal.records.back();
+        const auto whole = nameOf(noted.task.bytes());  // the same, unless it is a part of a composite
         if (rig_.core().latched()) broken("dispatched while latched: " + id);
         if (rig_.core().status().orphaned) broken("dispatched for a holder that is lost: " + id);
         if (message.task().stop_generation() != rig_.gate.generation())
@@ -86,14 +89,25 @@ class World {
         if (confirmed_ < newest_stop_) broken("dispatched before the last stop was confirmed: " + id);
         if (const auto at = not_after_.find(id); at != not_after_.end() && rig_.clock.now() >= at->second)
             broken("dispatched after its not_after: " + id);
-        if (voided_.contains(id)) broken("dispatched after a stop that was later than it: " + id);
-        if (rig_.journal.records.back().kind != entity_manager::JournalRecord::Kind::Dispatched ||
-            rig_.journal.records.back().task.bytes() != message.task().task_id())
+        if (voided_.contains(whole)) broken("dispatched after a stop that was later than it: " + id);
+        using Kind = entity_manager::JournalRecord::Kind;
+        if (noted.kind != (whole != id && parts_.contains(whole) ? Kind::Part : Kind::Dispatched) ||
+            (whole != id && !offered_.contains(whole)))
             broken("dispatched before it was in the journal: " + id);
+        if (whole != id) partOf(whole, service);
         for (const auto& [other, other_service] : at_work_)
             if (blocking(service) || blocking(other_service))
                 broken("dispatched beside a blocking task: " + id + ", " + other);
         at_work_[id] = service;
+    }
+    /// Of a tour: driving, then turning, and the second only when the first has succeeded.
+    void partOf(const std::string& whole, const std::string& service) {
+        auto& parts = parts_[whole];
+        if (service != (parts == 0 ? "Driving" : "Turning")) broken("a part out of its order: " + whole);
+        if (++parts > 2) broken("a composite with more parts than it has: " + whole);
+        if (concluded_.contains(whole)) broken("a part of a task that has ended: " + whole);
+        if (parts == 2 && last_end_ != proto::TASK_SUCCEEDED) broken("a part after one that failed: " + whole);
+        parts_run_ += parts == 2 ? 1 : 0;
     }
     void noteStops() {
         if (!link_) return;
@@ -326,9 +340,11 @@ class World {
         proto::ToEntity message;
         auto& task = *message.mutable_task();
         task.set_task_id(idOf(id));
-        task.set_service(any<std::string>({"Driving", "Turning", "Sonar", "Light", "Light", "Nonsense"}));
+        task.set_service(any<std::string>({"Driving", "Turning", "Sonar", "Light", "Light", "Tour", "Nonsense"}));
         if (task.service() == "Driving")
             *task.add_params() = paramOf("Distance=" + std::to_string(roll(5200)));
+        if (task.service() == "Tour")
+            *task.add_params() = paramOf("Driving.Distance=" + std::to_string(roll(5200)));
         if (not_after_.contains(id)) return;
         if (!again && roll(6) == 0) {
             task.set_not_after_s(0.1);
@@ -343,9 +359,10 @@ class World {
         proto::ToEntity message;
         const auto id = fresh("p");
         message.mutable_set_param()->set_request_id(idOf(id));
-        message.mutable_set_param()->set_service("Driving");
-        *message.mutable_set_param()->mutable_param() =
-            paramOf(any<std::string>({"Distance=1", "Speed=2", "Speed=x"}));
+        const bool tour = roll(3) == 0;
+        message.mutable_set_param()->set_service(tour ? "Tour" : "Driving");
+        *message.mutable_set_param()->mutable_param() = paramOf(
+            (tour ? "Driving." : "") + any<std::string>({"Distance=1", "Speed=2", "Speed=x"}));
         last_ += client + " sets " + id;
         send(client, message, "reply " + id);
     }
@@ -358,8 +375,7 @@ class World {
     }
     void control(const std::string& client) {
         proto::ToEntity message;
-        const auto id =
-            at_work_.empty() || roll(4) == 0 ? "t" + std::to_string(roll(ids_ + 1)) : at_work_.begin()->first;
+        const auto id = running_.empty() || roll(4) == 0 ? "t" + std::to_string(roll(ids_ + 1)) : *running_.begin();
         message.mutable_task_control()->set_task_id(idOf(id));
         message.mutable_task_control()->set_action(
             any<proto::TaskAction>({proto::PAUSE, proto::RESUME, proto::CANCEL}));
@@ -526,8 +542,9 @@ class World {
             default:
                 last_ += "the application ends " + id;
                 at_work_.erase(at);
-                return rig_.update(id, any<proto::TaskState>(
-                                           {proto::TASK_SUCCEEDED, proto::TASK_FAILED, proto::TASK_STOPPED}));
+                last_end_ = any<proto::TaskState>(
+                    {proto::TASK_SUCCEEDED, proto::TASK_SUCCEEDED, proto::TASK_FAILED, proto::TASK_STOPPED});
+                return rig_.update(id, last_end_);
         }
     }
 
@@ -609,7 +626,9 @@ class World {
         proved_;                         ///< of which leases a client has sent the right key
     std::set<std::string> held_before_;  ///< client and key: told again, no new grant
     std::string asked_;                  ///< the request of the last question to a holder
-    std::size_t resumed_ = 0, passed_on_ = 0, taken_over_ = 0;
+    std::map<std::string, int> parts_;  ///< of composites, how many were dispatched
+    proto::TaskState last_end_ = proto::TASK_UNSPECIFIED;  ///< that the application has reported
+    std::size_t resumed_ = 0, passed_on_ = 0, taken_over_ = 0, parts_run_ = 0;
     std::deque<std::uint64_t> questions_;
     std::deque<Sent> sent_;
     std::vector<PendingStop> pending_stops_;
@@ -629,7 +648,7 @@ std::uint64_t setting(const char* name, std::uint64_t otherwise) {
 TEST(EntityManagerProperty, TheRulesHoldUnderRandomEvents) {
     const auto only = setting("AXON_SEED", 0);
     const auto seeds = only != 0 ? 1 : setting("AXON_SEEDS", 200);
-    std::size_t dispatches = 0, resumed = 0, passed_on = 0, taken_over = 0;
+    std::size_t dispatches = 0, resumed = 0, passed_on = 0, taken_over = 0, parts = 0;
     for (std::uint64_t i = 0; i < seeds; ++i) {
         const auto seed = only != 0 ? only : i + 1;
         World world(seed);
@@ -639,6 +658,7 @@ TEST(EntityManagerProperty, TheRulesHoldUnderRandomEvents) {
         resumed += world.resumed();
         passed_on += world.passedOn();
         taken_over += world.takenOver();
+        parts += world.partsRun();
     }
     // Rules that are never put to the test hold too.
     EXPECT_GT(dispatches, seeds * 20);
@@ -646,10 +666,12 @@ TEST(EntityManagerProperty, TheRulesHoldUnderRandomEvents) {
         EXPECT_GT(resumed, seeds * 3);
         EXPECT_GT(passed_on, seeds);
         EXPECT_GT(taken_over, seeds);
+        EXPECT_GT(parts, seeds);
     }
     RecordProperty("dispatches", std::to_string(dispatches));
     RecordProperty("resumed", std::to_string(resumed));
     RecordProperty("passed_on", std::to_string(passed_on));
+    RecordProperty("second_parts", std::to_string(parts));
     RecordProperty("taken_over", std::to_string(taken_over));
 }
 

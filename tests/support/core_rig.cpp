@@ -182,15 +182,26 @@ void CoreRig::uploadProfiles() {
     upload(true, kRigServicesProfile);
 }
 
+std::string CoreRig::nameOfSent(const std::string& id) const {
+    const auto at = std::find(parts_.begin(), parts_.end(), id);
+    return at == parts_.end() ? nameOf(id) : "part" + std::to_string(at - parts_.begin() + 1);
+}
+
+std::string CoreRig::idOfSent(const std::string& name) const {
+    for (const auto& id : parts_)
+        if (nameOfSent(id) == name) return id;
+    return idOf(name);
+}
+
 void CoreRig::grant(const std::string& task) {
     proto::EiToEm message;
-    message.mutable_task_answer()->set_task_id(idOf(task));
+    message.mutable_task_answer()->set_task_id(idOfSent(task));
     fromApplication(std::move(message));
 }
 
 void CoreRig::deny(const std::string& task, const std::string& reason) {
     proto::EiToEm message;
-    message.mutable_task_answer()->set_task_id(idOf(task));
+    message.mutable_task_answer()->set_task_id(idOfSent(task));
     message.mutable_task_answer()->mutable_refusal()->set_code(proto::DENIED);
     message.mutable_task_answer()->mutable_refusal()->set_message(reason);
     fromApplication(std::move(message));
@@ -199,7 +210,7 @@ void CoreRig::deny(const std::string& task, const std::string& reason) {
 void CoreRig::update(const std::string& task, proto::TaskState state, double progress) {
     proto::EiToEm message;
     auto& event = *message.mutable_task()->mutable_event();
-    event.set_task_id(idOf(task));
+    event.set_task_id(idOfSent(task));
     event.set_state(state);
     event.set_progress(progress);
     fromApplication(std::move(message));
@@ -486,7 +497,7 @@ std::string shown(const proto::ToClient& message) {
     return "nothing";
 }
 
-std::string shown(const proto::EmToEi& message) {
+std::string shown(const proto::EmToEi& message, const CoreRig& rig) {
     switch (message.body_case()) {
         case proto::EmToEi::kParam:
             return "ParamRequest #" + std::to_string(message.param().request()) + ' ' +
@@ -496,7 +507,7 @@ std::string shown(const proto::EmToEi& message) {
                    message.resource().service() + '/' + message.resource().resource() + ' ' +
                    message.resource().path() + " size=" + std::to_string(message.resource().size());
         case proto::EmToEi::kTask: {
-            std::string text = "TaskDispatch " + nameOf(message.task().task_id()) + ' ' +
+            std::string text = "TaskDispatch " + rig.nameOfSent(message.task().task_id()) + ' ' +
                                message.task().service() +
                                " gen=" + std::to_string(message.task().stop_generation());
             for (const auto& param : message.task().params()) text += ' ' + shown(param);
@@ -505,10 +516,10 @@ std::string shown(const proto::EmToEi& message) {
             return text;
         }
         case proto::EmToEi::kCancel:
-            return "CancelTask " + nameOf(message.cancel().task_id());
+            return "CancelTask " + rig.nameOfSent(message.cancel().task_id());
         case proto::EmToEi::kPause:
             return (message.pause().resume() ? "PauseTask resume " : "PauseTask ") +
-                   nameOf(message.pause().task_id());
+                   rig.nameOfSent(message.pause().task_id());
         case proto::EmToEi::kText:
             return "LinkText \"" + message.text().text() + "\" from " + message.text().from();
         case proto::EmToEi::kRaw:
@@ -528,7 +539,10 @@ std::string shown(const proto::EmToEi& message) {
 
 bool CoreRig::send(const proto::EmToEi& message) {
     if (message.ByteSizeLong() > frame_max) return false;
-    note("application: " + shown(message));
+    // Which task it is of stands in the journal, always.
+    if (message.has_task() && (journal.records.empty() || journal.records.back().task.bytes() != message.task().task_id()))
+        parts_.push_back(message.task().task_id());
+    note("application: " + shown(message, *this));
     to_application.push_back(message);
     if (on_application) on_application(message);
     return true;

@@ -59,7 +59,8 @@ class MemoryResources final : public entity_manager::ResourceStore {
     Refusal failure;           ///< why it never will
 };
 
-/// An EntityManagerCore between fake ports that write every effect down, as a line of text and as it is.
+/// An EntityManagerCore between fake ports that write every effect down, as a line of text and as it is. The parts of
+/// composites, whose ids are random, are called part1, part2 and so on as they are dispatched.
 /// Clients are known by their names: "admin…" is an administrator, "observer…" an observer. A client sends
 /// what it would in truth: the lease it was given and the newest stop generation it was told, unless `lease`
 /// or `generation` say otherwise.
@@ -136,6 +137,11 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     std::function<void(Lane, const Header&, const proto::ToEntity&)> on_peer;
 
     std::vector<proto::EmToEi> to_application;
+    /// Of a task that the application has been given: "part2", or what its client called it.
+    std::string nameOfSent(const std::string& id) const;
+    /// And back.
+    std::string idOfSent(const std::string& name) const;
+
     std::vector<std::pair<std::uint32_t, StopCause>> stops;
     std::vector<ToClientRecord> to_clients;
     std::vector<EntityStatus> statuses;
@@ -159,6 +165,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     entity_manager::CoreSettings settings_;
     SeededRandom random_;
     std::vector<std::string> lines_;
+    std::vector<std::string> parts_;  ///< ids
     std::unique_ptr<entity_manager::EntityManagerCore> core_;
 };
 

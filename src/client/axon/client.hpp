@@ -58,6 +58,7 @@ struct Service {
     std::vector<Parameter> parameters;
     std::vector<Resource> resources;
     std::vector<std::string> missing;  ///< what must be set or uploaded before it can run
+    std::vector<std::string> parts;    ///< of a CMPLX one, in order, by name or global id
 };
 
 /// What everybody may see of an entity.
