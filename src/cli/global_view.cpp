@@ -425,9 +425,10 @@ void PersonView::showRunEnd(const Json& event) {
             say("  " + whatOf(*step) + ": " + results);
     }
     showProblems(event.at("problems"));
-    if (const auto& reason = event.at("reason"); !good && reason.is_object()) {
+    // Where there are problems, the reason is the first of them.
+    if (const auto& reason = event.at("reason"); !good && reason.is_object() && event.at("problems").empty()) {
         Json error{{"event", "error"}, {"code", reason.value("code", "")}, {"message", reason.value("message", "")}};
-        if (event.contains("mend") && event.at("problems").empty()) error["mend"] = event["mend"];
+        if (event.contains("mend")) error["mend"] = event["mend"];
         showError(error);
     }
     steps_.clear();
@@ -494,10 +495,10 @@ void PersonView::showRunRecord(const Json& event) {
     out_ << paint("  " + textOf(event, "id"), Tint::Dim) << "\n\n";
     std::map<int, Json> steps;
     for (const auto& step : event.at("steps")) steps[step.value("step", 0)] = step;
-    Table table({"ORDER", "NAME", "ENTITY", "SERVICE", "STATE", "BEGAN", "TIME", "INPUTS", "RESULTS", "REASON"});
+    Rows rows;
     for (const auto* step : inOrder(steps, false)) {
         const auto& began = step->at("began_s");
-        table.add({{orderOf(*step), Tint::Dim},
+        rows.push_back({{orderOf(*step), Tint::Dim},
                    {textOf(*step, "called")},
                    {textOf(*step, "entity"), Tint::Bold},
                    {textOf(*step, "service")},
@@ -508,7 +509,9 @@ void PersonView::showRunRecord(const Json& event) {
                    {valueList(step->at("results"))},
                    {step->at("reason").is_object() ? textOf(step->at("reason"), "message") : "", Tint::Yellow}});
     }
-    out_ << table.text(terminal_.colour) << std::flush;
+    out_ << fitted({"ORDER", "NAME", "ENTITY", "SERVICE", "STATE", "BEGAN", "TIME", "INPUTS", "RESULTS", "REASON"},
+                   std::move(rows), {1, 3, 7, 8}, terminal_)
+         << std::flush;
 }
 
 }  // namespace axon::cli

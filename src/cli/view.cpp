@@ -225,8 +225,9 @@ void PersonView::show(const Json& event) {
     }
     if (kind == "orphaned") {
         wipe();
-        err_ << paint("axon: the connection was lost: " + textOf(event, "message") + "; " +
-                          textOf(event, "entity") + " stands still and is kept for a while",
+        auto why = textOf(event, "message");
+        if (why.ends_with('.')) why.pop_back();
+        err_ << paint("axon: " + why + "; " + textOf(event, "entity") + " stands still and is kept for a while",
                       Tint::Yellow)
              << '\n'
              << std::flush;

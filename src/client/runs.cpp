@@ -212,6 +212,8 @@ void SessionCore::onRunEvent(const std::string& entity, const proto::RunEvent& e
     if (event.problems_size() > 0) {
         report.problems.clear();
         for (const auto& problem : event.problems()) report.problems.push_back(fromProto(problem));
+        std::stable_sort(report.problems.begin(), report.problems.end(),
+                         [](const RunProblem& a, const RunProblem& b) { return a.step < b.step; });
     }
     if (!isFinal(*state) && lease(entry.master) == nullptr) awaitRun(*id);
     tellRun(*id);
@@ -245,8 +247,13 @@ void SessionCore::finishRun(Id128 id, RunState state, const Refusal& why) {
     const auto found = runs_.find(id);
     if (found == runs_.end() || isFinal(found->second.report.state)) return;
     answer(Ask::Run, id, {});
-    found->second.report.state = state;
-    found->second.report.reason = why;
+    auto& report = found->second.report;
+    report.state = state;
+    report.reason = why;
+    for (auto& step : report.steps) {
+        // Of what was under way nothing more is heard.
+        if (step.state && !isFinal(*step.state)) step.state = TaskState::Unknown;
+    }
     tellRun(id);
 }
 

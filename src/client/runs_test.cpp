@@ -250,6 +250,7 @@ TEST_F(RunsTest, ARefusalSaysWhatIsInTheWay) {
     const auto id = launch(1, true).value();
     EXPECT_TRUE(link.sent[0].body.collaboration().check_only());
     auto refused = event(id, 1, proto::RUN_REFUSED);
+    refused.add_problems()->set_step(2);
     auto& problem = *refused.add_problems();
     problem.set_step(1);
     problem.set_entity("Cyton");
@@ -257,8 +258,8 @@ TEST_F(RunsTest, ARefusalSaysWhatIsInTheWay) {
     problem.mutable_refusal()->set_message("grab is not active");
     tell(1, refused);
     EXPECT_TRUE(report().check);
-    ASSERT_THAT(report().problems, SizeIs(1));
-    EXPECT_EQ(report().problems[0].step, 1);
+    ASSERT_THAT(report().problems, SizeIs(2));
+    EXPECT_EQ(report().problems[0].step, 1) << "in the order of the steps";
     EXPECT_EQ(report().problems[0].refusal.code, RefusalCode::InactiveService);
 }
 
@@ -337,13 +338,17 @@ TEST_F(RunsTest, ARefusedPauseLeavesTheRunAsItIs) {
 TEST_F(RunsTest, WithItsMasterTheRunIsLost) {
     takeBoth();
     const auto id = launch().value();
-    tell(1, event(id, 1, proto::RUN_RUNNING));
+    auto running = event(id, 1, proto::RUN_RUNNING);
+    running.add_steps()->set_state(proto::TASK_RUNNING);
+    tell(1, running);
     proto::ToClient message;
     message.mutable_lease_ended()->mutable_lease()->set_epoch(1);
     message.mutable_lease_ended()->mutable_lease()->set_number(4);
     fromEntity(1, message);
     EXPECT_EQ(report().state, RunState::Unknown);
     EXPECT_EQ(report().id, id.toString());
+    EXPECT_EQ(report().steps[0].state, TaskState::Unknown) << "it was under way";
+    EXPECT_FALSE(report().steps[1].state) << "it was not";
     EXPECT_FALSE(core.busy());
 }
 
