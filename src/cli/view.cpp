@@ -200,6 +200,7 @@ void PersonView::show(const Json& event) {
     if (kind == "global_service") return showGlobalService(event);
     if (kind == "binding") return showBinding(event);
     if (kind == "run") return showRun(event);
+    if (kind == "run_begun") return say(textOf(event, "service") + " runs");
     if (kind == "runs") return showRuns(event);
     if (kind == "run_record") return showRunRecord(event);
     if (kind == "uploaded") {

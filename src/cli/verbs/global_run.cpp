@@ -261,9 +261,14 @@ class RunFollower {
     /// Until it is under way, or over.
     int detach(Deadline deadline) {
         while (const auto event = session_.mailbox->wait(deadline)) {
-            if (!show(*event)) continue;
+            const bool about_run = event->at("event") == "run";
+            if (!about_run || event->value("final", false)) show(*event);
+            if (!about_run || event->at("state") == "CHECKING") continue;
             if (event->value("final", false)) return event->at("exit").get<int>();
-            if (event->at("state") == "CHECKING") continue;
+            session_.events.emit({{"event", "run_begun"},
+                                  {"id", run_},
+                                  {"service", event->at("service")},
+                                  {"master", event->at("master")}});
             say("the run goes on: axon global cancel " + shellWord(run_.substr(0, 8)) +
                 " ends it, axon global history " + shellWord(run_.substr(0, 8)) + " shows how it ended");
             return kDone;

@@ -240,6 +240,8 @@ TEST_F(Global, DetachNeedsCheckOutsThatOutliveIt) {
     ASSERT_TRUE(station->checkOut({peopleBot()}));
     station->run_script = {running};
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}, {"detach", true}}), kDone);
+    EXPECT_EQ(seen.last("run_begun")->at("id"), "fedcba00-0000-4000-8000-00000000000b");
+    EXPECT_EQ(seen.last("run"), nullptr) << "nobody follows it";
     EXPECT_EQ(perform("pause", {{"run", "fedc"}}), kDone);
     EXPECT_EQ(perform("resume", {{"run", "fetch ball"}}), kDone);
     EXPECT_EQ(seen.last("done")->at("run"), "fedcba00-0000-4000-8000-00000000000b");
