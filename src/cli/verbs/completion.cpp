@@ -324,13 +324,14 @@ class Completer {
 
 /// Ends the process when the completion takes too long; nothing has been printed then.
 class Impatience {
-  public:
-    Impatience() {
-        std::thread([] {
-            std::this_thread::sleep_for(kPatience);
-            ::_exit(kNotConfirmed);
-        }).detach();
-    }
+  private:
+    std::mutex mutex_;
+    std::condition_variable_any ended_;
+    const std::jthread thread_{[this](const std::stop_token& enough) {
+        std::unique_lock lock(mutex_);
+        ended_.wait_for(lock, enough, kPatience, [] { return false; });
+        if (!enough.stop_requested()) ::_exit(kNotConfirmed);
+    }};
 };
 
 int complete(Session& session) {

@@ -450,7 +450,7 @@ TEST_F(Global, MoreStepsThanLinesShowWhatIsUnderWay) {
     seen.events.pop_back();
     const auto text = shown({true, false, 100, 24});
     EXPECT_THAT(text, HasSubstr("the_one_that_runs"));
-    EXPECT_THAT(text, HasSubstr("… and 40 done, 5 to come"));
+    EXPECT_THAT(text, HasSubstr("… and 40 done, 6 to come"));
     EXPECT_THAT(text, Not(HasSubstr("\x1b[24F"))) << "never more lines than there are";
 }
 
