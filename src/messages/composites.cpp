@@ -139,13 +139,14 @@ class CompositesReader {
     }
 
     void showParts(int position) {
-        std::set<std::string> names;
-        for (const auto& param : service(position).params()) names.insert(param.name());
-        for (const auto& resource : service(position).resources()) names.insert(resource.name());
+        // A parameter and a resource may have one name, as they may in the part itself.
+        std::set<std::string> param_names, resource_names;
+        for (const auto& param : service(position).params()) param_names.insert(param.name());
+        for (const auto& resource : service(position).resources()) resource_names.insert(resource.name());
         std::set<std::pair<int, int>> params, resources;
         std::set<Composites::Part> seen;
-        const auto show = [&](std::vector<Composites::View>& views, int from, int item, const std::string& name,
-                              std::size_t bytes) {
+        const auto show = [&](std::vector<Composites::View>& views, std::set<std::string>& names, int from, int item,
+                              const std::string& name, std::size_t bytes) {
             views.push_back({from, item});
             auto shown = viewName(profile_, from, name);
             shown_bytes_ += bytes + shown.size();
@@ -164,11 +165,11 @@ class CompositesReader {
                     const auto& param = service(from).params(i);
                     const bool visible = isSettable(param) ? !isFed(part, level, param.name()) : simple;
                     if (visible && params.emplace(from, i).second)
-                        show(out_.params[at(position)], from, i, param.name(), param.ByteSizeLong());
+                        show(out_.params[at(position)], param_names, from, i, param.name(), param.ByteSizeLong());
                 }
                 for (int i = 0; i < service(from).resources_size(); ++i)
                     if (const auto& resource = service(from).resources(i); resources.emplace(from, i).second)
-                        show(out_.resources[at(position)], from, i, resource.name(), resource.ByteSizeLong());
+                        show(out_.resources[at(position)], resource_names, from, i, resource.name(), resource.ByteSizeLong());
             }
         }
         if (shown_bytes_ <= Composites::kShownBytes || too_much_shown_) return;

@@ -211,6 +211,7 @@ TEST_F(SeveralServers, AReceiptThatComesTwoWaysIsOneToTheClientLibrary) {
                                                 {}, {});
     };
     robot.join();
+    robot.status(EntityState::IDLE);
     client::Options options;
     options.server = clients(*fe1);
     const auto connected = client::Client::connect(options);
