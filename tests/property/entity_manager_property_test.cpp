@@ -105,7 +105,6 @@ class World {
         auto& parts = parts_[whole];
         if (service != (parts == 0 ? "Driving" : "Turning")) broken("a part out of its order: " + whole);
         if (++parts > 2) broken("a composite with more parts than it has: " + whole);
-        // A refusal under this id, for reasons of ownership, was no end of it.
         if (ended_.contains(whole)) broken("a part of a task that has ended: " + whole);
         if (parts == 2 && last_end_ != proto::TASK_SUCCEEDED) broken("a part after one that failed: " + whole);
         parts_run_ += parts == 2 ? 1 : 0;
@@ -149,7 +148,7 @@ class World {
             if (!(state == proto::TASK_REFUSED && message.task().reason().code() == proto::DUPLICATE) &&
                 record.head.sender.id == rig_.core().status().holder.id) {
                 running_.erase(id);
-                if (state != proto::TASK_REFUSED) ended_.insert(id);
+                if (state != proto::TASK_REFUSED && parts_.contains(id)) ended_.insert(id);
             }
             // Who resumes a lease is told again how its tasks have ended.
             if (!told_again_ || !concluded_.contains(id) || open_.contains("task " + id)) answered("task " + id);
@@ -617,7 +616,7 @@ class World {
     std::map<std::string, std::string> at_work_;  ///< tasks that the application has, and their services
     std::set<std::string> dispatched_, running_, granted_;
     std::set<std::string> concluded_;  ///< whose end was told
-    std::set<std::string> ended_;      ///< … to the holder
+    std::set<std::string> ended_;      ///< composites that had begun: told to the holder
     bool told_again_ = false;          ///< since a lease was resumed it may have been told more than once
     std::set<std::string> offered_;  ///< tasks ever sent
     std::set<std::string> voided_;   ///< of them, those sent before the newest stop and not again since
