@@ -241,6 +241,7 @@ void Collaboration::order(Step& step, TimePoint now) {
     ordered.mutable_task()->set_task_id(step.task_id);
     ordered.mutable_task()->set_service(declared.service_global_id());
     *ordered.mutable_task()->mutable_params() = status.params();
+    for (const auto& source : declared.sources()) ordered.add_later(source.param());
 }
 
 /// Tells the participant what is wanted of the step, as soon as it can do it.

@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "collaboration/sub_lease.hpp"
+#include "entity_manager/service_profiler.hpp"
 #include "tests/support/fleet.hpp"
 
 namespace axon::entity_manager {
@@ -140,6 +141,24 @@ TEST(Collaboration, AResultThatNoStepCanTellIsNamedBeforeAnythingMoves) {
         EXPECT_EQ(fleet.told.problems[0].refusal().code(), code) << fleet.told.problems[0].refusal().message();
         EXPECT_TRUE(fleet.log.empty()) << "nothing has moved";
     }
+}
+
+TEST(Collaboration, ATextThatAStepHasToldIsOneValueWhateverStandsInIt) {
+    proto::ServicesProfile profile;
+    auto& way = *profile.add_services()->add_params();
+    profile.mutable_services(0)->set_name("Follow");
+    way.set_name("Way");
+    way.set_type(proto::INPUT);
+    way.set_data_type(proto::STR);
+    way.set_multiple(true);
+    test::MemoryResources store;
+    ServiceProfiler profiler;
+    profiler.load(profile, "uuid", store);
+    ServiceProfiler::Params given;
+    given.Add()->set_name("Way");
+    given.Mutable(0)->add_values()->set_str("7,3");
+    EXPECT_EQ(profiler.typed("Follow", given).value().Get(0).values_size(), 2);
+    EXPECT_EQ(profiler.typed("Follow", given, {"Way"}).value().Get(0).values_size(), 1);
 }
 
 // -- before it begins

@@ -9,6 +9,10 @@ bool HandOver::isOpenFor(const Sender& client, const std::string& request_id) co
     return open_ && open_->claim.client.id == client.id && open_->claim.request_id == request_id;
 }
 
+bool HandOver::wasClosedFor(const Sender& client, const std::string& request_id) const {
+    return !request_id.empty() && closed_client_ == client.id && closed_request_ == request_id;
+}
+
 Refusal HandOver::mayAsk(const std::string& holder) const {
     if (!open_) return {};
     return {RefusalCode::Reserved,
@@ -23,6 +27,10 @@ const HandOver::Question& HandOver::ask(Claim claim, bool waits, std::string rea
 }
 
 std::optional<HandOver::Question> HandOver::take() {
+    if (open_) {
+        closed_client_ = open_->claim.client.id;
+        closed_request_ = open_->claim.request_id;
+    }
     return std::exchange(open_, std::nullopt);
 }
 

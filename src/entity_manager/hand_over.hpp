@@ -26,6 +26,8 @@ class HandOver {
 
     const std::optional<Question>& open() const { return open_; }
     bool isOpenFor(const Sender& client, const std::string& request_id) const;
+    /// Whether its question was the last one to be closed: a copy of the request that comes late asks nobody again.
+    bool wasClosedFor(const Sender& client, const std::string& request_id) const;
     /// RESERVED, with the name of who asks already.
     Refusal mayAsk(const std::string& holder) const;
     /// After mayAsk(), under the holder's policy.
@@ -38,6 +40,7 @@ class HandOver {
 
   private:
     std::optional<Question> open_;
+    std::string closed_client_, closed_request_;
 };
 
 }  // namespace axon::entity_manager

@@ -305,7 +305,8 @@ void EntityManagerCore::Machine::admitStep(const proto::StepOrder& order) {
     auto task = order.task();
     const auto id = Id128::fromBytes(task.task_id());
     Refusal refusal;
-    if (auto typed = profiler_.typed(task.service(), task.params()); !typed)
+    const std::vector<std::string> told(order.later().begin(), order.later().end());
+    if (auto typed = profiler_.typed(task.service(), task.params(), told); !typed)
         refusal = typed.refusal();
     else
         task.mutable_params()->Swap(&typed.value());

@@ -325,7 +325,8 @@ Result<ServiceProfiler::Plan> ServiceProfiler::prepare(std::string_view service,
                    {}};
 }
 
-Result<ServiceProfiler::Params> ServiceProfiler::typed(std::string_view service, const Params& given) const {
+Result<ServiceProfiler::Params> ServiceProfiler::typed(std::string_view service, const Params& given,
+                                                       const std::vector<std::string>& told) const {
     const auto index = find(service);
     if (!index) return index.refusal();
     const auto& record = this->record(index.value());
@@ -335,7 +336,8 @@ Result<ServiceProfiler::Params> ServiceProfiler::typed(std::string_view service,
         if (!at) continue;  // prepare() says so
         const auto& meta = record.params(at.value());
         const bool text = param.values_size() == 1 && param.values(0).kind_case() == proto::Value::kStr;
-        if (!text || (meta.data_type() == proto::STR && !meta.multiple())) continue;
+        const bool whole = !meta.multiple() || std::find(told.begin(), told.end(), param.name()) != told.end();
+        if (!text || (meta.data_type() == proto::STR && whole)) continue;
         auto read = parseParam(meta, param.values(0).str());
         if (!read) return read.refusal();
         const auto name = param.name();
@@ -379,7 +381,7 @@ std::vector<Refusal> ServiceProfiler::problems(std::string_view service, const P
         const auto at = findParamIndex(record, name);
         if (!at)
             all.push_back({at.refusal().code, "A later step takes its result " + inQuotes(name) + ". " + at.refusal().message, {}});
-        else if (settable(record.params(at.value())))
+        else if (isSettable(record.params(at.value())))
             all.push_back({RefusalCode::WrongType,
                            "A later step takes " + inQuotes(name) + " of " + inQuotes(record.name()) +
                                ", which is set and not told by the robot. Name an OUTPUT parameter.",

@@ -75,8 +75,9 @@ class ServiceProfiler {
     Result<Plan> prepare(std::string_view service, const Params& given,
                          const std::vector<std::string>& later = {}) const;
     /// The parameters of a global service: texts become values of the profile's types. The refusals of
-    /// parseParam; a parameter that the service does not have stays as it is.
-    Result<Params> typed(std::string_view service, const Params& given) const;
+    /// parseParam; a parameter that the service does not have stays as it is. `told`: which come from another step,
+    /// where a text is one value whatever stands in it.
+    Result<Params> typed(std::string_view service, const Params& given, const std::vector<std::string>& told = {}) const;
     /// Everything for which a task of a global service would be refused; `later` will be given by other steps, and other
     /// steps take `wanted` from it.
     std::vector<Refusal> problems(std::string_view service, const Params& given, const std::vector<std::string>& later,
