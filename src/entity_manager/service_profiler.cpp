@@ -380,7 +380,7 @@ std::vector<Refusal> ServiceProfiler::problems(std::string_view service, const P
     for (const auto& name : wanted) {
         const auto at = findParamIndex(record, name);
         if (!at)
-            all.push_back({at.refusal().code, "A later step takes its result " + inQuotes(name) + ". " + at.refusal().message, {}});
+            all.push_back({at.refusal().code, at.refusal().message + "; a later step is to take it", {}});
         else if (isSettable(record.params(at.value())))
             all.push_back({RefusalCode::WrongType,
                            "A later step takes " + inQuotes(name) + " of " + inQuotes(record.name()) +
