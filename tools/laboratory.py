@@ -75,11 +75,11 @@ def wait_until(holds, what, seconds=10.0):
 
 
 def stays(holds, what, seconds):
-    """What must not happen has no effect to wait for: looked at for so long."""
+    """The contrary: raises Failed with `what` when it ceases to hold in that time."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if not holds():
-            raise Failed(f"{what}: not for {seconds:g} s")
+            raise Failed(f"{what}: no more")
         time.sleep(0.02)
 
 

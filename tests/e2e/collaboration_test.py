@@ -240,7 +240,8 @@ class CollaborationTest(unittest.TestCase):
         status, lines, errors = self.lab.axon("global", "check", "Wrong", *bind)
         self.assertEqual(status, 1, f"{lines} {errors}")
         problems = {(problem["step"], problem["code"]) for problem in final(lines).get("problems", [])}
-        for problem in ((0, "UNKNOWN_SERVICE"), (1, "MISSING_DEPENDENCY"), (2, "UNKNOWN_PARAMETER"), (4, "UNKNOWN_PARAMETER")):
+        for problem in ((0, "UNKNOWN_SERVICE"), (1, "MISSING_DEPENDENCY"), (2, "UNKNOWN_PARAMETER"), (2, "BLOCKED"),
+                        (3, "UNKNOWN_PARAMETER")):
             self.assertIn(problem, problems, f"{lines[-1:]} {errors}")
         self.assertEqual(self.driven(), 0)
         status, run, said = self.run_service("Wrong", *bind)
@@ -383,7 +384,7 @@ class CollaborationTest(unittest.TestCase):
 
     def test_the_masters_manager_frozen_stops_all_and_is_found_in_the_history(self):
         client, run = self.lose_master(lambda manager: manager.child.send_signal(signal.SIGSTOP), self.BOUND_S)
-        stays(lambda: self.managers["Planner"].child.poll() is None, "the master is frozen", 1)
+        stays(lambda: self.managers["Planner"].child.poll() is None, "it is frozen", 1)
         self.managers["Planner"].child.send_signal(signal.SIGCONT)
         self.ended(client, 40)
         self.assertNotEqual(client.child.returncode, 0)
