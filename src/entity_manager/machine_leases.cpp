@@ -158,11 +158,9 @@ void EntityManagerCore::Machine::take(const Incident& incident, Claim claim) {
                  {RefusalCode::RevokedLease, by + " took it over" + because(request.reason()), by});
         return;
     }
-    if (held_back && request.ask() && !request.wait() && hand_over_.wasClosedFor(claim.client, claim.request_id)) {
-        refusal = {RefusalCode::HandOverRefused,
-                   "The holder has been asked by this request already. Ask again by a new one.",
-                   refusal.holder};
-    } else if (held_back && request.ask() && !in_list && holder() != nullptr && !lease_.orphaned()) {
+    // A copy of a request whose answer has just been told.
+    if (held_back && request.ask() && !request.wait() && hand_over_.wasClosedFor(claim.client, claim.request_id)) return;
+    if (held_back && request.ask() && !in_list && holder() != nullptr && !lease_.orphaned()) {
         refusal = hand_over_.mayAsk(named(*holder()));
         if (refusal.ok()) {
             askHolder(claim, request.wait(), request.reason());

@@ -86,7 +86,7 @@ class OwnershipTest(unittest.TestCase):
         config.write_text(f"Axon.User=entities\nAxon.Password=entities-secret\nAxon.LeaseGrace={GRACE_S}\n")
         config.chmod(0o600)
         low = 5600 + os.getpid() * 20 % 2300
-        cls.apps, cls.managers, cls.start_manager = {}, {}, {}
+        cls.apps = {}
         for number, name in enumerate(("left", "right")):
             folder = lab.folder / name
             shutil.copytree(ROOT / "examples" / "01_hello_entity", folder)
@@ -95,12 +95,7 @@ class OwnershipTest(unittest.TestCase):
             lab.ports = f"{low + 10 * number}-{low + 10 * number + 9}"
             (folder / "ports.cfg").write_text(f"Axon.Ports = {lab.ports}\n")
             cls.apps[name] = lab.start(f"app-{name}", "hello-entity", folder, folder / "ports.cfg")
-
-            def start_manager(ports=lab.ports, state=folder / "state"):
-                lab.ports = ports
-                return lab.start_manager("", "--state", state, "--config", config)
-            cls.start_manager[name] = start_manager
-            cls.managers[name] = start_manager()
+            lab.start_manager("", "--state", folder / "state", "--config", config)
         cls.boss, cls.guest = Person(lab, "boss"), Person(lab, "guest")
         cls.client1, cls.client2 = Person(lab, "client1"), Person(lab, "client2", with_file=True)
         cls.people = (cls.boss, cls.guest, cls.client1, cls.client2)
@@ -329,20 +324,6 @@ class OwnershipTest(unittest.TestCase):
         self.is_latched(self.client1, "left")
         self.does(self.client1, "rearm", "left")
         self.does(self.client1, "run", "left", "Wait", "Seconds=0.05")
-
-    def test_a_manager_that_is_ended_stops_its_robot_and_leaves(self):
-        run = self.starts_task(self.client1, "left")
-        before = self.stops("left")
-        self.assertEqual(self.managers["left"].end(), 0)
-        wait_until(lambda: self.stops("left") > before, "it is stopped", 2)
-        self.assertEqual([line for line in self.apps["left"].text().splitlines() if line][before], "the robot application or its Entity Manager shuts down")
-        end = self.ends(run, 4)[-1]
-        self.assertEqual((end["state"], end["reason"]["code"]), ("UNKNOWN", "UNAVAILABLE"), end)
-        wait_until(lambda: "left" not in self.status(), "it leaves")
-        self.managers["left"] = self.start_manager["left"]()
-        wait_until(lambda: self.status().get("left", {}).get("state") == "IDLE", "it is back")
-        self.assertFalse(self.status()["left"]["latched"])
-        self.does(self.client2, "run", "left", "Wait", "Seconds=0.05")
 
     # -- drill --------------------------------------------------------------------------------------------------
 
