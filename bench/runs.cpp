@@ -80,7 +80,7 @@ int runRuns(const fs::path& programs, std::size_t entities, int levels, int roun
             waitForTasks(before, count);
             for (const auto& task : tasks) task.wait(client::Seconds{5});
             for (std::size_t i = 0; i < count && round >= 0; ++i)
-                (count == 1 ? single : batch).push_back(static_cast<double>(board[i].entered(before[i]) - begin) / 1e6);
+                if (board[i].tasks != before[i]) (count == 1 ? single : batch).push_back(static_cast<double>(board[i].entered(before[i]) - begin) / 1e6);
         }
         const auto before = marks();
         const auto master = static_cast<std::size_t>(round + kWarmUp) % entities;

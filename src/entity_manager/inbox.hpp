@@ -38,7 +38,7 @@ class Inbox {
         Peer,     ///< of another entity, whose next one repeats it; at most kPeerSignals wait
     };
     static constexpr std::size_t kSignals = 64;
-    static constexpr std::size_t kPeerSignals = 16;
+    static constexpr std::size_t kPeerSignals = 48;  ///< a master of many slaves hears them all at once
 
     explicit Inbox(Bounds bounds) : bounds_(bounds) {}
     Inbox() : Inbox(Bounds{}) {}

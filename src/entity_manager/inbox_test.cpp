@@ -92,12 +92,12 @@ TEST_F(InboxTest, AStopThatFindsTheRingFullTakesThePlaceOfTheOldestThatIsNone) {
 
 TEST_F(InboxTest, WhatPeersRepeatTakesNoMoreThanItsPartOfTheRingAndGoesFirst) {
     Inbox inbox;
-    for (int i = 0; i < 16; ++i) inbox.pushSignal(Signal::Peer, note('p'));
+    for (int i = 0; i < 48; ++i) inbox.pushSignal(Signal::Peer, note('p'));
     EXPECT_EQ(inbox.pushSignal(Signal::Peer, note('q')), Inbox::Verdict::Dropped);
-    for (int i = 0; i < 48; ++i) inbox.pushSignal(Signal::Passing, note('x'));
+    for (int i = 0; i < 16; ++i) inbox.pushSignal(Signal::Passing, note('x'));
     inbox.pushSignal(Signal::Stop, note('S'));
     drain(inbox);
-    EXPECT_EQ(seen, std::string(15, 'p') + std::string(48, 'x') + "S");
+    EXPECT_EQ(seen, std::string(47, 'p') + std::string(16, 'x') + "S");
     inbox.pushSignal(Signal::Peer, note('r'));
     drain(inbox);
     EXPECT_EQ(seen.back(), 'r') << "there is room again";
