@@ -219,7 +219,12 @@ std::vector<Kind> stopKinds() {
                             Needs needs, Fault fault) {
         all.push_back({std::move(name), trial_number, std::move(what), std::move(promise), needs,
                        fault.told ? "notices to the client" : "stops", 20, 1,
-                       [fault = std::move(fault)](Run& run) { carryOut(run, fault); }});
+                       [fault = std::move(fault), needs](Run& run) {
+                           auto& together = run.lab.board().desk().together;
+                           together = needs.first_master ? 2 : needs.together ? 1 : 0;
+                           carryOut(run, fault);
+                           together = 0;
+                       }});
     };
     const Promise server_hop{kServerHop_ms, 0, "every robot stops within 350 ms (watchdog + 100 ms)"};
     const Promise server_hop_told{kServerHop_ms, kKill_ms,
