@@ -95,9 +95,9 @@ TEST(Peers, AnEntityManagerReachesAnotherOnBothLanesAndHearsOfWhatDidNotArrive) 
         master->send(Lane::Signal, "nobody", "beat");
         EXPECT_TRUE(waitUntil([&] { return master->log.has("signal refused nobody UNKNOWN_ENTITY"); }));
         ice->destroy();
+        executor.stop();
+        thread.join();  // the communicators are destroyed where their strands no longer run
     }
-    executor.stop();
-    thread.join();
 }
 
 }  // namespace
