@@ -22,6 +22,19 @@ std::string listed(const std::vector<std::string>& names) {
     return text;
 }
 
+/// Why a value of one parameter can never be one of another; nothing where it may.
+std::string misfit(const proto::CtrlParam& output, const proto::CtrlParam& input) {
+    const auto numeric = [](const proto::CtrlParam& param) {
+        return param.data_type() == proto::INT || param.data_type() == proto::DBL;
+    };
+    if (output.data_type() != input.data_type() && !(numeric(output) && numeric(input)))
+        return proto::DataType_Name(output.data_type()) + " is not " +
+               proto::DataType_Name(input.data_type());
+    if (output.units() != input.units() && !output.units().empty() && !input.units().empty())
+        return output.units() + " is not " + input.units();
+    return {};
+}
+
 void merge(std::vector<StepReport>& steps, StepReport changed) {
     const auto place = std::lower_bound(steps.begin(), steps.end(), changed.step,
                                         [](const StepReport& a, int step) { return a.step < step; });
@@ -53,6 +66,37 @@ void SessionCore::fetchGlobalServices(GlobalServicesDone done) {
 }
 
 // ---- a run
+
+Refusal SessionCore::misfits(const RunOrder& order) const {
+    const auto parameter = [&](const GlobalStep& step, const std::string& name) -> const proto::CtrlParam* {
+        const auto& offered = leases_.at(order.players.at(step.role)).services;
+        const auto* service = findService(offered, step.service_global_id);
+        if (service == nullptr) return nullptr;  // the participant will say so
+        const auto index = findParamIndex(*service, name);
+        return index ? &service->params(index.value()) : nullptr;
+    };
+    std::string all;
+    for (const auto* steps : {&order.service.steps, &order.service.compensation}) {
+        for (const auto& step : *steps) {
+            for (const auto& source : step.sources) {
+                const auto from =
+                    std::find_if(order.service.steps.begin(), order.service.steps.end(),
+                                 [&](const GlobalStep& other) { return other.name == source.step; });
+                if (from == order.service.steps.end()) continue;
+                const auto* output = parameter(*from, source.output);
+                const auto* input = parameter(step, source.parameter);
+                const auto why =
+                    output != nullptr && input != nullptr ? misfit(*output, *input) : std::string();
+                if (why.empty()) continue;
+                all += (all.empty() ? "" : " ") + label(order.players.at(step.role)) + ": '" +
+                       source.parameter + "' of " + step.service_global_id + " cannot take '" +
+                       source.output + "' of the step '" + source.step + "': " + why + ".";
+            }
+        }
+    }
+    if (all.empty()) return {};
+    return {RefusalCode::WrongType, all, {}};
+}
 
 Result<Id128> SessionCore::runGlobal(const RunOrder& order) {
     if (!connected_) return notConnected();
@@ -86,16 +130,18 @@ Result<Id128> SessionCore::runGlobal(const RunOrder& order) {
         if (auto refusal = ready({entity, mine->second.number}); !refusal.ok()) return refusal;
         if (mine->second.key.size() != 16 || mine->second.root.size() != 16) {
             return Refusal{RefusalCode::NotSupported,
-                           mine->second.name + " has given no key or no root for its lease, so nobody else can "
-                                               "be let command it. Update its Entity Manager.",
+                           mine->second.name +
+                               " has given no key or no root for its lease, so nobody else can "
+                               "be let command it. Update its Entity Manager.",
                            {}};
         }
         roots.insert(mine->second.root);
     }
     if (!strangers.empty()) {
-        return Refusal{RefusalCode::NotHolder,
-                       "This client does not hold " + listed(strangers) + ". Check out every participant first.",
-                       {}};
+        return Refusal{
+            RefusalCode::NotHolder,
+            "This client does not hold " + listed(strangers) + ". Check out every participant first.",
+            {}};
     }
     if (players.count(order.master) == 0)
         return malformed("The master must be one of the participants; " + label(order.master) + " is none.");
@@ -105,6 +151,8 @@ Result<Id128> SessionCore::runGlobal(const RunOrder& order) {
                        "all out by one.",
                        {}};
     }
+
+    if (auto refusal = misfits(order); !refusal.ok()) return refusal;
 
     const auto id = Id128::uuid(random_);
     proto::ToEntity body;
@@ -390,7 +438,8 @@ void SessionCore::onRunHistory(const std::string& entity, const proto::RunHistor
         if (*state == RunState::Succeeded) report.progress = 1;
         finishRun(*run, *state, recorded.reason);
     }
-    if (const auto still = pending_.find({Ask::Runs, *id}); still != pending_.end() && still->second.tasks.empty())
+    if (const auto still = pending_.find({Ask::Runs, *id});
+        still != pending_.end() && still->second.tasks.empty())
         take(still);
 }
 

@@ -181,6 +181,24 @@ TEST_F(RunsTest, RolesAndMasterMustFit) {
     EXPECT_THAT(link.sent, IsEmpty());
 }
 
+TEST_F(RunsTest, AnOutputThatTheNextInputCanNeverTakeIsNamedBeforeAnythingIsSent) {
+    takeBoth();
+    auto service = fetchBall();
+    for (auto& step : service.steps) step.service_global_id = "Driving";
+    const auto checked = [&](const std::string& output) {
+        service.steps[1].sources = {{"Distance", "approach", output}};
+        return core.runGlobal({service, {{0, uuid(1)}, {1, uuid(3)}}, uuid(1), true, 0});
+    };
+    const auto text = checked("Found");
+    ASSERT_FALSE(text.ok());
+    EXPECT_EQ(text.refusal().code, RefusalCode::WrongType);
+    EXPECT_EQ(text.refusal().message,
+              "Cyton: 'Distance' of Driving cannot take 'Found' of the step 'approach': STR is not INT.");
+    EXPECT_THAT(link.sent, IsEmpty());
+    EXPECT_TRUE(checked("Distance").ok());
+    EXPECT_TRUE(checked("nothing that is known").ok()) << "the participant will say so";
+}
+
 // ---- the stream of events
 
 TEST_F(RunsTest, StepsAreThereBeforeTheFirstEventAndChangeByTheirPosition) {
@@ -371,7 +389,8 @@ TEST_F(RunsTest, AfterALostConnectionTheMasterSaysHowItEnded) {
     connect();
     auto asked = link.take();
     for (const auto& message : asked) {
-        if (message.head.entity == uuid(1) && message.body.has_check_out()) grantWithRoot(message, root, 4, 5s);
+        if (message.head.entity == uuid(1) && message.body.has_check_out())
+            grantWithRoot(message, root, 4, 5s);
     }
     asked = link.take();
     ASSERT_THAT(asked, SizeIs(1));

@@ -219,7 +219,8 @@ class SessionCore {
     /// PAUSE is done when the task is paused, RESUME when it runs, CANCEL when it has ended.
     void control(const Id128& task, proto::TaskAction action, Done done);
     /// Refused here: NOT_CONNECTED, NOT_HOLDER, WRONG_STATE for leases of more than one root, MALFORMED for
-    /// roles without a player or a master without a role. All else comes as reports of the run.
+    /// roles without a player or a master without a role, WRONG_TYPE for an output that the input it feeds can
+    /// never take. All else comes as reports of the run.
     Result<Id128> runGlobal(const RunOrder& order);
     void controlRun(const Id128& run, proto::TaskAction action, Done done);
     void fetchGlobalServices(GlobalServicesDone done);
@@ -351,6 +352,8 @@ class SessionCore {
     Lease* lease(const Held& held);
     const Lease* lease(const Held& held) const;
     std::string label(const std::string& entity) const { return names_.label(entity); }
+    /// WRONG_TYPE names every result of a step that a later one cannot take for its type or units.
+    Refusal misfits(const RunOrder& order) const;
 
     // Ids by value throughout: callers may name them by the very key that goes away.
     void await(Ask ask, Id128 id, Pending pending);

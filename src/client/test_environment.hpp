@@ -134,6 +134,10 @@ class CoreWorld {
             distance.set_units("mm");
             distance.set_minimum(0);
             distance.set_maximum(5000);
+            auto& found = *service.add_params();
+            found.set_name("Found");
+            found.set_type(proto::OUTPUT);
+            found.set_data_type(proto::STR);
             service.add_resources()->set_name("Map");
         }
         Header head;
