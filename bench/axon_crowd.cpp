@@ -64,21 +64,34 @@ std::string field(const std::string& ready_line, const std::string& key) {
 
 }  // namespace
 
-AxonCrowd::AxonCrowd(const fs::path& programs, const fs::path& folder, std::size_t n)
-    : board_((folder / "axon.board").string(), n, true),
-      server_({(programs / "axon-server").string(), "--client-endpoint", "127.0.0.1:0", "--client-signal-endpoint",
-               "127.0.0.1:0", "--entity-endpoint", "127.0.0.1:0", "--entity-signal-endpoint", "127.0.0.1:0"},
-              folder / "server.log") {
-    const auto ready = waitForLine(folder / "server.log", "ready ", server_);
+AxonCrowd::AxonCrowd(const fs::path& programs, const fs::path& folder, std::size_t n, const Running* running)
+    : board_((folder / "axon.board").string(), n, true) {
+    client::Options options{.timeout = client::Seconds{30}};
+    std::string entity_server;
+    if (running) {
+        auto configured = client::readConfiguration(running->client_config, options);
+        if (!configured) throw std::runtime_error(configured.refusal().message);
+        options = std::move(configured).value();
+        entity_server = running->entity_config;
+    } else {
+        server_ = std::make_unique<Child>(
+            std::vector<std::string>{(programs / "axon-server").string(), "--client-endpoint", "127.0.0.1:0",
+                                     "--client-signal-endpoint", "127.0.0.1:0", "--entity-endpoint", "127.0.0.1:0",
+                                     "--entity-signal-endpoint", "127.0.0.1:0"},
+            folder / "server.log");
+        const auto ready = waitForLine(folder / "server.log", "ready ", *server_);
+        options.server = field(ready, "client");
+        entity_server = field(ready, "entity");
+    }
     crowd_ = std::make_unique<Child>(
         std::vector<std::string>{(programs / "axon-bench").string(), "crowd", (folder / "axon.board").string(),
-                                 std::to_string(n), field(ready, "entity")},
+                                 std::to_string(n), entity_server},
         folder / "crowd.log");
     while (board_.ready() < n && !interrupted) {
         if (!crowd_->running()) throw std::runtime_error("the entities did not start; see " + (folder / "crowd.log").string());
         std::this_thread::sleep_for(10ms);
     }
-    auto connected = client::Client::connect({.server = field(ready, "client"), .timeout = client::Seconds{30}});
+    auto connected = client::Client::connect(options);
     if (!connected) throw std::runtime_error(connected.refusal().message);
     client_ = std::move(connected).value();
     for (std::size_t i = 0; i < n; ++i) names_.push_back("bench-" + std::to_string(i));

@@ -29,11 +29,17 @@ class Child {
     int pid_ = -1;
 };
 
-/// A server, N entities in a process of their own (crowd.hpp), and a client that holds all of them. Throws
-/// std::runtime_error with the log where something does not start.
+/// Servers that run already: the configuration files of a client and of an Entity Manager, as axon-cluster writes them.
+struct Running {
+    std::string client_config, entity_config;
+};
+
+/// A server, unless one runs already, N entities in a process of their own (crowd.hpp), and a client that holds all of
+/// them. Throws std::runtime_error with the log where something does not start.
 class AxonCrowd {
   public:
-    AxonCrowd(const std::filesystem::path& programs, const std::filesystem::path& folder, std::size_t n);
+    AxonCrowd(const std::filesystem::path& programs, const std::filesystem::path& folder, std::size_t n,
+              const Running* running = nullptr);
     Board& board() { return board_; }
     client::Client& client() { return *client_; }
     const std::vector<std::string>& names() const { return names_; }
@@ -41,8 +47,7 @@ class AxonCrowd {
 
   private:
     Board board_;
-    Child server_;
-    std::unique_ptr<Child> crowd_;
+    std::unique_ptr<Child> server_, crowd_;
     std::unique_ptr<client::Client> client_;
     std::vector<std::string> names_;
     std::vector<client::CheckOut> held_;

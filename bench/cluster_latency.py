@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""How much longer a stop takes through a cluster than through one server process, in one run on one machine.
+"""How much longer a stop and a batch of data take through a cluster than through one server process, on one machine.
 
     python3 bench/cluster_latency.py --bin build/release/bin [--count 1000] [--json FILE]
 
 Two laboratories side by side, each with one robot application: one axon-server; and IceStorm, two routers, a front-end
 server and an entity server. Drills (stops that are marked, and stop nothing) are sent to them in turns, 50 at a time, and
-timed by the client library from sending to the answer of the Entity Interfacer: the whole way of a stop, and back.
+timed by the client library from sending to the answer of the Entity Interfacer: the whole way of a stop, and back. Then
+axon-bench sends batches of chapter 5's 35,137 bytes to the Entity Managers of 1 and of 8 entities, in turns likewise.
 Exit status 1 where the median through the cluster is more than four times the other, or a drill did not arrive.
 """
 import argparse
@@ -15,6 +16,7 @@ import os
 import pathlib
 import platform
 import shutil
+import subprocess
 import sys
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
@@ -47,6 +49,17 @@ def drill(lab):
     return result["callback"]["samples_ms"]
 
 
+def batches(programs, lab, count):
+    """What axon-bench says of batches to one server and, in turns, to the cluster."""
+    status, result = lab.server.status, lab.folder / "data.json"
+    done = subprocess.run([programs / "axon-bench", "--only", "data", "--entities", "1,8", "--batches", str(count), "--beside",
+                           status["client_config"], status["entity_config"], "--json", result],
+                          stdin=subprocess.DEVNULL, timeout=600, check=False)
+    if done.returncode != 0:
+        raise Failed(f"axon-bench ended with {done.returncode}")
+    return json.loads(result.read_text())["results"]
+
+
 def quantile(ordered, q):
     return ordered[min(len(ordered) - 1, int(q * len(ordered)))]
 
@@ -66,6 +79,7 @@ def main():
         while len(samples["cluster"]) < options.count:
             for environment, lab in labs.items():
                 samples[environment] += drill(lab)
+        data = batches(options.bin, labs["cluster"], max(options.count // 10, 10))
     except Failed as error:
         print(f"cluster_latency: {error}", file=sys.stderr)
         return 2
@@ -81,10 +95,10 @@ def main():
         print(f"{environment:<9}" + "  ".join(f"{key} {value:.3f}" if isinstance(value, float) else f"{key} {value}"
                                               for key, value in figures[environment].items()))
     times = figures["cluster"]["p50_ms"] / figures["embedded"]["p50_ms"]
-    print(f"cluster / embedded: p50 {times:.2f}, p99 {figures['cluster']['p99_ms'] / figures['embedded']['p99_ms']:.2f}")
+    print(f"stops, cluster / embedded: p50 {times:.2f}, p99 {figures['cluster']['p99_ms'] / figures['embedded']['p99_ms']:.2f}")
     if options.json:
         options.json.write_text(json.dumps({"machine": {"system": platform.platform(), "cores": os.cpu_count()},
-                                            "figures": figures, "samples_ms": samples}) + "\n")
+                                            "figures": figures, "data": data, "samples_ms": samples}) + "\n")
     return 1 if times > TIMES_AT_MOST or any(one["never"] for one in figures.values()) else 0
 
 

@@ -7,12 +7,14 @@
 
 #include <asio/post.hpp>
 #include <asio/thread_pool.hpp>
+#include <filesystem>
 #include <map>
 #include <memory>
 #include <thread>
 #include <vector>
 
 #include "board.hpp"
+#include "client/axon/client.hpp"
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/server_communicators.hpp"
 #include "transport/memory_lock.hpp"
@@ -120,10 +122,18 @@ int runCrowd(const std::string& board_file, std::size_t entities, const std::str
     SteadyClock clock;
     asio::thread_pool executor(1);
     const auto ice = std::make_shared<ServerCommunicators>(1, 1);
-    const auto colon = entity_server.rfind(':');
     ServerAddress server;
-    server.host = entity_server.substr(0, colon);
-    server.port = static_cast<std::uint16_t>(std::stoi(entity_server.substr(colon + 1)));
+    if (std::filesystem::exists(entity_server)) {
+        const auto configured = client::readConfiguration(entity_server);
+        if (!configured) throw std::runtime_error(configured.refusal().message);
+        server.router = configured->server;
+        server.user = configured->user;
+        server.password = configured->password;
+    } else {
+        const auto colon = entity_server.rfind(':');
+        server.host = entity_server.substr(0, colon);
+        server.port = static_cast<std::uint16_t>(std::stoi(entity_server.substr(colon + 1)));
+    }
 
     struct Member {
         SystemRandom random;

@@ -41,7 +41,8 @@ class Subject {
 
 class AxonSubject final : public Subject {
   public:
-    AxonSubject(const fs::path& programs, const fs::path& folder, std::size_t n) : crowd_(programs, folder, n) {}
+    AxonSubject(const fs::path& programs, const fs::path& folder, std::size_t n, const Running* running = nullptr)
+        : crowd_(programs, folder, n, running) {}
     Board& board() override { return crowd_.board(); }
     void send(bool stop, const std::string& bytes) override {
         if (stop) {
@@ -145,15 +146,17 @@ void runBatch(Subject& subject, bool stop, const std::string& bytes, Series* ser
     series->last_ms.push_back(last);
 }
 
+/// `running`: the other subject is Axon through these servers, in place of Mosquitto.
 int run(const fs::path& programs, const std::vector<std::size_t>& sizes, int rounds, const std::string& only,
-        const std::string& json_file) {
+        const Running* running, const std::string& json_file) {
+    const char* other = running ? "other" : "mosquitto";
     const fs::path root = fs::temp_directory_path() / ("axon-bench-" + std::to_string(::getpid()));
     const std::string data = batch(35137 - 137);  // chapter 5's 35,137 bytes are with the arguments
     const std::string stop_bytes = batch(60);
     nlohmann::json results = nlohmann::json::array();
     std::printf("Latency in ms from the start of a batch of one message to each of N; %d batches each, alternating.\n", rounds);
     std::printf("%6s %-5s | %9s %9s %9s %9s | %9s %9s %9s %9s | %6s %6s\n", "N", "what", "Axon mean", "p50", "p99", "last",
-                "Mosq mean", "p50", "p99", "last", "mean", "last");
+                (std::string(running ? "other" : "Mosq") + " mean").c_str(), "p50", "p99", "last", "mean", "last");
     bool corrupt = false;
     std::size_t lost = 0;
     for (const auto n : sizes) {
@@ -161,7 +164,13 @@ int run(const fs::path& programs, const std::vector<std::size_t>& sizes, int rou
         const auto folder = root / std::to_string(n);
         fs::create_directories(folder);
         AxonSubject axon(programs, folder, n);
-        MosquittoSubject mosquitto(programs, folder, n, static_cast<std::uint16_t>(20000 + ::getpid() % 20000));
+        std::unique_ptr<Subject> peer;
+        if (running) {
+            fs::create_directories(folder / other);
+            peer = std::make_unique<AxonSubject>(programs, folder / other, n, running);
+        } else {
+            peer = std::make_unique<MosquittoSubject>(programs, folder, n, static_cast<std::uint16_t>(20000 + ::getpid() % 20000));
+        }
         for (const bool stop : {false, true}) {  // data first: a stopped entity refuses it
             if (!only.empty() && only != (stop ? "stop" : "data")) continue;
             const auto& bytes = stop ? stop_bytes : data;
@@ -174,27 +183,27 @@ int run(const fs::path& programs, const std::vector<std::size_t>& sizes, int rou
                 };
                 if (round % 2 == 0) {
                     one(axon, ours);
-                    one(mosquitto, theirs);
+                    one(*peer, theirs);
                 } else {
-                    one(mosquitto, theirs);
+                    one(*peer, theirs);
                     one(axon, ours);
                 }
             }
             std::fprintf(stderr, "\r%40s\r", "");
             const auto a = ours.json(), m = theirs.json();
-            results.push_back({{"n", n}, {"what", stop ? "stop" : "data"}, {"bytes", bytes.size()}, {"axon", a}, {"mosquitto", m}});
+            results.push_back({{"n", n}, {"what", stop ? "stop" : "data"}, {"bytes", bytes.size()}, {"axon", a}, {other, m}});
             const auto value = [](const nlohmann::json& j, const char* key) { return j.value(key, std::nan("")); };
             std::printf("%6zu %-5s | %9.3f %9.3f %9.3f %9.3f | %9.3f %9.3f %9.3f %9.3f | %6.2f %6.2f", n, stop ? "stop" : "data",
                         value(a, "mean"), value(a, "p50"), value(a, "p99"), value(a, "last"), value(m, "mean"), value(m, "p50"),
                         value(m, "p99"), value(m, "last"), value(a, "mean") / value(m, "mean"), value(a, "last") / value(m, "last"));
             lost += ours.lost;
-            if (ours.lost + theirs.lost > 0) std::printf("   lost: Axon %zu, Mosquitto %zu", ours.lost, theirs.lost);
+            if (ours.lost + theirs.lost > 0) std::printf("   lost: Axon %zu, %s %zu", ours.lost, other, theirs.lost);
             std::printf("\n");
             std::fflush(stdout);
         }
-        for (std::size_t i = 0; i < n; ++i) corrupt |= axon.board()[i].corrupt > 0 || mosquitto.board()[i].corrupt > 0;
+        for (std::size_t i = 0; i < n; ++i) corrupt |= axon.board()[i].corrupt > 0 || peer->board()[i].corrupt > 0;
     }
-    std::printf("The last two columns are Axon / Mosquitto; below 1 Axon is faster. %s\n",
+    std::printf("The last two columns are Axon / %s; below 1 Axon is faster. %s\n", other,
                 corrupt ? "SOME CONTENT ARRIVED CORRUPT." : "All content arrived intact.");
     if (!json_file.empty())
         std::ofstream(json_file) << nlohmann::json{{"machine", machine()}, {"batches", rounds}, {"partial", interrupted != 0}, {"results", results}}.dump(2)
@@ -208,7 +217,8 @@ int run(const fs::path& programs, const std::vector<std::size_t>& sizes, int rou
 int main(int argc, char** argv) {
     CLI::App app{
         "Relayed stop and data latency through axon-server, beside Mosquitto (QoS 0) in the same run.\n\n"
-        "  axon-bench\n  axon-bench --entities 1,64 --batches 50 --json result.json\n  axon-bench runs --entities 64\n\n"
+        "  axon-bench\n  axon-bench --entities 1,64 --batches 50 --json result.json\n  axon-bench runs --entities 64\n"
+        "  axon-bench --entities 1,8 --beside clientgl2.cfg entitygl2client.cfg\n\n"
         "Exit status: 0 done, 1 something of Axon's was lost, corrupt or interrupted.\n"};
     app.require_subcommand(0, 1);
     std::vector<std::size_t> sizes{1, 64, 1024};
@@ -217,6 +227,13 @@ int main(int argc, char** argv) {
     app.add_option("--entities", sizes, "How many receivers, one run for each number")->delimiter(',')->check(CLI::Range(1, 4096));
     app.add_option("--batches", batches, "Batches of each kind")->check(CLI::Range(1, 100000));
     app.add_option("--only", only, "One of the two, for a profiler: data or stop")->check(CLI::IsMember({"data", "stop"}));
+    std::vector<std::string> beside;
+    app.add_option("--beside", beside,
+                   "In place of Mosquitto: Axon through servers that run already, by the configuration files of a client and of "
+                   "an Entity Manager, as axon-cluster status names them")
+        ->expected(2)
+        ->check(CLI::ExistingFile)
+        ->type_name("FILE FILE");
     app.add_option("--json", json_file, "Write the results, with the machine described, to this file");
 
     std::size_t together = 64;
@@ -248,7 +265,8 @@ int main(int argc, char** argv) {
         }
         if (receivers->parsed()) return runMosquittoReceivers(board, count, port);
         ::signal(SIGINT, [](int) { interrupted = 1; });
-        return run(fs::canonical("/proc/self/exe").parent_path(), sizes, batches, only, json_file);
+        const auto running = beside.empty() ? std::optional<Running>() : Running{beside[0], beside[1]};
+        return run(fs::canonical("/proc/self/exe").parent_path(), sizes, batches, only, running ? &*running : nullptr, json_file);
     } catch (const std::exception& problem) {
         std::cerr << "axon-bench: " << problem.what() << "\n";
         return 1;
