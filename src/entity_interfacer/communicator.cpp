@@ -595,7 +595,7 @@ bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
                                                     ") is just linking with '" + options_.application + "'");
         pending.nonce = hello.nonce();
         pending.manager = hello.manager();
-        pending.busy = watchdogFrom(hello.watchdog_busy_ms(), 100ms);
+        pending.busy = watchdogFrom(hello.watchdog_busy_ms(), 250ms);
         pending.idle = watchdogFrom(hello.watchdog_idle_ms(), 500ms);
         welcome(pending, hello, nullptr);
         return false;

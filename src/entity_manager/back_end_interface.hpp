@@ -22,7 +22,7 @@ struct BackEndSettings {
     std::string instance;     ///< empty = any instance
     LinkPorts where;          ///< of ports.cfg
     std::string manager;      ///< who we are, for the messages that a second Entity Manager gets
-    std::chrono::milliseconds watchdog_busy{100};
+    std::chrono::milliseconds watchdog_busy{250};
     std::chrono::milliseconds watchdog_idle{500};
     bool beyond_loopback = false;  ///< the link has no authentication
 };

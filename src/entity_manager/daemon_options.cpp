@@ -192,7 +192,7 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     options.lock_memory = integerBetween("Axon.LockMemory", chosen("", "Axon.LockMemory", "1"), 0, 1) != 0;
     options.core.lease_grace = secondsBetween("Axon.LeaseGrace", chosen("", "Axon.LeaseGrace", "5"), 0, 600);
     options.back_end.watchdog_busy = std::chrono::milliseconds(
-        integerBetween("Axon.LinkWatchdogBusyMs", chosen("", "Axon.LinkWatchdogBusyMs", "100"), 50, 2000));
+        integerBetween("Axon.LinkWatchdogBusyMs", chosen("", "Axon.LinkWatchdogBusyMs", "250"), 50, 2000));
     options.back_end.watchdog_idle = std::chrono::milliseconds(
         integerBetween("Axon.LinkWatchdogIdleMs", chosen("", "Axon.LinkWatchdogIdleMs", "500"), 100, 10000));
     options.core.answer_within = std::chrono::milliseconds(
