@@ -351,6 +351,31 @@ TEST_F(RunsTest, ARefusedPauseLeavesTheRunAsItIs) {
     EXPECT_EQ(core.runReport(id)->state, RunState::Running);
 }
 
+TEST_F(RunsTest, ARefusalIsNoEndOfARunThatHasBegun) {
+    takeBoth();
+    const auto id = launch().value();
+    tell(1, event(id, 1, proto::RUN_RUNNING));
+    Answer<void> first, second;
+    core.controlRun(id, proto::PAUSE, first.taker());
+    core.controlRun(id, proto::PAUSE, second.taker());
+    proto::ToClient message;
+    message.mutable_reply()->set_request_id(id.bytes());
+    message.mutable_reply()->mutable_refusal()->set_code(proto::NOT_PAUSABLE);
+    fromEntity(1, message);
+    fromEntity(1, message);
+    EXPECT_EQ(first.refusal.code, RefusalCode::Cancelled) << "the second took its place";
+    EXPECT_EQ(second.refusal.code, RefusalCode::NotPausable);
+    message.mutable_reply()->mutable_refusal()->set_code(proto::WRONG_STATE);  // to a copy of the request
+    fromEntity(1, message);
+    EXPECT_EQ(core.runReport(id)->state, RunState::Running);
+    Answer<void> released;
+    core.release({uuid(1), {1, 4}}, released.taker());
+    fromEntity(1, message);
+    EXPECT_EQ(core.runReport(id)->state, RunState::Running) << "its end is still to come";
+    tell(1, event(id, 2, proto::RUN_STOPPED));
+    EXPECT_EQ(report().state, RunState::Stopped);
+}
+
 // ---- loss
 
 TEST_F(RunsTest, WithItsMasterTheRunIsLost) {

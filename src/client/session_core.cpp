@@ -537,8 +537,9 @@ void SessionCore::onReply(const Header& head, const proto::Reply& reply) {
         }
         if (tasks_.count(*id) != 0) {
             finishTask(*id, TaskState::Refused, refusal);
-        } else if (const auto run = runs_.find(*id);
-                   run != runs_.end() && run->second.master.entity == head.entity) {
+        } else if (const auto run = runs_.find(*id); run != runs_.end() && run->second.master.entity == head.entity &&
+                                                     run->second.sequence == 0 && pending_.count({Ask::Run, *id}) != 0) {
+            // Of the request itself: once an event has come, a refusal is of something else, and the robots may move.
             finishRun(*id, RunState::Refused, refusal);
         }
     }

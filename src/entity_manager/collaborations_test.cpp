@@ -204,7 +204,12 @@ TEST(Collaboration, ARunIsBegunOnceHoweverOftenItIsAskedFor) {
     Fleet fleet(3);
     const auto request = fleet.request(demo(), 0, "run");
     fleet.launch(request, 0);
+    proto::ToEntity copy;
+    *copy.mutable_collaboration() = request;
+    fleet.rig(0).send("client1", copy);
+    EXPECT_TRUE(fleet.told.refused.ok()) << "it is being carried out";
     fleet.advance(2s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED);
     fleet.launch(request, 0);
     fleet.advance(1s);
     EXPECT_EQ(fleet.told.refused.code, RefusalCode::Duplicate);

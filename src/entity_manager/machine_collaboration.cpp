@@ -82,6 +82,8 @@ void EntityManagerCore::Machine::refuseRun(const Incident& incident, const Refus
     const auto& to = incident.head->sender;
     const auto& bytes = incident.body->collaboration().run_id();
     const auto id = Id128::fromBytes(bytes);
+    // A copy of the request that is being carried out: a refusal would be taken for its end.
+    if (run_ && run_->id() == bytes && holder() != nullptr && holder()->id == to.id) return;
     // This is its end, so a copy that comes later must not begin.
     if (id && !memory_.whyNotAgain(*id) && lease_.check(to, incident.head->held).ok())
         memory_.ended(*id, proto::TASK_REFUSED);
