@@ -226,7 +226,7 @@ void Collaboration::order(Step& step, TimePoint now) {
         given.set_name(source.param());
     }
     step.task_id = Id128::random(random_).bytes();
-    step.heard = false;
+    step.heard = step.given_up = false;
     step.answer_until = now + pace_.answer_within;
     status.set_state(proto::TASK_QUEUED);
     status.set_progress(-1);
@@ -246,7 +246,7 @@ void Collaboration::order(Step& step, TimePoint now) {
 
 /// Tells the participant what is wanted of the step, as soon as it can do it.
 void Collaboration::attend(Step& step) {
-    if (!step.active() || step.want == step.told) return;
+    if (!step.open() || step.want == step.told) return;
     proto::TaskAction action{};
     if (step.want == Want::End)
         action = proto::CANCEL;
@@ -264,7 +264,7 @@ void Collaboration::attend(Step& step) {
 
 void Collaboration::wantOfAll(Want want, bool pause_where_possible) {
     for (auto& step : steps_) {
-        if (!step.active()) continue;
+        if (!step.active()) continue;  // what was given up is cancelled already
         step.want = pause_where_possible && step.pausable ? Want::Pause : want;
         attend(step);
     }
@@ -335,7 +335,13 @@ void Collaboration::reported(std::size_t participant, const proto::StepReport& r
     if (report.step() < 0 || static_cast<std::size_t>(report.step()) >= steps_.size()) return;
     auto& step = steps_[static_cast<std::size_t>(report.step())];
     const auto& event = report.event();
-    if (step.participant != participant || !step.active() || event.task_id() != step.task_id) return;
+    if (step.participant != participant || !step.open() || event.task_id() != step.task_id) return;
+    if (step.given_up && !isFinal(event.state())) {
+        step.told = Want::Run;  // late, and it has not heard that it is to end
+        attend(step);
+        return;
+    }
+    step.given_up = false;
     step.heard = true;
     step.changed = true;
     auto& status = step.status;
@@ -389,6 +395,8 @@ void Collaboration::depart(std::size_t participant, const Refusal& reason, TimeP
         step.status.set_ended_s(since(now));
         *step.status.mutable_reason() = toProto(reason);
     }
+    for (auto& step : steps_)
+        if (step.participant == participant) step.given_up = false;  // out of reach
     const Refusal why{reason.code, name + ": " + reason.message, {}};
     const bool failing = state_ == proto::RUN_RUNNING || state_ == proto::RUN_PAUSED || state_ == proto::RUN_HELD;
     if (isStop(reason))
@@ -421,7 +429,7 @@ Refusal Collaboration::resume(TimePoint now) {
     if (state_ != proto::RUN_PAUSED && state_ != proto::RUN_HELD)
         return {RefusalCode::WrongState, "The run is neither paused nor held.", {}};
     for (const auto& step : steps_)
-        if (step.active() && step.want == Want::End)
+        if (step.open() && step.want == Want::End)
             return {RefusalCode::WrongState,
                     "Step " + titleOf(*step.declared) + " of " + step.status.name() +
                         " is still ending. Try again in a moment.",
@@ -468,8 +476,23 @@ void Collaboration::enter(proto::RunState state) {
     changed_ = true;
 }
 
-bool Collaboration::anyActive() const {
-    return std::any_of(steps_.begin(), steps_.end(), [](const Step& step) { return step.active(); });
+bool Collaboration::anyOpen() const {
+    return std::any_of(steps_.begin(), steps_.end(), [](const Step& step) { return step.open(); });
+}
+
+/// Its participant has not said a word about it. The order may only be late, so it is cancelled.
+void Collaboration::giveUp(Step& step, TimePoint now) {
+    step.changed = true;
+    step.given_up = true;
+    step.status.set_state(proto::TASK_UNKNOWN);
+    step.status.set_ended_s(since(now));
+    const Refusal reason{RefusalCode::TimedOut,
+                         "Nothing was heard of it within " + inMilliseconds(pace_.answer_within) + '.',
+                         {}};
+    *step.status.mutable_reason() = toProto(reason);
+    step.want = Want::End;
+    attend(step);
+    fail(&step, reason, now);
 }
 
 /// Orders what the present level still lacks.
@@ -511,14 +534,14 @@ void Collaboration::advance(TimePoint now) {
             return;
         }
         case proto::RUN_STOPPING:
-            if (anyActive()) return;
+            if (anyOpen()) return;
             if (compensates_)
                 compensate(now);
             else
                 conclude(outcome_, false, reason_);
             return;
         case proto::RUN_COMPENSATING:
-            if (!anyActive()) conclude(outcome_, false, reason_);
+            if (!anyOpen()) conclude(outcome_, false, reason_);
             return;
         default:
             return;
@@ -570,6 +593,8 @@ void Collaboration::compensate(TimePoint now) {
 }
 
 void Collaboration::conclude(proto::RunState state, bool stop, const Refusal& reason) {
+    // Nobody knows what those do that were given up.
+    stop = stop || std::any_of(steps_.begin(), steps_.end(), [](const Step& step) { return step.given_up; });
     for (auto& step : steps_) {
         if (!step.active()) continue;
         step.changed = true;
@@ -600,14 +625,7 @@ void Collaboration::onTimer(TimePoint now) {
     for (auto& step : steps_) {
         if (over()) return;
         if (!step.active() || step.heard || now < step.answer_until) continue;
-        step.changed = true;
-        step.status.set_state(proto::TASK_UNKNOWN);
-        step.status.set_ended_s(since(now));
-        const Refusal reason{RefusalCode::TimedOut,
-                             "Nothing was heard of it within " + inMilliseconds(pace_.answer_within) + '.',
-                             {}};
-        *step.status.mutable_reason() = toProto(reason);
-        fail(&step, reason, now);
+        giveUp(step, now);
     }
     if (state_ == proto::RUN_STOPPING && now >= end_until_) {
         conclude(outcome_, true, reason_);

@@ -101,8 +101,11 @@ class Collaboration {
         bool pausable = false;
         bool changed = true;             ///< since the last event
         bool heard = false;              ///< of this try
+        bool given_up = false;           ///< nothing was heard of it: UNKNOWN, and it may run all the same
         TimePoint answer_until{};
         bool active() const { return !task_id.empty() && status.state() < proto::TASK_SUCCEEDED; }
+        /// Its participant may be busy with it.
+        bool open() const { return active() || given_up; }
     };
     struct Member {
         enum class Stage : std::uint8_t { Invited, In, Out };
@@ -127,7 +130,8 @@ class Collaboration {
     void compensate(TimePoint now);
     void endAll(bool stop, const Refusal& reason);
     void conclude(proto::RunState state, bool stop, const Refusal& reason);
-    bool anyActive() const;
+    void giveUp(Step& step, TimePoint now);
+    bool anyOpen() const;
     std::size_t firstCompensation() const { return static_cast<std::size_t>(request_.service().steps_size()); }
     double progress() const;
     double since(TimePoint now) const;

@@ -483,6 +483,77 @@ TEST(Collaboration, ALostSlaveEndsItOrIsCompensated) {
     }
 }
 
+TEST(Collaboration, AStepOfWhichNothingIsHeardIsCancelledAndLeavesNobodyMoving) {
+    Fleet fleet(2);
+    fleet.behave = [](std::size_t, const proto::TaskDispatch& dispatch) {
+        return Fleet::Outcome{.lasts = dispatch.service() == "Light" ? Duration{100ms} : Duration{60s}};
+    };
+    fleet.lose = [](std::size_t from, std::size_t, const proto::ToEntity& message) {
+        return from == 1 && message.from_slave().has_report();
+    };
+    auto service = globalService({"0 Turning 1", "1 Turning 1"}, proto::COMPENSATE);
+    service.add_compensation()->set_role(0);
+    service.mutable_compensation(0)->set_service_global_id("Light");
+    fleet.launch(service, 0);
+    fleet.advance(4900ms);
+    EXPECT_TRUE(fleet.moves(1));
+    fleet.advance(200ms);
+    EXPECT_EQ(fleet.told.steps[1].state(), proto::TASK_UNKNOWN);
+    EXPECT_FALSE(fleet.moves(1)) << "cancelled";
+    EXPECT_EQ(fleet.told.state, proto::RUN_STOPPING) << "nobody knows that it has ended";
+    fleet.advance(11s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
+    for (const auto& [robot, name] : fleet.order()) EXPECT_NE(name, "Light") << "no compensation beside the unknown";
+    expectAllAtRest(fleet);
+}
+
+TEST(Collaboration, TheLateReportOfAStepThatWasGivenUpTellsHowItEnded) {
+    Fleet fleet(2);
+    bool mute = true;
+    fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 60s}; };
+    fleet.lose = [&](std::size_t from, std::size_t to, const proto::ToEntity& message) {
+        return mute && ((from == 1 && message.from_slave().has_report()) ||
+                        (to == 1 && message.from_master().has_control()));
+    };
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}, proto::HOLD_OTHERS), 0);
+    fleet.advance(5100ms);
+    EXPECT_EQ(fleet.told.state, proto::RUN_HELD);
+    EXPECT_TRUE(fleet.moves(1));
+    fleet.control(0, "run", proto::RESUME);
+    EXPECT_EQ(fleet.told.refused.code, RefusalCode::WrongState) << "it may be doing it still";
+    mute = false;
+    proto::EiToEm update;  // it says something at last
+    auto& event = *update.mutable_task()->mutable_event();
+    for (const auto& message : fleet.rig(1).to_application)
+        if (message.has_task()) event.set_task_id(message.task().task_id());
+    event.set_state(proto::TASK_RUNNING);
+    event.set_progress(0.5);
+    fleet.rig(1).fromApplication(update);
+    fleet.advance(100ms);
+    EXPECT_FALSE(fleet.moves(1));
+    EXPECT_EQ(fleet.told.steps[1].state(), proto::TASK_CANCELLED);
+    fleet.control(0, "run", proto::RESUME);
+    EXPECT_EQ(fleet.told.state, proto::RUN_RUNNING);
+}
+
+TEST(Collaboration, AnEndThatComesWhileAStepGoesOnStopsIt) {
+    Fleet fleet(2);
+    fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 60s}; };
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0);
+    fleet.advance(100ms);
+    proto::ToEntity message;
+    message.mutable_from_master()->set_run_id(idOf("run"));
+    message.mutable_from_master()->mutable_end();
+    Header head;
+    head.entity = fleet.uuid(1);
+    head.sender = {fleet.uuid(0), "Robot 0", Role::Operator};
+    fleet.rig(1).core().onClientMsg(head, message.SerializeAsString());
+    fleet.advance(10ms);
+    EXPECT_FALSE(fleet.moves(1));
+    EXPECT_EQ(fleet.state(1), EntityState::REG);
+    EXPECT_FALSE(fleet.rig(1).core().latched());
+}
+
 // -- the client's hand on it
 // ----------------------------------------------------------------------------------------------------------
 

@@ -346,10 +346,15 @@ void EntityManagerCore::Machine::controlStep(const proto::StepControl& control) 
 
 void EntityManagerCore::Machine::endMembership(const proto::CollaborationEnd& end) {
     const bool master = isMaster(*member_);
-    if (end.stop()) {
+    // A step of which the master knows no more would go on without anybody who answers for it.
+    const bool busy = !active_.empty() || !queue_.empty();
+    if (end.stop() || busy) {
         Incident incident{Event::CollaborationStopped};
         incident.cause = StopCause::Requested;
-        incident.reason = {RefusalCode::Stopped, "The run was stopped: " + end.reason().message(), {}};
+        incident.reason = {RefusalCode::Stopped,
+                           end.stop() ? "The run was stopped: " + end.reason().message()
+                                      : "The run has ended, and a step of it had not.",
+                           {}};
         member_.reset();
         fire(incident);
         return;

@@ -41,7 +41,7 @@ Fleet::Fleet(std::size_t robots, std::uint64_t seed) : robots_(robots) {
         rig.on_application = [this, i](const proto::EmToEi& message) { serve(i, message); };
         rig.on_peer = [this, i](Lane, const Header& head, const proto::ToEntity& message) {
             for (std::size_t to = 0; to < robots_.size(); ++to)
-                if (uuid(to) == head.entity) letters_.push_back({i, to, head, message.SerializeAsString()});
+                if (uuid(to) == head.entity && !(lose && lose(i, to, message))) letters_.push_back({i, to, head, message.SerializeAsString()});
         };
         rig.on_client = [this](const CoreRig::ToClientRecord& record) {
             if (record.message.has_reply() && record.message.reply().has_refusal())

@@ -54,6 +54,9 @@ class Fleet {
     /// Its Entity Manager stands still: nothing goes in or out, no timer. Its application lives.
     void freeze(std::size_t robot) { frozen_.insert(robot); }
 
+    /// Of what one Entity Manager sends to another this is lost.
+    std::function<bool(std::size_t from, std::size_t to, const proto::ToEntity&)> lose;
+
     /// What the client has been told of the run, all events together.
     struct Told {
         proto::RunState state = proto::RUN_UNSPECIFIED;
