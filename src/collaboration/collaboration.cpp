@@ -369,7 +369,12 @@ void Collaboration::reported(std::size_t participant, const proto::StepReport& r
     } else {
         auto reason = toRefusal(event.reason());
         if (reason.ok()) reason.code = RefusalCode::Failed;
-        fail(&step, reason, now);
+        // Nobody here has asked for this end, so somebody else wanted it: the application itself, a reset, a person.
+        const bool stopped = event.state() == proto::TASK_STOPPED || event.state() == proto::TASK_CANCELLED;
+        if (stopped)
+            conclude(proto::RUN_STOPPED, true, {reason.code, titled(step, reason.message), {}});
+        else
+            fail(&step, reason, now);
     }
 }
 
@@ -476,6 +481,10 @@ void Collaboration::enter(proto::RunState state) {
     changed_ = true;
 }
 
+std::string Collaboration::titled(const Step& step, const std::string& message) const {
+    return "Step " + titleOf(*step.declared) + " of " + step.status.name() + ": " + message;
+}
+
 bool Collaboration::anyOpen() const {
     return std::any_of(steps_.begin(), steps_.end(), [](const Step& step) { return step.open(); });
 }
@@ -555,8 +564,7 @@ void Collaboration::fail(const Step* step, const Refusal& reason, TimePoint now)
         return;
     }
     reason_ = reason;
-    if (step != nullptr)
-        reason_.message = "Step " + titleOf(*step->declared) + " of " + step->status.name() + ": " + reason.message;
+    if (step != nullptr) reason_.message = titled(*step, reason.message);
     switch (request_.service().on_failure()) {
         case proto::HOLD_OTHERS:
             enter(proto::RUN_HELD);

@@ -132,6 +132,7 @@ class Collaboration {
     void conclude(proto::RunState state, bool stop, const Refusal& reason);
     void giveUp(Step& step, TimePoint now);
     bool anyOpen() const;
+    std::string titled(const Step& step, const std::string& message) const;
     std::size_t firstCompensation() const { return static_cast<std::size_t>(request_.service().steps_size()); }
     double progress() const;
     double since(TimePoint now) const;

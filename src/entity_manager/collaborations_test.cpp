@@ -413,6 +413,27 @@ TEST(Collaboration, AStopOfAnyStopsAllAndLatchesThatOne) {
         }
 }
 
+TEST(Collaboration, AStepThatSomebodyStoppedStopsAllWhateverThePolicy) {
+    for (const auto policy : {proto::STOP_ALL, proto::HOLD_OTHERS, proto::COMPENSATE})
+        for (const bool reset : {false, true}) {
+            Fleet fleet(2);
+            fleet.behave = [&](std::size_t robot, const proto::TaskDispatch&) {
+                if (robot == 1 && !reset) return Fleet::Outcome{.lasts = 50ms, .verdict = proto::TASK_STOPPED};
+                return Fleet::Outcome{.lasts = 10s};
+            };
+            auto service = globalService({"0 Turning 1", "1 Turning 1"}, policy);
+            service.add_compensation()->set_role(0);
+            service.mutable_compensation(0)->set_service_global_id("Light");
+            fleet.launch(service, 0);
+            fleet.advance(30ms);
+            if (reset) fleet.rig(1).reset("client1");
+            fleet.advance(100ms);
+            EXPECT_EQ(fleet.told.state, proto::RUN_STOPPED) << policy << reset << fleet.told.reason.message();
+            for (const auto& [robot, name] : fleet.order()) EXPECT_NE(name, "Light");
+            expectAllAtRest(fleet);
+        }
+}
+
 TEST(Collaboration, ReleaseClearAndALostApplicationEndItForAll) {
     for (const int way : {0, 1, 2, 3})
         for (std::size_t robot = 0; robot < 2; ++robot) {
