@@ -47,6 +47,8 @@ bool isStop(const Refusal& reason) {
         case RefusalCode::RevokedLease:
         case RefusalCode::Expired:
         case RefusalCode::NotConnected:
+        // Of one that had agreed: it has left, and why was lost on the way. In doubt it is a stop.
+        case RefusalCode::NotHolder:
             return true;
         default:
             return false;

@@ -434,6 +434,34 @@ TEST(Collaboration, AStepThatSomebodyStoppedStopsAllWhateverThePolicy) {
         }
 }
 
+TEST(Collaboration, AStopIsAStopThoughTheWordOfItWasLost) {
+    for (const bool forgotten : {false, true}) {
+        Fleet fleet(2);
+        fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
+        int lost = 0;
+        fleet.lose = [&](std::size_t from, std::size_t, const proto::ToEntity& message) {
+            return from == 1 && message.from_slave().has_departure() && ++lost == 1;
+        };
+        auto service = globalService({"0 Turning 1", "1 Turning 1"}, proto::COMPENSATE);
+        service.add_compensation()->set_role(0);
+        service.mutable_compensation(0)->set_service_global_id("Light");
+        fleet.launch(service, 0);
+        fleet.advance(100ms);
+        if (forgotten) {
+            fleet.rig(1).restart();
+            fleet.rig(1).makeIdle();
+            lost = 1;
+        } else {
+            fleet.stop(1);
+        }
+        fleet.advance(100ms);
+        EXPECT_EQ(fleet.told.state, proto::RUN_STOPPED) << forgotten;
+        EXPECT_EQ(fleet.told.reason.code(), forgotten ? proto::NOT_HOLDER : proto::STOPPED);
+        EXPECT_FALSE(fleet.moves(0));
+        EXPECT_EQ(fleet.state(0), EntityState::REG);
+    }
+}
+
 TEST(Collaboration, ReleaseClearAndALostApplicationEndItForAll) {
     for (const int way : {0, 1, 2, 3})
         for (std::size_t robot = 0; robot < 2; ++robot) {

@@ -276,6 +276,12 @@ class EntityManagerCore::Machine {
         TimePoint beat_at{};
         std::uint64_t beat = 0;
     };
+    /// A run in which it took part.
+    struct PastRun {
+        std::string run_id, master;
+        Refusal reason;  ///< why it left; OK = the master has ended it
+    };
+    static constexpr std::size_t kPastRuns = 64;
     bool isMaster(const Membership& member) const { return member.master.id == uuid_; }
     void considerRun(const Incident& incident);
     void refuseRun(const Incident& incident, const Refusal& refusal);
@@ -297,6 +303,9 @@ class EntityManagerCore::Machine {
     void reportStep(std::int32_t step, const proto::TaskEvent& event);
     void depart(const Sender& master, const std::string& run_id, const Refusal& reason);
     void leaveCollaboration(const Refusal& reason);
+    /// Its part is over; why is told again to a master that does not know it.
+    void endPart(const Refusal& reason = {});
+    const PastRun* pastRun(const std::string& run_id) const;
     void expireCollaboration();
     void sendToPeer(Lane lane, const std::string& entity, const char* type, const proto::ToEntity& message);
     void sendRawToPartner(proto::LinkRaw& raw);
@@ -391,6 +400,7 @@ class EntityManagerCore::Machine {
 
     std::optional<collaboration::Collaboration> run_;  ///< of which this entity is the master
     std::optional<Membership> member_;                 ///< of the run in which it takes part
+    std::deque<PastRun> past_runs_;                    ///< newest last
     bool attending_ = false;
     proto::RunHistory runs_;                           ///< newest first
 

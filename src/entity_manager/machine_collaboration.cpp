@@ -142,7 +142,7 @@ void EntityManagerCore::Machine::endRun() {
               .text = record.reason().message()});
         memory_.ended(id, state);
     }
-    member_.reset();
+    endPart();
     if (state_ == EntityState::BUSY) previous_ = EntityState::REG;
     if (state_ == EntityState::COLLAB || state_ == EntityState::BUSY) fire(Event::CollaborationEnded);
 }
@@ -280,9 +280,14 @@ bool EntityManagerCore::Machine::hearPeer(const Header& head, proto::ToEntity& m
 void EntityManagerCore::Machine::hearMaster(const Sender& master, const proto::FromMaster& message) {
     if (!member_ || member_->run_id != message.run_id() || member_->master.id != master.id) {
         // It believes that this entity takes part. An end needs no answer.
-        if (!message.has_end() && message.body_case() != proto::FromMaster::BODY_NOT_SET)
+        if (!message.has_end() && message.body_case() != proto::FromMaster::BODY_NOT_SET) {
+            // When it left, that may have been lost on its way: the reason is what the master goes by.
+            const auto* past = pastRun(message.run_id());
+            const bool left = past != nullptr && past->master == master.id && !past->reason.ok();
             depart(master, message.run_id(),
-                   {RefusalCode::NotHolder, "The entity takes no part in this run (any more).", {}});
+                   left ? past->reason
+                        : Refusal{RefusalCode::NotHolder, "The entity takes no part in this run (any more).", {}});
+        }
         return;
     }
     member_->heard = clock_.now();
@@ -355,11 +360,11 @@ void EntityManagerCore::Machine::endMembership(const proto::CollaborationEnd& en
                            end.stop() ? "The run was stopped: " + end.reason().message()
                                       : "The run has ended, and a step of it had not.",
                            {}};
-        member_.reset();
+        endPart();
         fire(incident);
         return;
     }
-    member_.reset();
+    endPart();
     if (master) return;  // COLLAB ends with the run: endRun()
     if (state_ == EntityState::BUSY) previous_ = EntityState::REG;
     fire(Event::CollaborationEnded);
@@ -398,7 +403,20 @@ void EntityManagerCore::Machine::leaveCollaboration(const Refusal& reason) {
     }
     if (!member_) return;
     if (!isMaster(*member_)) depart(member_->master, member_->run_id, reason);
+    endPart(reason);
+}
+
+void EntityManagerCore::Machine::endPart(const Refusal& reason) {
+    if (!member_) return;
+    past_runs_.push_back({member_->run_id, member_->master.id, reason});
+    if (past_runs_.size() > kPastRuns) past_runs_.pop_front();
     member_.reset();
+}
+
+const EntityManagerCore::Machine::PastRun* EntityManagerCore::Machine::pastRun(const std::string& run_id) const {
+    const auto found = std::find_if(past_runs_.begin(), past_runs_.end(),
+                                    [&](const PastRun& past) { return past.run_id == run_id; });
+    return found != past_runs_.end() ? &*found : nullptr;
 }
 
 void EntityManagerCore::Machine::expireCollaboration() {
@@ -414,7 +432,7 @@ void EntityManagerCore::Machine::expireCollaboration() {
                                std::to_string(silence.count()) + " ms.",
                            {}};
         depart(member_->master, member_->run_id, incident.reason);
-        member_.reset();
+        endPart(incident.reason);
         fire(incident);
         return;
     }
