@@ -229,6 +229,7 @@ void Collaboration::order(Step& step, TimePoint now) {
     }
     step.task_id = Id128::random(random_).bytes();
     step.heard = step.given_up = false;
+    members_[step.participant].begin_until = now + pace_.end_within;
     step.answer_until = now + pace_.answer_within;
     status.set_state(proto::TASK_QUEUED);
     status.set_progress(-1);
@@ -247,7 +248,7 @@ void Collaboration::order(Step& step, TimePoint now) {
 }
 
 /// Tells the participant what is wanted of the step, as soon as it can do it.
-void Collaboration::attend(Step& step) {
+void Collaboration::attend(Step& step, TimePoint now) {
     if (!step.open() || step.want == step.told) return;
     proto::TaskAction action{};
     if (step.want == Want::End)
@@ -259,17 +260,36 @@ void Collaboration::attend(Step& step) {
     else
         return;
     step.told = step.want;
+    if (action == proto::PAUSE) step.obey_until = now + pace_.end_within;
     auto& control = *send(step.participant).mutable_control();
     control.set_step(step.status.step());
     control.set_action(action);
 }
 
-void Collaboration::wantOfAll(Want want, bool pause_where_possible) {
-    for (auto& step : steps_) {
-        if (!step.active()) continue;  // what was given up is cancelled already
-        step.want = pause_where_possible && step.pausable ? Want::Pause : want;
-        attend(step);
-    }
+void Collaboration::ask(Step& step, Want want, TimePoint now) {
+    if (step.want != want) step.obey_until = now + pace_.end_within;  // asked for again it has no more time
+    step.want = want;
+    attend(step, now);
+}
+
+void Collaboration::wantOfAll(Want want, TimePoint now, bool pause_where_possible) {
+    for (auto& step : steps_)
+        if (step.active())  // what was given up is cancelled already
+            ask(step, pause_where_possible && step.pausable ? Want::Pause : want, now);
+}
+
+TimePoint Collaboration::patienceWith(const Step& step) const {
+    if (!step.open()) return TimePoint::max();
+    if (step.want == Want::End || (step.told == Want::Pause && step.want == Want::Pause &&
+                                   step.status.state() != proto::TASK_PAUSED))
+        return step.obey_until;
+    // Behind another one of its participant it waits as long as that takes.
+    const auto busy = [&](const Step& other) {
+        return other.participant == step.participant && other.open() && other.status.state() >= proto::TASK_RUNNING;
+    };
+    if (state_ == proto::RUN_COMPENSATING && std::none_of(steps_.begin(), steps_.end(), busy))
+        return members_[step.participant].begin_until;
+    return TimePoint::max();
 }
 
 void Collaboration::endAll(bool stop, const Refusal& reason) {
@@ -340,11 +360,12 @@ void Collaboration::reported(std::size_t participant, const proto::StepReport& r
     if (step.participant != participant || !step.open() || event.task_id() != step.task_id) return;
     if (step.given_up && !isFinal(event.state())) {
         step.told = Want::Run;  // late, and it has not heard that it is to end
-        attend(step);
+        attend(step, now);
         return;
     }
     step.given_up = false;
     step.heard = true;
+    if (event.state() >= proto::TASK_RUNNING) members_[participant].begin_until = now + pace_.end_within;
     step.changed = true;
     auto& status = step.status;
     status.set_state(event.state());
@@ -359,7 +380,7 @@ void Collaboration::reported(std::size_t participant, const proto::StepReport& r
     if (event.has_reason()) *status.mutable_reason() = event.reason();
     if (status.began_s() < 0 && event.state() == proto::TASK_RUNNING) status.set_began_s(since(now));
     if (!isFinal(event.state())) {
-        attend(step);
+        attend(step, now);
         return;
     }
     status.set_ended_s(since(now));
@@ -417,7 +438,6 @@ void Collaboration::depart(std::size_t participant, const Refusal& reason, TimeP
 }
 
 Refusal Collaboration::pause(TimePoint now) {
-    (void)now;
     if (state_ != proto::RUN_RUNNING) return {RefusalCode::WrongState, "The run is not running.", {}};
     std::string stubborn;
     for (const auto& step : steps_)
@@ -428,7 +448,7 @@ Refusal Collaboration::pause(TimePoint now) {
                 "These steps are running and cannot be paused: " + stubborn + ". Wait for their end, or cancel the run.",
                 {}};
     enter(proto::RUN_PAUSED);
-    wantOfAll(Want::Pause);
+    wantOfAll(Want::Pause, now);
     return {};
 }
 
@@ -443,7 +463,7 @@ Refusal Collaboration::resume(TimePoint now) {
                     {}};
     enter(proto::RUN_RUNNING);
     reason_ = {};
-    wantOfAll(Want::Run);
+    wantOfAll(Want::Run, now);
     beginLevel(now);
     advance(now);
     return {};
@@ -461,9 +481,9 @@ Refusal Collaboration::cancel(TimePoint now) {
         reason_ = reason;
     }
     compensates_ = false;
+    if (state_ != proto::RUN_STOPPING) end_until_ = now + pace_.end_within;
     enter(proto::RUN_STOPPING);
-    end_until_ = now + pace_.end_within;
-    wantOfAll(Want::End);
+    wantOfAll(Want::End, now);
     advance(now);
     return {};
 }
@@ -501,8 +521,7 @@ void Collaboration::giveUp(Step& step, TimePoint now) {
                          "Nothing was heard of it within " + inMilliseconds(pace_.answer_within) + '.',
                          {}};
     *step.status.mutable_reason() = toProto(reason);
-    step.want = Want::End;
-    attend(step);
+    ask(step, Want::End, now);
     fail(&step, reason, now);
 }
 
@@ -570,14 +589,14 @@ void Collaboration::fail(const Step* step, const Refusal& reason, TimePoint now)
     switch (request_.service().on_failure()) {
         case proto::HOLD_OTHERS:
             enter(proto::RUN_HELD);
-            wantOfAll(Want::End, true);
+            wantOfAll(Want::End, now, true);
             return;
         case proto::COMPENSATE:
             outcome_ = proto::RUN_FAILED;
             compensates_ = true;
             enter(proto::RUN_STOPPING);
             end_until_ = now + pace_.end_within;
-            wantOfAll(Want::End);
+            wantOfAll(Want::End, now);
             advance(now);
             return;
         default:
@@ -641,6 +660,15 @@ void Collaboration::onTimer(TimePoint now) {
         conclude(outcome_, true, reason_);
         return;
     }
+    for (const auto& step : steps_) {
+        if (now < patienceWith(step)) continue;
+        const char* const what = step.want == Want::End     ? "It was told to end and has not within "
+                                 : step.want == Want::Pause ? "It was told to pause and has not within "
+                                                            : "It has not begun within ";
+        conclude(outcome_ == proto::RUN_UNSPECIFIED ? proto::RUN_FAILED : outcome_, true,
+                 {RefusalCode::TimedOut, titled(step, what + inMilliseconds(pace_.end_within) + '.'), {}});
+        return;
+    }
     if (now >= beat_at_) {
         beat_at_ = now + pace_.watchdog / kBeatsPerWatchdog;
         ++beat_;
@@ -659,6 +687,7 @@ TimePoint Collaboration::nextDeadline() const {
     }
     for (const auto& step : steps_)
         if (step.active() && !step.heard) next = std::min(next, step.answer_until);
+    for (const auto& step : steps_) next = std::min(next, patienceWith(step));
     if (state_ == proto::RUN_STOPPING) next = std::min(next, end_until_);
     return next;
 }

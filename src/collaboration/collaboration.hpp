@@ -24,7 +24,8 @@ struct Pace {
     Duration watchdog = std::chrono::milliseconds{250};
     /// For the answer to an invitation, and for the first word about a step that was ordered.
     Duration answer_within = std::chrono::seconds{5};
-    /// For steps that are cancelled to end; then everybody is stopped.
+    /// For a step that was told to end or to pause to do so, and for one of the compensation to begin once its
+    /// participant could; then everybody is stopped.
     Duration end_within = std::chrono::seconds{10};
 };
 
@@ -103,6 +104,7 @@ class Collaboration {
         bool heard = false;              ///< of this try
         bool given_up = false;           ///< nothing was heard of it: UNKNOWN, and it may run all the same
         TimePoint answer_until{};
+        TimePoint obey_until{};          ///< while another thing is wanted of it than that it runs
         bool active() const { return !task_id.empty() && status.state() < proto::TASK_SUCCEEDED; }
         /// Its participant may be busy with it.
         bool open() const { return active() || given_up; }
@@ -112,6 +114,7 @@ class Collaboration {
         Stage stage = Stage::Invited;
         std::uint32_t stop_generation = 0;
         TimePoint heard{};
+        TimePoint begin_until{};  ///< of a compensation: while none of its steps runs
     };
 
     std::optional<std::size_t> indexOf(const std::string& entity) const;
@@ -123,8 +126,11 @@ class Collaboration {
     void depart(std::size_t participant, const Refusal& reason, TimePoint now);
     void beginLevel(TimePoint now);
     void order(Step& step, TimePoint now);
-    void attend(Step& step);
-    void wantOfAll(Want want, bool pause_where_possible = false);
+    void attend(Step& step, TimePoint now);
+    void ask(Step& step, Want want, TimePoint now);
+    void wantOfAll(Want want, TimePoint now, bool pause_where_possible = false);
+    /// When a step that does not do what it was told, or does not begin, ends the run; max() = it does.
+    TimePoint patienceWith(const Step& step) const;
     void fail(const Step* step, const Refusal& reason, TimePoint now);
     void advance(TimePoint now);
     void compensate(TimePoint now);

@@ -603,6 +603,75 @@ TEST(Collaboration, AnEndThatComesWhileAStepGoesOnStopsIt) {
     EXPECT_FALSE(fleet.rig(1).core().latched());
 }
 
+TEST(Collaboration, WhoDoesNotPauseOrEndInTimeIsStopped) {
+    for (const bool held : {false, true}) {
+        Fleet fleet(2);
+        fleet.behave = [&](std::size_t robot, const proto::TaskDispatch&) {
+            if (held && robot == 0) return failing();
+            return Fleet::Outcome{.lasts = 60s, .deaf = true};
+        };
+        auto service = globalService({"0 Driving 1", "1 Driving 1"}, held ? proto::HOLD_OTHERS : proto::STOP_ALL);
+        for (const int i : {0, 1}) *service.mutable_steps(i)->add_params() = test::paramOf("Distance=100");
+        fleet.launch(service, 0);
+        fleet.advance(100ms);
+        if (!held) fleet.control(0, "run", proto::PAUSE);
+        EXPECT_EQ(fleet.told.state, held ? proto::RUN_HELD : proto::RUN_PAUSED);
+        fleet.advance(9800ms);
+        EXPECT_TRUE(fleet.moves(1)) << held;
+        fleet.advance(300ms);
+        EXPECT_EQ(fleet.told.state, proto::RUN_FAILED) << held;
+        EXPECT_EQ(fleet.told.reason.code(), proto::TIMED_OUT);
+        EXPECT_NE(fleet.told.reason.message().find("Robot"), std::string::npos) << fleet.told.reason.message();
+        expectAllAtRest(fleet);
+    }
+}
+
+TEST(Collaboration, ToCancelAgainGivesNoMoreTime) {
+    Fleet fleet(2);
+    fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 60s, .deaf = true}; };
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0);
+    fleet.advance(100ms);
+    for (int i = 0; i < 3; ++i) {
+        fleet.control(0, "run", proto::CANCEL);
+        fleet.advance(3s);
+    }
+    EXPECT_TRUE(fleet.moves(1));
+    fleet.advance(1100ms);
+    EXPECT_EQ(fleet.told.state, proto::RUN_CANCELLED);
+    expectAllAtRest(fleet);
+}
+
+TEST(Collaboration, ACompensationWaitsForItsParticipantForATime) {
+    Fleet fleet(2);
+    fleet.behave = [](std::size_t robot, const proto::TaskDispatch& dispatch) {
+        if (dispatch.service() == "Light") return Fleet::Outcome{.lasts = 30s};
+        return robot == 0 ? failing() : Fleet::Outcome{.lasts = 60s};
+    };
+    auto service = globalService({"0 Turning 1", "1 Turning 1"}, proto::COMPENSATE);
+    for (const int role : {0, 1}) {
+        auto& step = *service.add_compensation();
+        step.set_role(role);
+        step.set_service_global_id("Light");
+    }
+    for (const bool occupied : {false, true}) {
+        const std::string run = occupied ? "second" : "first";
+        fleet.launch(service, 0, run);
+        if (occupied) {  // by its own account, so that nothing else begins
+            proto::EiToEm status;
+            status.mutable_status()->set_busy(true);
+            fleet.advance(20ms);
+            fleet.rig(1).fromApplication(status);
+        }
+        fleet.advance(9900ms);
+        EXPECT_EQ(fleet.told.state, proto::RUN_COMPENSATING);
+        fleet.advance(1s);
+        EXPECT_EQ(fleet.told.state, occupied ? proto::RUN_FAILED : proto::RUN_COMPENSATING) << "what runs may last";
+        fleet.advance(20s);
+        EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
+        expectAllAtRest(fleet);
+    }
+}
+
 // -- the client's hand on it
 // ----------------------------------------------------------------------------------------------------------
 

@@ -82,13 +82,13 @@ void Fleet::serve(std::size_t robot, const proto::EmToEi& message) {
         self.answers.push_back(answer);
     } else if (message.has_cancel()) {
         const auto task = find(message.cancel().task_id());
-        if (task == self.running.end()) return;
+        if (task == self.running.end() || task->outcome.deaf) return;
         task->paused = false;
         task->ends = rig(robot).clock.now();
         task->outcome = {.verdict = proto::TASK_CANCELLED};
     } else if (message.has_pause()) {
         const auto task = find(message.pause().task_id());
-        if (task == self.running.end() || task->paused != message.pause().resume()) return;
+        if (task == self.running.end() || task->outcome.deaf || task->paused != message.pause().resume()) return;
         const auto now = rig(robot).clock.now();
         task->paused = !task->paused;
         if (task->paused)

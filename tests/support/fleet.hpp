@@ -29,6 +29,7 @@ class Fleet {
         proto::TaskState verdict = proto::TASK_SUCCEEDED;
         std::vector<proto::Param> results = {};
         bool denied = false;
+        bool deaf = false;  ///< heeds neither pause nor cancel
     };
     std::function<Outcome(std::size_t robot, const proto::TaskDispatch&)> behave;
 
