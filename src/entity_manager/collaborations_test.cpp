@@ -507,6 +507,84 @@ TEST(Collaboration, ALostMasterIsMissedByEverySlave) {
     }
 }
 
+/// Keeps the first message of a kind back, until it is given up.
+struct Late {
+    Late(Fleet& robots, std::function<bool(const proto::ToEntity&)> which) : fleet(robots) {
+        fleet.lose = [this, which = std::move(which)](std::size_t from, std::size_t to, const proto::ToEntity& message) {
+            if (kept || !which(message)) return false;
+            kept = message.SerializeAsString();
+            head.sender = {fleet.uuid(from), "Robot " + std::to_string(from), Role::Operator};
+            head.entity = fleet.uuid(to);
+            robot = to;
+            return true;
+        };
+    }
+    void arrive() { fleet.rig(robot).core().onClientMsg(head, kept.value()); }
+    Fleet& fleet;
+    std::optional<std::string> kept;
+    Header head;
+    std::size_t robot = 0;
+};
+
+TEST(Collaboration, AnAnswerThatIsLateStopsNobody) {
+    Fleet fleet(2);
+    Late answer(fleet, [](const auto& message) { return message.from_slave().has_answer(); });
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0);
+    fleet.advance(600ms);
+    EXPECT_EQ(fleet.told.state, proto::RUN_CHECKING);
+    EXPECT_EQ(fleet.state(1), EntityState::SLAVE);
+    answer.arrive();
+    fleet.advance(300ms);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED) << fleet.told.reason.message();
+    expectAllAtRest(fleet);
+}
+
+TEST(Collaboration, AMasterThatIsNeverHeardIsLostToo) {
+    Fleet fleet(2);
+    fleet.lose = [](std::size_t from, std::size_t, const proto::ToEntity& message) {
+        return from == 1 || !message.from_master().has_invitation();
+    };
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0);
+    fleet.advance(5100ms);
+    EXPECT_EQ(fleet.told.state, proto::RUN_REFUSED);
+    expectAllAtRest(fleet);
+}
+
+TEST(Collaboration, AnEndThatIsLateStopsNobody) {
+    Fleet fleet(2);
+    Late end(fleet, [](const auto& message) { return message.from_master().has_end(); });
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0);
+    const auto stops = fleet.rig(1).core().status().stop_generation;
+    fleet.advance(1s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED);
+    EXPECT_EQ(fleet.state(0), EntityState::REG);
+    EXPECT_EQ(fleet.state(1), EntityState::SLAVE);
+    end.arrive();
+    EXPECT_EQ(fleet.state(1), EntityState::REG);
+    EXPECT_EQ(fleet.rig(1).core().status().stop_generation, stops);
+    fleet.advance(100ms);
+    int beats = 0;
+    fleet.lose = [&](auto, auto, const auto&) { return ++beats > 0; };
+    fleet.advance(1s);
+    EXPECT_EQ(beats, 0) << "it is known that it has arrived";
+}
+
+TEST(Collaboration, AnEndThatNeverArrivesIsMissedAndALostStopIsSaidAgain) {
+    Fleet fleet(2);
+    fleet.lose = [](auto, auto, const proto::ToEntity& message) { return message.from_master().has_end(); };
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0);
+    fleet.advance(6s);
+    expectAllAtRest(fleet);
+    fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
+    Late stop(fleet, [](const auto& message) { return message.from_master().end().stop(); });
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0, "next");
+    fleet.advance(100ms);
+    fleet.stop(0);
+    EXPECT_TRUE(fleet.moves(1));
+    fleet.advance(60ms);
+    EXPECT_FALSE(fleet.moves(1));
+}
+
 TEST(Collaboration, ALostSlaveEndsItOrIsCompensated) {
     for (const auto policy : {proto::STOP_ALL, proto::COMPENSATE}) {
         Fleet fleet(3);

@@ -273,6 +273,7 @@ class EntityManagerCore::Machine {
         std::vector<proto::Participant> participants;
         std::map<Id128, std::int32_t> steps;  ///< under way, by the task's id
         TimePoint heard{};                    ///< from the master
+        bool led = false;                     ///< it has begun to beat, or has given an order
         TimePoint beat_at{};
         std::uint64_t beat = 0;
     };
@@ -282,6 +283,14 @@ class EntityManagerCore::Machine {
         Refusal reason;  ///< why it left; OK = the master has ended it
     };
     static constexpr std::size_t kPastRuns = 64;
+    /// An end that was sent and of which it is not known whether it has arrived: until then its participant hears
+    /// from its master on the signal lane.
+    struct Farewell {
+        std::string entity;
+        proto::FromMaster message;  ///< a beat, or a stop once more
+        TimePoint again{}, until{};
+    };
+    static constexpr std::size_t kFarewells = 1024;
     bool isMaster(const Membership& member) const { return member.master.id == uuid_; }
     void considerRun(const Incident& incident);
     void refuseRun(const Incident& incident, const Refusal& refusal);
@@ -307,6 +316,10 @@ class EntityManagerCore::Machine {
     void endPart(const Refusal& reason = {});
     const PastRun* pastRun(const std::string& run_id) const;
     void expireCollaboration();
+    /// When the silence of the master stops this entity.
+    TimePoint masterLostAt() const;
+    void bidFarewell(const std::string& entity, const proto::FromMaster& end);
+    void repeatFarewells();
     void sendToPeer(Lane lane, const std::string& entity, const char* type, const proto::ToEntity& message);
     void sendRawToPartner(proto::LinkRaw& raw);
     const proto::Participant* partner(std::string_view name) const;
@@ -401,6 +414,7 @@ class EntityManagerCore::Machine {
     std::optional<collaboration::Collaboration> run_;  ///< of which this entity is the master
     std::optional<Membership> member_;                 ///< of the run in which it takes part
     std::deque<PastRun> past_runs_;                    ///< newest last
+    std::vector<Farewell> farewells_;
     bool attending_ = false;
     proto::RunHistory runs_;                           ///< newest first
 

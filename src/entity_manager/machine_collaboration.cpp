@@ -113,8 +113,9 @@ void EntityManagerCore::Machine::attendRun() {
             message.mutable_from_master()->Swap(&order.message);
             const bool urgent = message.from_master().has_beat() ||
                                 (message.from_master().has_end() && message.from_master().end().stop());
-            sendToPeer(urgent ? Lane::Signal : Lane::Data, run_->participant(order.participant).entity(),
-                       kMsgCollaboration, message);
+            const auto& to = run_->participant(order.participant).entity();
+            sendToPeer(urgent ? Lane::Signal : Lane::Data, to, kMsgCollaboration, message);
+            if (message.from_master().has_end()) bidFarewell(to, message.from_master());
         }
     }
     attending_ = false;
@@ -259,6 +260,10 @@ bool EntityManagerCore::Machine::hearPeer(const Header& head, proto::ToEntity& m
             hearMaster(head.sender, message.from_master());
             return true;
         case proto::ToEntity::kFromSlave:
+            if (message.from_slave().has_departure())
+                std::erase_if(farewells_, [&](const Farewell& farewell) {
+                    return farewell.entity == head.sender.id && farewell.message.run_id() == message.from_slave().run_id();
+                });
             if (run_) run_->hear(head.sender.id, message.from_slave(), clock_.now());
             return true;
         case proto::ToEntity::kRaw: {
@@ -279,8 +284,8 @@ bool EntityManagerCore::Machine::hearPeer(const Header& head, proto::ToEntity& m
 
 void EntityManagerCore::Machine::hearMaster(const Sender& master, const proto::FromMaster& message) {
     if (!member_ || member_->run_id != message.run_id() || member_->master.id != master.id) {
-        // It believes that this entity takes part. An end needs no answer.
-        if (!message.has_end() && message.body_case() != proto::FromMaster::BODY_NOT_SET) {
+        // It believes that this entity takes part, or asks whether its end has arrived.
+        if (message.body_case() != proto::FromMaster::BODY_NOT_SET) {
             // When it left, that may have been lost on its way: the reason is what the master goes by.
             const auto* past = pastRun(message.run_id());
             const bool left = past != nullptr && past->master == master.id && !past->reason.ok();
@@ -291,6 +296,7 @@ void EntityManagerCore::Machine::hearMaster(const Sender& master, const proto::F
         return;
     }
     member_->heard = clock_.now();
+    member_->led = true;
     switch (message.body_case()) {
         case proto::FromMaster::kOrder:
             admitStep(message.order());
@@ -419,12 +425,48 @@ const EntityManagerCore::Machine::PastRun* EntityManagerCore::Machine::pastRun(c
     return found != past_runs_.end() ? &*found : nullptr;
 }
 
+/// A master beats to those whose answers it has; before, nothing moves.
+TimePoint EntityManagerCore::Machine::masterLostAt() const {
+    return member_->heard + (member_->led ? settings_.server_watchdog_busy : collaboration::Pace{}.answer_within);
+}
+
+/// An end waits with the data before it, and a stop's may find no room. Beats, or the stop again, until it is answered:
+/// a participant that has finished must not miss its master.
+void EntityManagerCore::Machine::bidFarewell(const std::string& entity, const proto::FromMaster& end) {
+    if (farewells_.size() == kFarewells) return;
+    Farewell farewell{.entity = entity};
+    const auto now = clock_.now();
+    const auto watchdog = settings_.server_watchdog_busy;
+    farewell.again = now + watchdog / kBeatsPerWatchdog;
+    // Who does not hear a stop misses the beats.
+    farewell.until = now + (end.end().stop() ? 2 * watchdog : collaboration::Pace{}.answer_within);
+    farewell.message.set_run_id(end.run_id());
+    if (end.end().stop())
+        farewell.message = end;
+    else
+        farewell.message.mutable_beat();
+    farewells_.push_back(std::move(farewell));
+}
+
+void EntityManagerCore::Machine::repeatFarewells() {
+    const auto now = clock_.now();
+    std::erase_if(farewells_, [&](const Farewell& farewell) { return now >= farewell.until; });
+    for (auto& farewell : farewells_) {
+        if (now < farewell.again) continue;
+        farewell.again = now + settings_.server_watchdog_busy / kBeatsPerWatchdog;
+        proto::ToEntity message;
+        *message.mutable_from_master() = farewell.message;
+        sendToPeer(Lane::Signal, farewell.entity, kMsgCollaboration, message);
+    }
+}
+
 void EntityManagerCore::Machine::expireCollaboration() {
     const auto now = clock_.now();
+    repeatFarewells();
     if (run_) run_->onTimer(now);
     if (!member_ || isMaster(*member_)) return;
-    if (now >= member_->heard + settings_.server_watchdog_busy) {
-        const auto silence = std::chrono::duration_cast<std::chrono::milliseconds>(settings_.server_watchdog_busy);
+    if (now >= masterLostAt()) {
+        const auto silence = std::chrono::duration_cast<std::chrono::milliseconds>(now - member_->heard);
         Incident incident{Event::CollaborationStopped};
         incident.cause = StopCause::ServerLost;
         incident.reason = {RefusalCode::TimedOut,
@@ -447,6 +489,7 @@ void EntityManagerCore::Machine::expireCollaboration() {
 void EntityManagerCore::Machine::onPeerRefusal(const Header& head, const Refusal& refusal) {
     if (quit_) return;
     ++counters_.peer_refusals;
+    std::erase_if(farewells_, [&](const Farewell& farewell) { return farewell.entity == head.entity; });
     if (run_) run_->lose(head.entity, refusal, clock_.now());
     settle();
 }
