@@ -305,6 +305,29 @@ TEST_F(SubLeases, FromBeforeAStopAreRefused) {
               RefusalCode::OldGeneration);
 }
 
+TEST_F(SubLeases, OfARunThatIsOverAreRefused) {
+    proto::ToEntity invitation;
+    fleet.lose = [&](std::size_t, std::size_t to, const proto::ToEntity& message) {
+        if (to == 1 && message.from_master().has_invitation()) invitation = message;
+        return false;
+    };
+    fleet.launch(demo(), 0);
+    fleet.advance(2s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED);
+    proto::FromSlave answer;
+    fleet.lose = [&](std::size_t from, std::size_t, const proto::ToEntity& message) {
+        if (from == 1 && message.from_slave().has_answer()) answer = message.from_slave();
+        return false;
+    };
+    Header head;
+    head.entity = fleet.uuid(1);
+    head.sender = {fleet.uuid(0), "Robot 0", Role::Operator};
+    fleet.rig(1).core().onClientMsg(head, invitation.SerializeAsString());
+    ASSERT_EQ(answer.answer().problems_size(), 1);
+    EXPECT_EQ(answer.answer().problems(0).refusal().code(), proto::DUPLICATE);
+    EXPECT_EQ(fleet.state(1), EntityState::REG);
+}
+
 TEST_F(SubLeases, OfALatchedEntityAreRefused) {
     fleet.stop(1);
     EXPECT_EQ(refusalOf([](auto&, auto&) {}).code, RefusalCode::Latched);

@@ -179,6 +179,10 @@ Refusal EntityManagerCore::Machine::checkSubLease(const Sender& master, const pr
                 "The master " + inQuotes(master.name) +
                     " has no right over this entity from its holder: both must be checked out by the same client.",
                 named(held.holder)};
+    if (pastRun(message.run_id()) != nullptr)
+        return {RefusalCode::Duplicate,
+                "The entity has taken part in this run before, and a run has one beginning. Make a new id.",
+                {}};
     if (!stopsAreHandled() || lease.stop_generation() < required_)
         return {RefusalCode::OldGeneration,
                 "The run was asked for before the newest stop of the entity was known. Look at the entity, then ask again.",
