@@ -13,8 +13,9 @@ namespace axon::collaboration {
 
 namespace {
 
-/// So many steps go into one event: a message between stations has at most 1 MiB.
+/// So much goes into one event: a message between stations has at most 1 MiB.
 constexpr std::size_t kStepsPerEvent = 250;
+constexpr std::size_t kEventBytes = 512 * 1024;
 constexpr int kBeatsPerWatchdog = 5;
 
 proto::Problem problem(std::string entity, int step, RefusalCode code, std::string message) {
@@ -39,6 +40,10 @@ std::string titleOf(const proto::GlobalStep& step) {
 
 }  // namespace
 
+proto::Problem andMore(int count) {
+    return problem({}, -1, RefusalCode::Malformed, "… and " + std::to_string(count) + " more. Mend these first.");
+}
+
 bool isStop(const Refusal& reason) {
     switch (reason.code) {
         case RefusalCode::Stopped:
@@ -58,8 +63,15 @@ bool isStop(const Refusal& reason) {
 std::vector<proto::Problem> Collaboration::problemsOf(const proto::CollaborationRequest& request, const std::string& self,
                                                       const std::string& root) {
     std::vector<proto::Problem> problems;
+    int more = 0;
+    const auto add = [&](proto::Problem found) {
+        if (static_cast<int>(problems.size()) < kProblemsMax)
+            problems.push_back(std::move(found));
+        else
+            ++more;
+    };
     const auto malformed = [&](int step, std::string message) {
-        problems.push_back(problem({}, step, RefusalCode::Malformed, std::move(message)));
+        add(problem({}, step, RefusalCode::Malformed, std::move(message)));
     };
     const auto& service = request.service();
     const auto steps = service.steps_size() + service.compensation_size();
@@ -81,9 +93,9 @@ std::vector<proto::Problem> Collaboration::problemsOf(const proto::Collaboration
             malformed(-1, "The entity " + inQuotes(participant.name()) +
                               " has two roles. Give each role an entity of its own.");
         if (participant.lease().root().size() != 16 || participant.lease().root() != root)
-            problems.push_back(problem(participant.name(), -1, RefusalCode::NotHolder,
-                                       "It is not held under the same root lease as the master. Check all "
-                                       "participants out by the same client."));
+            add(problem(participant.name(), -1, RefusalCode::NotHolder,
+                        "It is not held under the same root lease as the master. Check all participants out by the "
+                        "same client."));
     }
     if (!entities.contains(self))
         malformed(-1, "The master does not take part. Make one of the participants the master.");
@@ -113,6 +125,7 @@ std::vector<proto::Problem> Collaboration::problemsOf(const proto::Collaboration
     }
     for (const auto role : roles)
         if (!used.contains(role)) malformed(-1, "Role " + std::to_string(role) + " has no step.");
+    if (more > 0) problems.push_back(andMore(more));
     return problems;
 }
 
@@ -344,7 +357,7 @@ void Collaboration::answered(std::size_t participant, const proto::InvitationAns
     if (answer.problems_size() > 0 || request_.check_only()) member.stage = Member::Stage::Out;  // it has not joined
     for (auto found : answer.problems()) {
         found.set_entity(this->participant(participant).name());
-        problems_.push_back(std::move(found));
+        note(std::move(found));
     }
     for (const auto step : answer.pausable())
         if (step >= 0 && static_cast<std::size_t>(step) < steps_.size() &&
@@ -409,10 +422,7 @@ void Collaboration::depart(std::size_t participant, const Refusal& reason, TimeP
     member.stage = Member::Stage::Out;
     const auto& name = this->participant(participant).name();
     if (invited || state_ == proto::RUN_CHECKING) {
-        auto& found = problems_.emplace_back();
-        found.set_step(-1);
-        found.set_entity(name);
-        *found.mutable_refusal() = toProto(reason);
+        note(problem(name, -1, reason.code, reason.message));
         advance(now);
         return;
     }
@@ -501,6 +511,13 @@ void Collaboration::abandon(proto::RunState outcome, const Refusal& reason, Time
 void Collaboration::enter(proto::RunState state) {
     state_ = state;
     changed_ = true;
+}
+
+void Collaboration::note(proto::Problem found) {
+    if (static_cast<int>(problems_.size()) < kProblemsMax)
+        problems_.push_back(std::move(found));
+    else
+        ++more_problems_;
 }
 
 std::string Collaboration::titled(const Step& step, const std::string& message) const {
@@ -709,12 +726,20 @@ std::optional<proto::RunEvent> Collaboration::takeEvent(TimePoint now) {
     if (!changed_ && !any) return std::nullopt;
     proto::RunEvent event;
     std::size_t told = 0;
+    std::size_t bytes = 0;
     for (auto& step : steps_) {
         if (!step.changed) continue;
-        if (told == kStepsPerEvent) break;
+        proto::StepStatus status = step.status;
+        if (status.ByteSizeLong() > kEventBytes) {
+            status.clear_params();
+            status.clear_results();
+        }
+        if (status.ByteSizeLong() > kEventBytes) status.clear_feedback();
+        if (told > 0 && (told == kStepsPerEvent || bytes + status.ByteSizeLong() > kEventBytes)) break;
         ++told;
+        bytes += status.ByteSizeLong();
         step.changed = false;
-        *event.add_steps() = step.status;
+        event.add_steps()->Swap(&status);
     }
     const bool more = std::any_of(steps_.begin(), steps_.end(), [](const Step& step) { return step.changed; });
     event.set_run_id(id());
@@ -726,6 +751,7 @@ std::optional<proto::RunEvent> Collaboration::takeEvent(TimePoint now) {
     if (!reason_.ok()) *event.mutable_reason() = toProto(reason_);
     changed_ = more;
     for (const auto& found : problems_) *event.add_problems() = found;
+    if (more_problems_ > 0) *event.add_problems() = andMore(more_problems_);
     return event;
 }
 

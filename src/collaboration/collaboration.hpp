@@ -17,6 +17,10 @@ namespace axon::collaboration {
 
 inline constexpr int kStepsMax = 1'000;
 inline constexpr int kParticipantsMax = 256;
+inline constexpr int kProblemsMax = 50;
+
+/// Instead of the problems that are not told one by one.
+proto::Problem andMore(int count);
 
 /// Times that a master keeps.
 struct Pace {
@@ -137,6 +141,7 @@ class Collaboration {
     void endAll(bool stop, const Refusal& reason);
     void conclude(proto::RunState state, bool stop, const Refusal& reason);
     void giveUp(Step& step, TimePoint now);
+    void note(proto::Problem found);
     bool anyOpen() const;
     std::string titled(const Step& step, const std::string& message) const;
     std::size_t firstCompensation() const { return static_cast<std::size_t>(request_.service().steps_size()); }
@@ -161,7 +166,8 @@ class Collaboration {
     TimePoint beat_at_{};
     std::uint64_t beat_ = 0;
     std::optional<TimePoint> ended_;
-    std::vector<proto::Problem> problems_;
+    std::vector<proto::Problem> problems_;  ///< the first kProblemsMax
+    int more_problems_ = 0;
     bool changed_ = true;
     std::uint64_t sequence_ = 0;
     std::vector<Order> orders_;

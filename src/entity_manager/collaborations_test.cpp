@@ -186,6 +186,44 @@ TEST(Collaboration, NothingMovesBeforeEverythingIsPossibleAndAllThatIsNotIsNamed
     }
 }
 
+TEST(Collaboration, OfMorePossibleProblemsThanAnybodyReadsTheFirstAreNamed) {
+    Fleet fleet(1);
+    std::vector<std::string> steps(20, "0 Turning 1");
+    fleet.launch(globalService(steps), 0);
+    EXPECT_EQ(fleet.told.problems.size(), 19U) << "one for each step that cannot run beside an earlier one";
+    steps.assign(300, "0 Dancing 1");
+    fleet.launch(globalService(steps), 0, "next");
+    EXPECT_EQ(fleet.told.state, proto::RUN_REFUSED);
+    ASSERT_LE(fleet.told.problems.size(), 51U);
+    EXPECT_NE(fleet.told.problems.back().refusal().message().find("more"), std::string::npos);
+}
+
+TEST(Collaboration, OfALargeRunNoEventAndNoRecordIsTooLarge) {
+    Fleet fleet(1);
+    std::size_t largest = 0;
+    const auto deliver = fleet.rig(0).on_client;
+    fleet.rig(0).on_client = [&](const test::CoreRig::ToClientRecord& record) {
+        largest = std::max(largest, record.message.ByteSizeLong());
+        deliver(record);
+    };
+    fleet.behave = [](std::size_t, const proto::TaskDispatch& dispatch) {
+        proto::Param large;
+        large.set_name("Travelled");
+        large.add_values()->set_str(std::string(dispatch.service() == "Sonar" ? 700'000 : 300'000, 'x'));
+        return Fleet::Outcome{.results = {large}};
+    };
+    fleet.launch(globalService({"0 Sonar 1", "0 Light 1", "0 Turning 2", "0 Turning 3", "0 Sonar 4"}), 0);
+    fleet.advance(350ms);
+    EXPECT_EQ(fleet.told.state, proto::RUN_RUNNING);
+    EXPECT_EQ(fleet.told.steps[0].results_size(), 0) << "left out";
+    EXPECT_EQ(fleet.told.steps[0].state(), proto::TASK_SUCCEEDED);
+    EXPECT_EQ(fleet.told.steps[1].results_size(), 1);
+    EXPECT_LT(fleet.record(0).ByteSizeLong(), 128U * 1024);
+    fleet.stop(0);
+    EXPECT_EQ(fleet.told.state, proto::RUN_STOPPED);
+    EXPECT_LT(largest, 768U * 1024);
+}
+
 TEST(Collaboration, ACheckMovesNothingAndLeavesNoTrace) {
     Fleet fleet(3);
     auto request = fleet.request(demo(), 0, "check");

@@ -2,6 +2,7 @@
 // What the entity does with others: as the master of a run, as a slave, and as its own participant (ADR 0019).
 #include <algorithm>
 #include <chrono>
+#include <set>
 #include <utility>
 
 #include "collaboration/sub_lease.hpp"
@@ -24,6 +25,17 @@ proto::Problem problem(std::int32_t step, const Refusal& refusal) {
     made.set_step(step);
     *made.mutable_refusal() = toProto(refusal);
     return made;
+}
+
+/// A run as it is told later; of a large one the values are left out.
+proto::RunRecord trimmed(proto::RunRecord record) {
+    if (record.ByteSizeLong() <= kRunBytes) return record;
+    for (auto& step : *record.mutable_steps()) {
+        step.clear_params();
+        step.clear_results();
+        step.clear_feedback();
+    }
+    return record;
 }
 
 }  // namespace
@@ -197,30 +209,41 @@ Refusal EntityManagerCore::Machine::checkSubLease(const Sender& master, const pr
 
 /// All that would make a step fail, so that nothing moves before it is mended.
 void EntityManagerCore::Machine::problemsOf(const proto::Invitation& invitation, proto::InvitationAnswer& answer) const {
+    int more = 0;
+    const auto add = [&](const proto::Problem& found) {
+        if (answer.problems_size() < collaboration::kProblemsMax)
+            *answer.add_problems() = found;
+        else
+            ++more;
+    };
+    std::set<std::int32_t> blocked;  // one word for each is enough
     for (const auto& step : invitation.steps()) {
         const std::vector<std::string> later(step.later().begin(), step.later().end());
         const std::vector<std::string> wanted(step.wanted().begin(), step.wanted().end());
         for (const auto& refusal : profiler_.problems(step.task().service(), step.task().params(), later, wanted))
-            *answer.add_problems() = problem(step.step(), refusal);
+            add(problem(step.step(), refusal));
         const auto service = profiler_.find(step.task().service());
         if (!service) continue;
         if (profiler_.record(service.value()).is_pausable()) answer.add_pausable(step.step());
         for (const auto& other : invitation.steps()) {
-            if (other.step() <= step.step() || other.preced() != step.preced()) continue;
+            if (other.step() <= step.step() || other.preced() != step.preced() || blocked.contains(other.step()))
+                continue;
             const auto beside = profiler_.find(other.task().service());
             if (!beside) continue;
             const auto& one = profiler_.record(service.value());
             const auto& two = profiler_.record(beside.value());
-            if (one.is_blocking() || two.is_blocking() ||
-                profiler_.shareParts(service.value(), beside.value()))
-                *answer.add_problems() = problem(
-                    other.step(), {RefusalCode::Blocked,
-                                   "It is to run at the same time as " + inQuotes(one.name()) +
-                                       " (both have preced " + std::to_string(step.preced()) +
-                                       "), and one of the two lets nothing run beside it. Give them different preceds.",
-                                   {}});
+            if (!one.is_blocking() && !two.is_blocking() && !profiler_.shareParts(service.value(), beside.value()))
+                continue;
+            blocked.insert(other.step());
+            add(problem(other.step(), {RefusalCode::Blocked,
+                                       "It is to run at the same time as " + inQuotes(one.name()) +
+                                           " (both have preced " + std::to_string(step.preced()) +
+                                           "), and one of the two lets nothing run beside it. Give them different "
+                                           "preceds.",
+                                       {}}));
         }
     }
+    if (more > 0) *answer.add_problems() = collaboration::andMore(more);
 }
 
 void EntityManagerCore::Machine::considerInvitation(const Sender& master, const proto::FromMaster& message) {
@@ -560,13 +583,7 @@ void EntityManagerCore::Machine::loadRuns() {
 void EntityManagerCore::Machine::keepRun(const proto::RunRecord& record) {
     proto::RunHistory next;
     auto& newest = *next.add_runs();
-    newest = record;
-    if (newest.ByteSizeLong() > kRunBytes)
-        for (auto& step : *newest.mutable_steps()) {
-            step.clear_params();
-            step.clear_results();
-            step.clear_feedback();
-        }
+    newest = trimmed(record);
     auto bytes = newest.ByteSizeLong();
     for (auto& run : *runs_.mutable_runs()) {
         if (run.run_id() == record.run_id()) continue;
@@ -585,7 +602,7 @@ void EntityManagerCore::Machine::tellRunHistory(const Incident& incident) {
     history = runs_;
     history.set_request_id(request.request_id());
     if (run_ && history.runs_size() > 0 && history.runs(0).run_id() == run_->id())
-        *history.mutable_runs(0) = run_->record(clock_.now());
+        *history.mutable_runs(0) = trimmed(run_->record(clock_.now()));
     if (request.most() > 0)
         while (static_cast<std::uint32_t>(history.runs_size()) > request.most()) history.mutable_runs()->RemoveLast();
     tell(incident.head->sender, kMsgRun, message);
