@@ -548,6 +548,34 @@ TEST(Collaboration, ReleaseClearAndALostApplicationEndItForAll) {
         }
 }
 
+TEST(Collaboration, TheClientIsToldHowItEndsHoweverTheMasterGoes) {
+    for (const int way : {0, 1, 2, 3}) {
+        Fleet fleet(2);
+        fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
+        fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0);
+        fleet.advance(100ms);
+        auto& rig = fleet.rig(0);
+        if (way == 0) {
+            proto::ToEntity release;
+            release.mutable_release();
+            rig.send("client1", release);
+        }
+        if (way == 1) rig.core().onLinkDown("it has crashed");
+        if (way == 2) rig.core().shutDown();
+        if (way == 3) {
+            proto::ToEntity force;
+            force.mutable_check_out()->set_request_id(idOf("force"));
+            force.mutable_check_out()->set_phase(proto::TAKE);
+            force.mutable_check_out()->set_force(true);
+            rig.send("admin", force);
+        }
+        EXPECT_EQ(fleet.told.state, way == 1 || way == 2 ? proto::RUN_FAILED : proto::RUN_STOPPED) << way;
+        EXPECT_TRUE(fleet.told.in_order);
+        fleet.advance(10ms);
+        EXPECT_FALSE(fleet.moves(1)) << way << ": the others hear of it at once";
+    }
+}
+
 TEST(Collaboration, ALostMasterIsMissedByEverySlave) {
     for (const bool frozen : {false, true}) {
         Fleet fleet(3);

@@ -433,6 +433,7 @@ void EntityManagerCore::Machine::leaveCollaboration(const Refusal& reason) {
     if (run_ && !run_->over()) {
         run_->abandon(collaboration::isStop(reason) ? proto::RUN_STOPPED : proto::RUN_FAILED,
                       {reason.code, basic_profile_.name() + ": " + reason.message, {}}, clock_.now());
+        attendRun();  // now: what follows may take the lease, or the server, from those who are to be told
     }
     if (!member_) return;
     if (!isMaster(*member_)) depart(member_->master, member_->run_id, reason);
