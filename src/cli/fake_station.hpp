@@ -332,7 +332,12 @@ class FakeStation : public Station {
         update(report);
         return {};
     }
-    Result<RunHistory> runHistory(int) const override { return history; }
+    Result<RunHistory> runHistory(int) const override {
+        ++histories_asked;
+        if (on_history) on_history();
+        if (!history_refusal.ok()) return history_refusal;
+        return history;
+    }
     std::shared_ptr<void> listen(const std::string&, Listener listener) override {
         if (listener.text && !says.empty()) listener.text(says);
         if (listener.hand_over && !asks.empty()) listener.hand_over({asks, "a demonstration", Seconds(30)});
@@ -382,10 +387,13 @@ class FakeStation : public Station {
     std::vector<Refusal> in_the_way;  ///< of the first proposals
     std::vector<std::function<void(RunReport&)>> run_script;
     RunHistory history;
+    Refusal history_refusal;
+    std::function<void()> on_history;
     // … and looks at.
     Bindings run_bindings;
     std::string run_master;
     mutable int proposed = 0;
+    mutable int histories_asked = 0;
     std::vector<std::string> stopped, rearmed, watched, journal;
     std::vector<Argument> run_arguments, set_arguments;
     std::string sent, queried;

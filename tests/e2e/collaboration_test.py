@@ -339,6 +339,8 @@ class CollaborationTest(unittest.TestCase):
         client = self.begin("Drive")
         status, lines, errors = self.lab.axon("global", "stop")
         self.assertEqual(status, 0, f"{lines} {errors}")
+        stopped = [receipt["call"] for line in lines if line["event"] == "receipts" for receipt in line["receipts"]]
+        self.assertIn("Shuttle", stopped, "it drives, so it is BUSY")
         run = self.ended(client)
         self.assertEqual((client.child.returncode, run["state"]), (5, "STOPPED"), run)
         self.assert_nobody_moves()

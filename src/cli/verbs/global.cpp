@@ -144,36 +144,76 @@ int cancelRun(Session& session) {
     return control(session, TaskAction::Cancel, "cancel");
 }
 
-int stop(Session& session) {
-    const auto word = session.args.value("run", "");
-    std::set<std::string> meant;
-    for (const auto& run : session.station->runs()) {
-        if (client::isFinal(run.state) || run.check) continue;
-        if (!word.empty() && !isMeant(word, run.id, run.service)) continue;
-        for (const auto& step : run.steps) meant.insert(step.entity);
-    }
-    if (word.empty()) {
-        for (const auto& entity : session.station->entities()) {
-            if (entity.state == EntityState::COLLAB || entity.state == EntityState::SLAVE)
-                meant.insert(entity.id);
-        }
-    } else if (meant.empty()) {
-        // A run of somebody else: its master knows who takes part. In doubt all that may be meant are stopped.
-        const auto history = session.station->runHistory(0);
-        if (!history) return refuseGlobal(session, history.refusal());
+using Ids = std::set<std::string>;
+
+/// It takes part in a run, or may: while it carries out a step a participant is BUSY as with any other task.
+bool mayTakePart(const Entity& entity) {
+    return entity.state == EntityState::COLLAB || entity.state == EntityState::SLAVE ||
+           entity.state == EntityState::BUSY;
+}
+
+/// Who takes part in the runs of others that are meant, as their masters say. One that does not say may be the master,
+/// and stops the others with itself.
+Ids askWhoTakesPart(Session& session, const std::string& word) {
+    Ids meant;
+    const auto history = session.station->runHistory(0);
+    const auto all = session.station->entities();
+    if (history) {
         for (const auto& run : history->runs) {
             if (client::isFinal(run.state) || !isMeant(word, run.id, run.service.name)) continue;
             for (const auto& one : run.participants) meant.insert(one.entity);
         }
     }
-    if (meant.empty()) {
-        session.events.emit(
-            {{"event", "notice"},
-             {"message", std::string(word.empty() ? "no robots work together now" : "no such run is going on") +
-                             "; nothing was stopped. axon stop --all stops everything"}});
-        return kNotConfirmed;
+    for (const auto& entity : all) {
+        const bool silent = !history || std::any_of(history->silent.begin(), history->silent.end(), [&](const auto& one) {
+            return one.first == entity.name || one.first == entity.id || one.first == callName(entity, all);
+        });
+        if (silent && mayTakePart(entity)) meant.insert(entity.id);
     }
-    return stopAndShow(session, {meant.begin(), meant.end()}, Seconds(session.args.value("deadline", 1.0)));
+    return meant;
+}
+
+int stopThose(Session& session, const Ids& meant) {
+    const auto all = session.station->entities();
+    std::string names;
+    for (const auto& id : meant) {
+        const auto known = std::find_if(all.begin(), all.end(), [&](const Entity& entity) { return entity.id == id; });
+        names += (names.empty() ? "" : ", ") + (known == all.end() ? id : callName(*known, all));
+    }
+    const auto exit = stopAndShow(session, {meant.begin(), meant.end()}, Seconds(session.args.value("deadline", 1.0)));
+    session.events.emit({{"event", "notice"}, {"message", "a stop was sent to " + names}});
+    return exit;
+}
+
+/// What is known here is stopped before anybody is asked, and in doubt it is meant.
+int stop(Session& session) {
+    const auto word = session.args.value("run", "");
+    Ids meant;
+    bool alone = false;  // nobody else's run can be meant
+    for (const auto& run : session.station->runs()) {
+        if (client::isFinal(run.state) || run.check) continue;
+        if (!word.empty() && !isMeant(word, run.id, run.service)) continue;
+        alone = alone || !sameToAPerson(run.service, word);
+        for (const auto& step : run.steps) meant.insert(step.entity);
+    }
+    if (word.empty()) {
+        for (const auto& entity : session.station->entities())
+            if (mayTakePart(entity)) meant.insert(entity.id);
+    }
+    int exit = meant.empty() ? kDone : stopThose(session, meant);
+    if (!word.empty() && !alone) {
+        Ids others;
+        for (const auto& id : askWhoTakesPart(session, word))
+            if (!meant.contains(id)) others.insert(id);
+        if (!others.empty()) exit = std::max(exit, stopThose(session, others));
+        meant.merge(others);
+    }
+    if (!meant.empty()) return exit;
+    session.events.emit(
+        {{"event", "notice"},
+         {"message", std::string(word.empty() ? "no robot works now" : "no such run is going on") +
+                         "; nothing was stopped. axon stop --all stops everything"}});
+    return kNotConfirmed;
 }
 
 int history(Session& session) {
@@ -236,14 +276,16 @@ extern const Verb kGlobalInfo{
 extern const Verb kGlobalStop{
     "global stop",
     "Stop at once every robot that takes part in a run",
-    "  axon global stop                everybody who works together with others now\n"
+    "  axon global stop                everybody who takes part in a run now, or may: all that are COLLAB,\n"
+    "                                  SLAVE or BUSY, since who carries out a step is BUSY\n"
     "  axon global stop 'Fetch ball'   who takes part in it, whoever began it\n"
     "  axon global stop 3f2a           in the run whose id begins so\n"
-    "A stop as of axon stop: receipts, exit status 0 only when all are confirmed, no task until axon rearm.\n"
+    "By name the masters are asked who takes part, after what is known here has been stopped; one that works and\n"
+    "does not answer is stopped too. A stop as of axon stop: receipts, exit status 0 only when all are confirmed, no task until axon rearm.\n"
     "axon global cancel ends a run without a latch.\n",
     Runs::Anywhere,
     {{"run", Takes::GlobalService, false, false,
-      "The service, or the beginning of the run's id; none = all that work together"}},
+      "The service, or the beginning of the run's id; none = all that work"}},
     {{"deadline", Takes::Duration, "How long to wait for the receipts (1)"}},
     stop};
 

@@ -294,6 +294,41 @@ TEST_F(Global, StopStopsThoseWhoTakePartAndNobodyElse) {
     EXPECT_THAT(station->stopped, ElementsAre(station->entities_[1].id, cyton()));
 }
 
+TEST_F(Global, StopCountsThoseInWhoAreInTheMiddleOfAStep) {
+    station->entities_[0].state = EntityState::BUSY;
+    station->entities_[2].state = EntityState::BUSY;
+    EXPECT_EQ(perform("stop", Json::object()), kDone);
+    EXPECT_THAT(station->stopped, ElementsAre(peopleBot(), cyton()));
+    EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("PeopleBot#1, Cyton"));
+    EXPECT_EQ(station->histories_asked, 0) << "nobody is asked first";
+}
+
+TEST_F(Global, StopByNameStopsWhatIsKnownBeforeAnybodyIsAsked) {
+    kept = true;
+    ASSERT_TRUE(station->checkOut({peopleBot(), cyton()}));
+    station->run_script = {running};
+    ASSERT_EQ(perform("run", {{"name", "Fetch ball"}, {"detach", true}}), kDone);
+    station->entities_[1].state = EntityState::BUSY;
+    station->history.silent = {{"PeopleBot#2", {RefusalCode::TimedOut, "No answer.", {}}}};
+    std::vector<std::string> before;
+    station->on_history = [&] { before = station->stopped; };
+    EXPECT_EQ(perform("stop", {{"run", "fetch ball"}}), kDone);
+    EXPECT_THAT(before, ElementsAre(peopleBot(), cyton()));
+    EXPECT_THAT(station->stopped, ElementsAre(station->entities_[1].id)) << "it works and does not say with whom";
+    station->on_history = nullptr;
+    station->history.silent.clear();
+    EXPECT_EQ(perform("stop", {{"run", "fedc"}}), kDone);
+    EXPECT_THAT(station->stopped, ElementsAre(peopleBot(), cyton()));
+    EXPECT_EQ(station->histories_asked, 1) << "the id of one's own run is nobody else's";
+}
+
+TEST_F(Global, StopByNameStopsAllThatWorkWhenNobodyCanBeAsked) {
+    station->history_refusal = {RefusalCode::TimedOut, "No answer.", {}};
+    station->entities_[1].state = EntityState::BUSY;
+    EXPECT_EQ(perform("stop", {{"run", "Fetch ball"}}), kDone);
+    EXPECT_THAT(station->stopped, ElementsAre(station->entities_[1].id));
+}
+
 TEST_F(Global, StopFindsARunOfSomebodyElseByItsNameOrId) {
     RunRecord record;
     record.id = "0a0a0a0a-0000-4000-8000-00000000000c";
