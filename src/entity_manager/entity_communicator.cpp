@@ -143,6 +143,11 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     }
 
     void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
+        // Raw data may be dropped, as that for a client; it must not cost the session.
+        if (head.msg_type == kMsgRaw && up_ && *in_flight_ > kDataInFlight) {
+            ++dropped_;
+            return;
+        }
         sendControl(lane, message, [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
             proxy.sendToPeerAsync(transport::toIce(head), toRange(bytes), back...);
         });

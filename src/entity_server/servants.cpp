@@ -229,9 +229,10 @@ void IceFrontEndTopic::reachPeers(const std::vector<ServerAnnouncement>& entity_
 }
 Result<void> IceFrontEndTopic::peerMsg(Lane lane, const std::string& server, const Header& head,
                                        std::string_view message) {
-    if (lane == Lane::Signal) {
+    const bool raw = head.msg_type == kMsgRaw;  // droppable, and nobody waits for it
+    if (lane == Lane::Signal || raw) {
         const bool reached = peers_.straight(
-            lane, server, Traffic::Control, head, message,
+            lane, server, raw ? Traffic::Data : Traffic::Control, head, message,
             [](PeerPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
                 prx.peerMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
             });
