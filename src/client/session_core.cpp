@@ -535,11 +535,11 @@ void SessionCore::onReply(const Header& head, const proto::Reply& reply) {
              {Ask::Services, Ask::Control, Ask::Upload, Ask::GlobalServices, Ask::RunRecords}) {
             if (answer(ask, *id, refusal)) return;
         }
+        // Of the request itself: once an event has come, a refusal is of something else, and the robots may move.
         if (tasks_.count(*id) != 0) {
-            finishTask(*id, TaskState::Refused, refusal);
+            if (pending_.count({Ask::Task, *id}) != 0) finishTask(*id, TaskState::Refused, refusal);
         } else if (const auto run = runs_.find(*id); run != runs_.end() && run->second.master.entity == head.entity &&
                                                      run->second.sequence == 0 && pending_.count({Ask::Run, *id}) != 0) {
-            // Of the request itself: once an event has come, a refusal is of something else, and the robots may move.
             finishRun(*id, RunState::Refused, refusal);
         }
     }

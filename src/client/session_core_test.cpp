@@ -494,6 +494,7 @@ TEST_F(SessionCoreTest, ARefusedPauseLeavesTheTaskRunning) {
     core.control(task, proto::PAUSE, pause.taker());
     reply(3, task.bytes(), RefusalCode::NotPausable);
     EXPECT_EQ(pause.refusal.code, RefusalCode::NotPausable);
+    reply(3, task.bytes(), RefusalCode::NotPausable);  // of a second one, whose answer has been taken
     EXPECT_EQ(core.task(task)->state, TaskState::Running);
 }
 
