@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Random global services over random entities, with failures, denials, stops, cancels, pauses, cuts and frozen masters:
+// Random global services over random entities, with failures, denials, stops, cancels, pauses, cuts, lost signals and
+// frozen masters:
 // the order is kept, equal places run side by side, nobody is left moving, and events and record agree.
 #include <gtest/gtest.h>
 
@@ -116,6 +117,14 @@ TEST(CollaborationProperty, RandomRunsKeepOrderAndLeaveNobodyMoving) {
             return outcome;
         };
         const auto service = story.invent();
+        if (faulty && story.oneIn(2))  // the signal lane may drop what its receiver has no room for
+            fleet.lose = [&](std::size_t, std::size_t, const proto::ToEntity& message) {
+                const auto& of_slave = message.from_slave();
+                const auto& of_master = message.from_master();
+                const bool droppable = of_slave.has_beat() || of_slave.has_departure() || of_master.has_beat() ||
+                                       of_master.end().stop();
+                return droppable && story.oneIn(5);
+            };
         fleet.launch(service, story.master);
         std::optional<std::size_t> lost;
         bool retried = false;
