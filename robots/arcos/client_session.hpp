@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <array>
+#include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "robots/arcos/server_information.hpp"
 
@@ -15,6 +17,39 @@ struct RobotIdentity {
     std::string subtype;  ///< the model: "peoplebot-sh"
 
     bool operator==(const RobotIdentity&) const = default;
+};
+
+/// One sweep of the laser, assembled from the robot's packets. Immutable once published.
+struct LaserScan {
+    std::uint64_t sequence = 0;  ///< from 1 per connection; packets that are missing cost their whole scan
+    TimePoint taken{};           ///< when its last packet arrived
+    double x_mm = 0;             ///< odometry of the sweep, in the frame of RobotState
+    double y_mm = 0;
+    double heading_deg = 0;
+    double start_deg = -90;  ///< of the first reading, to the left of straight ahead; the first is on the right
+    double step_deg = 1;
+    std::vector<std::uint16_t> ranges_mm;  ///< 181 of an LMS-200; what sees nothing reads kLaserNothing_mm or more
+};
+/// The LMS-200's end of the scale in millimetres with three reflector bits is 8 m, in the simulators 32 m.
+inline constexpr int kLaserNothing_mm = 32000;
+
+/// The two-degrees-of-freedom gripper as its limit switches, beams and paddles tell. There is no position.
+struct GripperState {
+    bool fitted = false;  ///< the robot answered that it has a gripper
+    bool open = false;    ///< paddles at their outer limit
+    bool closed = false;  ///< paddles at rest at their inner limit or on what they hold
+    bool lift_up = false;
+    bool lift_down = false;
+    bool paddles_moving = false;
+    bool lift_moving = false;
+    bool paddle_error = false;
+    bool lift_error = false;
+    bool outer_beam = false;  ///< something is between the paddles' tips
+    bool inner_beam = false;  ///< something is between the paddles' roots
+    bool left_pressed = false;
+    bool right_pressed = false;
+
+    bool operator==(const GripperState&) const = default;
 };
 
 /// What the robot last said of itself, in units a person thinks in. A value type.
@@ -44,6 +79,8 @@ struct RobotState {
     bool table_right = false;
     double battery_v = 0;
     std::array<Sonar, kSonars> sonars{};
+    std::shared_ptr<const LaserScan> laser;  ///< the newest; none until the robot has sent one
+    GripperState gripper;
 
     double speed_mm_s() const { return (left_mm_s + right_mm_s) / 2; }
 };
