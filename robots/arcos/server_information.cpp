@@ -11,7 +11,7 @@ Packet toPacket(const ServerInformation& sip) {
     f.u16(sip.control).u16(sip.flags).u8(sip.compass);
     f.u8(static_cast<unsigned>(sip.sonars.size()));
     for (const auto& sonar : sip.sonars) f.u8(sonar.number).u16(sonar.range_mm);
-    f.u8(sip.grip_state).u8(sip.analog_port).u8(sip.analog).u8(sip.digital_in).u8(sip.digital_out);
+    f.u8(sip.grip_state).u8(sip.general_io).u8(sip.analog).u8(sip.digital_in).u8(sip.digital_out);
     f.u16(sip.battery_x10)
         .u8(sip.charge_state)
         .u16(sip.rotation_tenth_deg_s)
@@ -49,7 +49,7 @@ std::optional<ServerInformation> parseServerInformation(const Packet& packet) {
     if (f.truncated()) return std::nullopt;
     if (f.atEnd()) return sip;
     sip.grip_state = f.u8();
-    sip.analog_port = f.u8();
+    sip.general_io = f.u8();
     sip.analog = f.u8();
     sip.digital_in = f.u8();
     sip.digital_out = f.u8();

@@ -40,8 +40,8 @@ struct ServerInformation {
     std::uint8_t compass = 0;
     std::vector<Sonar> sonars;  // those that fired since the last packet
     // Robots with old firmware end here.
-    std::uint8_t grip_state = 0;
-    std::uint8_t analog_port = 0;
+    std::uint8_t grip_state = 0;  // GripState (gripper.hpp)
+    std::uint8_t general_io = 0;  // GripperSwitches (gripper.hpp), where other robots tell the analogue port
     std::uint8_t analog = 0;
     std::uint8_t digital_in = 0;
     std::uint8_t digital_out = 0;
