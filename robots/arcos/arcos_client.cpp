@@ -195,6 +195,9 @@ bool ArcosClient::command(Command command) {
 bool ArcosClient::command(Command command, int argument) {
     return worker_->command(encodeCommand(command, argument));
 }
+bool ArcosClient::command(Command command, std::string_view text) {
+    return worker_->command(encodeCommand(command, text));
+}
 
 bool ArcosClient::drive(double forward_mm_s, double left_deg_s) {
     auto bytes = encodeCommand(Command::Vel, static_cast<int>(std::lround(forward_mm_s)));
