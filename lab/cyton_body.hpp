@@ -13,16 +13,16 @@ namespace axon::lab {
 
 /// A Cyton Alpha as whole sections of MJCF (<worldbody>, <actuator>, <equality>), to be put directly below
 /// <mujoco>, any number of times with different prefixes; the compiler must count in degrees. The origin
-/// (metres) is on the surface that the arm is screwed to, in the axis of its shoulder roll; theta (degrees) is
-/// where a positive shoulder pitch leans. Joints are called prefix + cyton::kChain[i].name and prefix +
+/// (metres) is on the surface that the arm is screwed to, in the axis of its shoulder roll; theta (degrees)
+/// is where a positive shoulder pitch leans. Joints are called prefix + cyton::kChain[i].name and prefix +
 /// "claw_right" / "claw_left"; the body that moves with the last joint is prefix + "hand", the middle of the
 /// claws the site prefix + "tcp". All geoms are in group 1, touch the world, and neither each other nor other
 /// arms.
 std::string cytonMjcf(const std::string& prefix, double x, double y, double z, double theta);
 
 /// The servos of one arm: takes it to the angles it is told, with no more torque than the servos have.
-/// Gravity does not make them sag: MuJoCo 2.2.2 cannot compensate it, so that the bias forces of the arm's own
-/// joints are cancelled here. Threads: none; used by whoever steps the data. Keeps both pointers, owns
+/// Gravity does not make them sag: MuJoCo 2.2.2 cannot compensate it, so that the bias forces of the arm's
+/// own joints are cancelled here. Threads: none; used by whoever steps the data. Keeps both pointers, owns
 /// neither.
 class CytonBody {
   public:

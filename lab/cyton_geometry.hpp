@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <array>
+#include <numbers>
 
 /// The Cyton Alpha 7D1G in numbers: metres, radians, kilograms, microseconds. Geometry, masses and joint
 /// directions are those of the URDF of LCAD-UFES, limits those of its MoveIt configuration, pulses and rates
 /// those of the vendor's servo file cytonAlphaConfig.xml; what none tells is marked as assumed.
 ///
 /// Frame of the arm: origin on the surface it stands on, in the axis of the shoulder roll; z up. At zero the
-/// arm points straight up. In this frame, with the arm at zero, a joint is the point kChain[i].offset_m further
-/// than the joint before it, and turns about kChain[i].axis by the right-hand rule: a positive pitch leans
-/// towards +x, a positive roll is clockwise seen from above.
+/// arm points straight up. In this frame, with the arm at zero, a joint is the point kChain[i].offset_m
+/// further than the joint before it, and turns about kChain[i].axis by the right-hand rule: a positive pitch
+/// leans towards +x, a positive roll is clockwise seen from above.
 namespace axon::lab::cyton {
 
 inline constexpr int kJoints = 7;
@@ -19,7 +20,7 @@ struct Joint {
     const char* name;
     std::array<double, 3> offset_m;  ///< from the joint before it, the first from the origin
     std::array<double, 3> axis;
-    double limit_rad;   ///< to both sides
+    double limit_rad;  ///< to both sides
     double torque_nm;  ///< of its servo; the vendor's file, its unit taken as 10 N m
     double mass_kg;    ///< of the link that it moves
 };
@@ -41,7 +42,7 @@ inline constexpr std::array<double, 3> kClaws_m{-0.0091826, 0, 0.0555};
 inline constexpr double kGraspPoint_m = 0.0095;  // beyond the claws' axis: the middle of their inner faces
 inline constexpr double kClawInner_m = 0.00083;
 inline constexpr double kClawTravel_m = 0.017;  // of each claw
-inline constexpr double kClawForce_n = 8;       // of both together, assumed
+inline constexpr double kClawForce_n = 12;      // of both together, assumed
 
 /// A servo: value = (pulse - offset) * scale, in rad, for the gripper in metres that each claw is open.
 struct Servo {
@@ -54,8 +55,8 @@ struct Servo {
     double value(double pulse_us) const { return (pulse_us - offset_us) * scale; }
     double pulse_us(double value) const { return offset_us + value / scale; }
 };
-inline constexpr double kLarge = 0.001939;    // rad per microsecond: 3.88 rad/s at 2000 us/s
-inline constexpr double kSmall = 0.00174533;  // HS-475HB: 3.49 rad/s at 2000 us/s
+inline constexpr double kLarge = std::numbers::pi / 180 / 9;   // rad per microsecond: 3.88 rad/s at 2000 us/s
+inline constexpr double kSmall = std::numbers::pi / 180 / 10;  // HS-475HB: 3.49 rad/s at 2000 us/s
 /// The vendor's ranges tell the direction of joints 0 to 3 and 5; that of 4 and 6 is assumed. The vendor
 /// counts the gripper from the middle of its way, -8.1 to +8.1 mm; here 0 is closed: offset 1400 + 8.5 mm.
 inline constexpr std::array<Servo, kChannels> kServos{{
