@@ -158,7 +158,10 @@ void Application::perform(Task& task, Motion& motion, const std::function<void()
         report();
         task.progress(step.progress);
         if (step.outcome == MotionStep::Outcome::Running) {
-            gate_->drive(step.forward_mm_s, step.left_deg_s);
+            if (step.halt)
+                gate_->halt();
+            else
+                gate_->drive(step.forward_mm_s, step.left_deg_s);
             continue;
         }
         if (step.outcome == MotionStep::Outcome::Failed) {

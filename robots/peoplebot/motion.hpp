@@ -16,6 +16,7 @@ struct MotionStep {
     double left_deg_s = 0;
     double progress = 0;  ///< 0 to 1
     std::string reason;   ///< Failed: for the person who asked
+    bool halt = false;    ///< Running: as fast as the motors can, instead of by the ramp of a velocity
 };
 
 /// Notices when a robot that was told to move does not: switched off motors, a wheel in the air, a blocked
