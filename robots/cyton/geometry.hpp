@@ -44,16 +44,19 @@ inline constexpr std::array<Joint, kJoints> kChain{{
     {"Shoulder Pitch", {0, 0, 0.0355}, {0, 1, 0}, -1.4835, 1.4835, -0.157, 1425, kNinthOfDegree, 500, 2500},
     {"Elbow Roll", {0, 0.008, 0.1065}, {0, 0, -1}, -1.5708, 1.5708, -0.564, 1545, -kNinthOfDegree, 500, 2500},
     {"Elbow Pitch", {0, 0, 0.06745}, {0, 1, 0}, -1.4835, 1.4835, -0.407, 1545, kNinthOfDegree, 500, 2500},
-    {"Wrist Roll", {0, 0.0015, 0.0875}, {0, 0, -1}, -1.5708, 1.5708, 0.096, 1500, -kTenthOfDegree, 500, 2500},
+    {"Wrist Roll", {0, 0.0015, 0.0875}, {0, 0, -1}, -1.5708, 1.5708, 0.096, 1500, kTenthOfDegree, 500, 2500},
     {"Wrist Pitch", {0, 0, 0.06995}, {0, 1, 0}, -1.1345, 1.1345, -0.785, 1245, kTenthOfDegree, 500, 2250},
     {"Wrist Yaw", {0, -0.00775, 0.06645}, {-1, 0, 0}, -1.1781, 1.1781, 0, 1500, kTenthOfDegree, 500, 2500},
 }};
 
-/// From the last joint to the point between the pads of the claws: their joint, and half a pad further.
-inline constexpr std::array<double, 3> kToolOffset{-0.00918, 0, 0.0555 + 0.0095};
-/// How far the pads reach beyond that point along the tool, and how long and wide they are. m
-inline constexpr double kPadBeyondTool = 0.016;
-inline constexpr double kPadWidth = 0.020;
+/// From the last joint to the point that is brought to what is gripped: between the pads of the claws, 10 mm from
+/// their tips, so that there is room for half of it before the palm.
+inline constexpr std::array<double, 3> kToolOffset{-0.00918, 0, 0.0555 + 0.0155};
+/// Along the tool, from that point to the tips and back to the palm, and half of what pads and palm are thick. m
+inline constexpr double kTipBeyondTool = 0.010;
+inline constexpr double kPalmBehindTool = 0.022;
+inline constexpr double kPadHalfWidth = 0.010;
+inline constexpr double kPalmHalfWidth = 0.024;
 
 /// Every servo's fastest change of its pulse, from the vendor's file.
 inline constexpr double kFastest_us_s = 2000;
@@ -65,18 +68,22 @@ constexpr double fastest_rad_s(const Joint& joint) {
 inline constexpr Joints kHome{kChain[0].home, kChain[1].home, kChain[2].home, kChain[3].home,
                               kChain[4].home, kChain[5].home, kChain[6].home};
 
-/// The gripper: both claws move alike, each by (pulse - 1400) * -0.010125 mm about its middle position, which is
-/// 8.5 mm of its 17 mm (assumed, as is the sign: a longer pulse closes). Told in millimetres between the pads.
+/// The gripper: one servo, both claws move alike. The vendor counts a claw from the middle of its 17 mm, here 0 is
+/// closed; that a longer pulse closes follows from the sign in the vendor's file. Told in millimetres between the
+/// pads.
 namespace gripper {
-inline constexpr double kCenter_us = 1400;
+inline constexpr double kMiddle_us = 1400;
 inline constexpr double kShortest_us = 600;
 inline constexpr double kLongest_us = 2200;
-inline constexpr double kClaw_mm_per_us = -0.010125;
-inline constexpr double kClawMiddle_mm = 8.5;
-inline constexpr double kClosed_mm = 0.8;   ///< at the longest pulse
-inline constexpr double kOpen_mm = 33.2;    ///< at the shortest
+inline constexpr double kClaw_mm_per_us = -kTenthOfDegree / 172 * 1000;
+inline constexpr double kClawMiddle_mm = 8.5 + 0.83;  ///< with what the pad stands back from the middle
+constexpr double openingAt_mm(double pulse_us) {
+    return 2 * (kClawMiddle_mm + (pulse_us - kMiddle_us) * kClaw_mm_per_us);
+}
+inline constexpr double kClosed_mm = openingAt_mm(kLongest_us);  ///< 2.4
+inline constexpr double kOpen_mm = openingAt_mm(kShortest_us);   ///< 34.9
 inline constexpr double kHome_mm = 2 * (kClawMiddle_mm + 3.5);
-inline constexpr double kFastest_mm_s = 2 * 0.010125 * kFastest_us_s;  ///< of the opening
+inline constexpr double kFastest_mm_s = -2 * kClaw_mm_per_us * kFastest_us_s;  ///< of the opening
 }  // namespace gripper
 
 /// Angle ↔ pulse. An angle beyond the servo's range gives the pulse at its end.
@@ -87,11 +94,8 @@ inline double angleOf(const Joint& joint, double pulse_us) {
     return (pulse_us - joint.center_us) * joint.rad_per_us;
 }
 inline double gripperPulseOf(double opening_mm) {
-    return std::clamp(gripper::kCenter_us + (opening_mm / 2 - gripper::kClawMiddle_mm) / gripper::kClaw_mm_per_us,
+    return std::clamp(gripper::kMiddle_us + (opening_mm / 2 - gripper::kClawMiddle_mm) / gripper::kClaw_mm_per_us,
                       gripper::kShortest_us, gripper::kLongest_us);
-}
-inline double openingOf_mm(double pulse_us) {
-    return 2 * (gripper::kClawMiddle_mm + (pulse_us - gripper::kCenter_us) * gripper::kClaw_mm_per_us);
 }
 
 constexpr double radians(double degrees) {
