@@ -37,7 +37,7 @@ TEST(WorldDescription, RobotsAreParsedAndWhatIsMissingHasAPlace) {
 TEST(WorldDescription, MistakesAreNamedWithWhatWasExpected) {
     using ::testing::HasSubstr;
     EXPECT_THAT(complaint([] { parseBox("x=1,colour=red"); }),
-                HasSubstr("expected one of dx, dy, height, theta, x, y"));
+                HasSubstr("expected one of dx, dy, height, name, theta, x, y, z"));
     EXPECT_THAT(complaint([] { parseBox("x=1m"); }), HasSubstr("expected a number"));
     EXPECT_THAT(complaint([] { parseBox("x=nan"); }), HasSubstr("expected a number"));
     EXPECT_THAT(complaint([] { parseRobot("2,3", 0); }), HasSubstr("key=value"));

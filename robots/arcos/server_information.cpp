@@ -70,7 +70,7 @@ Packet toPacket(const RobotConfig& c) {
         .u16(c.top_speed_mm_s)
         .u16(c.top_rotation_acceleration)
         .u16(c.top_acceleration);
-    f.u16(0).text(c.name).u8(static_cast<unsigned>(c.sip_cycle_ms)).u8(0).u8(0).u16(0);
+    f.u16(0).text(c.name).u8(static_cast<unsigned>(c.sip_cycle_ms)).u8(0).u8(0).u16(c.gripper ? 1 : 0);
     f.u16(c.front_sonar ? 1 : 0).u8(c.rear_sonar ? 1 : 0);
     f.u16(c.low_battery_dv).u16(0).u16(c.watchdog_ms).u8(0).u16(0).u16(c.stall_pause_ms).u16(0).u16(0);
     f.u16(c.rotation_limit_deg_s)
@@ -112,7 +112,8 @@ std::optional<RobotConfig> parseRobotConfig(const Packet& packet) {
     skip(2);
     c.name = f.text();
     c.sip_cycle_ms = f.u8();
-    skip(4);
+    skip(2);
+    c.gripper = f.u16() != 0;
     c.front_sonar = f.u16() != 0;
     c.rear_sonar = f.u8() != 0;
     c.low_battery_dv = f.u16();

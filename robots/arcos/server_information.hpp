@@ -72,6 +72,7 @@ struct RobotConfig {
     int top_acceleration = 0;
     std::string name;
     int sip_cycle_ms = 0;
+    bool gripper = false;
     bool front_sonar = false;
     bool rear_sonar = false;
     int low_battery_dv = 0;
