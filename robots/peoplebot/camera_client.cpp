@@ -22,8 +22,8 @@ constexpr int kLook_ms = 50;  // how long the end of the program may have to wai
 
 class CameraClient::Worker {
   public:
-    Worker(const std::string& address, Callbacks callbacks)
-        : open_(arcos::tcpStreams(address)), address_(address), callbacks_(std::move(callbacks)) {
+    Worker(const std::string& address, Callbacks callbacks, bool wanted)
+        : open_(arcos::tcpStreams(address)), address_(address), callbacks_(std::move(callbacks)), wanted_(wanted) {
         thread_ = std::thread([this] { run(); });
     }
     ~Worker() {
@@ -31,8 +31,17 @@ class CameraClient::Worker {
             const std::lock_guard lock(mutex_);
             quit_ = true;
         }
-        quitting_.notify_all();
+        news_.notify_all();
         thread_.join();
+    }
+
+    void want(bool wanted) {
+        if (wanted_ == wanted) return;
+        {
+            const std::lock_guard lock(mutex_);
+            wanted_ = wanted;
+        }
+        news_.notify_all();
     }
 
     std::shared_ptr<const CameraPicture> newest() const {
@@ -43,6 +52,11 @@ class CameraClient::Worker {
   private:
     void run() {
         while (!quit_) {
+            {
+                std::unique_lock lock(mutex_);
+                news_.wait(lock, [this] { return quit_ || wanted_; });
+                if (quit_) return;
+            }
             std::string reason;
             auto opened = open_(kConnectTimeout);
             if (opened) {
@@ -51,9 +65,10 @@ class CameraClient::Worker {
                 reason = opened.refusal().message;
             }
             if (quit_) return;
+            if (!wanted_) continue;
             if (callbacks_.on_lost) callbacks_.on_lost(reason);
             std::unique_lock lock(mutex_);
-            quitting_.wait_for(lock, pause_, [this] { return quit_.load(); });
+            news_.wait_for(lock, pause_, [this] { return quit_.load(); });
             pause_ = std::min(pause_ * 2, kLongestPause);
         }
     }
@@ -66,7 +81,7 @@ class CameraClient::Worker {
             return "the camera at " + address_ + " does not take a request";
         reader_.reset();
         auto heard = clock_.now();
-        while (!quit_) {
+        while (!quit_ && wanted_) {
             pollfd waiting{stream.descriptor(), POLLIN, 0};
             ::poll(&waiting, 1, kLook_ms);
             const int got = stream.read(chunk_);
@@ -109,16 +124,20 @@ class CameraClient::Worker {
     Duration pause_ = kFirstPause;
 
     mutable std::mutex mutex_;
-    std::condition_variable quitting_;
+    std::condition_variable news_;  // quit_ or wanted_ changed
     std::shared_ptr<const CameraPicture> newest_;  // guarded by mutex_
     std::atomic<bool> quit_ = false;               // written under mutex_
+    std::atomic<bool> wanted_;                     // written under mutex_
 
     std::thread thread_;
 };
 
-CameraClient::CameraClient(const std::string& address, Callbacks callbacks)
-    : worker_(std::make_unique<Worker>(address, std::move(callbacks))) {}
+CameraClient::CameraClient(const std::string& address, Callbacks callbacks, bool wanted)
+    : worker_(std::make_unique<Worker>(address, std::move(callbacks), wanted)) {}
 CameraClient::~CameraClient() = default;
+void CameraClient::want(bool wanted) {
+    worker_->want(wanted);
+}
 std::shared_ptr<const CameraPicture> CameraClient::newest() const {
     return worker_->newest();
 }

@@ -10,7 +10,8 @@
 namespace axon::peoplebot {
 
 /// The robot's camera over HTTP: asks for GET /raw and keeps the newest picture; after a loss it tries again
-/// for ever (after 100 ms, doubling up to 2 s).
+/// for ever (after 100 ms, doubling up to 2 s). It is connected only while somebody wants pictures, since a
+/// camera that nobody watches costs nothing.
 ///
 /// Threads: one of its own, on which the callbacks run; newest() may be called from any thread. A picture is
 /// immutable once it is published. Failure: a camera that says nothing for kSilenceLimit, and one that sends
@@ -24,11 +25,13 @@ class CameraClient {
         std::function<void(const std::string& reason)> on_lost{};  ///< also for each failed attempt to connect
     };
 
-    CameraClient(const std::string& address, Callbacks callbacks);
+    CameraClient(const std::string& address, Callbacks callbacks, bool wanted = true);
     ~CameraClient();
     CameraClient(const CameraClient&) = delete;
     CameraClient& operator=(const CameraClient&) = delete;
 
+    /// Whether pictures are wanted from now on. Any thread; returns at once.
+    void want(bool wanted);
     /// None before the first. Look at its time: it stays when the camera is lost.
     std::shared_ptr<const CameraPicture> newest() const;
 

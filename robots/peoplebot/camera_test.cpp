@@ -152,6 +152,19 @@ TEST(CameraClient, ReadsPicturesAndComesBackAfterEachLoss) {
     EXPECT_GE(lost, 1);
 }
 
+TEST(CameraClient, IsConnectedOnlyWhilePicturesAreWanted) {
+    CameraServer camera(kOk + ppm(4, 4, 7));
+    CameraClient client(camera.address(), {}, false);
+    EXPECT_FALSE(waitUntil([&] { return camera.connections() > 0; }, std::chrono::milliseconds{100}));
+    client.want(true);
+    EXPECT_TRUE(waitUntil([&] { return client.newest() != nullptr; }));
+    client.want(false);
+    // A connection that had begun may still be counted.
+    std::this_thread::sleep_for(std::chrono::milliseconds{100});
+    const int before = camera.connections();
+    EXPECT_FALSE(waitUntil([&] { return camera.connections() > before; }, std::chrono::milliseconds{400}));
+}
+
 TEST(CameraClient, ACameraThatRefusesIsSaidWithItsStatus) {
     CameraServer camera("HTTP/1.1 503 Service Unavailable\r\n\r\n");
     std::mutex mutex;
