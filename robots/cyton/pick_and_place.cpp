@@ -11,8 +11,8 @@ namespace {
 
 constexpr Point kShoulder{0, 0, 0.120};
 constexpr double kReach = 0.469;          // stretched, from there to the tool point
-constexpr double kApproach = 0.060;       // along the tool, before the object and back from it
-constexpr double kLift = 0.055;           // straight up with it
+constexpr double kApproaches[] = {0.060, 0.045};  // along the tool, before the object and back from it
+constexpr double kLifts[] = {0.055, 0.035};       // straight up with it
 constexpr double kSetDown = 0.002;        // released so far above the surface
 constexpr double kSqueeze_mm = 5;         // the claws are told to close so much further than the object is wide
 constexpr double kSurfaceRadius = 0.085;  // of what carries the object: half of 0.12 m, to its corner
@@ -21,7 +21,7 @@ constexpr double kLargestTurn_rad = 0.35; // of a joint on one step: more is ano
 constexpr double kArmClearance = 0.030;   // half as thick as the arm
 constexpr double kHandClearance = 0.012;
 constexpr double kCareful = 0.4;          // of the speed, close to the object
-constexpr double kTilts_deg[] = {0, 15, 30, 45, 60, 75, 90};
+constexpr double kTilts_deg[] = {0, 10, 20, 30, 40, 50, 60, 70, 80, 90};
 constexpr double kYawTolerance_rad = radians(50);  // between the tool's plane and the line from the arm
 
 Point operator+(const Point& a, const Point& b) {
@@ -260,10 +260,16 @@ class Planner {
                 wanted[0] = roll;
             }
             for (const auto& at : kinematics_.solutions(stand.pose, wanted, {.starts = 50, .solutions = 4})) {
-                const auto back =
-                    line(kinematics_, stand.pose, stand.pose.position - kApproach * stand.pose.approach, at);
-                if (!back) continue;
-                const auto up = line(kinematics_, stand.pose, stand.pose.position + Point{0, 0, kLift}, at);
+                std::optional<std::vector<Joints>> back;
+                for (const double far : kApproaches) {
+                    back = line(kinematics_, stand.pose, stand.pose.position - far * stand.pose.approach, at);
+                    if (back) break;
+                }
+                std::optional<std::vector<Joints>> up;
+                for (const double high : kLifts) {
+                    if (back) up = line(kinematics_, stand.pose, stand.pose.position + Point{0, 0, high}, at);
+                    if (up) break;
+                }
                 if (!up || !clear(kinematics_, at, {})) continue;
                 found.push_back({stand, at, *back, *up});
                 if (found.size() >= 2) return found;

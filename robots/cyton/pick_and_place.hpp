@@ -15,7 +15,7 @@ namespace axon::cyton {
 /// arm's base (geometry.hpp), metres; yaws turn the sides of a box away from the frame's axes, radians.
 struct PickAndPlaceRequest {
     Point pick{0.100, 0.355, 0.100};
-    Point place{0.370, 0, 0};
+    Point place{0.390, 0, 0};
     std::optional<double> pick_yaw;   ///< none: round, or a side faces the arm
     std::optional<double> place_yaw;  ///< none: as it turns out
     double width = 0.028;             ///< between the pads, and at most so deep; up to kWidest

@@ -34,10 +34,12 @@ void ClientSession::receive(std::span<const std::uint8_t> bytes, TimePoint now) 
         } else if (under_way_ == Query::Status && (byte == '.' || byte == '+')) {
             under_way_.reset();
             heard_ = now;
-            if (state_ == State::Probing)
+            if (state_ == State::Online)
+                port_.onStatus(byte == '+');
+            else if (byte == '.')
                 ask(Query::Pulse, now);
             else
-                port_.onStatus(byte == '+');
+                began_ = now;  // somebody's last move: pulses are not known before it is over
         } else {
             ++unexpected_bytes_;
         }
@@ -72,8 +74,8 @@ void ClientSession::tick(TimePoint now) {
             std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(now - heard_).count()) + " ms");
         return;
     }
-    if (state_ != State::Online || under_way_) return;
-    if (pulses_wanted_) {
+    if (under_way_) return;
+    if (state_ == State::Online && pulses_wanted_) {
         pulses_wanted_ = false;
         ask(Query::Pulse, now);
     } else if (now - asked_ >= kQueryPeriod) {

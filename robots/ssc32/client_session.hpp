@@ -16,7 +16,8 @@ namespace axon::ssc32 {
 /// | state | until |
 /// |---|---|
 /// | Closed | begin() |
-/// | Probing | `Q` and the pulses of all channels were answered → Online; 2 s without → Closed |
+/// | Probing | `Q` says that no move is left, and the pulses of all channels were told → Online; 2 s without an
+/// answer → Closed |
 /// | Online | silence_limit without an answer, or end() → Closed |
 ///
 /// Answers carry no mark of what they answer, so that only one query is under way at a time; bytes that nobody

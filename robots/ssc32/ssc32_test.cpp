@@ -70,7 +70,7 @@ TEST_F(ScriptedBoard, IsOnlineWhenItHasToldAllPulses) {
     session_.begin(clock_.now());
     EXPECT_EQ(next(), "\r");
     EXPECT_EQ(next(), "Q\r");
-    answer({'+'});
+    answer({'.'});
     EXPECT_EQ(next(), "QP0\r");
     answer({151});
     EXPECT_EQ(next(), "QP7\r");
@@ -79,6 +79,19 @@ TEST_F(ScriptedBoard, IsOnlineWhenItHasToldAllPulses) {
     ASSERT_EQ(online_.size(), 1U);
     EXPECT_THAT(online_[0], ElementsAre(1510, 0));
     EXPECT_EQ(next(), "") << "connecting moves nothing";
+}
+
+TEST_F(ScriptedBoard, WaitsForTheEndOfAMoveThatSomebodyLeft) {
+    session_.begin(clock_.now());
+    for (int i = 0; i < 60; ++i) {
+        answer({'+'});
+        sent_.clear();
+        pass(milliseconds{100});
+        ASSERT_EQ(next(), "Q\r");
+    }
+    EXPECT_TRUE(lost_.empty());
+    answer({'.'});
+    EXPECT_EQ(next(), "QP0\r");
 }
 
 TEST_F(ScriptedBoard, WhatItSaysUnaskedChangesNothing) {
