@@ -11,7 +11,7 @@ namespace axon::lab {
 /// The laboratory's time in a small file that other programs map: 8 bytes "AXONCLK1", then nanoseconds since
 /// the laboratory's start as a little-endian 64-bit number that is written atomically after each step. It
 /// never goes back, also not by a reset. Throws std::system_error. Threads: set() by one; readers are other
-/// processes (common/lab_clock.hpp would be the other end).
+/// processes.
 class SharedClock {
   public:
     explicit SharedClock(const std::string& path);
