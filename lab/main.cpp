@@ -25,7 +25,7 @@ constexpr auto kFooter = R"(
 Places are metres and degrees, the room's lower left corner is the origin. What is not given has a default.
   axon-lab                                          the transport laboratory: --world transport
   axon-lab FILE.lab                                 a world of your own; lab/README.md tells what is in such a file
-  axon-lab --world room                             one PeopleBot in a room with three boxes and a table
+  axon-lab --world plain                            one PeopleBot in a room with three boxes and a table
   axon-lab --robot name=left --robot name=right     two of them in this room, on ports 8101 and 8102
   axon-lab --robot x=2,y=3,theta=90,port=9000       where it stands, and its port
   axon-lab --empty --box x=4,y=3,dx=0.5,dy=1,height=0.6 --table x=6,y=2
@@ -50,7 +50,7 @@ int main(int argc, char** argv) {
     bool empty = false;
     double room_x = 0, room_y = 0;
     auto* file_option = app.add_option("file", file, "A world's description")->check(CLI::ExistingFile);
-    auto* world_option = app.add_option("--world", name, "A world that comes with the program, or room")
+    auto* world_option = app.add_option("--world", name, "A world that comes with the program, or plain")
                              ->capture_default_str()
                              ->excludes(file_option);
     app.add_option("--robot", robots, "A PeopleBot: name=,x=,y=,theta=,port= (repeat for several)")
@@ -91,9 +91,9 @@ int main(int argc, char** argv) {
         // Who furnishes a room wants an own one.
         const bool furnished = empty || room_x > 0 || room_y > 0 ||
                                !(robots.empty() && arms.empty() && boxes.empty() && tables.empty());
-        if (furnished && file_option->empty() && world_option->empty()) name = "room";
+        if (furnished && file_option->empty() && world_option->empty()) name = "plain";
         auto world = !file.empty()    ? loadWorld(file)
-                     : name == "room" ? defaultWorld()
+                     : name == "plain" ? defaultWorld()
                                       : loadWorld((worldsFolder() / (name + ".lab")).string());
         if (room_x > 0) world.room_x = room_x;
         if (room_y > 0) world.room_y = room_y;

@@ -213,7 +213,8 @@ class Laboratory:
     def start_robot(self, port=0, name="lab"):
         """A virtual PeopleBot; returns the process, with .address and .truth_file."""
         truth = self.folder / f"{name}.truth"
-        lab = self.start(f"{name}-{len(self.processes)}", "axon-lab", "--port", str(port), "--truth", truth)
+        lab = self.start(f"{name}-{len(self.processes)}", "axon-lab", "--world", "plain", "--noise", "0",
+                         "--port", str(port), "--truth", truth)
         lab.address = next(iter(addresses(lab.wait_for("ready ")).values()))
         lab.truth_file = truth
         return lab
