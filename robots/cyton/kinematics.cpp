@@ -81,34 +81,36 @@ std::array<Point, kJoints + 1> Kinematics::skeleton(const Joints& joints) const 
     return points;
 }
 
-std::optional<Joints> Kinematics::attempt(const ToolPose& pose, const Joints& start) {
-    std::optional<Joints> best;
-    for (const bool turned : {false, true}) {
-        const auto wanted = frame(pose, turned);
-        KDL::JntArray found(kJoints);
-        solvers_->inverse.CartToJnt(array(start), wanted, found);
-        Joints joints;
-        for (unsigned i = 0; i < kJoints; ++i) joints[i] = std::remainder(found(i), 2 * std::numbers::pi);
-        if (!withinLimits(joints, kMargin_rad)) continue;
-        // Not the solver's verdict: it also gives up where it is as near as anybody needs.
-        KDL::Frame reached;
-        solvers_->forward.JntToCart(array(joints), reached);
-        const auto difference = KDL::diff(wanted, reached);
-        if (difference.vel.Norm() > kPositionTolerance_m || difference.rot.Norm() > kRotationTolerance_rad)
-            continue;
-        if (!best || largestDifference(joints, start) < largestDifference(*best, start)) best = joints;
-    }
-    return best;
+std::optional<Joints> Kinematics::attempt(const ToolPose& pose, bool turned, const Joints& start) {
+    const auto wanted = frame(pose, turned);
+    KDL::JntArray found(kJoints);
+    solvers_->inverse.CartToJnt(array(start), wanted, found);
+    Joints joints;
+    for (unsigned i = 0; i < kJoints; ++i) joints[i] = std::remainder(found(i), 2 * std::numbers::pi);
+    if (!withinLimits(joints, kMargin_rad)) return std::nullopt;
+    // Not the solver's verdict: it also gives up where it is as near as anybody needs.
+    KDL::Frame reached;
+    solvers_->forward.JntToCart(array(joints), reached);
+    const auto difference = KDL::diff(wanted, reached);
+    if (difference.vel.Norm() > kPositionTolerance_m || difference.rot.Norm() > kRotationTolerance_rad)
+        return std::nullopt;
+    return joints;
+}
+
+bool Kinematics::nearerTurned(const ToolPose& pose, const Joints& from) const {
+    return KDL::dot(vector(forward(from).closing), vector(pose.closing)) < 0;
 }
 
 std::optional<Joints> Kinematics::follow(const ToolPose& pose, const Joints& from) {
-    return attempt(pose, from);
+    return attempt(pose, nearerTurned(pose, from), from);
 }
 
 std::vector<Joints> Kinematics::solutions(const ToolPose& pose, const Joints& wanted, Effort effort) {
     std::vector<Joints> found;
     for (int i = 0; i <= effort.starts && static_cast<int>(found.size()) < effort.solutions; ++i) {
-        if (const auto joints = attempt(pose, i == 0 ? wanted : randomJoints())) found.push_back(*joints);
+        const auto start = i == 0 ? wanted : randomJoints();
+        // The claws are alike: the hand may be turned half round, whichever way it is nearer to.
+        if (const auto joints = attempt(pose, nearerTurned(pose, start), start)) found.push_back(*joints);
     }
     const auto distance = [&wanted](const Joints& joints) {
         double sum = 0;

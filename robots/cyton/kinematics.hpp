@@ -58,7 +58,8 @@ class Kinematics {
 
   private:
     struct Solvers;
-    std::optional<Joints> attempt(const ToolPose& pose, const Joints& start);
+    std::optional<Joints> attempt(const ToolPose& pose, bool turned, const Joints& start);
+    bool nearerTurned(const ToolPose& pose, const Joints& from) const;
 
     std::unique_ptr<Solvers> solvers_;
     std::mt19937 random_;

@@ -258,7 +258,7 @@ TEST(PickAndPlace, TheDefaultsCanBeDoneFromHomeAndFromElsewhere) {
 TEST(PickAndPlace, WithRandomOffsetsWithinReachItIsAlwaysPlanned) {
     std::mt19937 random(3);
     const auto offset = [&random](double most) { return most * (static_cast<double>(random()) / 2147483648.0 - 1); };
-    for (int i = 0; i < 20; ++i) {
+    for (int i = 0; i < 12; ++i) {
         Kinematics kinematics;
         PickAndPlaceRequest request;
         request.pick[0] += offset(0.015);

@@ -31,7 +31,7 @@ class World {
             fmt::format(
                 R"(<mujoco><compiler angle="degree" eulerseq="xyz"/><option timestep="0.004"/>
 <worldbody><geom type="plane" size="0 0 1"/>
-<geom type="box" pos="0.10 0.355 {}" size="0.06 0.06 {}"/>
+<geom type="box" pos="0.03 0.365 {}" size="0.06 0.06 {}"/>
 <body name="object" pos="{} {} {}" euler="0 0 {}"><freejoint/><geom type="{}" size="{}" mass="0.06"/></body>
 </worldbody>)",
                 object.platform / 2, object.platform / 2, object.x, object.y, object.platform + 0.04,

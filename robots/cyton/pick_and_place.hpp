@@ -14,7 +14,7 @@ namespace axon::cyton {
 /// What Grab and Place is to do. Positions are those of the middle of the object's underside in the frame of the
 /// arm's base (geometry.hpp), metres; yaws turn the sides of a box away from the frame's axes, radians.
 struct PickAndPlaceRequest {
-    Point pick{0.100, 0.355, 0.100};
+    Point pick{0.030, 0.365, 0.100};
     Point place{0.390, 0, 0};
     std::optional<double> pick_yaw;   ///< none: round, or a side faces the arm
     std::optional<double> place_yaw;  ///< none: as it turns out

@@ -73,7 +73,9 @@ TEST(CytonProfiles, TheDefaultsOfGrabAndPlaceAreThePlannersOwn) {
         {"Speed", request.speed * 100}};
     std::size_t seen = 0;
     for (const auto& param : profile.message.services(2).params()) {
-        if (param.name() == "Object Width") EXPECT_EQ(param.maximum(), PickAndPlaceRequest::kWidest * 1000);
+        if (param.name() == "Object Width") {
+            EXPECT_EQ(param.maximum(), PickAndPlaceRequest::kWidest * 1000);
+        }
         const auto found = expected.find(param.name());
         if (found == expected.end()) continue;
         ++seen;
