@@ -17,14 +17,14 @@ struct Hues {
     int from, to;
 };
 constexpr std::array<Hues, kColours.size()> kHues{{
-    Hues{172, 6},   // red, through 0
-    Hues{38, 83},   // green
-    Hues{100, 128}, // blue
-    Hues{20, 38},   // yellow
-    Hues{6, 20},    // orange
-    Hues{128, 155}, // purple
-    Hues{83, 100},  // cyan
-    Hues{155, 172}, // magenta
+    Hues{172, 6},    // red, through 0
+    Hues{38, 83},    // green
+    Hues{100, 128},  // blue
+    Hues{20, 38},    // yellow
+    Hues{6, 20},     // orange
+    Hues{128, 155},  // purple
+    Hues{83, 100},   // cyan
+    Hues{155, 172},  // magenta
 }};
 
 void push(std::vector<std::uint8_t>& to, int value, int digits) {
@@ -35,8 +35,7 @@ void push(std::vector<std::uint8_t>& to, int value, int digits) {
 }  // namespace
 
 Blobs findBlobs(const Picture& picture) {
-    const cv::Mat full(picture.height, picture.width, CV_8UC3,
-                       const_cast<std::uint8_t*>(picture.rgb.data()));
+    const cv::Mat full(picture.height, picture.width, CV_8UC3, const_cast<std::uint8_t*>(picture.rgb.data()));
     cv::Mat small;
     cv::resize(full, small, cv::Size(kWidth, kHeight), 0, 0, cv::INTER_AREA);
     cv::Mat hsv;

@@ -30,8 +30,8 @@ struct Blob {
 using Blobs = std::array<std::vector<Blob>, kChannels>;
 
 /// What the channels are trained for, from channel 1 on; the others see nothing.
-inline constexpr std::array<std::string_view, 8> kColours{"red",    "green",  "blue",    "yellow",
-                                                          "orange", "purple", "cyan",    "magenta"};
+inline constexpr std::array<std::string_view, 8> kColours{"red",    "green",  "blue", "yellow",
+                                                          "orange", "purple", "cyan", "magenta"};
 
 /// Connected areas of a channel's colour, of at least 4 points.
 Blobs findBlobs(const Picture& picture);

@@ -38,8 +38,8 @@ class Graphics {
         if (library == nullptr) library = ::dlopen("libOSMesa.so", RTLD_NOW | RTLD_GLOBAL);
         if (library == nullptr)
             throw std::runtime_error("no pictures: libOSMesa.so.8 is missing, install libosmesa6");
-        const auto create = reinterpret_cast<decltype(&OSMesaCreateContextExt)>(
-            ::dlsym(library, "OSMesaCreateContextExt"));
+        const auto create =
+            reinterpret_cast<decltype(&OSMesaCreateContextExt)>(::dlsym(library, "OSMesaCreateContextExt"));
         const auto make_current =
             reinterpret_cast<decltype(&OSMesaMakeCurrent)>(::dlsym(library, "OSMesaMakeCurrent"));
         destroy_ =
@@ -169,9 +169,6 @@ class Cameras::Studio {
         visual.quality.offsamples = 0;
         visual.global.offwidth = kStillWidth * kStillOversampling;
         visual.global.offheight = kStillHeight * kStillOversampling;
-        for (std::size_t i = 0; i < robots; ++i)
-            camera_ids_.push_back(
-                mj_name2id(model_.get(), mjOBJ_CAMERA, PhysicsView::cameraName(i).c_str()));
         thread_ = std::thread([this] { run(); });
     }
     ~Studio() {
@@ -246,17 +243,7 @@ class Cameras::Studio {
     };
 
     /// While nothing is ordered and nothing is drawn, the drawing thread does not look at the copies.
-    void copyWorld() {
-        view_.copyState(data_.get());
-        // Obstacles are moved in the data, but resized and coloured in the model.
-        const auto* from = view_.model();
-        const auto geoms = static_cast<std::size_t>(from->ngeom);
-        std::memcpy(model_->geom_size, from->geom_size, 3 * geoms * sizeof(mjtNum));
-        std::memcpy(model_->geom_rgba, from->geom_rgba, 4 * geoms * sizeof(float));
-        for (std::size_t i = 0; i < robots_; ++i) {
-            if (camera_ids_[i] >= 0) model_->cam_fovy[camera_ids_[i]] = view_.fieldOfView_deg(i);
-        }
-    }
+    void copyWorld() { view_.copyTo(model_.get(), data_.get()); }
 
     void run() {
         std::unique_ptr<Graphics> graphics;
@@ -312,7 +299,6 @@ class Cameras::Studio {
     const PhysicsView view_;
     const std::size_t robots_;
     const OnPicture on_picture_;
-    std::vector<int> camera_ids_;
 
     std::vector<std::atomic<int>> watchers_;
     std::vector<std::atomic<bool>> wanted_;

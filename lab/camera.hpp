@@ -59,8 +59,8 @@ class Cameras {
     /// The next one, also when the world is paused.
     void wantOne(std::size_t view);
 
-    /// `keep_up` false: pictures that the drawing thread has no time for are left out. True: it is waited for,
-    /// so that none is missing however fast the laboratory's time goes.
+    /// `keep_up` false: pictures that the drawing thread has no time for are left out. True: it is waited
+    /// for, so that none is missing however fast the laboratory's time goes.
     void offer(Duration age, bool keep_up);
     /// At once, and waited for. 1280 x 960 for the overview.
     Picture take(std::size_t view, std::span<const Track> tracks = {});

@@ -18,7 +18,8 @@ class BadRequest : public std::runtime_error {
 };
 
 constexpr auto kKnown =
-    "pause, resume, speed, step, reset, move, block, unblock, fault, mend, truth, forget-touches, picture, path";
+    "pause, resume, speed, step, reset, move, block, unblock, fault, mend, truth, forget-touches, picture, "
+    "path";
 
 double number(const Json& request, const char* key, std::optional<double> otherwise = std::nullopt) {
     const auto found = request.find(key);
@@ -161,7 +162,8 @@ Control::Reply Control::handle(std::string_view line) {
         } else if (what == "step") {
             const double ms = number(request, "ms");
             if (ms < 0 || ms > 3.6e6) throw BadRequest("\"ms\": expected 0 to 3600000");
-            if (!operator_.paused()) throw BadRequest("time runs by itself: pause first, or start with --step");
+            if (!operator_.paused())
+                throw BadRequest("time runs by itself: pause first, or start with --step");
             until = laboratory_.age() + std::chrono::nanoseconds(std::llround(ms * 1e6));
             answer["time_s"] = rounded(std::chrono::duration<double>(*until).count(), 0.001);
         } else if (what == "reset") {

@@ -50,9 +50,8 @@ class LabServer::Loop final : Control::Operator {
         : options_(std::move(options)),
           world_((complete(world), std::move(world))),
           wake_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)),
-          lab_(
-              world_, [this](std::size_t robot, const arcos::Bytes& bytes) { send(robots_[robot], bytes); },
-              {.seed = options_.seed, .noise = options_.noise}),
+          lab_(world_, [this](std::size_t robot, const arcos::Bytes& bytes) { send(robots_[robot], bytes); },
+               {.seed = options_.seed, .noise = options_.noise}),
           speed_(options_.speed),
           paused_(options_.step),
           stepping_(options_.step),
@@ -89,7 +88,8 @@ class LabServer::Loop final : Control::Operator {
             if (options_.pty)
                 arm.terminal = openTerminal();
             else
-                arm.listener = listenOn(options_.listen, world_.arms[i].port.value_or(port(kFirstArmPort, i)));
+                arm.listener =
+                    listenOn(options_.listen, world_.arms[i].port.value_or(port(kFirstArmPort, i)));
         }
         control_listener_ = listenOn(options_.listen, port(kControlPort, 0));
         if (options_.overview) pictures.overview = port(kOverviewPort, 0);
@@ -148,8 +148,9 @@ class LabServer::Loop final : Control::Operator {
             watch();
             if (standing()) {
                 // Whoever says "step" is not to wait for a tick.
-                ::poll(watched_.data(), watched_.size(),
-                       static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(kTick).count()));
+                ::poll(
+                    watched_.data(), watched_.size(),
+                    static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(kTick).count()));
             } else if (pendingStep()) {
                 ::poll(watched_.data(), watched_.size(), 0);
             } else {
@@ -287,7 +288,8 @@ class LabServer::Loop final : Control::Operator {
         if (knocked != 0) {
             auto socket = acceptFrom(control_listener_);
             if (socket && control_clients_.size() < kMostControlClients)
-                control_clients_.push_back({.socket = std::move(socket), .in = {}, .out = {}, .until = {}, .held = {}});
+                control_clients_.push_back(
+                    {.socket = std::move(socket), .in = {}, .out = {}, .until = {}, .held = {}});
         }
     }
 
@@ -390,7 +392,8 @@ class LabServer::Loop final : Control::Operator {
 
     static void flush(ControlClient& client) {
         if (client.out.empty()) return;
-        const auto sent = ::send(client.socket.get(), client.out.data(), client.out.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+        const auto sent =
+            ::send(client.socket.get(), client.out.data(), client.out.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
         if (sent > 0) client.out.erase(0, static_cast<std::size_t>(sent));
         if (sent < 0 && errno != EAGAIN && errno != EINTR) client.broken = true;
     }
@@ -412,8 +415,8 @@ class LabServer::Loop final : Control::Operator {
     }
     void writePicture(const std::string& file, bool tracks) override {
         followTracks();
-        writePng(file, cameras_->take(cameras_->overview(), tracks ? std::span<const Track>(tracks_)
-                                                                   : std::span<const Track>()));
+        writePng(file, cameras_->take(cameras_->overview(),
+                                      tracks ? std::span<const Track>(tracks_) : std::span<const Track>()));
         rebase();  // the first picture takes 100 ms
     }
 
@@ -431,9 +434,9 @@ class LabServer::Loop final : Control::Operator {
     }
 
     void writeTruth() {
-        const auto stamp = fmt::format(R"({{"time_s":{:.3f},"monotonic_us":{})",
-                                       std::chrono::duration<double>(lab_.age()).count(),
-                                       toMicroseconds(clock_.now()));
+        const auto stamp =
+            fmt::format(R"({{"time_s":{:.3f},"monotonic_us":{})",
+                        std::chrono::duration<double>(lab_.age()).count(), toMicroseconds(clock_.now()));
         std::string lines;
         const auto objects = lab_.physics().truthOfObjects();
         for (std::size_t i = 0; i < objects.size() && i < told_objects_.size(); ++i) {

@@ -10,16 +10,16 @@
 
 namespace axon::lab {
 
-/// A Laboratory behind TCP, in real time: one port per robot (ARCOS) and one per arm (SSC-32), one client each
-/// (a second one is accepted and closed at once), pictures and colour blobs of each robot's camera
+/// A Laboratory behind TCP, in real time: one port per robot (ARCOS) and one per arm (SSC-32), one client
+/// each (a second one is accepted and closed at once), pictures and colour blobs of each robot's camera
 /// (PictureServer), and a control port (Control). The world is stepped to keep pace with the monotonic clock
 /// times a speed, or only when the control port says so.
 ///
 /// Threads: run() is the loop of the calling thread; pictures have a thread that draws and one that sends.
 /// stop() may be called from any thread and from a signal handler. Owns its sockets. The constructor listens
 /// already, so that ports() is known before run(); it throws BadDescription for a bad world and
-/// std::system_error for an address that cannot be listened on. Failure: a client that does not read until the
-/// kernel's buffer is full is dropped and counts as lost; a world that needs more time than there is runs
+/// std::system_error for an address that cannot be listened on. Failure: a client that does not read until
+/// the kernel's buffer is full is dropped and counts as lost; a world that needs more time than there is runs
 /// slower than asked, and says so once.
 class LabServer {
   public:
@@ -35,8 +35,8 @@ class LabServer {
         int first_port = kFirstPort;  ///< of the first robot without a port of its own; 0: any free one. With
                                       ///< any other than the default all other ports are free ones
         double speed = 1;             ///< seconds of the world in a second
-        std::string truth_path;  ///< not empty: JSON lines are appended, per robot every 100 ms of the world, per
-                                 ///< arm and object when it has moved
+        std::string truth_path;  ///< not empty: JSON lines are appended, per robot every 100 ms of the world,
+                                 ///< per arm and object when it has moved
         bool step = false;       ///< time passes only by the control port
         std::uint64_t seed = 1;  ///< of the sensors' noise
         double noise = 0;        ///< 1: as much as the real sensors have

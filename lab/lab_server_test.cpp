@@ -7,6 +7,7 @@
 #include <array>
 #include <atomic>
 #include <cmath>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <mutex>
@@ -251,6 +252,19 @@ TEST_F(WholeLab, TimePassesOnlyByStepsAndTheSameStepsGiveTheSameTruth) {
         EXPECT_EQ(hear(*arm, 1), ".");
         end();
     }
+}
+
+TEST_F(WholeLab, OtherProgramsAreToldTheLaboratorysTime) {
+    serveAll({.step = true, .clock_path = truth_path_});
+    ControlLine control(server_->address("control"));
+    control.ask(R"({"do":"step","ms":1500})");
+    std::ifstream file(truth_path_, std::ios::binary);
+    std::array<char, 16> page{};
+    file.read(page.data(), page.size());
+    EXPECT_EQ(std::string(page.data(), 8), "AXONCLK1");
+    std::int64_t nanoseconds = 0;
+    std::memcpy(&nanoseconds, page.data() + 8, sizeof nanoseconds);
+    EXPECT_EQ(nanoseconds, 1'500'000'000);
 }
 
 TEST_F(WholeLab, TheHandsOfTheExperimenter) {

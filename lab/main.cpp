@@ -40,8 +40,9 @@ Ends on Ctrl-C. Exit status: 0 ended when told to, 2 something is wrong with the
 
 int main(int argc, char** argv) {
     using namespace axon::lab;
-    CLI::App app{"The virtual laboratory: PeopleBots and Cytons in a room with physics, reached like real ones.",
-                 "axon-lab"};
+    CLI::App app{
+        "The virtual laboratory: PeopleBots and Cytons in a room with physics, reached like real ones.",
+        "axon-lab"};
     app.footer(kFooter);
     LabServer::Options options;
     std::string file;
@@ -78,7 +79,8 @@ int main(int argc, char** argv) {
         ->check(CLI::Range(0.0, 10.0));
     app.add_flag("--view", options.overview, "Stream the room: http://127.0.0.1:8099/");
     app.add_flag("--pty", options.pty, "Arms on pseudo-terminals, as on serial lines");
-    app.add_option("--clock", options.clock_path, "Tell the laboratory's time in this file, for other programs");
+    app.add_option("--clock", options.clock_path,
+                   "Tell the laboratory's time in this file, for other programs");
     app.add_option("--truth", options.truth_path,
                    "Append where everything really is to this file, as JSON lines, every 100 ms");
     options.noise = 1;
@@ -92,9 +94,9 @@ int main(int argc, char** argv) {
         const bool furnished = empty || room_x > 0 || room_y > 0 ||
                                !(robots.empty() && arms.empty() && boxes.empty() && tables.empty());
         if (furnished && file_option->empty() && world_option->empty()) name = "plain";
-        auto world = !file.empty()    ? loadWorld(file)
+        auto world = !file.empty()     ? loadWorld(file)
                      : name == "plain" ? defaultWorld()
-                                      : loadWorld((worldsFolder() / (name + ".lab")).string());
+                                       : loadWorld((worldsFolder() / (name + ".lab")).string());
         if (room_x > 0) world.room_x = room_x;
         if (room_y > 0) world.room_y = room_y;
         if (empty) world.boxes.clear(), world.tables.clear(), world.objects.clear();

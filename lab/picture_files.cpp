@@ -28,8 +28,8 @@ std::vector<std::uint8_t> encodeJpeg(const Picture& picture, int quality) {
     jpeg_set_quality(&jpeg, quality, TRUE);
     jpeg_start_compress(&jpeg, TRUE);
     while (jpeg.next_scanline < jpeg.image_height) {
-        auto* row = const_cast<JSAMPROW>(picture.rgb.data() +
-                                         static_cast<std::size_t>(jpeg.next_scanline) * 3U * jpeg.image_width);
+        auto* row = const_cast<JSAMPROW>(picture.rgb.data() + static_cast<std::size_t>(jpeg.next_scanline) *
+                                                                  3U * jpeg.image_width);
         jpeg_write_scanlines(&jpeg, &row, 1);
     }
     jpeg_finish_compress(&jpeg);

@@ -179,8 +179,7 @@ class PictureServer::Loop {
             watched.assign(1, {wake_.get(), POLLIN, 0});
             for (const auto& listener : listeners_) watched.push_back({listener.socket.get(), POLLIN, 0});
             for (const auto& c : connections_)
-                watched.push_back(
-                    {c.socket.get(), static_cast<short>(POLLIN | (c.idle() ? 0 : POLLOUT)), 0});
+                watched.push_back({c.socket.get(), static_cast<short>(POLLIN | (c.idle() ? 0 : POLLOUT)), 0});
             ::poll(watched.data(), watched.size(), -1);
             std::vector<SharedPicture> pictures;
             {
@@ -258,9 +257,12 @@ class PictureServer::Loop {
             case Kind::Stream:
                 c.say(streamHead(fmt::format("multipart/x-mixed-replace; boundary={}", kBoundary)));
                 break;
-            case Kind::Raw: c.say(streamHead("application/octet-stream")); break;
+            case Kind::Raw:
+                c.say(streamHead("application/octet-stream"));
+                break;
             case Kind::Jpeg:
-            case Kind::Png: break;
+            case Kind::Png:
+                break;
             case Kind::Page:
                 c.say(answer("200 OK", "text/html", overview ? kOverviewPage : kCameraPage));
                 c.closing = true;
@@ -298,8 +300,9 @@ class PictureServer::Loop {
                     if (!c.idle()) break;  // slow reader: this one is left out
                     {
                         Bytes part;
-                        append(part, fmt::format("--{}\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n",
-                                                 kBoundary, form.size()));
+                        append(part,
+                               fmt::format("--{}\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n",
+                                           kBoundary, form.size()));
                         part.insert(part.end(), form.begin(), form.end());
                         append(part, "\r\n");
                         c.say(std::move(part));

@@ -68,9 +68,9 @@ TEST(PictureFiles, CarryWhatTheirNamesSay) {
 
 TEST(Acts, BlobsAreFoundInTheirChannels) {
     auto picture = plain(320, 240, {120, 120, 120});
-    paint(picture, 100, 80, 119, 159, {210, 15, 15});   // red
-    paint(picture, 200, 40, 259, 99, {15, 40, 210});    // blue
-    paint(picture, 20, 200, 39, 219, {15, 40, 210});    // blue, smaller
+    paint(picture, 100, 80, 119, 159, {210, 15, 15});  // red
+    paint(picture, 200, 40, 259, 99, {15, 40, 210});   // blue
+    paint(picture, 20, 200, 39, 219, {15, 40, 210});   // blue, smaller
     const auto blobs = acts::findBlobs(picture);
     ASSERT_EQ(blobs[0].size(), 1U);
     EXPECT_EQ(blobs[0][0].area, 10 * 40);
@@ -132,7 +132,8 @@ WorldDescription worldWithABlock(bool block = true) {
     world.robots = {{.name = "PeopleBot", .x = 2, .y = 3, .theta = 0, .port = {}}};
     world.boxes = {{.name = "stand", .x = 3.4, .y = 3, .dx = 0.3, .dy = 0.3, .height = 0.9}};
     if (block)
-        world.objects = {{.name = "block", .colour = "red", .x = 3.4, .y = 3, .dx = 0.12, .dy = 0.12, .dz = 0.25}};
+        world.objects = {
+            {.name = "block", .colour = "red", .x = 3.4, .y = 3, .dx = 0.12, .dy = 0.12, .dz = 0.25}};
     return world;
 }
 
