@@ -108,3 +108,9 @@ TEST(FuzzyOracle, NavigationRulesMeanTheSameToFuzzylite) {
 
 }  // namespace
 }  // namespace axon::fuzzy
+
+// The library of fuzzylite has a main() of its own, which would be taken instead of GoogleTest's.
+int main(int argc, char** argv) {
+    ::testing::InitGoogleTest(&argc, argv);
+    return RUN_ALL_TESTS();
+}

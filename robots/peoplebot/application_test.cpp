@@ -70,6 +70,25 @@ class Manager : public entity_manager::BackEndEvents {
         }
         return send(message, task.task_id());
     }
+    /// Navigation, with texts as parameters and the map as its resource.
+    std::string navigate(const std::string& map, const std::vector<std::pair<std::string, std::string>>& params) {
+        proto::EmToEi message;
+        auto& task = *message.mutable_task();
+        task.set_task_id(Id128::random(random_).bytes());
+        task.set_service("Navigation");
+        task.set_stop_generation(gate_.generation());
+        for (const auto& [name, value] : params) {
+            auto& param = *task.add_params();
+            param.set_name(name);
+            param.add_values()->set_str(value);
+        }
+        if (!map.empty()) {
+            auto& resource = *task.add_resources();
+            resource.set_name("Map");
+            resource.set_url(map);
+        }
+        return send(message, task.task_id());
+    }
     void pause(const std::string& id, bool resume) {
         proto::EmToEi message;
         message.mutable_pause()->set_task_id(id);
@@ -333,6 +352,54 @@ TEST_F(ApplicationTest, AWallEndsTheDriveWithTheSonarThatSawIt) {
     ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{30}));
     EXPECT_EQ(manager_->end(task)->state(), proto::TASK_FAILED);
     EXPECT_THAT(manager_->end(task)->reason().message(), HasSubstr("nearer than the threshold 3000 mm"));
+}
+
+TEST_F(ApplicationTest, WanderingGoesOnUntilItIsStopped) {
+    const auto task = manager_->dispatch("Wander", {{"Velocity", 300}});
+    ASSERT_TRUE(waitUntil([&] { return moves(); }));
+    EXPECT_FALSE(manager_->end(task));
+    const auto generation = manager_->stop();
+    EXPECT_TRUE(waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::STANDSTILL); }));
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }));
+    EXPECT_EQ(manager_->end(task)->state(), proto::TASK_STOPPED);
+    EXPECT_TRUE(stands());
+}
+
+TEST_F(ApplicationTest, ANavigationThatCannotBeIsDeniedWithTheReason) {
+    const auto refusal = [&](const std::string& map, const std::vector<std::pair<std::string, std::string>>& params) {
+        const auto task = manager_->navigate(map, params);
+        waitUntil([&] { return manager_->answer(task).has_value(); });
+        return manager_->answer(task).value_or(proto::Refusal()).message();
+    };
+    const std::string map = "robots/peoplebot/testdata/small.map";
+    EXPECT_THAT(refusal("", {{"Destination", "west"}}), HasSubstr("upload one made with Mapper3"));
+    EXPECT_THAT(refusal("robots/peoplebot/wander.rules", {{"Destination", "west"}}), HasSubstr("2D-Map"));
+    EXPECT_THAT(refusal(map, {{"Destination", "moon"}}), HasSubstr("no goal \"moon\": it has"));
+    EXPECT_THAT(refusal(map, {{"Destination", "kept out"}}), HasSubstr("forbidden area"));
+    EXPECT_THAT(refusal(map, {{"Destination", "west"}, {"Start", "here"}}), HasSubstr("Start here: expected X,Y,HEADING"));
+    EXPECT_THAT(refusal(map, {{"Destination", "west"}, {"Start", "90000,0,0"}}), HasSubstr("not on the map"));
+    EXPECT_TRUE(stands());
+}
+
+TEST_F(ApplicationTest, NavigationDrivesToAGoalOfTheMapOrSaysThatThereIsNoLaser) {
+    for (const char* stream : {"laser", "localisation", "localisation quality", "particles"}) manager_->watch(stream);
+    // The default world's room and boxes, seen by a laser.
+    const TemporaryFile map(
+        "2D-Map\nCairn: GoalWithHeading 2600 2600 -90 \"\" ICON \"middle\"\nLINES\n0 0 8000 0\n8000 0 8000 6000\n8000 6000 0 6000\n0 6000 0 0\n"
+        "4950 750 5450 750\n4950 1250 5450 1250\n4950 750 4950 1250\n5450 750 5450 1250\n6000 5000 6800 5000\n6000 5000 6000 5400\n"
+        "3150 5150 3650 5150\n3150 5150 3150 5650\n3650 5150 3650 5650\n");
+    const auto task = manager_->navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
+    const auto end = *manager_->end(task);
+    if (manager_->samples("laser") == 0) {
+        EXPECT_THAT(end.reason().message(), HasSubstr("the laser sends no readings"));
+        GTEST_SKIP() << "the laboratory's robots have no laser";
+    }
+    EXPECT_EQ(end.state(), proto::TASK_SUCCEEDED) << end.reason().message();
+    EXPECT_NEAR(lastTrue("x_m"), 2.6, 0.25);
+    EXPECT_NEAR(lastTrue("y_m"), 2.6, 0.25);
+    EXPECT_NEAR(lastTrue("theta_deg"), -90, 8);
+    for (const char* stream : {"laser", "localisation", "localisation quality", "particles"}) EXPECT_GT(manager_->samples(stream), 0) << stream;
 }
 
 TEST_F(ApplicationTest, StreamsCarryPoseSonarAndBattery) {

@@ -20,7 +20,7 @@ namespace {
 
 constexpr double kDegree = std::numbers::pi / 180;
 constexpr double kMetre = 1000;
-constexpr double kReach_mm = 7900;  // an LMS-200 in its finest scale sees 8 m
+constexpr double kReach_mm = 15900;  // an LMS-200 that counts millimetres sees 8 or 16 m
 constexpr double kAtWall_mm = 150;
 // Scans are taken in after so much motion, and the first ones wherever the robot stands.
 constexpr double kStep_mm = 60;
@@ -34,22 +34,27 @@ struct Localisation::Filter {
     mrpt::maps::COccupancyGridMap2D::Ptr grid;
     mrpt::slam::CMonteCarloLocalization2D particles{kParticles};
     mrpt::bayes::CParticleFilter algorithm;
+    // The grid has a frame of its own, with the origin in its corner: MRPT rounds a grid's edges to whole cells.
+    double left_mm = 0;
+    double bottom_mm = 0;
+
+    mrpt::math::TPose2D inGrid(const MapPose& pose) const {
+        return {(pose.x_mm - left_mm) / kMetre, (pose.y_mm - bottom_mm) / kMetre, pose.heading_deg * kDegree};
+    }
+    MapPose onMap(double x, double y, double phi) const { return {left_mm + x * kMetre, bottom_mm + y * kMetre, phi / kDegree}; }
 };
 
 Localisation::Localisation(std::shared_ptr<const FloorPlan> plan, const Start& start, const arcos::RobotState& robot, unsigned seed)
     : plan_(std::move(plan)), filter_(std::make_unique<Filter>()) {
-    const double left = plan_->left_mm() / kMetre;
-    const double bottom = plan_->bottom_mm() / kMetre;
+    filter_->left_mm = plan_->left_mm();
+    filter_->bottom_mm = plan_->bottom_mm();
     const double cell = FloorPlan::kCell_mm / kMetre;
-    filter_->grid = mrpt::maps::COccupancyGridMap2D::Create(
-        static_cast<float>(left), static_cast<float>(left + plan_->width() * cell), static_cast<float>(bottom),
-        static_cast<float>(bottom + plan_->height() * cell), static_cast<float>(cell));
+    filter_->grid = mrpt::maps::COccupancyGridMap2D::Create(0.0F, static_cast<float>(plan_->width() * cell), 0.0F,
+                                                            static_cast<float>(plan_->height() * cell), static_cast<float>(cell));
     auto& grid = *filter_->grid;
-    for (std::size_t i = 0; i < plan_->walls().size(); ++i) {
-        const auto centre = plan_->centreOf(i);
-        grid.setCell(grid.x2idx(static_cast<float>(centre.x_mm / kMetre)), grid.y2idx(static_cast<float>(centre.y_mm / kMetre)),
-                     plan_->walls()[i] != 0 ? 0.02F : 0.98F);
-    }
+    const auto columns = static_cast<std::size_t>(plan_->width());
+    for (std::size_t i = 0; i < plan_->walls().size(); ++i)
+        grid.setCell(static_cast<int>(i % columns), static_cast<int>(i / columns), plan_->walls()[i] != 0 ? 0.02F : 0.98F);
     auto& likelihood = grid.likelihoodOptions;
     likelihood.likelihoodMethod = mrpt::maps::COccupancyGridMap2D::lmLikelihoodField_Thrun;
     likelihood.LF_decimation = 3;
@@ -71,8 +76,8 @@ Localisation::Localisation(std::shared_ptr<const FloorPlan> plan, const Start& s
     auto& random = mrpt::random::getRandomGenerator();
     random.randomize(seed);
     for (auto& particle : filter_->particles.m_particles) {
-        particle.d = {random.drawGaussian1D(start.pose.x_mm, start.spread_mm) / kMetre, random.drawGaussian1D(start.pose.y_mm, start.spread_mm) / kMetre,
-                      random.drawGaussian1D(start.pose.heading_deg, start.spread_deg) * kDegree};
+        particle.d = filter_->inGrid({random.drawGaussian1D(start.pose.x_mm, start.spread_mm), random.drawGaussian1D(start.pose.y_mm, start.spread_mm),
+                                      random.drawGaussian1D(start.pose.heading_deg, start.spread_deg)});
         particle.log_w = 0;
     }
     odometry_ = filter_odometry_ = {robot.x_mm, robot.y_mm, robot.heading_deg};
@@ -132,7 +137,7 @@ void Localisation::weigh(const arcos::LaserScan& scan) {
     filter_->algorithm.executeOn(filter_->particles, &action, &frame);
 
     const auto [covariance, mean] = filter_->particles.getCovarianceAndMean();
-    estimate_.pose = {mean.x() * kMetre, mean.y() * kMetre, mean.phi() / kDegree};
+    estimate_.pose = filter_->onMap(mean.x(), mean.y(), mean.phi());
     estimate_.spread_mm = std::sqrt(covariance(0, 0) + covariance(1, 1)) * kMetre;
     estimate_.spread_deg = std::sqrt(covariance(2, 2)) / kDegree;
     ++estimate_.scans;
@@ -162,7 +167,7 @@ std::vector<MapPose> Localisation::particles(std::size_t most) const {
     const std::size_t every = std::max<std::size_t>(1, all.size() / std::max<std::size_t>(1, most));
     std::vector<MapPose> some;
     for (std::size_t i = 0; i < all.size() && some.size() < most; i += every)
-        some.push_back(MapPose{all[i].d.x * kMetre, all[i].d.y * kMetre, all[i].d.phi / kDegree}.then(since));
+        some.push_back(filter_->onMap(all[i].d.x, all[i].d.y, all[i].d.phi).then(since));
     return some;
 }
 

@@ -194,7 +194,8 @@ void Navigation::remember(TimePoint now) {
     for (const auto& seen : surroundings_.sightings(kSeeLaser_mm)) {
         if (seen.laser) {
             const auto at = onMap(seen.x_mm, seen.y_mm);
-            if (plan_->wallDistance_mm(at) > kFromWalls_mm) note(at, 1, now);
+            // Within a forbidden area it is what the area is there for: a table's legs.
+            if (plan_->wallDistance_mm(at) > kFromWalls_mm && !plan_->map().forbidden(at)) note(at, 1, now);
             continue;
         }
         if (seen.distance_mm > kSeeSonar_mm) continue;
@@ -313,6 +314,11 @@ double Navigation::rest_mm() const {
 }
 
 MotionStep Navigation::follow(const arcos::RobotState& robot, TimePoint now) {
+    if ((robot.table_left || robot.table_right) && distanceToGoal_mm() < 2 * request_.tolerance_mm) {
+        // A goal in front of a table: as near as can be.
+        enter(goal_.heading_deg ? State::Facing : State::Settling, now);
+        return {.progress = progress(), .halt = true};
+    }
     if (robot.table_left || robot.table_right) {
         std::vector<Point> seen;
         for (const double side : {-1.0, 1.0}) {

@@ -17,6 +17,7 @@ namespace {
 using mapper3::Point;
 
 constexpr std::array<double, 3> kRooms_mm{460, 385, kLeastRoom_mm};
+constexpr double kMetre = 1000;
 constexpr double kEnds_mm = 700;    // about the ends less room is enough
 constexpr double kEscape_mm = 1000;  // as far the robot looks for a place from which it can plan
 // What a cell's centre may be off.
@@ -69,20 +70,21 @@ class Search {
     }
 
     std::optional<std::vector<Point>> find(const Point& from, const Point& to, double room_mm) {
-        constexpr double kMetre = 1000;
-        const double right = plan_.left_mm() + plan_.width() * FloorPlan::kCell_mm;
-        const double top = plan_.bottom_mm() + plan_.height() * FloorPlan::kCell_mm;
-        mrpt::maps::COccupancyGridMap2D grid(static_cast<float>(plan_.left_mm() / kMetre), static_cast<float>(right / kMetre),
-                                             static_cast<float>(plan_.bottom_mm() / kMetre), static_cast<float>(top / kMetre),
-                                             static_cast<float>(FloorPlan::kCell_mm / kMetre));
+        // In a frame of its own, with the origin in the grid's corner: MRPT rounds a grid's edges to whole cells.
+        constexpr double kCell_m = FloorPlan::kCell_mm / kMetre;
+        const auto columns = static_cast<std::size_t>(plan_.width());
+        mrpt::maps::COccupancyGridMap2D grid(0, static_cast<float>(plan_.width() * kCell_m), 0, static_cast<float>(plan_.height() * kCell_m),
+                                             static_cast<float>(kCell_m));
+        const auto inGrid = [this](const Point& point) {
+            return mrpt::poses::CPose2D((point.x_mm - plan_.left_mm()) / kMetre, (point.y_mm - plan_.bottom_mm()) / kMetre, 0);
+        };
         free_.assign(room_.size(), 0);
         for (std::size_t cell = 0; cell < room_.size(); ++cell) {
             const auto centre = plan_.centreOf(cell);
             const double least = std::min(distance(centre, from), distance(centre, to)) < kEnds_mm ? kLeastRoom_mm - kGrain_mm : room_mm;
             const double room = static_cast<double>(room_[cell]) * FloorPlan::kCell_mm;
             free_[cell] = room >= least ? 1 : 0;
-            grid.setCell(grid.x2idx(static_cast<float>(centre.x_mm / kMetre)), grid.y2idx(static_cast<float>(centre.y_mm / kMetre)),
-                         free_[cell] != 0 ? 0.95F : 0.05F);
+            grid.setCell(static_cast<int>(cell % columns), static_cast<int>(cell / columns), free_[cell] != 0 ? 0.95F : 0.05F);
         }
         std::vector<Point> points{from};
         if (distance(from, to) > 3 * FloorPlan::kCell_mm) {
@@ -91,9 +93,9 @@ class Search {
             planner.minStepInReturnedPath = 0.15F;
             std::deque<mrpt::math::TPoint2D> path;
             bool not_found = false;
-            planner.computePath(grid, {from.x_mm / kMetre, from.y_mm / kMetre, 0}, {to.x_mm / kMetre, to.y_mm / kMetre, 0}, path, not_found);
+            planner.computePath(grid, inGrid(from), inGrid(to), path, not_found);
             if (not_found) return std::nullopt;
-            for (const auto& point : path) points.push_back({point.x * kMetre, point.y * kMetre});
+            for (const auto& point : path) points.push_back({plan_.left_mm() + point.x * kMetre, plan_.bottom_mm() + point.y * kMetre});
         }
         if (distance(points.back(), to) > 1) points.push_back(to);
         return straightened(points);

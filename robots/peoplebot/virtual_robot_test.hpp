@@ -5,8 +5,9 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
-#include <random>
+#include <string>
 #include <utility>
+#include <vector>
 
 #include "lab/laboratory.hpp"
 #include "robots/peoplebot/body.hpp"
@@ -20,11 +21,14 @@ using arcos::Command;
 
 class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Port {
   protected:
-    void start(const lab::WorldDescription& world) {
+    void start(const lab::WorldDescription& world, const lab::Physics::Options& options = {}) {
         world_ = world;
-        lab_ = std::make_unique<lab::Laboratory>(world, [this](std::size_t robot, const arcos::Bytes& bytes) {
-            if (robot == 0) inbox_.insert(inbox_.end(), bytes.begin(), bytes.end());
-        });
+        lab_ = std::make_unique<lab::Laboratory>(
+            world,
+            [this](std::size_t robot, const arcos::Bytes& bytes) {
+                if (robot == 0) inbox_.insert(inbox_.end(), bytes.begin(), bytes.end());
+            },
+            options);
         lab_->clientConnected(0);
         session_.begin(lab_->now());
         run(1.3);
@@ -49,10 +53,10 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
         session_.tick(lab_->now());
         lab_->step();
     }
-    /// What the application would know; with a laser of this test's own where the robot has none.
-    arcos::RobotState robot() {
+    /// What the application would know.
+    arcos::RobotState robot() const {
         auto state = session_.robot();
-        if (own_laser_) state.laser = sweep(state);
+        if (!has_laser_) state.laser.reset();
         return state;
     }
     template <class Motion>
@@ -81,35 +85,28 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
     struct Rectangle {
         double x, y, dx, dy, theta_deg;
     };
-    /// What stands on the floor or above it, as seen from above; table tops only when they are asked for.
-    std::vector<Rectangle> obstacles(bool table_tops) const {
+    /// What stands on the floor or above it, as seen from above.
+    std::vector<Rectangle> obstacles() const {
         std::vector<Rectangle> all{{world_.room_x / 2, -0.5, world_.room_x + 2, 1, 0},
                                    {world_.room_x / 2, world_.room_y + 0.5, world_.room_x + 2, 1, 0},
                                    {-0.5, world_.room_y / 2, 1, world_.room_y + 2, 0},
                                    {world_.room_x + 0.5, world_.room_y / 2, 1, world_.room_y + 2, 0}};
         for (const auto& b : world_.boxes) all.push_back({b.x, b.y, b.dx, b.dy, b.theta});
-        for (const auto& t : world_.tables) {
-            if (table_tops) {
-                all.push_back({t.x, t.y, t.dx, t.dy, t.theta});
-                continue;
-            }
-            const double a = t.theta * std::numbers::pi / 180;
-            for (const double sx : {-1.0, 1.0}) {
-                for (const double sy : {-1.0, 1.0}) {
-                    const double u = sx * (t.dx / 2 - 0.025);
-                    const double v = sy * (t.dy / 2 - 0.025);
-                    all.push_back({t.x + std::cos(a) * u - std::sin(a) * v, t.y + std::sin(a) * u + std::cos(a) * v, 0.05, 0.05, t.theta});
-                }
-            }
-        }
+        for (const auto& t : world_.tables) all.push_back({t.x, t.y, t.dx, t.dy, t.theta});
         return all;
     }
-    /// From the robot's hull to the nearest obstacle, by ground truth; negative would be inside.
+    /// What the robot's body touched, by ground truth.
+    std::string touched() const {
+        std::string all;
+        for (const auto& thing : lab_->truth(0).touched) all += thing + " ";
+        return all;
+    }
+    /// From the robot's hull to the nearest obstacle, by ground truth; less than nothing when it is under a table.
     double clearance_mm() const {
         const auto truth = lab_->truth(0);
         const double a = truth.theta_deg * std::numbers::pi / 180;
         double nearest = 1e9;
-        for (const auto& o : obstacles(true)) {
+        for (const auto& o : obstacles()) {
             for (int i = 0; i <= 4; ++i) {
                 const double behind = body::kRear_mm / 1000 * i / 4;
                 nearest = std::min(nearest, distance_m(o, truth.x_m + std::cos(a) * behind, truth.y_m + std::sin(a) * behind));
@@ -122,7 +119,7 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
     lab::WorldDescription world_;
     arcos::Bytes inbox_;
     bool fresh_ = false;
-    bool own_laser_ = false;
+    bool has_laser_ = true;
     double nearest_mm_ = 1e9;
     int bumps_ = 0;
     arcos::ClientSession session_{*this};
@@ -134,48 +131,6 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
         const double v = std::cos(a) * (y - o.y) - std::sin(a) * (x - o.x);
         return std::hypot(std::max(0.0, std::abs(u) - o.dx / 2), std::max(0.0, std::abs(v) - o.dy / 2));
     }
-    static double ray_m(const Rectangle& o, double x, double y, double direction) {
-        const double a = o.theta_deg * std::numbers::pi / 180;
-        const double u = std::cos(a) * (x - o.x) + std::sin(a) * (y - o.y);
-        const double v = std::cos(a) * (y - o.y) - std::sin(a) * (x - o.x);
-        double enter = 0;
-        double leave = 1e9;
-        const double du = std::cos(direction - a);
-        const double dv = std::sin(direction - a);
-        for (const auto& [p, d, half] : {std::tuple{u, du, o.dx / 2}, std::tuple{v, dv, o.dy / 2}}) {
-            if (std::abs(d) < 1e-9) {
-                if (std::abs(p) > half) return 1e9;
-                continue;
-            }
-            const double one = (-half - p) / d;
-            const double two = (half - p) / d;
-            enter = std::max(enter, std::min(one, two));
-            leave = std::min(leave, std::max(one, two));
-        }
-        return enter <= leave ? enter : 1e9;
-    }
-    std::shared_ptr<const arcos::LaserScan> sweep(const arcos::RobotState& state) {
-        auto scan = std::make_shared<arcos::LaserScan>();
-        scan->sequence = state.sequence;
-        scan->taken = state.taken;
-        scan->x_mm = state.x_mm;
-        scan->y_mm = state.y_mm;
-        scan->heading_deg = state.heading_deg;
-        const auto truth = lab_->truth(0);
-        const double heading = truth.theta_deg * std::numbers::pi / 180;
-        const double x = truth.x_m + std::cos(heading) * body::kLaserX_mm / 1000;
-        const double y = truth.y_m + std::sin(heading) * body::kLaserX_mm / 1000;
-        const auto all = obstacles(false);
-        for (int i = 0; i <= 180; ++i) {
-            double range = 8;
-            for (const auto& o : all) range = std::min(range, ray_m(o, x, y, heading + (i - 90) * std::numbers::pi / 180));
-            const double noise = (static_cast<double>(noise_() % 2001) / 1000 - 1) * 10;
-            scan->ranges_mm.push_back(range >= 8 ? arcos::LaserPacket::kNothing_mm : static_cast<std::uint16_t>(std::max(0.0, range * 1000 + noise)));
-        }
-        return scan;
-    }
-
-    std::mt19937 noise_{1};
 };
 
 }  // namespace axon::peoplebot

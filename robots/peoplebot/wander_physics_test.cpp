@@ -13,7 +13,7 @@ namespace {
 class WanderPhysicsTest : public VirtualRobotTest {
   protected:
     void wander(const std::string& place, const lab::WorldDescription& world, unsigned seed) {
-        start(world);
+        start(world, {.seed = seed, .noise = 1});
         const char* wish = std::getenv("AXON_WANDER_SECONDS");
         const double seconds = wish != nullptr ? std::atof(wish) : 150;
         Wander motion({.velocity_mm_s = 300, .duration_s = seconds, .seed = seed}, loadWanderRules("robots/peoplebot/wander.rules"),
@@ -23,6 +23,7 @@ class WanderPhysicsTest : public VirtualRobotTest {
                    motion.recoveries(), nearest_mm_);
         EXPECT_EQ(end.outcome, MotionStep::Outcome::Done) << end.reason;
         EXPECT_EQ(bumps_, 0);
+        EXPECT_EQ(touched(), "");
         EXPECT_GT(nearest_mm_, 5);
         EXPECT_GT(motion.travelled_mm(), seconds * 60) << "it is to wander, not to turn on the spot";
     }
