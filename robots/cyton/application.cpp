@@ -9,6 +9,8 @@
 #include <numeric>
 #include <sstream>
 
+#include "robots/cyton/reach_demo.hpp"
+
 namespace axon::cyton {
 namespace {
 
@@ -151,31 +153,7 @@ Decision Application::consider(const Task& task) const {
 
 void Application::reachDemo(Task& task) {
     const double speed = speedPart(task.number("Speed", kDemoSpeed_deg_s));
-    const auto plan = [&](const Posture& from) {
-        std::vector<Leg> legs;
-        const Kinematics kinematics;
-        Posture upright = from;
-        upright.joints = {};
-        const auto there = wayBetween(kinematics, from, upright);
-        legs.push_back({"upright", Trajectory(there.value_or(std::vector{from, upright}), speed), 0.3});
-        for (std::size_t i = 0; i < kJoints; ++i) {
-            auto lowest = upright;
-            auto highest = upright;
-            lowest.joints[i] = kChain[i].minimum;
-            highest.joints[i] = kChain[i].maximum;
-            const auto leg = [&](const char* where, const Posture& a, const Posture& b) {
-                legs.push_back({fmt::format("{} {}", kChain[i].name, where), Trajectory({a, b}, speed), 0.2});
-            };
-            leg("to its minimum", upright, lowest);
-            leg("to its maximum", lowest, highest);
-            leg("back", highest, upright);
-        }
-        Posture home;
-        home.opening_mm = from.opening_mm;
-        home.joints = kHome;
-        legs.push_back({"home", Trajectory({upright, home}, speed), 0.3});
-        return legs;
-    };
+    const auto plan = [speed](const Posture& from) { return cyton::reachDemo(from, speed); };
     const auto tell = [&](std::size_t /*leg*/, const std::string& name) {
         task.feedback(name);
         task.result("Joint", name);

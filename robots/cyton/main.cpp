@@ -9,7 +9,7 @@ namespace {
 
 constexpr auto kFooter = R"(
 With the virtual laboratory, each line in a terminal of its own:
-  axon-lab --world transport.lab
+  axon-lab
   axon-cyton --arm 127.0.0.1:8201
 On the real arm's serial line: axon-cyton --arm /dev/ttyUSB0:115200
 An Entity Manager that is configured with the same --application links to it. The arm may come and go: its services are

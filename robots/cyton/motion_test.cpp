@@ -6,6 +6,7 @@
 #include <random>
 
 #include "robots/cyton/pick_and_place.hpp"
+#include "robots/cyton/reach_demo.hpp"
 #include "robots/cyton/servo_gate.hpp"
 #include "robots/cyton/trajectory.hpp"
 
@@ -214,6 +215,32 @@ TEST(CytonPlayback, LegsFollowEachOtherWithTheirRests) {
     }
     EXPECT_NEAR(time, playback.duration_s(), 0.05);
     EXPECT_GT(at_home, 0.45);
+}
+
+TEST(ReachDemo, TurnsOneJointAfterTheOtherToBothEnds) {
+    Playback playback(reachDemo(atHome(), 0.5));
+    std::vector<std::size_t> order;
+    Joints lowest{};
+    Joints highest{};
+    Posture last = atHome();
+    for (Playback::Step step; !step.done;) {
+        step = playback.advance(0.02, false);
+        EXPECT_TRUE(withinLimits(step.posture.joints));
+        EXPECT_LE(leastTime_s(last, step.posture), 0.02 * 0.5 * 1.01);
+        last = step.posture;
+        if (step.leg == 0 || step.leg + 1 == playback.legs().size()) continue;
+        for (std::size_t i = 0; i < kJoints; ++i) {
+            lowest[i] = std::min(lowest[i], step.posture.joints[i]);
+            highest[i] = std::max(highest[i], step.posture.joints[i]);
+            if (step.posture.joints[i] != 0 && (order.empty() || order.back() != i)) order.push_back(i);
+        }
+    }
+    EXPECT_THAT(order, ::testing::ElementsAre(0, 1, 2, 3, 4, 5, 6)) << "one at a time";
+    for (std::size_t i = 0; i < kJoints; ++i) {
+        EXPECT_EQ(lowest[i], kChain[i].minimum);
+        EXPECT_EQ(highest[i], kChain[i].maximum);
+    }
+    EXPECT_EQ(last.joints, kHome);
 }
 
 /// Plays a plan at the pace of the application and looks at every posture on the way.

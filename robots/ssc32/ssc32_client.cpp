@@ -97,7 +97,7 @@ class Ssc32Client::Worker final : public ClientSession::Port {
             const std::lock_guard lock(link_mutex_);
             online_ = false;
         }
-        if (callbacks_.on_lost) callbacks_.on_lost(reason);
+        if (callbacks_.on_lost && !quit_) callbacks_.on_lost(reason);
     }
 
   private:
