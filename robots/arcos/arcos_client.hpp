@@ -37,6 +37,9 @@ class ArcosClient {
 
     /// Begins to connect; once. Callbacks come from now on.
     void start();
+    /// What the destructor does, while this object can still be used by a callback that is under way: stops
+    /// the robot, closes the session, joins the thread. No callback comes any more, no command goes out.
+    void finish();
 
     RobotState state() const;
 

@@ -148,7 +148,8 @@ Application::Application(const Settings& settings)
 Application::~Application() {
     // Stops the robot, and ends the handlers, which use it, before it goes.
     entity_.shutdown();
-    grasp_.reset();
+    // Before it goes: callbacks that are under way use it.
+    robot_->finish();
     robot_.reset();
 }
 
@@ -268,12 +269,12 @@ std::optional<Localisation::Start> Application::startOn(const std::shared_ptr<co
     }
     const std::lock_guard lock(place_mutex_);
     if (localisation_ && localisation_->plan() == plan) return std::nullopt;
-    // On another map, or for the first time: the pose is the odometry's, and that of a task before.
+    // On another map, or for the first time: the pose is the odometry's, which drifts, above all in turns.
     if (localisation_ || start_given_) {
         if (!plan->contains({pose_.x_mm, pose_.y_mm}))
             throw std::invalid_argument(fmt::format("the robot, at ({:.0f}, {:.0f}) mm as far as it knows, is not on this map: say where it is with Start",
                                                     pose_.x_mm, pose_.y_mm));
-        return Localisation::Start{.pose = pose_, .spread_mm = 250, .spread_deg = 8};
+        return Localisation::Start{.pose = pose_, .spread_mm = 350, .spread_deg = 15};
     }
     if (plan->map().homes.empty()) {
         throw std::invalid_argument("nobody has said where the robot is, and the map has no RobotHome: give Start (X,Y,HEADING in mm, mm, "

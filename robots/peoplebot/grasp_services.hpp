@@ -19,7 +19,7 @@ namespace axon::peoplebot {
 ///
 /// A part of the Application: it is told what happens to the robot, and drives through the Application's gate.
 /// Threads: on…() as named, tasks on theirs, thumbnails on the camera's. What it refers to must outlive it.
-/// Ends before the robot's client does, after all tasks have ended.
+/// Ends after all tasks have ended and the robot's client has finished.
 class GraspServices {
   public:
     struct Parts {

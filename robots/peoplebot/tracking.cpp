@@ -451,6 +451,7 @@ void Tracking::stepClearing(const RobotState& robot, TimePoint now, Step& step) 
     if (!robot.gripper.open) {
         if (!std::exchange(ordered_, true)) step.gripper.push_back({GripperOrder::Open});
         if (now - since_ > kPaddleTime) giveUp("the paddles do not open", now);
+        standstill_.restart(now);
         return;
     }
     // Behind the robot is where it came from.
