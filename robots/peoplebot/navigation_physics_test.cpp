@@ -49,15 +49,40 @@ class NavigationPhysicsTest : public VirtualRobotTest {
         world.robots = {{.x = 1.5, .y = 3}};
         return world;
     }
-    void begin(const lab::WorldDescription& world, MapPose off = {}) {
+    void begin(const lab::WorldDescription& world, MapPose off = {}, const std::string& map = "robots/peoplebot/testdata/small.map",
+               double spread_mm = 150, double spread_deg = 6) {
         std::ostringstream text;
-        text << std::ifstream("robots/peoplebot/testdata/small.map").rdbuf();
-        plan_ = std::make_shared<const FloorPlan>(mapper3::parseMap(text.str(), "small.map"));
+        text << std::ifstream(map).rdbuf();
+        plan_ = std::make_shared<const FloorPlan>(mapper3::parseMap(text.str(), map));
         start(world, {.seed = 7, .noise = 1});
         run(0.5);  // the first scans
         const auto& home = plan_->map().homes.at(0);
         localisation_ = std::make_unique<Localisation>(
-            plan_, Localisation::Start{.pose = {home.at.x_mm + off.x_mm, home.at.y_mm + off.y_mm, off.heading_deg}}, robot());
+            plan_, Localisation::Start{.pose = {home.at.x_mm + off.x_mm, home.at.y_mm + off.y_mm, home.heading_deg.value_or(0) + off.heading_deg},
+                                        .spread_mm = spread_mm,
+                                        .spread_deg = spread_deg},
+            robot());
+    }
+    /// To each goal of a world's map in turn; which could not be reached.
+    std::vector<std::string> everyGoal(const std::string& world) {
+        begin(lab::loadWorld("lab/worlds/" + world + ".lab"), {}, "lab/worlds/" + world + ".map");
+        std::vector<std::string> refused;
+        for (const auto& goal : plan_->map().goals) {
+            auto reason = Navigation::objection({.destination = goal.name}, *plan_);
+            if (reason.empty()) {
+                const auto end = go(goal.name, 400);
+                if (end.outcome == Outcome::Done) {
+                    EXPECT_LT(arrival_mm_, 200) << goal.name;
+                    EXPECT_LT(localisationError_mm(), 120) << goal.name;
+                    continue;
+                }
+                reason = end.reason;
+            }
+            fmt::print("\"{}\" refused: {}\n", goal.name, reason);
+            refused.push_back(goal.name);
+        }
+        EXPECT_EQ(touched(), "");
+        return refused;
     }
     MotionStep go(const std::string& goal, double velocity = 300) {
         worst_mm_ = 0;
@@ -131,6 +156,23 @@ TEST_F(NavigationPhysicsTest, StopsBeforeABlockedDoorAndGivesUpWithTheReason) {
     EXPECT_THAT(end.reason, HasSubstr("the way to \"south east\" is blocked"));
     EXPECT_EQ(touched(), "");
     EXPECT_GT(nearest_mm_, 20);
+}
+
+TEST_F(NavigationPhysicsTest, ReachesTheGoalsOfTheSmallRoomOfTheLaboratory) {
+    EXPECT_THAT(everyGoal("room"), ::testing::UnorderedElementsAre("Booth", "Wet floor"));
+}
+
+TEST_F(NavigationPhysicsTest, ReachesTheGoalsOfTheBuildingOfTheLaboratory) {
+    if (std::getenv("AXON_LONG_TRIALS") == nullptr) GTEST_SKIP() << "takes half a minute; AXON_LONG_TRIALS=1 runs it";
+    EXPECT_THAT(everyGoal("corridors"), ::testing::UnorderedElementsAre("Stairs", "Shaft"));
+}
+
+TEST_F(NavigationPhysicsTest, FindsItselfFromARoughStart) {
+    begin(smallWorld(), {300, -250, 14}, "robots/peoplebot/testdata/small.map", 350, 15);
+    const auto end = go("north east");
+    EXPECT_EQ(end.outcome, Outcome::Done) << end.reason;
+    EXPECT_LT(arrival_mm_, 200);
+    EXPECT_EQ(touched(), "");
 }
 
 TEST_F(NavigationPhysicsTest, AWrongStartIsNoticed) {
