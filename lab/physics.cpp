@@ -506,8 +506,10 @@ class Physics::Model {
         const double left = data_->qpos[body.left_paddle.position] * 1000;
         const double right = data_->qpos[body.right_paddle.position] * 1000;
         const double height = kPaddleLowest_mm + data_->qpos[body.lift.position] * 1000;
+        // From inside of the one paddle to inside of the other: what is pinched is also between them.
         const auto broken = [&](double x_mm) {
-            return ray_mm(body, x_mm, left, height, -90, 0) < left + right;
+            return ray_mm(body, x_mm, left + kPaddleHalfThickness_mm, height, -90, 0) <
+                   left + right + kPaddleHalfThickness_mm;
         };
         body.readings.gripper.inner_beam_broken = broken(kInnerBeam_mm);
         body.readings.gripper.outer_beam_broken = broken(kOuterBeam_mm);

@@ -69,6 +69,7 @@ class GraspWorld {
             using arcos::GripperOrder;
             switch (command.order) {
                 case GripperOrder::Open: paddles = 1; break;
+                case GripperOrder::Press:
                 case GripperOrder::Close: paddles = -1; break;
                 case GripperOrder::Stop: paddles = 0; break;
                 case GripperOrder::LiftUp: lift_way = 1; lift_rest = 1e9; break;

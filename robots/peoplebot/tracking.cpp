@@ -65,6 +65,8 @@ constexpr int kTries = 3;
 
 // The gripper.
 constexpr double kPaddlesAboveTable_mm = 40;  // their middle: half their height, and two centimetres of room
+constexpr int kPress = 20;    // units of 20 ms: about a kilogram, so that it is still held after it turned
+constexpr int kSqueezes = 2;  // what is grasped at its corners turns until its faces lie on the paddles
 constexpr Duration kTremor = milliseconds{400};
 constexpr Duration kLiftTime = seconds{13};
 constexpr Duration kPaddleTime = seconds{10};
@@ -573,11 +575,19 @@ void Tracking::stepClosing(const RobotState& robot, TimePoint now, Step& step) {
         if (now - moving_ < milliseconds{250}) return;  // what is grabbed is not to be pulled
         ordered_ = true;
         since_ = now;
-        step.gripper.push_back({GripperOrder::Close});
+        if (squeezes_ == 0)
+            step.gripper.push_back({GripperOrder::Press, kPress});
+        else
+            step.gripper.push_back({GripperOrder::Close});
         return;
     }
     const bool done = !gripper.paddles_moving && now - since_ > GripperOperation::kReaction;
     if (!done && now - since_ < kPaddleTime) return;
+    if (done && ++squeezes_ < kSqueezes) {
+        ordered_ = false;
+        return;
+    }
+    squeezes_ = 0;
     outer_beam_at_.reset();
     if (!done) {
         step.gripper.push_back({GripperOrder::Stop});

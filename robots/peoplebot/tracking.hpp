@@ -163,6 +163,7 @@ class Tracking {
     TimePoint prepared_since_{};
     TimePoint lowered_at_{};
     bool ordered_ = false;  // the phase's order to the gripper was given
+    int squeezes_ = 0;      // of Closing
     bool holding_ = false;
     TimePoint held_{};  // last felt
     std::optional<double> outer_beam_at_;  // way of Reaching at which the object came between the paddles
