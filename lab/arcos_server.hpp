@@ -120,6 +120,9 @@ class ArcosServer {
     const CameraPose& camera() const { return camera_.pose(); }
     const LaserSettings& laser() const { return laser_; }
 
+    /// The encoders jumped, the robot did not move: the next readings count from there.
+    void encodersJumped() { encoders_known_ = false; }
+
     State state() const { return state_; }
     bool motorsOn() const { return motors_on_; }
     /// Whether the sonar array (0: base front, 1: base rear, 2: top) is switched on.

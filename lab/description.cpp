@@ -578,10 +578,11 @@ std::string mjcf(const WorldDescription& described) {
 <!-- margin and gap: the switch closes 3 mm before the rubber bears, and stays closed when the robot rebounds a little -->
 <default class="bumper"><geom type="box" group="1" friction="0.4" margin="0.003" gap="0.003" rgba="0.08 0.08 0.09 1"/></default>
 <default class="wheel"><geom type="cylinder" group="4" friction="0.9" mass="1.5" rgba="0.1 0.1 0.1 1"/></default>
+<!-- solimp: with the usual one a held object creeps down by 2 mm a second -->
 <!-- priority: otherwise the floor's friction applies to a frictionless caster, and the robot slips -->
 <default class="caster"><geom type="sphere" size="0.0375" group="4" condim="1" priority="2" rgba="0.1 0.1 0.1 1"/></default>
 <default class="part"><geom group="4" friction="0.4"/></default>
-<default class="paddle"><geom type="box" group="4" condim="4" friction="1.2 0.02 0.001" priority="1" rgba="0.25 0.25 0.28 1"/></default>
+<default class="paddle"><geom type="box" group="4" condim="4" friction="1.2 0.02 0.001" solimp="0.9995 0.9999 0.0005" priority="1" rgba="0.25 0.25 0.28 1"/></default>
 <default class="object"><geom group="2" friction="0.4" condim="4"/></default>
 </default>
 <worldbody>

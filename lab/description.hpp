@@ -14,7 +14,7 @@ namespace axon::lab {
 /// up, z above the floor. Plain values; mjcf() below turns them into a model. What has a name is called by it
 /// in ground truth and by whoever moves it; names of tables, boxes and objects are unique in a world.
 struct Box {
-    std::string name{};  ///< empty: box, box2 ...
+    std::string name{};   ///< empty: box, box2 ...
     double x = 0, y = 0;  ///< centre
     double z = 0;         ///< of its underside: a box on a table is a platform
     double dx = 0.5, dy = 0.5, height = 0.6;

@@ -141,7 +141,7 @@ TEST_F(GraspTest, TakesTheObjectFromTheTableCarriesItAwayAndPutsItDownAtTenOffse
         run(4);  // it spins up and down: about where it was
         order(Command::RVel, 0);
         run(1.5);
-        EXPECT_GT(object().z_m, kTable_m + 0.03) << "lost on the way";
+        EXPECT_GT(object().z_m, kTable_m + 0.04) << "it slips";
         EXPECT_LT(lab_->truth(0).x_m, 2.6);
         EXPECT_LT(object().tilt_deg, 15);
         EXPECT_TRUE(switches().left_paddle_pressed && switches().right_paddle_pressed);

@@ -41,6 +41,8 @@ void Laboratory::step() {
 
 void Laboratory::reset() {
     physics_.reset();
+    for (const auto& controller : controllers_) controller->arcos.encodersJumped();
+    for (auto& arm : arms_) *arm = Ssc32Server();
 }
 
 void Laboratory::armClientConnected(std::size_t arm) {

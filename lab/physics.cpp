@@ -22,8 +22,8 @@ using namespace peoplebot;
 
 constexpr double kDegree = std::numbers::pi / 180;
 constexpr double kBlockedAfter_s = 0.3;
-constexpr double kSlippery = 0.05;  // friction of a tyre that has lost its grip
-constexpr double kParked_z = -5;    // where obstacles are that nobody has put anywhere
+constexpr double kSlippery = 0.005;  // friction of a tyre that has lost its grip
+constexpr double kParked_z = -5;     // where obstacles are that nobody has put anywhere
 
 /// Loads a model from text: MuJoCo reads files only, so it is given a file in memory.
 mjModel* loadModel(const std::string& xml) {
