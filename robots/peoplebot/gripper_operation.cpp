@@ -52,6 +52,8 @@ GripperOperation::Verdict GripperOperation::judge(Part part, const GripperState&
             // What it holds stands on something.
             if (rested && !gripper.lift_up && holding(gripper)) return Verdict::Done;
             return rested ? Verdict::Stuck : Verdict::Moving;
+        case Part::Relieve:
+            return rested ? Verdict::Done : Verdict::Moving;
     }
     return Verdict::Stuck;
 }
@@ -69,6 +71,10 @@ GripperOperation::Step GripperOperation::step(const arcos::RobotState& robot, Ti
         step.progress = static_cast<double>(current_) / static_cast<double>(parts_.size());
         if (!std::exchange(ordered_, true)) {
             since_ = moving_ = now;
+            if (part == Part::Relieve) {
+                step.commands.push_back({GripperOrder::LiftCarry, kRelief});
+                return step;
+            }
             step.commands.push_back({part == Part::Open    ? GripperOrder::Open
                                      : part == Part::Close ? GripperOrder::Close
                                      : part == Part::Up    ? GripperOrder::LiftUp
@@ -94,6 +100,8 @@ GripperOperation::Step GripperOperation::step(const arcos::RobotState& robot, Ti
         }
         ++current_;
         ordered_ = false;
+        if (part == Part::Down && !gripper.lift_down && !gripper.lift_at_limit)
+            parts_.insert(parts_.begin() + static_cast<std::ptrdiff_t>(current_), Part::Relieve);
     }
     step.outcome = Outcome::Done;
     step.progress = 1;

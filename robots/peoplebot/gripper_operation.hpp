@@ -21,7 +21,7 @@ struct GripperCommand {
 ///
 /// Up: the paddles first, then the lift, so that what is grabbed is lifted. Down: the lift first, so that what
 /// is held is set down before it is let go; a lift that what it carries holds up (it comes to rest on a table)
-/// has arrived. Each part is done when the gripper's own state says so, and failed when it does not say so in
+/// has arrived, and is relieved a little, since paddles that press on a table do not open. Each part is done when the gripper's own state says so, and failed when it does not say so in
 /// time, tells an error, or rests elsewhere. Closed on nothing is closed: holding() tells.
 ///
 /// I/O-free, not thread-safe: what the robot says comes in, orders go out. Whoever calls halts the gripper when
@@ -43,6 +43,8 @@ class GripperOperation {
     static constexpr Duration kTimeLimit = std::chrono::seconds{15};
     /// An order shows in the robot's state after at most so long; what rests then will not move any more.
     static constexpr Duration kReaction = std::chrono::milliseconds{1000};
+    /// How long a lift that was held up goes back, in units of 20 ms: as far as its motor gave way, and no more.
+    static constexpr int kRelief = 20;
 
     /// "up", "down", "none", in any case; nothing for other words.
     static std::optional<Direction> parseDirection(std::string_view text);
@@ -59,7 +61,7 @@ class GripperOperation {
     }
 
   private:
-    enum class Part { Open, Close, Up, Down };
+    enum class Part { Open, Close, Up, Down, Relieve };
     enum class Verdict { Moving, Done, Stuck };
     static Verdict judge(Part part, const arcos::GripperState& gripper, bool rested);
 
