@@ -145,6 +145,9 @@ Decision Application::consider(const Task& task) const {
         std::string why;
         if (task.service() == kControl) why = controlObjection(task);
         if (task.service() == kGrabAndPlace) why = objection(pickAndPlaceRequest(task));
+        if (task.service() != kControl && may_hold_)
+            why = "the claws may still hold the object of a task that did not reach its end: bring it down with "
+                  "Control, and open them with its Gripper";
         return why.empty() ? Decision::grant() : Decision::deny(why);
     } catch (const std::invalid_argument& error) {
         return Decision::deny(error.what());
@@ -180,7 +183,9 @@ void Application::control(Task& task) {
         for (const double angle : present->joints) angles.emplace_back(std::round(degrees(angle) * 10) / 10);
         task.result("Joints", std::move(angles), "deg");
     }
-    if (done) task.succeed();
+    if (!done) return;
+    if (task.has("Gripper")) may_hold_ = false;
+    task.succeed();
 }
 
 void Application::grabAndPlace(Task& task) {
@@ -209,6 +214,8 @@ void Application::grabAndPlace(Task& task) {
         task.feedback(name);
         task.result("Step", name);
         if (leg + 1 == grasped) task.result("Done", "the claws closed at " + where(request.pick));
+        if (leg + 1 == grasped) may_hold_ = true;
+        if (leg == released) may_hold_ = false;
         if (leg == grasped) task.result("Done", "gripped at " + where(request.pick) + ", not put down");
         if (leg == released)
             task.result("Done", fmt::format("picked at {}, placed at {}", where(request.pick), where(request.place)));

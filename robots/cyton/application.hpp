@@ -76,6 +76,8 @@ class Application {
     std::unique_ptr<ssc32::Ssc32Client> arm_;
     std::unique_ptr<ServoGate> gate_;
 
+    /// A task ended between closing the claws and opening them: to begin another would drop what they hold.
+    std::atomic<bool> may_hold_ = false;
     std::atomic<std::uint64_t> statuses_ = 0;
     /// The status after which an arm without a move obeys the last stop; 0: no stop waits for that.
     std::atomic<std::uint64_t> standstill_after_ = 0;

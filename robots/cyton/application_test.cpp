@@ -436,6 +436,22 @@ TEST_F(CytonApplication, GrabAndPlaceClosesTheClawsOpensThemAndGoesHome) {
     for (const char* stream : {"joints", "gripper"}) EXPECT_GT(manager_->samples(stream), 20) << stream;
 }
 
+TEST_F(CytonApplication, WhatAStoppedTaskMayHoldIsNotDroppedByTheNext) {
+    const auto task = manager_->dispatch("Grab and Place", {{"Speed", 60}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->textResult(task, "Step") == "lifting it"; }, seconds{20}));
+    manager_->stop();
+    expectEnd(task, proto::TASK_STOPPED);
+    EXPECT_THAT(manager_->textResult(task, "Done"), HasSubstr("not put down"));
+    const auto next = manager_->dispatch("Grab and Place", {});
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(next).has_value(); }));
+    EXPECT_THAT(manager_->answer(next)->message(), HasSubstr("may still hold"));
+    expectEnd(manager_->dispatch("Control", {{"Gripper", 34}}), proto::TASK_SUCCEEDED);
+    const auto again = manager_->dispatch("Reach Demo", {});
+    EXPECT_TRUE(waitUntil([&] { return manager_->textResult(again, "Joint") == "upright"; }));
+    manager_->stop();
+    expectEnd(again, proto::TASK_STOPPED);
+}
+
 TEST_F(CytonApplication, ReachDemoTurnsJointsToTheirEndsAndCanBeStopped) {
     const auto task = manager_->dispatch("Reach Demo", {{"Speed", 180}});
     EXPECT_TRUE(waitUntil([&] { return joint_deg(0) < -89; }));
