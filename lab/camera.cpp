@@ -68,7 +68,11 @@ class Graphics {
 /// Belongs to one thread from its construction on.
 class Renderer {
   public:
-    explicit Renderer(const mjModel* model) {
+    /// Draws pictures of at most this size. The whole buffer is cleared for each picture, however small that
+    /// is, so that large pictures want a renderer of their own.
+    Renderer(mjModel* model, int width, int height) {
+        model->vis.global.offwidth = width;
+        model->vis.global.offheight = height;
         mjv_defaultScene(&scene_);
         mjv_makeScene(model, &scene_, kMostGeoms);
         mjr_defaultContext(&context_);
@@ -101,6 +105,7 @@ class Renderer {
         scene_.flags[mjRND_SHADOW] = scene_.flags[mjRND_REFLECTION] = 0;
         const mjrRect port{0, 0, width * oversampling, height * oversampling};
         raw_.resize(static_cast<std::size_t>(port.width) * static_cast<std::size_t>(port.height) * 3U);
+        mjr_setBuffer(mjFB_OFFSCREEN, &context_);  // there may be another renderer
         mjr_render(port, &scene_, &context_);
         mjr_readPixels(raw_.data(), nullptr, port, &context_);
         return shrink(width, height, oversampling);
@@ -167,8 +172,6 @@ class Cameras::Studio {
         auto& visual = model_->vis;
         visual.quality.shadowsize = 0;
         visual.quality.offsamples = 0;
-        visual.global.offwidth = kStillWidth * kStillOversampling;
-        visual.global.offheight = kStillHeight * kStillOversampling;
         thread_ = std::thread([this] { run(); });
     }
     ~Studio() {
@@ -261,7 +264,7 @@ class Cameras::Studio {
             try {
                 if (!renderer) {
                     graphics = std::make_unique<Graphics>();
-                    renderer = std::make_unique<Renderer>(model_.get());
+                    renderer = std::make_unique<Renderer>(model_.get(), kOverviewWidth, kOverviewHeight);
                 }
                 for (const auto& order : orders) {
                     auto picture = draw(*renderer, order, tracks);
@@ -288,9 +291,12 @@ class Cameras::Studio {
             return renderer.draw(model_.get(), data_.get(), PhysicsView::cameraName(order.view), kWidth,
                                  kHeight, 1, tracks);
         }
-        if (order.still)
-            return renderer.draw(model_.get(), data_.get(), PhysicsView::kOverview, kStillWidth, kStillHeight,
-                                 kStillOversampling, tracks);
+        if (order.still) {
+            // Made for each, because they are rare and their buffers take 40 MB.
+            Renderer large(model_.get(), kStillWidth * kStillOversampling, kStillHeight * kStillOversampling);
+            return large.draw(model_.get(), data_.get(), PhysicsView::kOverview, kStillWidth, kStillHeight,
+                              kStillOversampling, tracks);
+        }
         return renderer.draw(model_.get(), data_.get(), PhysicsView::kOverview, kOverviewWidth,
                              kOverviewHeight, kOverviewOversampling, tracks);
     }

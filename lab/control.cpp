@@ -39,8 +39,10 @@ std::string text(const Json& request, const char* key) {
     return *found;
 }
 
-double rounded(double value, double unit) {
-    return std::round(value / unit) * unit + 0.0;
+/// To so many decimals; + 0.0 makes -0 a 0.
+double rounded(double value, int decimals) {
+    const double scale = std::pow(10, decimals);
+    return std::round(value * scale) / scale + 0.0;
 }
 
 template <class Placements>
@@ -104,37 +106,37 @@ void setFault(Laboratory& laboratory, const WorldDescription& world, const Json&
 
 Json truthOf(const Laboratory& laboratory, const WorldDescription& world) {
     const auto& physics = laboratory.physics();
-    Json truth{{"time_s", rounded(std::chrono::duration<double>(laboratory.age()).count(), 0.001)},
+    Json truth{{"time_s", rounded(std::chrono::duration<double>(laboratory.age()).count(), 3)},
                {"robots", Json::array()},
                {"arms", Json::array()},
                {"objects", Json::array()}};
     for (std::size_t i = 0; i < world.robots.size(); ++i) {
         const auto t = physics.truth(i);
         truth["robots"].push_back({{"name", world.robots[i].name},
-                                   {"x_m", rounded(t.x_m, 1e-4)},
-                                   {"y_m", rounded(t.y_m, 1e-4)},
-                                   {"theta_deg", rounded(t.theta_deg, 0.01)},
-                                   {"speed_m_s", rounded(t.speed_m_s, 1e-4)},
-                                   {"rotation_deg_s", rounded(t.rotation_deg_s, 0.01)},
+                                   {"x_m", rounded(t.x_m, 4)},
+                                   {"y_m", rounded(t.y_m, 4)},
+                                   {"theta_deg", rounded(t.theta_deg, 2)},
+                                   {"speed_m_s", rounded(t.speed_m_s, 4)},
+                                   {"rotation_deg_s", rounded(t.rotation_deg_s, 2)},
                                    {"touched", t.touched}});
     }
     for (std::size_t i = 0; i < world.arms.size(); ++i) {
         const auto at = physics.truthOfArm(i);
         Json joints = Json::array();
         for (std::size_t k = 0; k < cyton::kJoints; ++k)
-            joints.push_back(rounded(at[k] * 180 / std::numbers::pi, 0.01));
+            joints.push_back(rounded(at[k] * 180 / std::numbers::pi, 2));
         truth["arms"].push_back({{"name", world.arms[i].name},
                                  {"joints_deg", joints},
-                                 {"claw_mm", rounded(at[cyton::kJoints] * 1000, 0.01)}});
+                                 {"claw_mm", rounded(at[cyton::kJoints] * 1000, 2)}});
     }
     for (const auto& object : physics.truthOfObjects()) {
         truth["objects"].push_back({{"name", object.name},
-                                    {"x_m", rounded(object.x_m, 1e-4)},
-                                    {"y_m", rounded(object.y_m, 1e-4)},
-                                    {"z_m", rounded(object.z_m, 1e-4)},
-                                    {"theta_deg", rounded(object.theta_deg, 0.01)},
-                                    {"tilt_deg", rounded(object.tilt_deg, 0.01)},
-                                    {"speed_m_s", rounded(object.speed_m_s, 1e-4)},
+                                    {"x_m", rounded(object.x_m, 4)},
+                                    {"y_m", rounded(object.y_m, 4)},
+                                    {"z_m", rounded(object.z_m, 4)},
+                                    {"theta_deg", rounded(object.theta_deg, 2)},
+                                    {"tilt_deg", rounded(object.tilt_deg, 2)},
+                                    {"speed_m_s", rounded(object.speed_m_s, 4)},
                                     {"on", object.on}});
     }
     return truth;
@@ -165,7 +167,7 @@ Control::Reply Control::handle(std::string_view line) {
             if (!operator_.paused())
                 throw BadRequest("time runs by itself: pause first, or start with --step");
             until = laboratory_.age() + std::chrono::nanoseconds(std::llround(ms * 1e6));
-            answer["time_s"] = rounded(std::chrono::duration<double>(*until).count(), 0.001);
+            answer["time_s"] = rounded(std::chrono::duration<double>(*until).count(), 3);
         } else if (what == "reset") {
             operator_.reset();
         } else if (what == "move") {
