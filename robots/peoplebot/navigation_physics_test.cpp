@@ -88,7 +88,11 @@ class NavigationPhysicsTest : public VirtualRobotTest {
         worst_mm_ = 0;
         Located motion{Navigation({.destination = goal, .velocity_mm_s = velocity}, plan_, rules_, [this] { return localisation_->estimate(); },
                                   lab_->now()),
-                       *localisation_, [this](const auto& /*robot*/) { worst_mm_ = std::max(worst_mm_, localisationError_mm()); }, ""};
+                       *localisation_, [this](const auto& /*robot*/) {
+                           worst_mm_ = std::max(worst_mm_, localisationError_mm());
+                           if (meanwhile_) meanwhile_();
+                       },
+                       ""};
         const auto begun = lab_->age();
         const auto end = perform(motion, std::chrono::seconds{240});
         const auto truth = lab_->truth(0);
@@ -111,6 +115,7 @@ class NavigationPhysicsTest : public VirtualRobotTest {
     std::shared_ptr<const fuzzy::Engine> rules_ = loadNavigationRules("robots/peoplebot/navigation.rules");
     std::shared_ptr<const FloorPlan> plan_;
     std::unique_ptr<Localisation> localisation_;
+    std::function<void()> meanwhile_;  // at each news of the robot
     double worst_mm_ = 0;
     double arrival_mm_ = 0;
 };
@@ -138,13 +143,34 @@ TEST_F(NavigationPhysicsTest, ReachesEveryReachableGoalOfTheMapAndRefusesTheOthe
 
 TEST_F(NavigationPhysicsTest, GoesRoundABoxThatIsNotOnTheMap) {
     auto world = smallWorld();
-    world.boxes.push_back({.x = 2.8, .y = 2.9, .dx = 0.5, .dy = 0.5, .height = 0.6});
+    world.boxes.push_back({.x = 2.9, .y = 3.4, .dx = 0.5, .dy = 0.5, .height = 0.6});
     begin(world);
     const auto end = go("north east");
     EXPECT_EQ(end.outcome, Outcome::Done) << end.reason;
     EXPECT_LT(arrival_mm_, 200);
     EXPECT_EQ(touched(), "");
     EXPECT_GT(nearest_mm_, 20);
+}
+
+TEST_F(NavigationPhysicsTest, WhatIsPutBeforeItWhileItDrivesIsNotTouched) {
+    begin(smallWorld());
+    int put = 0;
+    // At full speed, 0.6 m before its bumper, and once more on its way round.
+    meanwhile_ = [&] {
+        const auto truth = lab_->truth(0);
+        if (put >= 2 || truth.speed_m_s < 0.35 || truth.x_m < 2.2 + 2.4 * put) return;
+        const double a = truth.theta_deg * std::numbers::pi / 180;
+        lab_->physics().addObstacle({.name = "put" + std::to_string(put++),
+                                     .x = truth.x_m + 1.0 * std::cos(a),
+                                     .y = truth.y_m + 1.0 * std::sin(a),
+                                     .dx = 0.3,
+                                     .dy = 0.3,
+                                     .height = 0.8});
+    };
+    const auto end = go("north east", 400);
+    EXPECT_GE(put, 1);
+    EXPECT_EQ(touched(), "");
+    EXPECT_TRUE(end.outcome == Outcome::Done || end.reason.find("blocked") != std::string::npos) << end.reason;
 }
 
 TEST_F(NavigationPhysicsTest, StopsBeforeABlockedDoorAndGivesUpWithTheReason) {
