@@ -48,8 +48,13 @@ constexpr double kFromWalls_mm = 250;
 constexpr double kGrid_mm = 100;
 constexpr int kTimesSeen = 3;
 constexpr Duration kRemember = seconds{8};
+// What the laser saw it also sees go; out of its sight it is there for a while.
+constexpr Duration kRememberLaser = seconds{40};
+constexpr double kSeenThrough_mm = 250;
 constexpr double kLookForBlocks_mm = 1800;
-constexpr double kBlocks_mm = 255;  // the hull and a little; routes keep more, so that a new one is not blocked by the same thing
+constexpr double kBlocks_mm = 255;  // the hull and a little
+// Something that the route was planned round may be nearer by as much as cells are coarse.
+constexpr double kBlocksThoughPlanned_mm = 190;
 
 constexpr double kRecoil_mm_s = 100;
 constexpr Duration kRecoil = milliseconds{2500};
@@ -139,7 +144,7 @@ MotionStep Navigation::step(const arcos::RobotState& robot, TimePoint now) {
             return fail(fmt::format("the robot lost itself: at ({:.0f}, {:.0f}) mm only {:.0f} % of what the laser sees is on the map",
                                     estimate_.pose.x_mm, estimate_.pose.y_mm, estimate_.fit * 100));
         }
-        remember(now);
+        remember(robot, now);
     }
     switch (state_) {
         case State::Locating:
@@ -182,39 +187,82 @@ MotionStep Navigation::locate(const arcos::RobotState& robot, TimePoint now) {
                             estimate_.fit * 100, estimate_.pose.x_mm, estimate_.pose.y_mm, estimate_.pose.heading_deg));
 }
 
-void Navigation::note(const Point& point, int times, TimePoint now) {
+void Navigation::note(const Point& point, int times, bool laser, TimePoint now) {
     auto& thing = unmapped_[{static_cast<int>(std::floor(point.x_mm / kGrid_mm)), static_cast<int>(std::floor(point.y_mm / kGrid_mm))}];
-    if (now - thing.seen > kRemember) thing.times = 0;
     thing.times += times;
     thing.seen = now;
+    thing.laser = thing.laser || laser;
 }
 
-void Navigation::remember(TimePoint now) {
-    for (auto at = unmapped_.begin(); at != unmapped_.end();) at = now - at->second.seen > kRemember ? unmapped_.erase(at) : std::next(at);
-    for (const auto& seen : surroundings_.sightings(kSeeLaser_mm)) {
-        if (seen.laser) {
-            const auto at = onMap(seen.x_mm, seen.y_mm);
-            // Within a forbidden area it is what the area is there for: a table's legs.
-            if (plan_->wallDistance_mm(at) > kFromWalls_mm && !plan_->map().forbidden(at)) note(at, 1, now);
-            continue;
+void Navigation::forgetWhatIsGone(const arcos::RobotState& robot, TimePoint now) {
+    const auto* scan = robot.laser && now - robot.laser->taken < seconds{1} ? robot.laser.get() : nullptr;
+    MapPose from;
+    if (scan != nullptr) {
+        const MapPose odometry{robot.x_mm, robot.y_mm, robot.heading_deg};
+        from = estimate_.pose.then(odometry.between({scan->x_mm, scan->y_mm, scan->heading_deg})).then({body::kLaserX_mm, 0, 0});
+    }
+    const auto seenThrough = [&](const Point& point) {
+        const auto seen = from.between({point.x_mm, point.y_mm, 0});
+        const double away = std::hypot(seen.x_mm, seen.y_mm);
+        const double beam = (std::atan2(seen.y_mm, seen.x_mm) / kDegree - scan->start_deg) / scan->step_deg;
+        // All beams that may meet the cell, and the error of the estimate with it.
+        const double width = std::atan2(kGrid_mm, std::max(away, 1.0)) / kDegree / scan->step_deg;
+        const auto first = static_cast<int>(std::floor(beam - width));
+        const auto last = static_cast<int>(std::ceil(beam + width));
+        if (first < 0 || last >= static_cast<int>(scan->ranges_mm.size()) || away > kSeeLaser_mm) return false;
+        for (int i = first; i <= last; ++i) {
+            if (scan->ranges_mm[static_cast<std::size_t>(i)] < away + kSeenThrough_mm) return false;
         }
-        if (seen.distance_mm > kSeeSonar_mm) continue;
-        // A sonar tells that something is on an arc: where a wall of the map touches the arc, it was that.
-        bool mapped = false;
-        const double middle = std::atan2(seen.y_mm - seen.sensor_y_mm, seen.x_mm - seen.sensor_x_mm);
-        for (int i = -3; i <= 3 && !mapped; ++i) {
-            const double a = middle + i * body::kSonarHalfCone_deg / 3 * kDegree;
-            mapped = plan_->wallDistance_mm(onMap(seen.sensor_x_mm + seen.distance_mm * std::cos(a),
-                                                  seen.sensor_y_mm + seen.distance_mm * std::sin(a))) <= kFromWalls_mm;
-        }
-        if (!mapped) note(onMap(seen.x_mm, seen.y_mm), 1, now);
+        return true;
+    };
+    for (auto at = unmapped_.begin(); at != unmapped_.end();) {
+        const auto& thing = at->second;
+        const bool gone = now - thing.seen > (thing.laser ? kRememberLaser : kRemember) ||
+                          (thing.laser && scan != nullptr && seenThrough({(at->first.first + 0.5) * kGrid_mm, (at->first.second + 0.5) * kGrid_mm}));
+        at = gone ? unmapped_.erase(at) : std::next(at);
     }
 }
 
-std::vector<Point> Navigation::remembered(TimePoint now) const {
+void Navigation::remember(const arcos::RobotState& robot, TimePoint now) {
+    forgetWhatIsGone(robot, now);
+    const auto sightings = surroundings_.sightings(kSeeLaser_mm);
+    for (const auto& seen : sightings) {
+        if (seen.laser) {
+            const auto at = onMap(seen.x_mm, seen.y_mm);
+            // Within a forbidden area it is what the area is there for: a table's legs.
+            if (plan_->wallDistance_mm(at) > kFromWalls_mm && !plan_->map().forbidden(at)) note(at, 1, true, now);
+            continue;
+        }
+        if (seen.distance_mm > kSeeSonar_mm) continue;
+        // A sonar tells that something is on an arc: where a wall of the map touches the arc, or something that the
+        // laser sees does, it was that.
+        const double middle = std::atan2(seen.y_mm - seen.sensor_y_mm, seen.x_mm - seen.sensor_x_mm);
+        bool known = std::any_of(sightings.begin(), sightings.end(), [&](const Surroundings::Sighting& other) {
+            if (!other.laser) return false;
+            const double dx = other.x_mm - seen.sensor_x_mm;
+            const double dy = other.y_mm - seen.sensor_y_mm;
+            return std::abs(std::hypot(dx, dy) - seen.distance_mm) < 200 &&
+                   std::abs(std::remainder(std::atan2(dy, dx) - middle, 2 * std::numbers::pi)) < (body::kSonarHalfCone_deg + 8) * kDegree;
+        });
+        for (int i = -3; i <= 3 && !known; ++i) {
+            const double a = middle + i * body::kSonarHalfCone_deg / 3 * kDegree;
+            known = plan_->wallDistance_mm(onMap(seen.sensor_x_mm + seen.distance_mm * std::cos(a),
+                                                 seen.sensor_y_mm + seen.distance_mm * std::sin(a))) <= kFromWalls_mm;
+        }
+        // Behind the laser the things that it saw before are known as well.
+        const auto at = onMap(seen.x_mm, seen.y_mm);
+        for (auto other = unmapped_.begin(); other != unmapped_.end() && !known; ++other) {
+            known = other->second.laser &&
+                    distance(at, {(other->first.first + 0.5) * kGrid_mm, (other->first.second + 0.5) * kGrid_mm}) < 350;
+        }
+        if (!known) note(at, 1, false, now);
+    }
+}
+
+std::vector<Point> Navigation::remembered() const {
     std::vector<Point> points;
     for (const auto& [cell, thing] : unmapped_) {
-        if (thing.times < kTimesSeen || now - thing.seen > kRemember) continue;
+        if (thing.times < kTimesSeen) continue;
         points.push_back({(cell.first + 0.5) * kGrid_mm, (cell.second + 0.5) * kGrid_mm});
     }
     return points;
@@ -233,7 +281,7 @@ std::optional<Point> Navigation::onRoute() const {
             if (i == leg_ && length > 0) from = between(from, to, along_mm_ / length);
             const double to_look = kLookForBlocks_mm - std::max(0.0, way);
             if (const double left = distance(from, to); left > to_look) to = between(from, to, to_look / left);
-            if (distanceToLeg(from, to, point) < kBlocks_mm && distance(here, point) > body::kRadius_mm) return point;
+            if (distanceToLeg(from, to, point) < (thing.planned ? kBlocksThoughPlanned_mm : kBlocks_mm) && distance(here, point) > body::kRadius_mm) return point;
             way += length;
         }
     }
@@ -243,7 +291,7 @@ std::optional<Point> Navigation::onRoute() const {
 MotionStep Navigation::plan(const arcos::RobotState& robot, TimePoint now) {
     if (robot.moving && now - state_since_ < seconds{2}) return rest();
     const Point here{estimate_.pose.x_mm, estimate_.pose.y_mm};
-    const auto sighted = remembered(now);
+    const auto sighted = remembered();
     auto answer = findRoute(*plan_, here, goal_.at, sighted);
     ++plans_;
     if (!answer.route) {
@@ -263,6 +311,7 @@ MotionStep Navigation::plan(const arcos::RobotState& robot, TimePoint now) {
         enter(State::Waiting, now);
         return rest();
     }
+    for (auto& [cell, thing] : unmapped_) thing.planned = thing.times >= kTimesSeen;
     route_ = std::move(answer.route);
     leg_ = 0;
     along_mm_ = 0;
@@ -373,7 +422,7 @@ MotionStep Navigation::follow(const arcos::RobotState& robot, TimePoint now) {
 
 MotionStep Navigation::recover(const arcos::RobotState& robot, std::string what, const std::vector<Point>& seen_at, TimePoint now) {
     if (++tries_ > kTries) return fail(fmt::format("the way to \"{}\" is blocked: {}, {} times", goal_.name, what, tries_));
-    for (const auto& point : seen_at) note(point, 2 * kTimesSeen, now);
+    for (const auto& point : seen_at) note(point, 2 * kTimesSeen, false, now);
     news_ = what + "; backing off and looking for another way";
     recoil_direction_ = robot.rear_bumpers != 0 && robot.front_bumpers == 0 ? 1 : -1;
     enter(State::Stopping, now);

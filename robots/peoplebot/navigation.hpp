@@ -69,9 +69,10 @@ class Navigation {
     MotionStep fail(std::string reason) const;
     MotionStep rest() const;
     void enter(State state, TimePoint now);
-    void remember(TimePoint now);
-    void note(const mapper3::Point& point, int times, TimePoint now);
-    std::vector<mapper3::Point> remembered(TimePoint now) const;
+    void remember(const arcos::RobotState& robot, TimePoint now);
+    void forgetWhatIsGone(const arcos::RobotState& robot, TimePoint now);
+    void note(const mapper3::Point& point, int times, bool laser, TimePoint now);
+    std::vector<mapper3::Point> remembered() const;
     std::optional<mapper3::Point> onRoute() const;
     void advance();
     mapper3::Point ahead(double way_mm) const;
@@ -108,6 +109,8 @@ class Navigation {
     struct Unmapped {
         TimePoint seen{};
         int times = 0;
+        bool laser = false;    // saw it; else only a sonar did, or it was felt
+        bool planned = false;  // the present route keeps away from it
     };
     std::map<std::pair<int, int>, Unmapped> unmapped_;  // by cells of the map
     std::string news_;

@@ -188,6 +188,10 @@ TEST_F(NavigationPhysicsTest, ReachesTheGoalsOfTheSmallRoomOfTheLaboratory) {
     EXPECT_THAT(everyGoal("room"), ::testing::UnorderedElementsAre("Booth", "Wet floor"));
 }
 
+TEST_F(NavigationPhysicsTest, ReachesTheGoalsOfTheTransportLaboratory) {
+    EXPECT_THAT(everyGoal("transport"), ::testing::IsEmpty());
+}
+
 TEST_F(NavigationPhysicsTest, ReachesTheGoalsOfTheBuildingOfTheLaboratory) {
     if (std::getenv("AXON_LONG_TRIALS") == nullptr) GTEST_SKIP() << "takes half a minute; AXON_LONG_TRIALS=1 runs it";
     EXPECT_THAT(everyGoal("corridors"), ::testing::UnorderedElementsAre("Stairs", "Shaft"));
