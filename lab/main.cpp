@@ -21,6 +21,19 @@ std::filesystem::path worldsFolder() {
     return std::filesystem::canonical("/proc/self/exe").parent_path().parent_path() / "share/axon/lab/worlds";
 }
 
+axon::lab::WorldDescription knownWorld(const std::string& name) {
+    if (name == "plain") return axon::lab::defaultWorld();
+    const auto path = worldsFolder() / (name + ".lab");
+    if (std::filesystem::is_regular_file(path)) return axon::lab::loadWorld(path.string());
+    std::string known = "plain";
+    std::error_code none;
+    for (const auto& entry : std::filesystem::directory_iterator(worldsFolder(), none)) {
+        if (entry.path().extension() == ".lab") known += ", " + entry.path().stem().string();
+    }
+    throw axon::lab::BadDescription(
+        fmt::format("--world {}: expected one of {}, or the name of a file without --world", name, known));
+}
+
 constexpr auto kFooter = R"(
 Places are metres and degrees, the room's lower left corner is the origin. What is not given has a default.
   axon-lab                                          the transport laboratory: --world transport
@@ -94,9 +107,7 @@ int main(int argc, char** argv) {
         const bool furnished = empty || room_x > 0 || room_y > 0 ||
                                !(robots.empty() && arms.empty() && boxes.empty() && tables.empty());
         if (furnished && file_option->empty() && world_option->empty()) name = "plain";
-        auto world = !file.empty()     ? loadWorld(file)
-                     : name == "plain" ? defaultWorld()
-                                       : loadWorld((worldsFolder() / (name + ".lab")).string());
+        auto world = file.empty() ? knownWorld(name) : loadWorld(file);
         if (room_x > 0) world.room_x = room_x;
         if (room_y > 0) world.room_y = room_y;
         if (empty) world.boxes.clear(), world.tables.clear(), world.objects.clear();
