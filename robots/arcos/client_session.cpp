@@ -142,6 +142,7 @@ void ClientSession::onLaser(const LaserPacket& packet, TimePoint now) {
 void ClientSession::readGripper(std::uint8_t grip_state, std::uint8_t general_io) {
     auto& gripper = robot_.gripper;
     gripper = {};
+    gripper.known = gripper_known_;
     gripper.fitted = gripper_type_ != GripperPacket::kNone;
     if (!gripper.fitted) return;
     const auto state = parseGripState(grip_state);

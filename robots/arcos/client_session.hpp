@@ -35,7 +35,8 @@ struct LaserScan {
 
 /// The two-degrees-of-freedom gripper as its limit switches, beams and paddles tell. There is no position.
 struct GripperState {
-    bool fitted = false;  ///< the robot answered that it has a gripper
+    bool known = false;   ///< the robot has answered whether it has a gripper
+    bool fitted = false;  ///< and it has
     bool open = false;    ///< paddles at their outer limit
     bool closed = false;  ///< paddles at rest at their inner limit or on what they hold
     bool lift_up = false;

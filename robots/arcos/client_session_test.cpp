@@ -242,7 +242,7 @@ TEST_F(ClientSessionTest, TheGripperIsReadFromBothItsBytes) {
     answer(toPacket(GripperPacket{GripperPacket::kGeneralIo, {}, 10}));
     tell(sip);
     EXPECT_EQ(robot_.gripper,
-              (GripperState{.fitted = true, .closed = true, .lift_up = true, .lift_at_limit = true,
+              (GripperState{.known = true, .fitted = true, .closed = true, .lift_up = true, .lift_at_limit = true,
                             .inner_beam = true, .left_pressed = true, .right_pressed = true}));
     sip.general_io = toByte(GripperSwitches{.paddles_moving = true});
     tell(sip);

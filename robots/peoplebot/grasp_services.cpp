@@ -88,8 +88,9 @@ void GraspServices::offer(const std::function<void(const std::string&, Objection
     offer(
         kTracking,
         [this](const Task& task) -> std::string {
-            if (!camera_) return "this robot was started without a camera: give --camera";
-            return Tracking::objection(trackingRequest(task), {}, parts_.robot().state());
+            auto objection = Tracking::objection(trackingRequest(task), {}, parts_.robot().state());
+            if (objection.empty() && !camera_) objection = "this robot was started without a camera: give --camera";
+            return objection;
         },
         [this](Task& task) { track(task); });
 }

@@ -18,7 +18,7 @@ class GraspWorld {
 
     GraspWorld() {
         robot.online = true;
-        robot.gripper = {.fitted = true, .closed = true, .lift_down = true, .lift_at_limit = true};
+        robot.gripper = {.known = true, .fitted = true, .closed = true, .lift_down = true, .lift_at_limit = true};
     }
 
     // Where the robot really is; its odometry starts at zero.

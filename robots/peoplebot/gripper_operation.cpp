@@ -24,7 +24,7 @@ std::optional<GripperOperation::Direction> GripperOperation::parseDirection(std:
 std::string GripperOperation::objection(const Request& request, const arcos::RobotState& robot) {
     if (request.direction == Direction::None && !request.open)
         return "nothing to do: give Direction up or down, or Open true or false";
-    if (!robot.gripper.fitted) return "the robot says that it has no gripper";
+    if (robot.gripper.known && !robot.gripper.fitted) return "the robot says that it has no gripper";
     return {};
 }
 

@@ -90,7 +90,7 @@ TEST(GripperOperation, AMovementWithoutEndFailsAfterTheTimeLimit) {
 
 TEST(GripperOperation, WhatCannotBeDoneIsSaidBefore) {
     arcos::RobotState robot;
-    robot.gripper.fitted = true;
+    robot.gripper.known = robot.gripper.fitted = true;
     EXPECT_THAT(GripperOperation::objection({}, robot), HasSubstr("nothing to do"));
     EXPECT_EQ(GripperOperation::objection({.open = false}, robot), "");
     robot.gripper.fitted = false;

@@ -116,7 +116,7 @@ std::string Tracking::objection(const Request& r, const GraspGeometry& geometry,
         return fmt::format("Velocity is {} mm/s: give {} to 400 mm/s", r.velocity_mm_s, kSlowest_mm_s);
     if (!(r.range_threshold_mm >= 0 && r.range_threshold_mm <= 1000))
         return fmt::format("Range Threshold is {} mm: give 0 to 1000 mm", r.range_threshold_mm);
-    if (!robot.gripper.fitted) return "the robot says that it has no gripper";
+    if (robot.gripper.known && !robot.gripper.fitted) return "the robot says that it has no gripper";
     return {};
 }
 
