@@ -74,7 +74,8 @@ std::string controlObjection(const Task& task) {
         if (!task.has(joint.name)) continue;
         any = true;
         const double angle = task.number(joint.name);
-        if (angle < degrees(joint.minimum) - kTolerance_deg || angle > degrees(joint.maximum) + kTolerance_deg)
+        if (angle < degrees(joint.minimum) - kTolerance_deg ||
+            angle > degrees(joint.maximum) + kTolerance_deg)
             return fmt::format("{} turns from {:.1f} to {:.1f} deg, not to {:.1f}", joint.name,
                                degrees(joint.minimum), degrees(joint.maximum), angle);
     }
@@ -91,8 +92,8 @@ Application::Application(const Settings& settings)
     if (settings.name.empty()) {
         entity_.uploadBasicProfile(folder / "basic_profile.xml");
     } else {
-        renamed_profile_ =
-            std::make_unique<TemporaryFile>(withEntityName(contentOf(folder / "basic_profile.xml"), settings.name));
+        renamed_profile_ = std::make_unique<TemporaryFile>(
+            withEntityName(contentOf(folder / "basic_profile.xml"), settings.name));
         entity_.uploadBasicProfile(renamed_profile_->path());
     }
     entity_.uploadServiceProfile(folder / "services_profile.xml");
@@ -140,14 +141,17 @@ void Application::offerServices() {
 
 Decision Application::consider(const Task& task) const {
     if (!arm_->online())
-        return Decision::robotLost("the arm's controller is not connected: is it switched on, is its address right?");
+        return Decision::robotLost(
+            "the arm's controller is not connected: is it switched on, is its address right?");
     try {
         std::string why;
         if (task.service() == kControl) why = controlObjection(task);
         if (task.service() == kGrabAndPlace) why = objection(pickAndPlaceRequest(task));
         if (task.service() != kControl && may_hold_)
-            why = "the claws may still hold the object of a task that did not reach its end: bring it down with "
-                  "Control, and open them with its Gripper";
+            why =
+                "the claws may still hold the object of a task that did not reach its end: bring it down "
+                "with "
+                "Control, and open them with its Gripper";
         return why.empty() ? Decision::grant() : Decision::deny(why);
     } catch (const std::invalid_argument& error) {
         return Decision::deny(error.what());
@@ -170,7 +174,8 @@ void Application::control(Task& task) {
         target = from;
         for (std::size_t i = 0; i < kJoints; ++i) {
             if (task.has(kChain[i].name))
-                target.joints[i] = std::clamp(radians(task.number(kChain[i].name)), kChain[i].minimum, kChain[i].maximum);
+                target.joints[i] =
+                    std::clamp(radians(task.number(kChain[i].name)), kChain[i].minimum, kChain[i].maximum);
         }
         target.opening_mm =
             std::clamp(task.number("Gripper", from.opening_mm), gripper::kClosed_mm, gripper::kOpen_mm);
@@ -218,7 +223,8 @@ void Application::grabAndPlace(Task& task) {
         if (leg == released) may_hold_ = false;
         if (leg == grasped) task.result("Done", "gripped at " + where(request.pick) + ", not put down");
         if (leg == released)
-            task.result("Done", fmt::format("picked at {}, placed at {}", where(request.pick), where(request.place)));
+            task.result("Done",
+                        fmt::format("picked at {}, placed at {}", where(request.pick), where(request.place)));
     };
     if (perform(task, plan, tell)) task.succeed();
 }
@@ -281,7 +287,8 @@ bool Application::play(Task& task, std::vector<Leg> legs, const OnLeg& on_leg) {
 
 void Application::tellLoss(Task& task) {
     if (task.stopRequested()) return;
-    task.robotLost("the arm's controller does not answer any more: the arm stands where it was last told to be");
+    task.robotLost(
+        "the arm's controller does not answer any more: the arm stands where it was last told to be");
 }
 
 void Application::onStop() {
@@ -298,10 +305,11 @@ void Application::onOnline(const std::vector<int>& pulses_us) {
     last_loss_.clear();
     gate_->told(pulses_us, clock_.now());
     setServicesActive(true, "");
-    entity_.sendInfoMsg(gate_->present(clock_.now())
-                            ? "connected to the arm's controller"
-                            : "connected to the arm's controller, which was just switched on: the first task goes "
-                              "home slowly first");
+    entity_.sendInfoMsg(
+        gate_->present(clock_.now())
+            ? "connected to the arm's controller"
+            : "connected to the arm's controller, which was just switched on: the first task goes "
+              "home slowly first");
 }
 
 void Application::onStatus(bool moving) {

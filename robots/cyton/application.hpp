@@ -15,16 +15,17 @@
 
 namespace axon::cyton {
 
-/// One Cyton as an entity: the services Reach Demo, Control, Grab and Place, the streams joints and gripper, and a
-/// stop that freezes the arm at once. Entity Interfacer on one side, an SSC-32 on the other, nothing else of Axon.
+/// One Cyton as an entity: the services Reach Demo, Control, Grab and Place, the streams joints and gripper,
+/// and a stop that freezes the arm at once. Entity Interfacer on one side, an SSC-32 on the other, nothing
+/// else of Axon.
 ///
-/// Postures are sent kRate times a second, each to be reached within kReach: an application that dies leaves an
-/// arm that stands still 50 ms later. While the controller cannot be reached the services are inactive and a
-/// running task fails with ROBOT_LOST; both mend themselves when it is back. Connecting moves nothing; where the
-/// controller has given no pulse since it was switched on, the first task goes home slowly first.
+/// Postures are sent kRate times a second, each to be reached within kReach: an application that dies leaves
+/// an arm that stands still 50 ms later. While the controller cannot be reached the services are inactive and
+/// a running task fails with ROBOT_LOST; both mend themselves when it is back. Connecting moves nothing;
+/// where the controller has given no pulse since it was switched on, the first task goes home slowly first.
 ///
-/// Threads: those of the Entity Interfacer (stop thread, data thread, one per task) and that of the Ssc32Client.
-/// The constructor throws what is wrong with the settings (BadSetting, std::invalid_argument,
+/// Threads: those of the Entity Interfacer (stop thread, data thread, one per task) and that of the
+/// Ssc32Client. The constructor throws what is wrong with the settings (BadSetting, std::invalid_argument,
 /// axon::Misconfiguration).
 class Application {
   public:
@@ -49,8 +50,8 @@ class Application {
     void control(Task& task);
     void grabAndPlace(Task& task);
 
-    /// The whole of a task: takes the arm, plans, plays, gives the arm back. True when it is done; otherwise the
-    /// task was stopped, or has its verdict.
+    /// The whole of a task: takes the arm, plans, plays, gives the arm back. True when it is done; otherwise
+    /// the task was stopped, or has its verdict.
     bool perform(Task& task, const Planning& plan, const OnLeg& on_leg);
     bool play(Task& task, std::vector<Leg> legs, const OnLeg& on_leg);
     /// Where the arm is; after power-up by going home first. Nothing when the task has to end.

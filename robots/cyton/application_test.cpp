@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// The whole application between its two neighbours, over real sockets: the Entity Manager's end of the link on
-// one side, the virtual controller on the other.
+// The whole application between its two neighbours, over real sockets: the Entity Manager's end of the link
+// on one side, the virtual controller on the other.
 #include "robots/cyton/application.hpp"
 
 #include <arpa/inet.h>
@@ -46,7 +46,8 @@ class Board {
         address.sin_port = htons(static_cast<std::uint16_t>(port));
         ::inet_pton(AF_INET, test::loopbackAddress().c_str(), &address.sin_addr);
         socklen_t size = sizeof address;
-        if (::bind(listener_, reinterpret_cast<sockaddr*>(&address), size) != 0 || ::listen(listener_, 4) != 0)
+        if (::bind(listener_, reinterpret_cast<sockaddr*>(&address), size) != 0 ||
+            ::listen(listener_, 4) != 0)
             throw std::runtime_error("cannot listen");
         ::getsockname(listener_, reinterpret_cast<sockaddr*>(&address), &size);
         port_ = ntohs(address.sin_port);
@@ -63,6 +64,11 @@ class Board {
     std::array<double, kChannels> targets() {
         const std::lock_guard lock(mutex_);
         return board_.targets();
+    }
+    /// For so long no servo was told anything else.
+    Duration restsSince() {
+        const std::lock_guard lock(mutex_);
+        return std::chrono::steady_clock::now() - changed_;
     }
     std::uint64_t moves() {
         const std::lock_guard lock(mutex_);
@@ -84,7 +90,9 @@ class Board {
             const auto now = std::chrono::steady_clock::now();
             {
                 const std::lock_guard lock(mutex_);
+                const auto before = board_.targets();
                 board_.step(now - last);
+                if (board_.targets() != before) changed_ = now;
             }
             last = now;
             if (client_ < 0 && waiting[0].revents != 0) {
@@ -114,7 +122,8 @@ class Board {
     int client_ = -1;
     int port_ = 0;
     std::mutex mutex_;
-    lab::Ssc32Server board_;  // guarded by mutex_
+    lab::Ssc32Server board_;  // these two guarded by mutex_
+    TimePoint changed_{};
     std::atomic<bool> quit_ = false;
     std::atomic<bool> silent_ = false;
     std::thread thread_;
@@ -147,7 +156,8 @@ class Manager : public entity_manager::BackEndEvents {
         link_->stop(generation, StopCause::Requested);
         return generation;
     }
-    std::string dispatch(const std::string& service, const std::vector<std::pair<std::string, double>>& params) {
+    std::string dispatch(const std::string& service,
+                         const std::vector<std::pair<std::string, double>>& params) {
         proto::EmToEi message;
         auto& task = *message.mutable_task();
         task.set_task_id(Id128::random(random_).bytes());
@@ -268,7 +278,8 @@ class CytonApplication : public ::testing::Test {
         application_ = std::make_unique<Application>(settings);
         application_->start();
         manager_ = std::make_unique<Manager>(settings.application);
-        ASSERT_TRUE(waitUntil([&] { return manager_->active("Control") && manager_->active("Grab and Place"); }));
+        ASSERT_TRUE(
+            waitUntil([&] { return manager_->active("Control") && manager_->active("Grab and Place"); }));
     }
     void TearDown() override {
         application_.reset();
@@ -283,19 +294,12 @@ class CytonApplication : public ::testing::Test {
         for (std::size_t i = 0; i < kJoints; ++i) farthest = std::max(farthest, std::abs(now[i] - kHome[i]));
         return farthest;
     }
-    /// No joint's command changes any more.
-    bool stands() {
-        const auto before = board_->targets();
-        std::this_thread::sleep_for(milliseconds{30});
-        return board_->targets() == before;
-    }
+    bool stands() { return board_->restsSince() > milliseconds{100}; }
     bool standsWithin(Duration time) {
         return waitUntil([&] { return stands(); }, std::chrono::duration_cast<milliseconds>(time));
     }
     /// The arm to where it moves for seconds.
-    std::string longMove() {
-        return manager_->dispatch("Control", {{"Shoulder Roll", -90}, {"Speed", 20}});
-    }
+    std::string longMove() { return manager_->dispatch("Control", {{"Shoulder Roll", -90}, {"Speed", 20}}); }
     void waitUntilMoving() {
         ASSERT_TRUE(waitUntil([&] { return joint_deg(0) < degrees(kHome[0]) - 3; }));
     }
@@ -332,7 +336,8 @@ TEST_F(CytonApplication, AStopFreezesTheArmAndIsAcknowledgedTwice) {
     const auto task = longMove();
     waitUntilMoving();
     const auto generation = manager_->stop();
-    ASSERT_TRUE(waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::CALLBACK_RETURNED); }));
+    ASSERT_TRUE(
+        waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::CALLBACK_RETURNED); }));
     const double there = joint_deg(0);
     EXPECT_TRUE(waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::STANDSTILL); }));
     EXPECT_TRUE(standsWithin(seconds{5}));
@@ -395,7 +400,8 @@ TEST_F(CytonApplication, LosingTheControllerFailsTheTaskAndItsReturnMendsEveryth
     EXPECT_EQ(board_->moves(), 0U) << "nothing moves because it is back";
     const auto next = manager_->dispatch("Control", {{"Wrist Roll", 20}, {"Speed", 180}});
     expectEnd(next, proto::TASK_SUCCEEDED);
-    EXPECT_NEAR(joint_deg(0), degrees(kHome[0]), 1) << "from where the new one is, not from where the old one was";
+    EXPECT_NEAR(joint_deg(0), degrees(kHome[0]), 1)
+        << "from where the new one is, not from where the old one was";
 }
 
 TEST_F(CytonApplication, AControllerThatFallsSilentIsLostWithinASecondOrTwo) {

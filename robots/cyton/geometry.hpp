@@ -6,16 +6,17 @@
 #include <cstddef>
 #include <numbers>
 
-/// The Cyton Alpha 7D1G in numbers: links, joint limits, servos. The application plans with them, and the virtual
-/// arm may be built from them; nothing here does I/O or allocates.
+/// The Cyton Alpha 7D1G in numbers: links, joint limits, servos. The application plans with them, and the
+/// virtual arm may be built from them; nothing here does I/O or allocates.
 ///
-/// Base frame: the origin lies below the axis of the first joint, in the plane that the base stands on; x forward,
-/// y to the left, z up; metres and radians. With all joints at zero the arm points straight up, the claws close
-/// along x.
+/// Base frame: the origin lies below the axis of the first joint, in the plane that the base stands on; x
+/// forward, y to the left, z up; metres and radians. With all joints at zero the arm points straight up, the
+/// claws close along x.
 ///
-/// Sources: link offsets and axes from the URDF cyton_alpha of LCAD-UFES, limits from its MoveIt configuration
-/// (narrower than the servos'), pulses, rates and home from the vendor's cytonAlphaConfig.xml. The vendor's own
-/// Actin model has an upper arm that is 21 mm shorter (0.153 m, here 0.174 m). "assumed": no source tells.
+/// Sources: link offsets and axes from the URDF cyton_alpha of LCAD-UFES, limits from its MoveIt
+/// configuration (narrower than the servos'), pulses, rates and home from the vendor's cytonAlphaConfig.xml.
+/// The vendor's own Actin model has an upper arm that is 21 mm shorter (0.153 m, here 0.174 m). "assumed": no
+/// source tells.
 namespace axon::cyton {
 
 inline constexpr std::size_t kJoints = 7;
@@ -25,14 +26,14 @@ inline constexpr std::size_t kChannels = 8;
 using Joints = std::array<double, kJoints>;  ///< rad
 
 struct Joint {
-    const char* name;                 ///< as users see it
-    std::array<double, 3> offset;     ///< from the joint before it (the base) to this one, all joints at zero; m
-    std::array<double, 3> axis;       ///< right-handed rotation, all joints at zero
-    double minimum, maximum;          ///< rad
-    double home;                      ///< rad
-    double center_us;                 ///< pulse at zero
-    double rad_per_us;                ///< signed
-    double shortest_us, longest_us;   ///< what the servo takes
+    const char* name;              ///< as users see it
+    std::array<double, 3> offset;  ///< from the joint before it (the base) to this one, all joints at zero; m
+    std::array<double, 3> axis;    ///< right-handed rotation, all joints at zero
+    double minimum, maximum;       ///< rad
+    double home;                   ///< rad
+    double center_us;              ///< pulse at zero
+    double rad_per_us;             ///< signed
+    double shortest_us, longest_us;  ///< what the servo takes
 };
 
 inline constexpr double kNinthOfDegree = std::numbers::pi / 180 / 9;
@@ -49,10 +50,11 @@ inline constexpr std::array<Joint, kJoints> kChain{{
     {"Wrist Yaw", {0, -0.00775, 0.06645}, {-1, 0, 0}, -1.1781, 1.1781, 0, 1500, kTenthOfDegree, 500, 2500},
 }};
 
-/// From the last joint to the point that is brought to what is gripped: between the pads of the claws, 10 mm from
-/// their tips, so that there is room for half of it before the palm.
+/// From the last joint to the point that is brought to what is gripped: between the pads of the claws, 10 mm
+/// from their tips, so that there is room for half of it before the palm.
 inline constexpr std::array<double, 3> kToolOffset{-0.00918, 0, 0.0555 + 0.0155};
-/// Along the tool, from that point to the tips and back to the palm, and half of what pads and palm are thick. m
+/// Along the tool, from that point to the tips and back to the palm, and half of what pads and palm are
+/// thick. m
 inline constexpr double kTipBeyondTool = 0.010;
 inline constexpr double kPalmBehindTool = 0.022;
 inline constexpr double kPadHalfWidth = 0.010;
@@ -68,9 +70,9 @@ constexpr double fastest_rad_s(const Joint& joint) {
 inline constexpr Joints kHome{kChain[0].home, kChain[1].home, kChain[2].home, kChain[3].home,
                               kChain[4].home, kChain[5].home, kChain[6].home};
 
-/// The gripper: one servo, both claws move alike. The vendor counts a claw from the middle of its 17 mm, here 0 is
-/// closed; that a longer pulse closes follows from the sign in the vendor's file. Told in millimetres between the
-/// pads.
+/// The gripper: one servo, both claws move alike. The vendor counts a claw from the middle of its 17 mm, here
+/// 0 is closed; that a longer pulse closes follows from the sign in the vendor's file. Told in millimetres
+/// between the pads.
 namespace gripper {
 inline constexpr double kMiddle_us = 1400;
 inline constexpr double kShortest_us = 600;
@@ -94,8 +96,9 @@ inline double angleOf(const Joint& joint, double pulse_us) {
     return (pulse_us - joint.center_us) * joint.rad_per_us;
 }
 inline double gripperPulseOf(double opening_mm) {
-    return std::clamp(gripper::kMiddle_us + (opening_mm / 2 - gripper::kClawMiddle_mm) / gripper::kClaw_mm_per_us,
-                      gripper::kShortest_us, gripper::kLongest_us);
+    return std::clamp(
+        gripper::kMiddle_us + (opening_mm / 2 - gripper::kClawMiddle_mm) / gripper::kClaw_mm_per_us,
+        gripper::kShortest_us, gripper::kLongest_us);
 }
 
 constexpr double radians(double degrees) {

@@ -57,7 +57,8 @@ TEST(CytonGeometry, TheVirtualArmIsTheSameArm) {
         const auto& virtual_joint = lab::cyton::kChain[i];
         const auto& servo = lab::cyton::kServos[i];
         EXPECT_EQ(own.axis, virtual_joint.axis) << own.name;
-        for (std::size_t k = 0; k < 3; ++k) EXPECT_NEAR(own.offset[k], virtual_joint.offset_m[k], 1e-6) << own.name;
+        for (std::size_t k = 0; k < 3; ++k)
+            EXPECT_NEAR(own.offset[k], virtual_joint.offset_m[k], 1e-6) << own.name;
         EXPECT_NEAR(own.maximum, virtual_joint.limit_rad, 1e-6) << own.name;
         EXPECT_EQ(own.shortest_us, servo.least_us) << own.name;
         EXPECT_EQ(own.longest_us, servo.most_us) << own.name;

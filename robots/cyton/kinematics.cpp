@@ -25,7 +25,8 @@ Point point(const KDL::Vector& vector) {
 KDL::Chain chain() {
     KDL::Chain chain;
     for (const auto& joint : kChain) {
-        // All frames are parallel to the base's with the joints at zero, so that offsets and axes are told in it.
+        // All frames are parallel to the base's with the joints at zero, so that offsets and axes are told in
+        // it.
         chain.addSegment(KDL::Segment(
             KDL::Joint(joint.name, vector(joint.offset), vector(joint.axis), KDL::Joint::RotAxis),
             KDL::Frame(vector(joint.offset))));
@@ -145,7 +146,8 @@ double largestDifference(const Joints& a, const Joints& b) {
 
 bool withinLimits(const Joints& joints, double margin_rad) {
     for (std::size_t i = 0; i < kJoints; ++i) {
-        if (joints[i] < kChain[i].minimum + margin_rad || joints[i] > kChain[i].maximum - margin_rad) return false;
+        if (joints[i] < kChain[i].minimum + margin_rad || joints[i] > kChain[i].maximum - margin_rad)
+            return false;
     }
     return true;
 }

@@ -23,13 +23,14 @@ struct ToolPose {
 
 /// Forward and inverse kinematics of the arm, by KDL.
 ///
-/// Redundant with seven joints: of the solutions within the joint limits, which Levenberg-Marquardt finds from
-/// random starts, the one nearest to a wanted posture is taken. The random numbers come from a generator with a
-/// fixed seed, so that the same calls give the same joints. Threads: none; each user has its own.
+/// Redundant with seven joints: of the solutions within the joint limits, which Levenberg-Marquardt finds
+/// from random starts, the one nearest to a wanted posture is taken. The random numbers come from a generator
+/// with a fixed seed, so that the same calls give the same joints. Threads: none; each user has its own.
 class Kinematics {
   public:
     static constexpr std::uint32_t kSeed = 7;
-    /// How far within their limits inverse kinematics keeps the joints, so that rounding to pulses never leaves them.
+    /// How far within their limits inverse kinematics keeps the joints, so that rounding to pulses never
+    /// leaves them.
     static constexpr double kMargin_rad = 0.005;
 
     explicit Kinematics(std::uint32_t seed = kSeed);
@@ -45,12 +46,12 @@ class Kinematics {
         int starts = 60;    ///< at most so many random starts
         int solutions = 4;  ///< and no more when so many solutions were found
     };
-    /// Joints within their limits that bring the tool there to within 0.1 mm and 0.1 degrees, those nearest to
-    /// `wanted`, which is also the first start, before the others. Empty when none were found.
+    /// Joints within their limits that bring the tool there to within 0.1 mm and 0.1 degrees, those nearest
+    /// to `wanted`, which is also the first start, before the others. Empty when none were found.
     std::vector<Joints> solutions(const ToolPose& pose, const Joints& wanted, Effort effort);
     std::optional<Joints> solve(const ToolPose& pose, const Joints& wanted, Effort effort);
-    /// From these joints only, without random starts: the next point of a line. Nothing when a joint leaves its
-    /// limits.
+    /// From these joints only, without random starts: the next point of a line. Nothing when a joint leaves
+    /// its limits.
     std::optional<Joints> follow(const ToolPose& pose, const Joints& from);
 
     /// Within limits, evenly; for tests and trials.

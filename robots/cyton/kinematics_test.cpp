@@ -17,7 +17,8 @@ double apart(const Point& a, const Point& b) {
 TEST(CytonKinematics, UprightItHasTheLengthsOfTheUrdf) {
     const Kinematics kinematics;
     const auto tool = kinematics.forward({});
-    EXPECT_NEAR(tool.position[2], 0.0845 + 0.0355 + 0.1065 + 0.06745 + 0.0875 + 0.06995 + 0.06645 + 0.071, 1e-9);
+    EXPECT_NEAR(tool.position[2], 0.0845 + 0.0355 + 0.1065 + 0.06745 + 0.0875 + 0.06995 + 0.06645 + 0.071,
+                1e-9);
     EXPECT_NEAR(tool.approach[2], 1, 1e-9);
     const auto points = kinematics.skeleton({});
     EXPECT_NEAR(points[1][2], 0.120, 1e-9);
@@ -50,7 +51,8 @@ TEST(CytonKinematics, FindsJointsWithinLimitsForRandomReachablePoses) {
                              reached.closing[2] * pose.closing[2];
         EXPECT_GT(std::abs(along), 0.9999) << "either way, since the claws are alike";
     }
-    const auto took = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - began).count();
+    const auto took =
+        std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - began).count();
     std::printf("solved %d of 500, %.2f ms each\n", solved, took / 500);
     EXPECT_GE(solved, 495);
 }

@@ -20,8 +20,10 @@ Exit status: 0 ended when told to, 2 something is wrong with the options or the 
 
 int main(int argc, char** argv) {
     using namespace axon::cyton;
-    CLI::App app{"A Cyton Alpha as an entity of Axon: an arm on an SSC-32; offers Reach Demo, Control, Grab and Place.",
-                 "axon-cyton"};
+    CLI::App app{
+        "A Cyton Alpha as an entity of Axon: an arm on an SSC-32; offers Reach Demo, Control, Grab and "
+        "Place.",
+        "axon-cyton"};
     app.footer(kFooter);
     Settings settings;
     std::string at;

@@ -202,7 +202,8 @@ TEST(CytonPlayback, APauseRunsOutAlongTheWayAndResumeFinishesIt) {
 }
 
 TEST(CytonPlayback, LegsFollowEachOtherWithTheirRests) {
-    Playback playback({{"a", Trajectory({Posture{}, atHome()}, 0.5), 0.5}, {"b", Trajectory({atHome(), Posture{}}, 0.5), 0}});
+    Playback playback({{"a", Trajectory({Posture{}, atHome()}, 0.5), 0.5},
+                       {"b", Trajectory({atHome(), Posture{}}, 0.5), 0}});
     double time = 0;
     double at_home = 0;
     double progress = 0;
@@ -251,7 +252,8 @@ void expectSound(const PickAndPlacePlan& plan, const PickAndPlaceRequest& reques
     for (Playback::Step step; !step.done;) {
         step = playback.advance(0.04, false);
         EXPECT_TRUE(withinLimits(step.posture.joints)) << plan.legs[step.leg].name;
-        EXPECT_LE(leastTime_s(last, step.posture), 0.04 * 1.01) << "faster than a servo in " << plan.legs[step.leg].name;
+        EXPECT_LE(leastTime_s(last, step.posture), 0.04 * 1.01)
+            << "faster than a servo in " << plan.legs[step.leg].name;
         last = step.posture;
         const auto tool = kinematics.forward(step.posture.joints);
         if (step.leg >= plan.grasped && step.leg < plan.released) {
@@ -284,7 +286,9 @@ TEST(PickAndPlace, TheDefaultsCanBeDoneFromHomeAndFromElsewhere) {
 
 TEST(PickAndPlace, WithRandomOffsetsWithinReachItIsAlwaysPlanned) {
     std::mt19937 random(3);
-    const auto offset = [&random](double most) { return most * (static_cast<double>(random()) / 2147483648.0 - 1); };
+    const auto offset = [&random](double most) {
+        return most * (static_cast<double>(random()) / 2147483648.0 - 1);
+    };
     for (int i = 0; i < 12; ++i) {
         Kinematics kinematics;
         PickAndPlaceRequest request;
@@ -326,7 +330,10 @@ TEST(PickAndPlace, WhatCannotBeReachedIsRefusedWithTheReason) {
     EXPECT_THAT(refused([](auto& r) { r.width = 0.05; }), HasSubstr("does not fit between the claws"));
     EXPECT_THAT(refused([](auto& r) { r.place = r.pick; }), HasSubstr("less than 60 mm apart"));
     EXPECT_THAT(refused([](auto& r) { r.pick = {0.2, 0.15, 0.1}; }), HasSubstr("cannot grip"));
-    EXPECT_THAT(refused([](auto& r) { r.place = {0.25, 0, 0}; }), HasSubstr("not put it down at (250, 0, 0) mm"));
+    EXPECT_THAT(refused([](auto& r) {
+                    r.place = {0.25, 0, 0};
+                }),
+                HasSubstr("not put it down at (250, 0, 0) mm"));
 }
 
 TEST(PickAndPlace, PlanningEndsWhenTheTaskIsStopped) {

@@ -108,13 +108,13 @@ std::string transport(const Object& object, const PickAndPlaceRequest& request) 
     const auto at = world.object();
     const double off = std::hypot(at[0] - request.place[0], at[1] - request.place[1]);
     if (std::abs(at[2] - 0.04 - request.place[2]) > 0.003 || world.uprightness() < 0.995 || off > 0.012)
-        return fmt::format("it is at ({:.3f}, {:.3f}, {:.3f}), {:.0f} mm off, upright {:.3f}, tilt {:.0f}", at[0],
-                           at[1], at[2], off * 1000, world.uprightness(), degrees(plan->tilt));
+        return fmt::format("it is at ({:.3f}, {:.3f}, {:.3f}), {:.0f} mm off, upright {:.3f}, tilt {:.0f}",
+                           at[0], at[1], at[2], off * 1000, world.uprightness(), degrees(plan->tilt));
     return {};
 }
 
-/// The arm is told the object's place to 2 mm each way, and a box is turned by up to 4 degrees from facing it: between
-/// claws that open 34.9 mm there are 3.4 mm on each side of 28 mm.
+/// The arm is told the object's place to 2 mm each way, and a box is turned by up to 4 degrees from facing
+/// it: between claws that open 34.9 mm there are 3.4 mm on each side of 28 mm.
 int seeds() {
     const char* wanted = std::getenv("AXON_CYTON_SEEDS");  // for a trial by hand
     return wanted ? std::atoi(wanted) : 8;
@@ -124,7 +124,9 @@ class GrabAndPlaceInPhysics : public ::testing::TestWithParam<int> {};
 
 TEST_P(GrabAndPlaceInPhysics, StandsTheObjectWhereItWasTold) {
     std::mt19937 random(static_cast<unsigned>(GetParam()));
-    const auto offset = [&random](double most) { return most * (static_cast<double>(random()) / 2147483648.0 - 1); };
+    const auto offset = [&random](double most) {
+        return most * (static_cast<double>(random()) / 2147483648.0 - 1);
+    };
     PickAndPlaceRequest request;
     request.pick[0] += offset(0.02);
     request.pick[1] += offset(0.02);

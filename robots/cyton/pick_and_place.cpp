@@ -10,17 +10,17 @@ namespace axon::cyton {
 namespace {
 
 constexpr Point kShoulder{0, 0, 0.120};
-constexpr double kReach = 0.469;          // stretched, from there to the tool point
+constexpr double kReach = 0.469;                  // stretched, from there to the tool point
 constexpr double kApproaches[] = {0.060, 0.045};  // along the tool, before the object and back from it
 constexpr double kLifts[] = {0.055, 0.035};       // straight up with it
-constexpr double kSetDown = 0.002;        // released so far above the surface
-constexpr double kSqueeze_mm = 5;         // the claws are told to close so much further than the object is wide
-constexpr double kSurfaceRadius = 0.085;  // of what carries the object: half of 0.12 m, to its corner
-constexpr double kStep = 0.010;           // of the tool on a line
-constexpr double kLargestTurn_rad = 0.35; // of a joint on one step: more is another configuration
-constexpr double kArmClearance = 0.030;   // half as thick as the arm
+constexpr double kSetDown = 0.002;                // released so far above the surface
+constexpr double kSqueeze_mm = 5;  // the claws are told to close so much further than the object is wide
+constexpr double kSurfaceRadius = 0.085;   // of what carries the object: half of 0.12 m, to its corner
+constexpr double kStep = 0.010;            // of the tool on a line
+constexpr double kLargestTurn_rad = 0.35;  // of a joint on one step: more is another configuration
+constexpr double kArmClearance = 0.030;    // half as thick as the arm
 constexpr double kHandClearance = 0.012;
-constexpr double kCareful = 0.4;          // of the speed, close to the object
+constexpr double kCareful = 0.4;  // of the speed, close to the object
 constexpr double kTilts_deg[] = {0, 10, 20, 30, 40, 50, 60, 70, 80, 90};
 constexpr double kYawTolerance_rad = radians(50);  // between the tool's plane and the line from the arm
 
@@ -79,7 +79,8 @@ bool clear(const Kinematics& kinematics, const Joints& joints, const Surrounding
     });
 }
 
-bool clearWay(const Kinematics& kinematics, const Joints& from, const Joints& to, const Surroundings& surroundings) {
+bool clearWay(const Kinematics& kinematics, const Joints& from, const Joints& to,
+              const Surroundings& surroundings) {
     const int steps = std::max(1, static_cast<int>(std::ceil(largestDifference(from, to) / 0.1)));
     for (int i = 0; i <= steps; ++i) {
         Joints joints;
@@ -98,12 +99,14 @@ std::optional<std::vector<Joints>> way(const Kinematics& kinematics, const Joint
     for (const auto& like : {to, from}) {
         Joints upright = like;
         upright[1] = upright[3] = upright[5] = 0;
-        if (clearWay(kinematics, from, upright, surroundings) && clearWay(kinematics, upright, to, surroundings))
+        if (clearWay(kinematics, from, upright, surroundings) &&
+            clearWay(kinematics, upright, to, surroundings))
             return std::vector{from, upright, to};
         // Drawn in first: the hand goes back over its own shoulder.
         upright[1] = -0.6;
         upright[3] = 1.2;
-        if (clearWay(kinematics, from, upright, surroundings) && clearWay(kinematics, upright, to, surroundings))
+        if (clearWay(kinematics, from, upright, surroundings) &&
+            clearWay(kinematics, upright, to, surroundings))
             return std::vector{from, upright, to};
     }
     const Joints zero{};
@@ -128,8 +131,8 @@ std::optional<std::vector<Joints>> line(Kinematics& kinematics, const ToolPose& 
     return way;
 }
 
-/// How high above the underside the tool point grips: near the top, so that the palm stays above the object, but
-/// no lower than the hand needs above the surface.
+/// How high above the underside the tool point grips: near the top, so that the palm stays above the object,
+/// but no lower than the hand needs above the surface.
 double gripHeight(const PickAndPlaceRequest& request, double tilt) {
     const double room = kPalmBehindTool - 0.002 - request.width / 2 * std::sin(tilt);
     const double below_top = std::min(request.height / 2, room / std::max(std::cos(tilt), 0.2));
@@ -216,7 +219,8 @@ class Planner {
                 above[2] += kSetDown;
                 for (const auto& place : solve(above, place_yaw, tilt, grip, pick.at)) {
                     place_reached_ = true;
-                    if (cancelled_ && cancelled_()) return refusal("the task was stopped while it was planned");
+                    if (cancelled_ && cancelled_())
+                        return refusal("the task was stopped while it was planned");
                     if (auto plan = connect(pick, place, tilt, grip)) return *plan;
                 }
                 if (cancelled_ && cancelled_()) return refusal("the task was stopped while it was planned");
@@ -235,16 +239,19 @@ class Planner {
         };
         if (!pick_reached_)
             return fmt::format(
-                "the arm cannot grip an object of {:.0f} mm that stands at {}, tilted however it may be: on its own "
+                "the arm cannot grip an object of {:.0f} mm that stands at {}, tilted however it may be: on "
+                "its own "
                 "level it reaches 340 to 420 mm far",
                 request_.height * 1000, where(request_.pick));
         if (!place_reached_)
             return fmt::format(
-                "the arm can pick the object up at {}, but not put it down at {} with the hand tilted alike: on its "
+                "the arm can pick the object up at {}, but not put it down at {} with the hand tilted alike: "
+                "on its "
                 "own level it reaches 340 to 420 mm far",
                 where(request_.pick), where(request_.place));
         return fmt::format(
-            "the arm reaches {} and {}, but found no way in between that touches neither the surface below the "
+            "the arm reaches {} and {}, but found no way in between that touches neither the surface below "
+            "the "
             "object nor the one it stands on: move them further apart",
             where(request_.pick), where(request_.place));
     }
@@ -278,7 +285,8 @@ class Planner {
         return found;
     }
 
-    std::optional<PickAndPlacePlan> connect(const Solved& pick, const Solved& place, double tilt, double grip) {
+    std::optional<PickAndPlacePlan> connect(const Solved& pick, const Solved& place, double tilt,
+                                            double grip) {
         const Column surface{request_.pick, kSurfaceRadius, request_.pick[2]};
         const double around = request_.width * 0.71;
         Surroundings before{{surface, {request_.pick, around, request_.pick[2] + request_.height}}, {}};
@@ -343,22 +351,25 @@ std::string objection(const PickAndPlaceRequest& request) {
     if (request.width > PickAndPlaceRequest::kWidest || request.width <= 0.003)
         return fmt::format("an object {:.0f} mm wide does not fit between the claws: up to {:.0f} mm do",
                            request.width * 1000, PickAndPlaceRequest::kWidest * 1000);
-    if (request.height < 0.02) return "an object lower than 20 mm cannot be gripped: the hand would touch the surface";
+    if (request.height < 0.02)
+        return "an object lower than 20 mm cannot be gripped: the hand would touch the surface";
     for (const auto& [at, what] : {std::pair{request.pick, "pick"}, std::pair{request.place, "place"}}) {
         if (at[2] < 0)
-            return fmt::format("the {} position is below the plane that the arm stands on: give a Z of 0 or more",
-                               what);
+            return fmt::format(
+                "the {} position is below the plane that the arm stands on: give a Z of 0 or more", what);
         auto top = at;
         top[2] += request.height;
         const double far = std::min(length(at - kShoulder), length(top - kShoulder));
         if (far > kReach)
             return fmt::format(
-                "the {} position ({:.0f}, {:.0f}, {:.0f}) mm is {:.0f} mm from the shoulder, which is {:.0f} mm "
+                "the {} position ({:.0f}, {:.0f}, {:.0f}) mm is {:.0f} mm from the shoulder, which is {:.0f} "
+                "mm "
                 "above the base: the arm is {:.0f} mm long",
-                what, at[0] * 1000, at[1] * 1000, at[2] * 1000, far * 1000, kShoulder[2] * 1000, kReach * 1000);
+                what, at[0] * 1000, at[1] * 1000, at[2] * 1000, far * 1000, kShoulder[2] * 1000,
+                kReach * 1000);
         if (std::hypot(at[0], at[1]) < 0.12)
-            return fmt::format("the {} position is {:.0f} mm from the arm's own axis: keep it 120 mm away", what,
-                               std::hypot(at[0], at[1]) * 1000);
+            return fmt::format("the {} position is {:.0f} mm from the arm's own axis: keep it 120 mm away",
+                               what, std::hypot(at[0], at[1]) * 1000);
     }
     if (std::hypot(request.pick[0] - request.place[0], request.pick[1] - request.place[1]) < 0.06)
         return "the pick and the place position are less than 60 mm apart";

@@ -11,8 +11,8 @@
 
 namespace axon::cyton {
 
-/// What Grab and Place is to do. Positions are those of the middle of the object's underside in the frame of the
-/// arm's base (geometry.hpp), metres; yaws turn the sides of a box away from the frame's axes, radians.
+/// What Grab and Place is to do. Positions are those of the middle of the object's underside in the frame of
+/// the arm's base (geometry.hpp), metres; yaws turn the sides of a box away from the frame's axes, radians.
 struct PickAndPlaceRequest {
     Point pick{0.030, 0.365, 0.100};
     Point place{0.390, 0, 0};
@@ -20,7 +20,7 @@ struct PickAndPlaceRequest {
     std::optional<double> place_yaw;  ///< none: as it turns out
     double width = 0.028;             ///< between the pads, and at most so deep; up to kWidest
     double height = 0.080;
-    double speed = 0.25;              ///< part of the servos' highest rates
+    double speed = 0.25;  ///< part of the servos' highest rates
 
     static constexpr double kWidest = 0.030;
 };
@@ -37,17 +37,18 @@ struct PickAndPlacePlan {
 std::string objection(const PickAndPlaceRequest& request);
 
 /// Plans the whole motion: open and go before the object, approach along the tool, close, lift, carry, lower,
-/// release, back off, home. The object stays upright, so that the tool tilts alike at both places: straight down
-/// is tried first, then further and further outwards. The whole way is checked: joints within limits, arm, hand
-/// and object above the plane of the base, off the surface below the object (taken to be 0.12 m wide) and off
-/// the object itself while it stands. What else stands around, nobody here knows.
+/// release, back off, home. The object stays upright, so that the tool tilts alike at both places: straight
+/// down is tried first, then further and further outwards. The whole way is checked: joints within limits,
+/// arm, hand and object above the plane of the base, off the surface below the object (taken to be 0.12 m
+/// wide) and off the object itself while it stands. What else stands around, nobody here knows.
 ///
 /// Takes up to two seconds where it finds nothing; `cancelled` is asked in between. Refuses with the reason.
 Result<PickAndPlacePlan> planPickAndPlace(Kinematics& kinematics, const PickAndPlaceRequest& request,
                                           const Posture& start, const std::function<bool()>& cancelled = {});
 
-/// From any posture to another in one leg, by way of others where the straight way would touch the plane of the
-/// base; nothing when no way was found.
-std::optional<std::vector<Posture>> wayBetween(const Kinematics& kinematics, const Posture& from, const Posture& to);
+/// From any posture to another in one leg, by way of others where the straight way would touch the plane of
+/// the base; nothing when no way was found.
+std::optional<std::vector<Posture>> wayBetween(const Kinematics& kinematics, const Posture& from,
+                                               const Posture& to);
 
 }  // namespace axon::cyton

@@ -66,9 +66,9 @@ TEST(CytonProfiles, TheDefaultsOfGrabAndPlaceAreThePlannersOwn) {
     const auto profile = readServicesProfile(contentOf("services_profile.xml"), "services");
     const PickAndPlaceRequest request;
     const std::map<std::string, double> expected{
-        {"Pick X", request.pick[0] * 1000},   {"Pick Y", request.pick[1] * 1000},
-        {"Pick Z", request.pick[2] * 1000},   {"Place X", request.place[0] * 1000},
-        {"Place Y", request.place[1] * 1000}, {"Place Z", request.place[2] * 1000},
+        {"Pick X", request.pick[0] * 1000},     {"Pick Y", request.pick[1] * 1000},
+        {"Pick Z", request.pick[2] * 1000},     {"Place X", request.place[0] * 1000},
+        {"Place Y", request.place[1] * 1000},   {"Place Z", request.place[2] * 1000},
         {"Object Width", request.width * 1000}, {"Object Height", request.height * 1000},
         {"Speed", request.speed * 100}};
     std::size_t seen = 0;
@@ -86,7 +86,8 @@ TEST(CytonProfiles, TheDefaultsOfGrabAndPlaceAreThePlannersOwn) {
 
 TEST(CytonSettings, PlacesAndPortsAreReadOrRefusedWithAnExample) {
     EXPECT_EQ(parsePlace("600,-20.5,700"), (std::array<double, 3>{600, -20.5, 700}));
-    for (const char* wrong : {"", "1,2", "1,2,3,4", "a,b,c", "1,2,nan"}) EXPECT_THROW(parsePlace(wrong), BadSetting) << wrong;
+    for (const char* wrong : {"", "1,2", "1,2,3,4", "a,b,c", "1,2,nan"})
+        EXPECT_THROW(parsePlace(wrong), BadSetting) << wrong;
     EXPECT_EQ(parsePortRange("5500-5600"), (std::pair<std::uint16_t, std::uint16_t>{5500, 5600}));
     EXPECT_THROW(parsePortRange("5600-5500"), BadSetting);
     EXPECT_EQ(withSpeed("/dev/ttyUSB0"), "/dev/ttyUSB0:115200");

@@ -117,7 +117,8 @@ std::optional<Pulses> ServoGate::presentPulses(TimePoint now) const {
     if (!move_) return std::nullopt;
     if (now >= move_->begin + move_->time) return move_->to;
     if (!known_) return std::nullopt;
-    const double part = std::chrono::duration<double>(now - move_->begin) / std::chrono::duration<double>(move_->time);
+    const double part =
+        std::chrono::duration<double>(now - move_->begin) / std::chrono::duration<double>(move_->time);
     Pulses pulses{};
     for (std::size_t i = 0; i < kChannels; ++i) pulses[i] = std::lerp(move_->from[i], move_->to[i], part);
     return pulses;

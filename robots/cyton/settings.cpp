@@ -67,7 +67,8 @@ std::string withSpeed(const std::string& arm) {
 
 std::string withEntityName(const std::string& xml, std::string_view name) {
     // The first name="..." of the root element, comments before it skipped.
-    static const std::regex kName(R"(^(?:\s|<\?[^>]*\?>|<!--(?:[^-]|-(?!->))*-->)*<BasicProfile\b[^>]*?\sname\s*=\s*("[^"]*"|'[^']*'))");
+    static const std::regex kName(
+        R"(^(?:\s|<\?[^>]*\?>|<!--(?:[^-]|-(?!->))*-->)*<BasicProfile\b[^>]*?\sname\s*=\s*("[^"]*"|'[^']*'))");
     std::smatch match;
     if (!std::regex_search(xml, match, kName))
         throw BadSetting("--name: the basic profile has no <BasicProfile name=\"...\"> to put it into");
@@ -85,8 +86,8 @@ std::filesystem::path profileFolder(const Settings& settings) {
     for (const char* file : {"basic_profile.xml", "services_profile.xml"}) {
         std::error_code error;
         if (std::filesystem::is_regular_file(folder / file, error)) continue;
-        throw BadSetting(fmt::format("there is no {} in {}: say with --profiles where the two profiles lie", file,
-                                     folder.string()));
+        throw BadSetting(fmt::format("there is no {} in {}: say with --profiles where the two profiles lie",
+                                     file, folder.string()));
     }
     return folder;
 }

@@ -20,7 +20,7 @@ struct Settings {
     std::string ports;  ///< a ports.cfg, or "first-last"; empty: the Entity Interfacer's range
     /// Without an answer for so long the controller is lost.
     std::chrono::steady_clock::duration silence_limit = std::chrono::milliseconds{1000};
-    std::array<double, 3> at_mm{};   ///< where the arm's base stands, told to clients as the entity's position
+    std::array<double, 3> at_mm{};  ///< where the arm's base stands, told to clients as the entity's position
     std::filesystem::path profiles;  ///< the folder of the two profiles; empty: found beside the program
 };
 
@@ -35,13 +35,15 @@ std::pair<std::uint16_t, std::uint16_t> parsePortRange(const std::string& text);
 std::array<double, 3> parsePlace(const std::string& text);
 /// A serial device without a speed gets 115200 baud: postures at 25 a second need more than half of 38400.
 std::string withSpeed(const std::string& arm);
-/// The basic profile with another name in its root element; everything else stays as it is. Throws BadSetting.
+/// The basic profile with another name in its root element; everything else stays as it is. Throws
+/// BadSetting.
 std::string withEntityName(const std::string& xml, std::string_view name);
 /// The folder with basic_profile.xml and services_profile.xml: what the settings say, else
 /// ../share/axon/robots/cyton seen from the program. Throws BadSetting.
 std::filesystem::path profileFolder(const Settings& settings);
 
-/// A file that lives as long as this object: the renamed profile, which the Entity Interfacer reads from disk.
+/// A file that lives as long as this object: the renamed profile, which the Entity Interfacer reads from
+/// disk.
 class TemporaryFile {
   public:
     explicit TemporaryFile(const std::string& content);

@@ -12,7 +12,8 @@ namespace axon::cyton {
 /// polynomial of least jerk), none faster than its part of its highest rate nor with more than kAcceleration.
 class Trajectory {
   public:
-    static constexpr double kAcceleration_rad_s2 = 6;  // assumed; a third of what the weakest servo does unloaded
+    static constexpr double kAcceleration_rad_s2 =
+        6;  // assumed; a third of what the weakest servo does unloaded
 
     /// `path`: at least one posture, straight lines between them. `speed`: part of each joint's highest rate,
     /// above 0, at most 1. A way of no length takes no time.
@@ -36,8 +37,8 @@ struct Leg {
     double rest_s = 0;  ///< afterwards: servos lag behind their pulses
 };
 
-/// Plays legs one after the other. I/O-free: time comes in, postures come out. A pause lets the motion run out
-/// and start again within kRamp, along its way.
+/// Plays legs one after the other. I/O-free: time comes in, postures come out. A pause lets the motion run
+/// out and start again within kRamp, along its way.
 class Playback {
   public:
     static constexpr double kRamp_s = 0.2;
@@ -45,11 +46,11 @@ class Playback {
     explicit Playback(std::vector<Leg> legs);
 
     struct Step {
-        Posture posture;        ///< where to be after this time
-        std::size_t leg = 0;    ///< of those given
-        double progress = 0;    ///< 0 to 1, by time
+        Posture posture;      ///< where to be after this time
+        std::size_t leg = 0;  ///< of those given
+        double progress = 0;  ///< 0 to 1, by time
         bool done = false;
-        bool resting = false;   ///< paused, and run out
+        bool resting = false;  ///< paused, and run out
     };
     Step advance(double time_s, bool paused);
 
@@ -65,7 +66,8 @@ class Playback {
     std::size_t leg_ = 0;
 };
 
-/// The longest time, in seconds, that one of the servos needs from one posture to the other at its highest rate.
+/// The longest time, in seconds, that one of the servos needs from one posture to the other at its highest
+/// rate.
 double leastTime_s(const Posture& from, const Posture& to);
 
 }  // namespace axon::cyton

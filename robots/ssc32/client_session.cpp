@@ -15,7 +15,8 @@ void ClientSession::begin(TimePoint now) {
     began_ = heard_ = now;
     pulses_us_.clear();
     pulses_wanted_ = false;
-    // Ends what somebody before us, or noise, may have left unfinished: it must not become one line with ours.
+    // Ends what somebody before us, or noise, may have left unfinished: it must not become one line with
+    // ours.
     port_.send("\r");
     ask(Query::Status, now);
 }
@@ -66,12 +67,14 @@ void ClientSession::onPulse(std::uint8_t byte, TimePoint now) {
 void ClientSession::tick(TimePoint now) {
     if (state_ == State::Closed) return;
     if (state_ == State::Probing && now - began_ >= kProbeLimit) {
-        end("nobody answers there as an SSC-32 does: is the controller switched on, is the speed of the line right?");
+        end("nobody answers there as an SSC-32 does: is the controller switched on, is the speed of the line "
+            "right?");
         return;
     }
     if (state_ == State::Online && now - heard_ >= silence_limit_) {
         end("the controller has not answered for " +
-            std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(now - heard_).count()) + " ms");
+            std::to_string(std::chrono::duration_cast<std::chrono::milliseconds>(now - heard_).count()) +
+            " ms");
         return;
     }
     if (under_way_) return;

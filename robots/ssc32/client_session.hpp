@@ -10,18 +10,17 @@
 
 namespace axon::ssc32 {
 
-/// One connection with an SSC-32, without I/O: finds out whether there is one, which pulses it gives, and keeps
-/// asking whether its moves are over, which is the only way to notice that it is gone.
+/// One connection with an SSC-32, without I/O: finds out whether there is one, which pulses it gives, and
+/// keeps asking whether its moves are over, which is the only way to notice that it is gone.
 ///
 /// | state | until |
 /// |---|---|
 /// | Closed | begin() |
-/// | Probing | `Q` says that no move is left, and the pulses of all channels were told → Online; 2 s without an
-/// answer → Closed |
+/// | Probing | no move is left and the pulses of all channels were told → Online; 2 s of silence → Closed |
 /// | Online | silence_limit without an answer, or end() → Closed |
 ///
-/// Answers carry no mark of what they answer, so that only one query is under way at a time; bytes that nobody
-/// asked for are counted and dropped. Threads: none, not thread-safe. Nothing here ever moves a servo.
+/// Answers carry no mark of what they answer, so that only one query is under way at a time; bytes that
+/// nobody asked for are counted and dropped. Threads: none, not thread-safe. Nothing here ever moves a servo.
 class ClientSession {
   public:
     enum class State { Closed, Probing, Online };

@@ -8,7 +8,8 @@ namespace axon::ssc32 {
 std::string encodeMove(std::span<const ServoMove> moves) {
     std::string line;
     for (const auto& move : moves)
-        line += '#' + std::to_string(move.channel) + 'P' + std::to_string(std::clamp(move.pulse_us, 500, 2500));
+        line +=
+            '#' + std::to_string(move.channel) + 'P' + std::to_string(std::clamp(move.pulse_us, 500, 2500));
     return line + '\r';
 }
 

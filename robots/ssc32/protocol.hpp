@@ -6,8 +6,8 @@
 
 #include "common/clock.hpp"
 
-/// The Lynxmotion SSC-32, a controller of up to 32 hobby servos on a serial line: lines of text that end with a
-/// carriage return. It generates pulses and knows nothing else: no servo tells where it is.
+/// The Lynxmotion SSC-32, a controller of up to 32 hobby servos on a serial line: lines of text that end with
+/// a carriage return. It generates pulses and knows nothing else: no servo tells where it is.
 namespace axon::ssc32 {
 
 /// One servo's part of a group move. Pulses are whole microseconds from 500 to 2500.

@@ -46,7 +46,8 @@ class EventDescriptor {
 
 class Ssc32Client::Worker final : public ClientSession::Port {
   public:
-    Worker(arcos::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks, Duration silence_limit)
+    Worker(arcos::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
+           Duration silence_limit)
         : open_(std::move(open)),
           callbacks_(std::move(callbacks)),
           session_(*this, std::move(channels), silence_limit) {}
@@ -178,7 +179,8 @@ class Ssc32Client::Worker final : public ClientSession::Port {
 
 Ssc32Client::Ssc32Client(arcos::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
                          Duration silence_limit)
-    : worker_(std::make_unique<Worker>(std::move(open), std::move(channels), std::move(callbacks), silence_limit)) {}
+    : worker_(std::make_unique<Worker>(std::move(open), std::move(channels), std::move(callbacks),
+                                       silence_limit)) {}
 Ssc32Client::~Ssc32Client() = default;
 void Ssc32Client::start() {
     worker_->start();

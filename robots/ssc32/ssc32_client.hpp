@@ -10,13 +10,13 @@
 
 namespace axon::ssc32 {
 
-/// A connection to one SSC-32 that never gives up: connects, finds out the pulses, notices when it is gone, and
-/// tries again for ever (after 100 ms, doubling up to 2 s). It never moves a servo of itself.
+/// A connection to one SSC-32 that never gives up: connects, finds out the pulses, notices when it is gone,
+/// and tries again for ever (after 100 ms, doubling up to 2 s). It never moves a servo of itself.
 ///
 /// Between a robot application above and a ByteStream (TCP or serial) below; the protocol is ClientSession.
-/// Threads: one of its own, on which all callbacks run; they must not block. send() from any thread: written to
-/// the link by the caller, without a queue, so that a stop is on the wire when the call returns. Destruction
-/// joins the thread and leaves the servos where they are; not from a callback.
+/// Threads: one of its own, on which all callbacks run; they must not block. send() from any thread: written
+/// to the link by the caller, without a queue, so that a stop is on the wire when the call returns.
+/// Destruction joins the thread and leaves the servos where they are; not from a callback.
 class Ssc32Client {
   public:
     struct Callbacks {
@@ -35,8 +35,8 @@ class Ssc32Client {
     /// Begins to connect; once.
     void start();
     bool online() const;
-    /// Whole lines. False when the controller cannot be reached; a link that does not take them at once is given
-    /// up and opened again.
+    /// Whole lines. False when the controller cannot be reached; a link that does not take them at once is
+    /// given up and opened again.
     bool send(const std::string& lines);
     void askPulses();
 
