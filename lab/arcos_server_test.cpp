@@ -3,6 +3,9 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
+
+#include "common/ids.hpp"
 #include "robots/arcos/gripper.hpp"
 #include "robots/arcos/laser.hpp"
 #include "robots/arcos/vcc4.hpp"
@@ -520,6 +523,31 @@ TEST_F(ArcosServerTest, TheCameraAnswersThroughTheSecondSerialPort) {
     passPulsing(milliseconds{1500});
     EXPECT_NEAR(server_.camera().looks.tilt_up_deg, 60, 0.1);
     EXPECT_EQ(server_.camera().zoom, 1000);
+}
+
+TEST_F(ArcosServerTest, AnyCommandWithAnyArgumentLeavesARobotThatCanBeStopped) {
+    open();
+    SeededRandom random(6);
+    for (int i = 0; i < 5000; ++i) {
+        const auto word = random.next();
+        const auto id = static_cast<std::uint8_t>(word);
+        if (id == static_cast<std::uint8_t>(Command::Close)) continue;
+        arcos::Bytes data(word >> 8U & 15U);
+        random.fill(data.data(), data.size());
+        if (!data.empty() && (word >> 16U & 3U) != 0)
+            data[0] = std::array<std::uint8_t, 3>{0x3B, 0x1B, 0x2B}[word >> 20U & 1U];
+        give(arcos::encode({id, data}));
+        if (i % 8 == 0) pass(milliseconds{4});
+    }
+    EXPECT_EQ(server_.state(), ArcosServer::State::Open);
+    EXPECT_GE(server_.laser().readings(), 1);
+    EXPECT_LE(server_.laser().readings(), LaserSettings::kMaximumReadings);
+    order(Command::SetA, -600);
+    order(Command::SetRa, -100);
+    order(Command::EStop);
+    passPulsing(milliseconds{5000});
+    EXPECT_EQ(wheels_.left_mm_s, 0);
+    EXPECT_EQ(wheels_.right_mm_s, 0);
 }
 
 }  // namespace

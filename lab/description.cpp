@@ -340,6 +340,8 @@ void addMap(WorldDescription& world, const std::string& text, const std::string&
         world.room_x = metres(bounds.to.x_mm - bounds.from.x_mm);
         world.room_y = metres(bounds.to.y_mm - bounds.from.y_mm);
         world.room_walls = false;
+        for (const auto& home : map.homes)
+            world.homes.push_back({metres(home.at.x_mm), metres(home.at.y_mm), home.heading_deg.value_or(0)});
         for (const auto& area : map.obstacles) {
             const auto corners = area.corners();
             Box box;
@@ -376,7 +378,14 @@ void addItem(WorldDescription& world, std::string_view line, const ReadFile& rea
     } else if (kind == "object") {
         world.objects.push_back(parsed<Object>(kind, rest, ' '));
     } else if (kind == "peoplebot") {
-        world.robots.push_back(parsed(kind, rest, ' ', robotAt(world.robots.size())));
+        auto robot = robotAt(world.robots.size());
+        if (world.robots.size() < world.homes.size()) {
+            const auto& home = world.homes[world.robots.size()];
+            robot.x = home[0];
+            robot.y = home[1];
+            robot.theta = home[2];
+        }
+        world.robots.push_back(parsed(kind, rest, ' ', std::move(robot)));
     } else if (kind == "cyton") {
         world.arms.push_back(parsed<ArmPlacement>(kind, rest, ' '));
     } else {
@@ -431,6 +440,8 @@ WorldDescription parseWorld(std::string_view text, std::string_view name, const 
         growing.room_left = world.room_left;
         growing.room_bottom = world.room_bottom;
         growing.walls = world.walls;
+        growing.homes = world.homes;
+        growing.room_walls = world.room_walls;
         for (const auto& [line, item] : items) {
             const bool room = item.rfind("room", 0) == 0 || item.rfind("map", 0) == 0;
             try {

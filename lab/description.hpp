@@ -63,9 +63,10 @@ struct Wall {
 
 struct WorldDescription {
     double room_x = 8, room_y = 6;
-    double room_left = 0, room_bottom = 0;  ///< the corner, other than the origin only where a map says so
-    bool room_walls = true;                 ///< whether the room's rectangle has walls
-    std::vector<Wall> walls;                ///< further ones, from a map
+    double room_left = 0, room_bottom = 0;     ///< the corner, other than the origin only where a map says so
+    bool room_walls = true;                    ///< whether the room's rectangle has walls
+    std::vector<Wall> walls;                   ///< further ones, from a map
+    std::vector<std::array<double, 3>> homes;  ///< x, y, theta from a map: for robots without a place
     std::vector<Box> boxes;
     std::vector<Table> tables;
     std::vector<Object> objects;
@@ -93,7 +94,9 @@ RobotPlacement parseRobot(std::string_view text, std::size_t index);
 /// A world from a file: one item a line, its keys after it, separated by blanks; from # on a line is a
 /// comment.
 ///     room x=8 y=6
-///     map file=corridors.map          walls from a Mapper3 map, beside the file; its frame is the world's
+///     map file=corridors.map          walls from a Mapper3 map, beside the file; its frame is the world's,
+///     its
+///                                     homes are the places of robots that have none
 ///     table name=west x=0.6 y=3 dx=0.8 dy=3 height=0.66
 ///     box name=platform x=0.6 y=3.3 z=0.66 dx=0.12 dy=0.12 height=0.1
 ///     object name=red colour=red shape=box x=0.6 y=3.3 dx=0.028 dy=0.028 dz=0.08 mass=0.06

@@ -62,6 +62,7 @@ WorldDescription parse(std::string_view text) {
     return parseWorld(text, "a.lab", [](const std::string& file) -> std::string {
         if (file == "walls.map") {
             return "2D-Map\nNumLines: 4\n"
+                   "Cairn: RobotHome 1000 2000 90 \"\" ICON \"\"\n"
                    "Cairn: Sim.BoxObstacle 0 0 0 \"\" ICON \"\" 3000 1000 3400 1200\n"
                    "LINES\n-1000 0 5000 0\n-1000 0 -1000 4000\n5000 0 5000 4000\n-1000 4000 5000 4000\n";
         }
@@ -110,6 +111,9 @@ TEST(WorldFile, AMapGivesTheWallsAndTheRoom) {
     ASSERT_EQ(world.boxes.size(), 1U);
     EXPECT_NEAR(world.boxes[0].x, 3.2, 1e-9);
     EXPECT_NEAR(world.boxes[0].dy, 0.2, 1e-9);
+    const auto at_home = parse("map file=walls.map\npeoplebot\n").robots.at(0);
+    EXPECT_EQ(at_home.x, 1);
+    EXPECT_EQ(at_home.theta, 90);
 }
 
 TEST(WorldFile, MistakesAreToldWithFileAndLine) {
