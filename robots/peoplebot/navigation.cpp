@@ -37,6 +37,8 @@ constexpr double kTurnCrawl_deg_s = 6;
 constexpr double kBraking_mm_s2 = 200;
 constexpr double kCrawl_mm_s = 60;
 constexpr double kFaced_deg = 2;
+constexpr double kSwingMargin_mm = 5;  // routes lead through places that are hardly wider
+constexpr double kFacingMargin_mm = 40;
 constexpr Duration kFacingPatience = seconds{20};
 constexpr Duration kGettingOn = seconds{8};
 constexpr double kStepOn_mm = 50;
@@ -407,6 +409,8 @@ MotionStep Navigation::follow(const arcos::RobotState& robot, TimePoint now) {
     if (std::abs(bearing) < kTurnedEnough_deg) turning_ = false;
     double turn = std::clamp(bearing * kGain_per_s, -kFastestTurn_deg_s, kFastestTurn_deg_s);
     if (turning_) {
+        if ((bearing > 0 ? room.swing_left : room.swing_right) < kSwingMargin_mm)
+            return recover(robot, "there is no room to turn", {}, now);
         if (std::abs(turn) < kTurnCrawl_deg_s) turn = std::copysign(kTurnCrawl_deg_s, bearing);
         return {.left_deg_s = turn, .progress = progress()};
     }
@@ -442,10 +446,17 @@ MotionStep Navigation::recoil(const arcos::RobotState& robot, TimePoint now) {
 
 MotionStep Navigation::face(const arcos::RobotState& robot, TimePoint now) {
     if (robot.front_bumpers != 0 || robot.rear_bumpers != 0) return fail("a bumper was pressed while the robot turned to the goal's heading");
-    const double off = std::remainder(*goal_.heading_deg - estimate_.pose.heading_deg, 360.0);
+    double off = std::remainder(*goal_.heading_deg - estimate_.pose.heading_deg, 360.0);
     if (std::abs(off) < kFaced_deg) {
         enter(State::Settling, now);
         return rest();
+    }
+    const auto room = surroundings_.clearance();
+    const bool left_free = room.swing_left >= kFacingMargin_mm;
+    const bool right_free = room.swing_right >= kFacingMargin_mm;
+    if (!(off > 0 ? left_free : right_free)) {
+        if (!left_free && !right_free) return fail("there is no room to turn to the goal's heading: something stands too near");
+        off -= std::copysign(360, off);  // by the longer way
     }
     if (now - state_since_ > kFacingPatience) return fail("the robot does not get to the goal's heading");
     // A turn goes on while it slows down, and each news is a tenth of a second old.

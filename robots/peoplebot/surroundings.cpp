@@ -13,6 +13,7 @@ namespace {
 constexpr double kDegree = std::numbers::pi / 180;
 // Half of the lane: the hull and as much again as the robot wanders off while it corrects.
 constexpr double kLane_mm = body::kRadius_mm + 45;
+constexpr double kBesideAxis_mm = 50;
 constexpr double kSideFrom_deg = 25;
 constexpr double kSideTo_deg = 120;
 constexpr double kSonarSeesUpTo_mm = 4900;
@@ -65,7 +66,10 @@ Clearance Surroundings::clearance() const {
             auto& side = bearing > 0 ? room.left : room.right;
             side = std::min(side, std::max(0.0, away));
         }
-        room.swing = std::min(room.swing, std::hypot(spot.x, spot.y) - body::kSwing_mm);
+        if (spot.x > kBesideAxis_mm) return;
+        const double swept = std::hypot(spot.x, spot.y) - body::kSwing_mm;
+        if (spot.y < kBesideAxis_mm) room.swing_left = std::min(room.swing_left, swept);
+        if (spot.y > -kBesideAxis_mm) room.swing_right = std::min(room.swing_right, swept);
     };
     forEachEcho([&](std::size_t i, const Echo& echo) {
         const auto& pose = body::kSonars[i];

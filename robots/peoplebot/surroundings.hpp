@@ -16,7 +16,11 @@ struct Clearance {
     double front = kNothing_mm;  ///< within the lane that the robot would drive along
     double right = kNothing_mm;
     double rear = kNothing_mm;
-    double swing = kNothing_mm;  ///< to the circle that a turn on the spot sweeps; negative: it would touch
+    // To what the rear sweeps in a turn on the spot, to the left and to the right; negative: it would touch. The front
+    // is round about the turning axis and sweeps nothing.
+    double swing_left = kNothing_mm;
+    double swing_right = kNothing_mm;
+    double swing() const { return swing_left < swing_right ? swing_left : swing_right; }
     bool heard = false;          ///< a front sonar or the laser spoke within the last second
 };
 
