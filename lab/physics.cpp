@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdio>
 #include <cstring>
 #include <numbers>
 #include <random>
@@ -27,6 +28,10 @@ constexpr double kParked_z = -5;     // where obstacles are that nobody has put 
 
 /// Loads a model from text: MuJoCo reads files only, so it is given a file in memory.
 mjModel* loadModel(const std::string& xml) {
+    // Its own way to warn is a file in the working directory.
+    mju_user_warning = [](const char* text) {
+        std::fprintf(stderr, "axon-lab: warning: MuJoCo: %s\n", text);
+    };
     const auto files = std::make_unique<mjVFS>();
     mj_defaultVFS(files.get());
     if (mj_makeEmptyFileVFS(files.get(), "lab.xml", static_cast<int>(xml.size())) != 0) {
