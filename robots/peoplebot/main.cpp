@@ -10,7 +10,7 @@ namespace {
 constexpr auto kFooter = R"(
 With the virtual laboratory, each line in a terminal of its own:
   axon-lab
-  axon-peoplebot --at 1500,3000,0
+  axon-peoplebot --at 2400,2000,180
 An Entity Manager that is configured with the same --application links to it. The robot may come and go: its services are
 inactive while it cannot be reached. Ends on Ctrl-C, after stopping the robot.
 Exit status: 0 ended when told to, 2 something is wrong with the options or the profiles.)";
