@@ -5,6 +5,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "robots/arcos/laser.hpp"
+
 namespace axon::lab {
 namespace {
 
@@ -14,6 +16,7 @@ using arcos::Command;
 constexpr double kDegree = std::numbers::pi / 180;
 constexpr double kVel2Unit_mm_s = 20;  // Vel2Divisor of the vendor's parameter file
 constexpr double kResting_mm_s = 2;    // below this a wheel stands still
+constexpr std::size_t kAuxiliaryBuffer = 256;
 
 std::int16_t rounded(double value) {
     return static_cast<std::int16_t>(std::lround(std::clamp(value, -32768.0, 32767.0)));
@@ -24,6 +27,11 @@ std::uint16_t onWire(double position_mm) {
 }
 
 }  // namespace
+
+int LaserSettings::readings() const {
+    return std::clamp(static_cast<int>(std::floor((end_deg - start_deg) / resolution_deg + 0.5)) + 1, 1,
+                      kMaximumReadings);
+}
 
 void ArcosServer::clientConnected(TimePoint now) {
     endSession(State::Synchronising);
@@ -38,7 +46,11 @@ void ArcosServer::clientLost() {
 void ArcosServer::endSession(State next) {
     if (state_ == State::Open) motion_.stop();
     motors_on_ = false;
-    io_requests_ = 0;
+    io_requests_ = gripper_requests_ = 0;
+    gripper_.halt();
+    auxiliary_.clear();
+    auxiliary_wanted_ = 0;
+    laser_ = {};
     sync_ = 0;
     watchdog_tripped_ = false;
     state_ = next;
@@ -99,6 +111,7 @@ void ArcosServer::onCommand(const arcos::Packet& packet, TimePoint now) {
     const auto command = static_cast<Command>(packet.id);
     const auto argument = arcos::parseArgument(packet);
     ++counters_.commands;
+    if (command != Command::GripperValue && command != Command::Pulse) gripper_.forgetValue();
     const auto needsInteger = [&] {
         if (argument.kind == Argument::Kind::Integer) return true;
         ++counters_.malformed_commands;
@@ -114,6 +127,7 @@ void ArcosServer::onCommand(const arcos::Packet& packet, TimePoint now) {
         case Command::Open:
         case Command::Encoder:
         case Command::JoyDrive:
+        case Command::HostBaud:
         case Command::BatteryInfo:
             break;
         case Command::Close:
@@ -182,8 +196,122 @@ void ArcosServer::onCommand(const arcos::Packet& packet, TimePoint now) {
         case Command::BumpStall:
             if (needsInteger()) bump_stall_ = static_cast<unsigned>(std::clamp(argument.value, 0, 3));
             break;
+        case Command::Gripper:
+        case Command::GripperValue:
+        case Command::GripperRequest:
+            if (needsInteger()) onGripper(command, argument.value);
+            break;
+        case Command::OldLaserOn:
+        case Command::OldLaserResolution:
+        case Command::LaserOn:
+        case Command::LaserStart:
+        case Command::LaserEnd:
+        case Command::LaserResolution:
+            if (needsInteger()) onLaser(command, argument.value);
+            break;
+        case Command::Tty2:
+        case Command::GetAux:
+            onCamera(command, argument);
+            break;
         default:
             ++counters_.unknown_commands;
+    }
+}
+
+void ArcosServer::onGripper(Command command, int argument) {
+    if (command == Command::Gripper) {
+        if (!gripper_.order(argument)) ++counters_.malformed_commands;
+    } else if (command == Command::GripperValue) {
+        if (!gripper_.value(argument)) onLaser(Command::LaserStart, argument);
+    } else if (argument < 0 || argument > 2) {
+        onLaser(Command::LaserEnd, argument);
+    } else {
+        gripper_requests_ = argument;
+        if (gripper_requests_ == 1) {
+            sendGripper();
+            gripper_requests_ = 0;
+        }
+    }
+}
+
+void ArcosServer::onLaser(Command command, int argument) {
+    auto wanted = laser_;
+    switch (command) {
+        case Command::OldLaserOn:
+        case Command::LaserOn:
+            wanted.on = argument != 0;
+            laser_reflectances_ = argument == 2;
+            break;
+        case Command::LaserStart:
+            wanted.start_deg = argument;
+            break;
+        case Command::LaserEnd:
+            wanted.end_deg = argument;
+            break;
+        case Command::LaserResolution:
+            wanted.resolution_deg = argument;
+            break;
+        default:
+            wanted.resolution_deg = argument / 100.0;
+    }
+    // Start and end come one after the other: which one is the first is seen when the laser turns.
+    const bool possible = std::abs(wanted.start_deg) <= 90 && std::abs(wanted.end_deg) <= 90 &&
+                          wanted.resolution_deg >= 0.5 && wanted.resolution_deg <= 90;
+    if (!possible) {
+        ++counters_.malformed_commands;
+        return;
+    }
+    laser_ = wanted;
+}
+
+void ArcosServer::onCamera(Command command, const Argument& argument) {
+    const auto wanted = command == Command::Tty2 ? Argument::Kind::Text : Argument::Kind::Integer;
+    if (argument.kind != wanted) {
+        ++counters_.malformed_commands;
+        return;
+    }
+    if (command == Command::Tty2) {
+        auxiliary_ += camera_.receive(argument.text);
+        if (auxiliary_.size() > kAuxiliaryBuffer) auxiliary_.erase(0, auxiliary_.size() - kAuxiliaryBuffer);
+    } else if (argument.value <= 0) {
+        auxiliary_.clear();
+        auxiliary_wanted_ = 0;
+    } else {
+        auxiliary_wanted_ =
+            std::min<std::size_t>(static_cast<std::size_t>(argument.value), arcos::kMaximumData);
+    }
+    sendAuxiliary();
+}
+
+/// Clients ask before the camera has anything to say: the bytes follow when they are there.
+void ArcosServer::sendAuxiliary() {
+    if (auxiliary_wanted_ == 0 || auxiliary_.size() < auxiliary_wanted_) return;
+    arcos::Bytes bytes(auxiliary_.begin(),
+                       auxiliary_.begin() + static_cast<std::ptrdiff_t>(auxiliary_wanted_));
+    auxiliary_.erase(0, auxiliary_wanted_);
+    auxiliary_wanted_ = 0;
+    port_.send(arcos::encode({arcos::kAuxPacket, std::move(bytes)}));
+}
+
+void ArcosServer::sendGripper() {
+    port_.send(arcos::encode(
+        arcos::toPacket(arcos::GripperPacket{arcos::GripperPacket::kGeneralIo, gripper_.switches(),
+                                             static_cast<std::uint8_t>(gripper_.graspTime())})));
+}
+
+void ArcosServer::sendLaser(const BodyReadings& readings) {
+    const auto& ranges = readings.laser_mm;
+    for (std::size_t first = 0; first < ranges.size(); first += arcos::LaserPacket::kMaximumReadings) {
+        arcos::LaserPacket packet;
+        packet.extended = laser_reflectances_;
+        packet.x = onWire(x_mm_);
+        packet.y = onWire(y_mm_);
+        packet.theta = rounded(std::remainder(theta_deg_, 360.0));
+        packet.total = static_cast<std::uint16_t>(ranges.size());
+        packet.first = static_cast<std::uint16_t>(first);
+        const auto end = std::min(ranges.size(), first + arcos::LaserPacket::kMaximumReadings);
+        for (auto i = first; i < end; ++i) packet.readings.push_back({ranges[i]});
+        port_.send(arcos::encode(arcos::toPacket(packet)));
     }
 }
 
@@ -239,11 +367,15 @@ ArcosServer::WheelSpeeds ArcosServer::step(Duration period, const BodyReadings& 
         motion_.stop();
     }
     watchBody(readings, now);
+    gripper_speeds_ = gripper_.step(period, readings.gripper);
+    camera_.step(period);
+    if (state_ == State::Open && laser_.on && readings.laser_scanned) sendLaser(readings);
     const auto speed = motion_.step(period, distance_mm_, theta_deg_);
     if (state_ == State::Open && now >= next_sip_) {
         next_sip_ = std::max(next_sip_ + kSipPeriod, now);
         sendServerInformation(readings);
         if (io_requests_ == 2) sendInputsOutputs();
+        if (gripper_requests_ == 2) sendGripper();
     }
     const double difference = speed.left_deg_s * kDegree * kTrack_mm / 2;
     return {speed.forward_mm_s - difference, speed.forward_mm_s + difference};
@@ -309,9 +441,12 @@ void ArcosServer::sendServerInformation(const BodyReadings& readings) {
             sip.sonars.push_back({static_cast<std::uint8_t>(i), readings.sonar_mm[i]});
     }
     sonars_pending_ = 0;
+    sip.grip_state = arcos::toByte(gripper_.state());
+    sip.general_io = arcos::toByte(gripper_.switches());
     sip.digital_in = digital_in_;
     sip.digital_out = digital_out_;
     sip.battery_x10 = sip.battery_dv;
+    sip.state_of_charge = static_cast<std::uint8_t>(std::lround(readings.charge * 100));
     const double rotation = (readings.right_mm_s - readings.left_mm_s) / kTrack_mm / kDegree;
     sip.rotation_tenth_deg_s = rounded(rotation * 10);
     port_.send(arcos::encode(arcos::toPacket(sip)));
@@ -330,7 +465,7 @@ void ArcosServer::sendConfig() {
     config.top_acceleration = 4000;
     config.name = identity_.name;
     config.sip_cycle_ms = static_cast<int>(kSipPeriod / std::chrono::milliseconds{1});
-    config.front_sonar = config.rear_sonar = true;
+    config.gripper = config.front_sonar = config.rear_sonar = true;
     config.low_battery_dv = 115;
     config.watchdog_ms = static_cast<int>(kWatchdog / std::chrono::milliseconds{1});
     config.stall_pause_ms = static_cast<int>(kStallPause / std::chrono::milliseconds{1});

@@ -3,10 +3,25 @@
 #include <array>
 #include <string>
 
+#include "lab/camera_control.hpp"
+#include "lab/gripper_control.hpp"
 #include "lab/motion_control.hpp"
 #include "robots/arcos/server_information.hpp"
 
 namespace axon::lab {
+
+/// How the laser range finder scans: reading n at start + n * resolution, degrees from straight ahead, to the
+/// left positive.
+struct LaserSettings {
+    static constexpr int kMaximumReadings = 361;
+    bool on = false;
+    double start_deg = -90;
+    double end_deg = 90;
+    double resolution_deg = 1;
+
+    int readings() const;  ///< 1 to kMaximumReadings
+    bool operator==(const LaserSettings&) const = default;
+};
 
 /// What the virtual body senses, once per control period.
 struct BodyReadings {
@@ -22,8 +37,12 @@ struct BodyReadings {
     bool table_left = false;
     bool table_right = false;
     double battery_v = 0;
+    double charge = 1;               ///< of the battery, 0 to 1
     std::uint32_t sonars_fired = 0;  ///< bit n: sonar n fired in this period; its range is in sonar_mm[n]
     std::array<std::uint16_t, kSonars> sonar_mm{};
+    GripperReadings gripper;
+    bool laser_scanned = false;  ///< in this period; the scan is in laser_mm
+    std::vector<std::uint16_t> laser_mm;
 };
 
 /// The controller of one virtual PeopleBot: the robot's half of an ARCOS session, and with it the motors.
@@ -42,6 +61,10 @@ struct BodyReadings {
 /// this open). A bumper that is set to stall (BUMPSTALL), and a blocked motor, halt the motors at once; for
 /// kStallPause the stall bits are set and every motion command is dropped, and after it motion towards a
 /// pressed bumper stalls again.
+///
+/// Old and new clients give the same numbers to different orders. GripperValue right after an order that
+/// needs one, and GripperRequest with 0 to 2, are the gripper's; all others of them are the laser's angles.
+/// Gripper, camera and laser are at rest when the session ends; the paddles keep what they hold.
 ///
 /// Threads: none, not thread-safe. I/O-free: time comes in with each call, bytes leave through the port.
 /// Bytes with a bad checksum are ignored and counted; unknown commands are ignored and counted.
@@ -91,6 +114,15 @@ class ArcosServer {
     };
     WheelSpeeds step(Duration period, const BodyReadings& readings, TimePoint now);
 
+    /// After step(): what the gripper's motors are to do, where the camera is to look, how the laser is to
+    /// scan.
+    const GripperSpeeds& gripper() const { return gripper_speeds_; }
+    const CameraPose& camera() const { return camera_.pose(); }
+    const LaserSettings& laser() const { return laser_; }
+
+    /// The encoders jumped, the robot did not move: the next readings count from there.
+    void encodersJumped() { encoders_known_ = false; }
+
     State state() const { return state_; }
     bool motorsOn() const { return motors_on_; }
     /// Whether the sonar array (0: base front, 1: base rear, 2: top) is switched on.
@@ -105,6 +137,12 @@ class ArcosServer {
     void onCommand(const arcos::Packet& packet, TimePoint now);
     void onMotion(arcos::Command command, const arcos::Argument& argument);
     void onSonar(int argument);
+    void onGripper(arcos::Command command, int argument);
+    void onLaser(arcos::Command command, int argument);
+    void onCamera(arcos::Command command, const arcos::Argument& argument);
+    void sendAuxiliary();
+    void sendGripper();
+    void sendLaser(const BodyReadings& readings);
     void endSession(State next);
     void stall(TimePoint now, bool left, bool right);
     void watchBody(const BodyReadings& readings, TimePoint now);
@@ -125,6 +163,14 @@ class ArcosServer {
     unsigned bump_stall_ = 0;        // bit 0 front, bit 1 rear
     unsigned sonar_arrays_ = 0b111;  // bit n: array n
     int io_requests_ = 0;            // 0 none, 1 one, 2 with every server information packet
+    int gripper_requests_ = 0;       // as io_requests_
+    GripperControl gripper_;
+    GripperSpeeds gripper_speeds_;
+    CameraControl camera_;
+    std::string auxiliary_;  // what the camera said and nobody has fetched yet
+    std::size_t auxiliary_wanted_ = 0;
+    LaserSettings laser_;
+    bool laser_reflectances_ = false;
     std::uint8_t digital_out_ = 0;
     std::uint8_t digital_in_ = 0xFF;
     TimePoint last_packet_{};

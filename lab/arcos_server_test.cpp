@@ -3,6 +3,13 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
+
+#include "common/ids.hpp"
+#include "robots/arcos/gripper.hpp"
+#include "robots/arcos/laser.hpp"
+#include "robots/arcos/vcc4.hpp"
+
 namespace axon::lab {
 namespace {
 
@@ -341,6 +348,206 @@ TEST_F(ArcosServerTest, ZeroDecelerationCannotMakeTheRobotUnstoppable) {
     order(Command::EStop);
     passPulsing(milliseconds{4000});
     EXPECT_EQ(wheels_.left_mm_s, 0);
+}
+
+TEST_F(ArcosServerTest, MergedAndSplitPacketsAreOneStreamOfCommands) {
+    server_.clientConnected(clock_.now());
+    arcos::Bytes wire;
+    for (const auto& bytes : {encodeCommand(static_cast<Command>(0)), encodeCommand(static_cast<Command>(1)),
+                              encodeCommand(static_cast<Command>(2)), encodeCommand(Command::Open),
+                              encodeCommand(Command::Enable, 1), encodeCommand(Command::Vel, 100)})
+        wire.insert(wire.end(), bytes.begin(), bytes.end());
+    for (const auto byte : wire) give({byte});
+    EXPECT_EQ(server_.state(), ArcosServer::State::Open);
+    passPulsing(milliseconds{1000});
+    EXPECT_NEAR(wheels_.left_mm_s, 100, 1);
+    auto merged = encodeCommand(Command::Vel, 50);
+    const auto more = encodeCommand(Command::Config, 0);
+    merged.insert(merged.end(), {0xFA, 0x00, 0xFB});  // garbage between packets
+    merged.insert(merged.end(), more.begin(), more.end());
+    answers_.clear();
+    give(merged);
+    EXPECT_EQ(answers_.size(), 1U);
+    passPulsing(milliseconds{1000});
+    EXPECT_NEAR(wheels_.left_mm_s, 50, 1);
+}
+
+TEST_F(ArcosServerTest, TheLongestPacketsAndTextsThatLieAboutTheirLengthAreHarmless) {
+    open();
+    give(arcos::encode({static_cast<std::uint8_t>(Command::Tty2), arcos::Bytes(arcos::kMaximumData, 0x2B)}));
+    give(arcos::encode({static_cast<std::uint8_t>(Command::Tty2), {0x2B, 200, 'a'}}));
+    give(arcos::encode({250, arcos::Bytes(arcos::kMaximumData, 0xFF)}));
+    EXPECT_EQ(server_.counters().unknown_commands, 1U);
+    EXPECT_EQ(server_.counters().malformed_commands, 1U);
+    give({0xFA, 0xFB, 0x02, 0x00, 0x00});  // a count that holds no checksum
+    passPulsing(milliseconds{300});
+    EXPECT_GE(sips_, 3);
+}
+
+TEST_F(ArcosServerTest, PaddlesCloseUntilBothFeelSomethingAndThenPressForTheGraspTime) {
+    open();
+    body_.gripper = {.left_paddle_mm = 107, .right_paddle_mm = 107};
+    order(Command::Gripper, 2);
+    pass(milliseconds{500});
+    EXPECT_EQ(server_.gripper().paddles_mm_s, -20);
+    body_.gripper = {.left_paddle_mm = 14, .right_paddle_mm = 14, .left_pressed = true};
+    pass(milliseconds{100});
+    EXPECT_EQ(server_.gripper().paddles_mm_s, -20);
+    body_.gripper.right_pressed = body_.gripper.inner_beam_broken = true;
+    pass(milliseconds{196});
+    EXPECT_EQ(server_.gripper().paddles_mm_s, -20);
+    pass(milliseconds{104});
+    EXPECT_EQ(server_.gripper().paddles_mm_s, 0);
+    const auto switches = arcos::parseGripperSwitches(sip_.general_io);
+    EXPECT_TRUE(switches.left_paddle_pressed && switches.right_paddle_pressed && switches.inner_beam_broken);
+    EXPECT_FALSE(switches.outer_beam_broken || switches.paddles_moving || switches.paddles_open);
+    EXPECT_TRUE(arcos::parseGripState(sip_.grip_state).paddles_closed);
+}
+
+TEST_F(ArcosServerTest, TheLiftStopsAtItsLimitsAfterItsTimeAndWhenItIsBlocked) {
+    open();
+    body_.gripper.lift_mm = 50;
+    order(Command::Gripper, 4);
+    pass(milliseconds{100});
+    EXPECT_EQ(server_.gripper().lift_mm_s, 20);
+    body_.gripper.lift_mm = 189.5;
+    pass(milliseconds{100});
+    EXPECT_EQ(server_.gripper().lift_mm_s, 0);
+    EXPECT_TRUE(arcos::parseGripState(sip_.grip_state).lift_up);
+    EXPECT_TRUE(arcos::parseGripperSwitches(sip_.general_io).lift_at_limit);
+    order(Command::Gripper, 17);
+    order(Command::GripperValue, -10);
+    body_.gripper.lift_mm = 150;
+    pass(milliseconds{196});
+    EXPECT_EQ(server_.gripper().lift_mm_s, -20);
+    pass(milliseconds{8});
+    EXPECT_EQ(server_.gripper().lift_mm_s, 0);
+    order(Command::Gripper, 5);
+    body_.gripper.lift_blocked = true;
+    pass(milliseconds{100});
+    EXPECT_EQ(server_.gripper().lift_mm_s, 0);
+    EXPECT_TRUE(arcos::parseGripState(sip_.grip_state).lift_error);
+    order(Command::Gripper, 12);
+    EXPECT_EQ(server_.counters().malformed_commands, 1U);
+}
+
+TEST_F(ArcosServerTest, TheGripperPacketTellsItsTypeOnceOrWithEveryServerInformation) {
+    open();
+    order(Command::GripperRequest, 1);
+    ASSERT_EQ(answers_.size(), 1U);
+    const auto gripper = arcos::parseGripperPacket(answers_[0]);
+    ASSERT_TRUE(gripper);
+    EXPECT_EQ(gripper->type, arcos::GripperPacket::kGeneralIo);
+    EXPECT_EQ(gripper->grasp_time, 10);
+    order(Command::GripperRequest, 2);
+    passPulsing(milliseconds{300});
+    EXPECT_EQ(answers_.size(), 4U);
+    order(Command::GripperRequest, 0);
+    passPulsing(milliseconds{300});
+    EXPECT_EQ(answers_.size(), 4U);
+}
+
+TEST_F(ArcosServerTest, OldLaserCommandsAndGripperValuesShareTheirNumbersAndAreToldApart) {
+    open();
+    order(static_cast<Command>(36), -90);
+    order(static_cast<Command>(37), 90);
+    order(static_cast<Command>(38), 50);
+    order(static_cast<Command>(35), 2);
+    EXPECT_EQ(server_.laser(), (LaserSettings{true, -90, 90, 0.5}));
+    EXPECT_EQ(server_.laser().readings(), 361);
+    order(static_cast<Command>(33), 16);
+    order(static_cast<Command>(36), 20);
+    order(static_cast<Command>(37), 1);
+    EXPECT_EQ(server_.laser().start_deg, -90);
+    EXPECT_EQ(arcos::parseGripperPacket(answers_.at(0))->grasp_time, 20);
+    order(static_cast<Command>(33), 16);
+    order(static_cast<Command>(29));
+    order(static_cast<Command>(36), 20);
+    EXPECT_EQ(server_.laser().start_deg, 20);
+    order(static_cast<Command>(38), 10);  // finer than the laser is
+    EXPECT_EQ(server_.counters().malformed_commands, 1U);
+    order(Command::LaserResolution, 1);
+    order(Command::LaserStart, -45);
+    order(Command::LaserEnd, 45);
+    order(Command::LaserOn, 0);
+    EXPECT_EQ(server_.laser(), (LaserSettings{false, -45, 45, 1}));
+}
+
+TEST_F(ArcosServerTest, AScanComesInPacketsOfThirtyTwo) {
+    open();
+    order(Command::LaserOn, 1);
+    body_.laser_scanned = true;
+    for (int i = 0; i < 181; ++i) body_.laser_mm.push_back(static_cast<std::uint16_t>(1000 + i));
+    pass(milliseconds{4});
+    body_.laser_scanned = false;
+    pass(milliseconds{8});
+    ASSERT_EQ(answers_.size(), 6U);
+    arcos::LaserScanAssembler scan;
+    std::optional<std::vector<arcos::LaserPacket::Reading>> whole;
+    for (const auto& answer : answers_) whole = scan.add(arcos::parseLaserPacket(answer).value());
+    ASSERT_TRUE(whole);
+    EXPECT_EQ(whole->size(), 181U);
+    EXPECT_EQ(whole->at(180).range_mm, 1180);
+    EXPECT_EQ(answers_[0].id, arcos::kLaserPacket);
+}
+
+TEST_F(ArcosServerTest, TheCameraAnswersThroughTheSecondSerialPort) {
+    open();
+    const auto tell = [this](const std::string& bytes) { give(encodeCommand(Command::Tty2, bytes)); };
+    order(Command::GetAux, 0);
+    order(Command::GetAux, 6);
+    EXPECT_TRUE(answers_.empty());
+    tell(arcos::vcc4::panTilt({10, 0}));
+    ASSERT_EQ(answers_.size(), 1U) << "bytes that were asked for follow when they are there";
+    EXPECT_EQ(answers_[0].id, arcos::kAuxPacket);
+    EXPECT_EQ(answers_[0].data.at(3), 0x39) << "not under control yet";
+    tell(arcos::vcc4::power(true));
+    tell(arcos::vcc4::control());
+    tell(arcos::vcc4::panTilt({40, 20}));
+    pass(milliseconds{200});
+    EXPECT_NEAR(server_.camera().looks.pan_left_deg, 18, 0.5) << "90 degrees a second";
+    EXPECT_NEAR(server_.camera().looks.tilt_up_deg, 14, 0.5) << "69 degrees a second";
+    passPulsing(milliseconds{1000});
+    EXPECT_NEAR(server_.camera().looks.pan_left_deg, 40, 0.1);
+    order(Command::GetAux, 0);
+    tell(arcos::vcc4::requestPanTilt());
+    order(Command::GetAux, 14);
+    const auto& bytes = answers_.back().data;
+    const auto at = arcos::vcc4::parsePanTiltAnswer(std::string(bytes.begin(), bytes.end()));
+    ASSERT_TRUE(at);
+    EXPECT_NEAR(at->pan_left_deg, 40, 0.1);
+    tell(arcos::vcc4::panTilt({0, 60}));
+    tell(arcos::vcc4::fullTiltRange());
+    tell(arcos::vcc4::panTilt({0, 60}));
+    tell(arcos::vcc4::zoom(1000));
+    passPulsing(milliseconds{1500});
+    EXPECT_NEAR(server_.camera().looks.tilt_up_deg, 60, 0.1);
+    EXPECT_EQ(server_.camera().zoom, 1000);
+}
+
+TEST_F(ArcosServerTest, AnyCommandWithAnyArgumentLeavesARobotThatCanBeStopped) {
+    open();
+    SeededRandom random(6);
+    for (int i = 0; i < 5000; ++i) {
+        const auto word = random.next();
+        const auto id = static_cast<std::uint8_t>(word);
+        if (id == static_cast<std::uint8_t>(Command::Close)) continue;
+        arcos::Bytes data(word >> 8U & 15U);
+        random.fill(data.data(), data.size());
+        if (!data.empty() && (word >> 16U & 3U) != 0)
+            data[0] = std::array<std::uint8_t, 3>{0x3B, 0x1B, 0x2B}[word >> 20U & 1U];
+        give(arcos::encode({id, data}));
+        if (i % 8 == 0) pass(milliseconds{4});
+    }
+    EXPECT_EQ(server_.state(), ArcosServer::State::Open);
+    EXPECT_GE(server_.laser().readings(), 1);
+    EXPECT_LE(server_.laser().readings(), LaserSettings::kMaximumReadings);
+    order(Command::SetA, -600);
+    order(Command::SetRa, -100);
+    order(Command::EStop);
+    passPulsing(milliseconds{5000});
+    EXPECT_EQ(wheels_.left_mm_s, 0);
+    EXPECT_EQ(wheels_.right_mm_s, 0);
 }
 
 }  // namespace

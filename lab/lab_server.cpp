@@ -1,113 +1,134 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "lab/lab_server.hpp"
 
-#include <arpa/inet.h>
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
-#include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cmath>
 #include <cstdio>
-#include <system_error>
-#include <utility>
+#include <list>
+#include <numbers>
+#include <stdexcept>
+
+#include "lab/camera.hpp"
+#include "lab/control.hpp"
+#include "lab/picture_server.hpp"
+#include "lab/shared_clock.hpp"
+#include "lab/sockets.hpp"
 
 namespace axon::lab {
 namespace {
 
-constexpr Duration kTick = std::chrono::milliseconds{8};  // of the wall clock between two looks at it
+constexpr Duration kTick = std::chrono::milliseconds{8};          // of the wall clock between two looks at it
+constexpr Duration kShortestTick = std::chrono::milliseconds{1};  // when time goes fast
 constexpr Duration kTruthPeriod = std::chrono::milliseconds{100};  // of the world
 constexpr Duration kLongestLag = std::chrono::milliseconds{250};   // of the world; more is given up
+constexpr Duration kStepSlice = std::chrono::milliseconds{20};  // of the world between two looks at clients
+constexpr std::size_t kLongestRequest = 64 * 1024;
+constexpr std::size_t kMostControlClients = 16;
+constexpr double kTrackStep_m = 0.05;
+constexpr std::size_t kLongestTrack = 20000;
 
-[[noreturn]] void fail(const std::string& what) {
-    throw std::system_error(errno, std::generic_category(), what);
-}
+constexpr std::array<std::array<float, 3>, 4> kTrackColours{
+    {{1, 0.45F, 0}, {0.1F, 0.5F, 1}, {0.1F, 0.7F, 0.2F}, {0.8F, 0.1F, 0.7F}}};
 
-class Descriptor {
-  public:
-    explicit Descriptor(int fd = -1) : fd_(fd) {}
-    ~Descriptor() { reset(); }
-    Descriptor(Descriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-    Descriptor& operator=(Descriptor&& other) noexcept {
-        std::swap(fd_, other.fd_);
-        return *this;
-    }
-    int get() const { return fd_; }
-    explicit operator bool() const { return fd_ >= 0; }
-    void reset() {
-        if (fd_ >= 0) ::close(fd_);
-        fd_ = -1;
-    }
-
-  private:
-    int fd_;
-};
-
-Descriptor listenOn(const std::string& address, int port) {
-    sockaddr_in to{};
-    to.sin_family = AF_INET;
-    to.sin_port = htons(static_cast<std::uint16_t>(port));
-    if (::inet_pton(AF_INET, address.c_str(), &to.sin_addr) != 1) {
-        errno = EINVAL;
-        fail(fmt::format("--listen {}: expected an IPv4 address such as 127.0.0.1", address));
-    }
-    Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
-    if (!socket) fail("socket");
-    const int one = 1;
-    ::setsockopt(socket.get(), SOL_SOCKET, SO_REUSEADDR, &one, sizeof one);
-    if (::bind(socket.get(), reinterpret_cast<sockaddr*>(&to), sizeof to) != 0 ||
-        ::listen(socket.get(), 4) != 0) {
-        fail(
-            fmt::format("cannot listen on {}:{}; another laboratory may be running: choose another --port, "
-                        "or 0 for a free one",
-                        address, port));
-    }
-    return socket;
-}
-
-int portOf(const Descriptor& socket) {
-    sockaddr_in bound{};
-    socklen_t size = sizeof bound;
-    if (::getsockname(socket.get(), reinterpret_cast<sockaddr*>(&bound), &size) != 0) fail("getsockname");
-    return ntohs(bound.sin_port);
+void complain(std::string_view what) {
+    fmt::print(stderr, "axon-lab: {}\n", what);
 }
 
 }  // namespace
 
-class LabServer::Loop {
+class LabServer::Loop final : Control::Operator {
   public:
     Loop(WorldDescription world, Options options)
         : options_(std::move(options)),
-          robots_(std::move(world.robots)),
+          world_((complete(world), std::move(world))),
           wake_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)),
-          lab_((world.robots = robots_, world),
-               [this](std::size_t robot, const arcos::Bytes& bytes) { send(robot, bytes); }) {
-        if (!wake_) fail("eventfd");
+          lab_(world_, [this](std::size_t robot, const arcos::Bytes& bytes) { send(robots_[robot], bytes); },
+               {.seed = options_.seed, .noise = options_.noise}),
+          speed_(options_.speed),
+          paused_(options_.step),
+          stepping_(options_.step),
+          tracks_(world_.robots.size()) {
+        if (!wake_) failWithErrno("eventfd");
         if (!options_.truth_path.empty()) {
             truth_ = Descriptor(
                 ::open(options_.truth_path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644));
-            if (!truth_) fail("--truth " + options_.truth_path);
+            if (!truth_) failWithErrno("--truth " + options_.truth_path);
         }
+        if (!options_.clock_path.empty()) shared_clock_.emplace(options_.clock_path);
+        // Robots whose ports were chosen by hand leave nothing to be expected of the others.
+        const bool usual = options_.first_port == kFirstPort;
+        const auto port = [usual](int first, std::size_t index) {
+            return usual ? first + static_cast<int>(index) : 0;
+        };
         int next = options_.first_port;
-        for (const auto& robot : robots_) {
-            const int port = robot.port.value_or(next);
-            if (port > 65535)
+        PictureServer::Ports pictures;
+        for (std::size_t i = 0; i < world_.robots.size(); ++i) {
+            const auto& robot = world_.robots[i];
+            const int arcos = robot.port.value_or(next);
+            if (arcos > 65535)
                 throw BadDescription(
-                    fmt::format("robot {} would get port {}: choose a smaller --port", robot.name, port));
-            links_.push_back({listenOn(options_.listen, port), Descriptor{}});
-            if (port != 0) next = port + 1;
+                    fmt::format("robot {} would get port {}: choose a smaller --port", robot.name, arcos));
+            robots_.push_back({.index = i, .listener = listenOn(options_.listen, arcos)});
+            if (arcos != 0) next = arcos + 1;
+            pictures.cameras.push_back(port(kFirstCameraPort, i));
+            pictures.acts.push_back(port(kFirstActsPort, i));
+            tracks_[i].colour = kTrackColours[i % kTrackColours.size()];
         }
+        for (std::size_t i = 0; i < world_.arms.size(); ++i) {
+            arms_.push_back({.arm = true, .index = i});
+            auto& arm = arms_.back();
+            if (options_.pty)
+                arm.terminal = openTerminal();
+            else
+                arm.listener =
+                    listenOn(options_.listen, world_.arms[i].port.value_or(port(kFirstArmPort, i)));
+        }
+        control_listener_ = listenOn(options_.listen, port(kControlPort, 0));
+        if (options_.overview) pictures.overview = port(kOverviewPort, 0);
+        picture_server_.emplace(options_.listen, pictures);
+        told_objects_.resize(world_.objects.size());
+        told_arms_.resize(world_.arms.size());
+    }
+    ~Loop() override {
+        if (picture_server_) picture_server_->stop();
     }
 
     std::vector<int> ports() const {
         std::vector<int> ports;
-        for (const auto& link : links_) ports.push_back(portOf(link.listener));
+        for (const auto& link : robots_) ports.push_back(portOf(link.listener));
         return ports;
+    }
+
+    std::vector<std::pair<std::string, std::string>> addresses() const {
+        std::vector<std::pair<std::string, std::string>> result;
+        const auto add = [&](const std::string& name, int port) {
+            result.emplace_back(name, fmt::format("{}:{}", options_.listen, port));
+        };
+        const auto pictures = picture_server_->ports();
+        for (std::size_t i = 0; i < robots_.size(); ++i) {
+            const auto& name = world_.robots[i].name;
+            add(name, portOf(robots_[i].listener));
+            add(name + ".camera", pictures.cameras[i]);
+            add(name + ".acts", pictures.acts[i]);
+        }
+        for (std::size_t i = 0; i < arms_.size(); ++i) {
+            const auto& name = world_.arms[i].name;
+            if (arms_[i].terminal)
+                result.emplace_back(name, arms_[i].terminal->path);
+            else
+                add(name, portOf(arms_[i].listener));
+        }
+        add("control", portOf(control_listener_));
+        if (pictures.overview) add("overview", *pictures.overview);
+        return result;
     }
 
     void stop() noexcept {
@@ -116,47 +137,95 @@ class LabServer::Loop {
     }
 
     void run() {
-        auto pace_start = clock_.now();
-        auto pace_age = lab_.age();
-        std::vector<pollfd> watched;
+        // Not before: a laboratory that is never run needs no threads.
+        cameras_.emplace(lab_.physics(), robots_.size(),
+                         [this](std::size_t view, SharedPicture picture, Duration /*age*/) {
+                             picture_server_->newPicture(view, std::move(picture));
+                         });
+        picture_server_->start(*cameras_);
+        rebase();
         while (true) {
-            watched.assign(1, {wake_.get(), POLLIN, 0});
-            for (const auto& link : links_) {
-                watched.push_back({link.listener.get(), POLLIN, 0});
-                watched.push_back({link.client.get(), POLLIN, 0});  // a negative descriptor is passed over
+            watch();
+            if (standing()) {
+                // Whoever says "step" is not to wait for a tick.
+                ::poll(
+                    watched_.data(), watched_.size(),
+                    static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(kTick).count()));
+            } else if (pendingStep()) {
+                ::poll(watched_.data(), watched_.size(), 0);
+            } else {
+                // Sleeping in whole ticks, whatever arrives: commands wait for the next tick, 100 wake-ups a
+                // second suffice.
+                next_tick_ = std::max(next_tick_ + tick(), clock_.now());
+                waitUntil(next_tick_);
+                ::poll(watched_.data(), watched_.size(), 0);
             }
-            // Sleeping in whole ticks, whatever arrives: commands wait for the next tick, 100 wake-ups a
-            // second suffice.
-            next_tick_ = std::max(next_tick_ + kTick, clock_.now());
-            waitUntil(next_tick_);
-            ::poll(watched.data(), watched.size(), 0);
-            if ((watched[0].revents & POLLIN) != 0) return;
-            for (std::size_t i = 0; i < links_.size(); ++i) {
-                if (watched[2 * i + 1].revents != 0) accept(i);
-                if (watched[2 * i + 2].revents != 0) read(i);
+            if ((watched_[0].revents & POLLIN) != 0) return;
+            serveClients();
+            if (pendingStep()) {
+                const auto until = std::min(lab_.age() + kStepSlice, *pendingStep());
+                while (lab_.age() < until) step();
+                rebase();
+            } else if (!paused_) {
+                keepPace();
             }
-
-            const auto due =
-                pace_age + std::chrono::duration_cast<Duration>((clock_.now() - pace_start) * options_.speed);
-            if (due - lab_.age() > std::max<Duration>(kLongestLag, std::chrono::duration_cast<Duration>(
-                                                                       kTick * options_.speed * 3))) {
-                // Too slow, or the process was stopped for a while: give up the lost time instead of racing
-                // after it.
-                pace_start = clock_.now();
-                pace_age = lab_.age() + Physics::kPeriod;
-                noteLag();
-                step();
-                continue;
-            }
-            while (lab_.age() < due) step();
+            answerSteps();
+            cameras_->offer(lab_.age(), keepUp());
         }
     }
 
   private:
     struct Link {
-        Descriptor listener;
-        Descriptor client;
+        bool arm = false;
+        std::size_t index = 0;
+        Descriptor listener{};
+        Descriptor client{};
+        std::optional<Terminal> terminal{};  // of an arm with --pty: there is no listener, and no client
+        bool broken = false;
+
+        int fd() const { return terminal ? terminal->master.get() : client.get(); }
     };
+    struct ControlClient {
+        Descriptor socket;
+        std::string in;
+        std::string out;
+        std::optional<Duration> until;  // the answer in `held` is sent when the laboratory is that old
+        std::string held;
+        bool broken = false;
+    };
+
+    // ---- time
+
+    Duration tick() const {
+        return std::clamp(std::chrono::duration_cast<Duration>(kTick / std::max(1.0, speed_)), kShortestTick,
+                          kTick);
+    }
+    bool standing() const { return paused_ && !pendingStep(); }
+    bool keepUp() const { return stepping_ || paused_ || speed_ > 1; }
+
+    void rebase() {
+        pace_start_ = clock_.now();
+        pace_age_ = lab_.age();
+    }
+
+    void keepPace() {
+        const auto due =
+            pace_age_ + std::chrono::duration_cast<Duration>((clock_.now() - pace_start_) * speed_);
+        if (due - lab_.age() >
+            std::max(kLongestLag, std::chrono::duration_cast<Duration>(kTick * speed_ * 3))) {
+            // Too slow, or the process was stopped for a while: give up the lost time instead of racing
+            // after it.
+            noteLag();
+            step();
+            rebase();
+            return;
+        }
+        while (lab_.age() < due) {
+            step();
+            // At high speeds a tick is many pictures long.
+            if (speed_ > 1) cameras_->offer(lab_.age(), true);
+        }
+    }
 
     void waitUntil(TimePoint when) const {
         const auto left = when - clock_.now();
@@ -168,32 +237,234 @@ class LabServer::Loop {
 
     void step() {
         lab_.step();
-        if (truth_ && lab_.age() >= next_truth_) {
-            next_truth_ += kTruthPeriod;
-            writeTruth();
+        if (shared_clock_) shared_clock_->set(lab_.age());
+        if (lab_.age() >= next_truth_) {
+            next_truth_ = lab_.age() + kTruthPeriod - lab_.age() % kTruthPeriod;
+            followTracks();
+            if (truth_) writeTruth();
         }
-        for (std::size_t i = 0; i < links_.size(); ++i) {
-            if (links_[i].client && broken_[i]) drop(i);
+        for (auto& link : robots_) {
+            if (link.broken) drop(link);
         }
     }
 
     void noteLag() {
         if (std::exchange(lag_noted_, true)) return;
-        std::fputs(
-            "axon-lab: this machine is too slow for the asked speed, or was suspended; the world runs "
-            "behind\n",
-            stderr);
+        complain("this machine is too slow for the asked speed, or was suspended; the world runs behind");
+    }
+
+    // ---- clients
+
+    void watch() {
+        watched_.assign(1, {wake_.get(), POLLIN, 0});
+        const auto add = [this](int fd, short events = POLLIN) {
+            watched_.push_back({fd, events, 0});  // a negative descriptor is passed over
+        };
+        for (auto* links : {&robots_, &arms_}) {
+            for (const auto& link : *links) add(link.listener.get()), add(link.fd());
+        }
+        add(control_listener_.get());
+        for (const auto& client : control_clients_)
+            add(client.socket.get(), static_cast<short>(POLLIN | (client.out.empty() ? 0 : POLLOUT)));
+    }
+
+    void serveClients() {
+        std::size_t at = 1;
+        for (auto* links : {&robots_, &arms_}) {
+            for (auto& link : *links) {
+                const auto knocked = watched_[at++].revents;
+                const auto spoke = watched_[at++].revents;
+                if (knocked != 0) accept(link);
+                if (spoke != 0) read(link);
+            }
+        }
+        const auto knocked = watched_[at++].revents;
+        for (auto& client : control_clients_) {
+            const auto events = watched_[at++].revents;
+            if ((events & (POLLIN | POLLHUP | POLLERR)) != 0) read(client);
+            flush(client);
+        }
+        control_clients_.remove_if([](const ControlClient& client) { return client.broken; });
+        if (knocked != 0) {
+            auto socket = acceptFrom(control_listener_);
+            if (socket && control_clients_.size() < kMostControlClients)
+                control_clients_.push_back(
+                    {.socket = std::move(socket), .in = {}, .out = {}, .until = {}, .held = {}});
+        }
+    }
+
+    void accept(Link& link) {
+        auto client = acceptFrom(link.listener);
+        if (!client || link.client) return;  // busy: closing the connection is the refusal
+        link.client = std::move(client);
+        link.broken = false;
+        if (link.arm)
+            lab_.armClientConnected(link.index);
+        else
+            lab_.clientConnected(link.index);
+    }
+
+    void read(Link& link) {
+        std::array<std::uint8_t, 4096> chunk;
+        const auto got = ::read(link.fd(), chunk.data(), chunk.size());
+        if (got > 0) {
+            const auto bytes = std::span(chunk).first(static_cast<std::size_t>(got));
+            if (link.arm) {
+                send(link, lab_.receiveArm(link.index, bytes));
+                if (link.broken) drop(link);
+            } else {
+                lab_.receive(link.index, bytes);
+            }
+        } else if (got == 0 || (errno != EAGAIN && errno != EINTR)) {
+            drop(link);
+        }
+    }
+
+    void send(Link& link, std::span<const std::uint8_t> bytes) const {
+        if (link.fd() < 0 || bytes.empty()) return;
+        if (link.terminal) {
+            // A serial line does not wait: what nobody reads is lost.
+            [[maybe_unused]] const auto written = ::write(link.fd(), bytes.data(), bytes.size());
+            return;
+        }
+        const auto sent = ::send(link.fd(), bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+        // Not dropped here: the laboratory may be in the middle of a step.
+        if (sent != static_cast<ssize_t>(bytes.size())) link.broken = true;
+    }
+
+    void drop(Link& link) {
+        link.broken = false;
+        if (!link.client) return;
+        link.client.reset();
+        if (!link.arm) lab_.clientLost(link.index);
+    }
+
+    // ---- control
+
+    void read(ControlClient& client) {
+        std::array<char, 4096> chunk;
+        const auto got = ::recv(client.socket.get(), chunk.data(), chunk.size(), 0);
+        if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) {
+            client.broken = true;
+            return;
+        }
+        if (got > 0) client.in.append(chunk.data(), static_cast<std::size_t>(got));
+        obey(client);
+        if (client.in.size() > kLongestRequest) client.broken = true;
+    }
+
+    /// One after the other: what comes after a "step" waits for its end.
+    void obey(ControlClient& client) {
+        std::size_t end = 0;
+        while (!client.until && (end = client.in.find('\n')) != std::string::npos) {
+            auto line = client.in.substr(0, end);
+            client.in.erase(0, end + 1);
+            if (!line.empty() && line.back() == '\r') line.pop_back();
+            if (line.empty()) continue;
+            auto reply = control_.handle(line);
+            if (reply.until && *reply.until > lab_.age()) {
+                client.until = reply.until;
+                client.held = std::move(reply.line);
+            } else {
+                client.out += reply.line + '\n';
+            }
+        }
+    }
+
+    std::optional<Duration> pendingStep() const {
+        std::optional<Duration> first;
+        for (const auto& client : control_clients_) {
+            if (client.until && (!first || *client.until < *first)) first = client.until;
+        }
+        return first;
+    }
+
+    void answerSteps() {
+        for (auto& client : control_clients_) {
+            if (client.until && lab_.age() >= *client.until) {
+                client.until.reset();
+                client.out += client.held + '\n';
+                obey(client);
+            }
+            flush(client);
+        }
+    }
+
+    static void flush(ControlClient& client) {
+        if (client.out.empty()) return;
+        const auto sent =
+            ::send(client.socket.get(), client.out.data(), client.out.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+        if (sent > 0) client.out.erase(0, static_cast<std::size_t>(sent));
+        if (sent < 0 && errno != EAGAIN && errno != EINTR) client.broken = true;
+    }
+
+    void pause(bool paused) override {
+        paused_ = paused;
+        rebase();
+    }
+    bool paused() const override { return paused_; }
+    void setSpeed(double factor) override {
+        speed_ = factor;
+        rebase();
+    }
+    double speed() const override { return speed_; }
+    void reset() override {
+        lab_.reset();
+        for (auto& track : tracks_) track.points.clear();
+        std::fill(told_objects_.begin(), told_objects_.end(), std::nullopt);
+    }
+    void writePicture(const std::string& file, bool tracks) override {
+        followTracks();
+        writePng(file, cameras_->take(cameras_->overview(),
+                                      tracks ? std::span<const Track>(tracks_) : std::span<const Track>()));
+        rebase();  // the first picture takes 100 ms
+    }
+
+    // ---- truth
+
+    void followTracks() {
+        for (std::size_t i = 0; i < tracks_.size(); ++i) {
+            const auto t = lab_.truth(i);
+            auto& points = tracks_[i].points;
+            if (points.size() < kLongestTrack &&
+                (points.empty() ||
+                 std::hypot(points.back()[0] - t.x_m, points.back()[1] - t.y_m) >= kTrackStep_m))
+                points.push_back({t.x_m, t.y_m});
+        }
     }
 
     void writeTruth() {
+        const auto stamp =
+            fmt::format(R"({{"time_s":{:.3f},"monotonic_us":{})",
+                        std::chrono::duration<double>(lab_.age()).count(), toMicroseconds(clock_.now()));
         std::string lines;
-        for (std::size_t i = 0; i < robots_.size(); ++i) {
+        const auto objects = lab_.physics().truthOfObjects();
+        for (std::size_t i = 0; i < objects.size() && i < told_objects_.size(); ++i) {
+            const auto& o = objects[i];
+            const std::array<double, 4> now{o.x_m, o.y_m, o.z_m, o.tilt_deg / 100};
+            if (!moved(told_objects_[i], now, 0.001)) continue;
+            lines += fmt::format(
+                R"({},"object":"{}","x_m":{:.4f},"y_m":{:.4f},"z_m":{:.4f},"theta_deg":{:.2f},"tilt_deg":{:.2f}}})"
+                "\n",
+                stamp, o.name, o.x_m, o.y_m, o.z_m, o.theta_deg, o.tilt_deg);
+        }
+        for (std::size_t i = 0; i < told_arms_.size(); ++i) {
+            const auto at = lab_.physics().truthOfArm(i);
+            if (!moved(told_arms_[i], at, 0.002)) continue;
+            std::string joints;
+            for (std::size_t k = 0; k < cyton::kJoints; ++k)
+                joints += fmt::format("{}{:.2f}", k == 0 ? "" : ",", at[k] * 180 / std::numbers::pi);
+            lines += fmt::format(R"({},"arm":"{}","joints_deg":[{}],"claw_mm":{:.2f}}})"
+                                 "\n",
+                                 stamp, world_.arms[i].name, joints, at[cyton::kJoints] * 1000);
+        }
+        // Robots last: whoever wants a robot's newest place reads the end of the file.
+        for (std::size_t i = 0; i < world_.robots.size(); ++i) {
             const auto t = lab_.truth(i);
             lines += fmt::format(
-                R"({{"time_s":{:.3f},"monotonic_us":{},"name":"{}","robot":{},"x_m":{:.4f},"y_m":{:.4f},"theta_deg":{:.2f},"speed_m_s":{:.4f},"rotation_deg_s":{:.2f}}})"
+                R"({},"name":"{}","robot":{},"x_m":{:.4f},"y_m":{:.4f},"theta_deg":{:.2f},"speed_m_s":{:.4f},"rotation_deg_s":{:.2f}}})"
                 "\n",
-                std::chrono::duration<double>(lab_.age()).count(), toMicroseconds(clock_.now()),
-                robots_[i].name, i, t.x_m, t.y_m, t.theta_deg, t.speed_m_s, t.rotation_deg_s);
+                stamp, world_.robots[i].name, i, t.x_m, t.y_m, t.theta_deg, t.speed_m_s, t.rotation_deg_s);
         }
         if (::write(truth_.get(), lines.data(), lines.size()) < 0) {
             std::perror("axon-lab: --truth");
@@ -201,51 +472,46 @@ class LabServer::Loop {
         }
     }
 
-    void accept(std::size_t robot) {
-        Descriptor client(
-            ::accept4(links_[robot].listener.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
-        if (!client || links_[robot].client) return;  // busy: closing the connection is the refusal
-        const int one = 1;
-        ::setsockopt(client.get(), IPPROTO_TCP, TCP_NODELAY, &one, sizeof one);
-        links_[robot].client = std::move(client);
-        broken_[robot] = false;
-        lab_.clientConnected(robot);
-    }
-
-    void read(std::size_t robot) {
-        std::array<std::uint8_t, 4096> chunk;
-        const auto got = ::recv(links_[robot].client.get(), chunk.data(), chunk.size(), 0);
-        if (got > 0) {
-            lab_.receive(robot, std::span(chunk).first(static_cast<std::size_t>(got)));
-        } else if (got == 0 || (errno != EAGAIN && errno != EINTR)) {
-            drop(robot);
-        }
-    }
-
-    void send(std::size_t robot, const arcos::Bytes& bytes) {
-        if (!links_[robot].client) return;
-        const auto sent =
-            ::send(links_[robot].client.get(), bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
-        // Not dropped here: the laboratory is in the middle of a step.
-        if (sent != static_cast<ssize_t>(bytes.size())) broken_[robot] = true;
-    }
-
-    void drop(std::size_t robot) {
-        links_[robot].client.reset();
-        lab_.clientLost(robot);
+    template <std::size_t N>
+    static bool moved(std::optional<std::array<double, N>>& told, const std::array<double, N>& now,
+                      double least) {
+        bool far = !told;
+        for (std::size_t i = 0; i < N && !far; ++i) far = std::abs((*told)[i] - now[i]) > least;
+        if (far) told = now;
+        return far;
     }
 
     const Options options_;
-    const std::vector<RobotPlacement> robots_;
+    const WorldDescription world_;
     const SteadyClock clock_;
     Descriptor wake_;
     Laboratory lab_;
-    std::vector<Link> links_;
-    std::vector<char> broken_ = std::vector<char>(robots_.size());
-    Descriptor truth_;
+    Control control_{lab_, world_, *this};
+    std::vector<Link> robots_;
+    std::vector<Link> arms_;
+    Descriptor control_listener_;
+    std::list<ControlClient> control_clients_;
+    std::vector<pollfd> watched_;
+
+    double speed_;
+    bool paused_;
+    const bool stepping_;
+    TimePoint pace_start_{};
+    Duration pace_age_{};
     TimePoint next_tick_{};
-    Duration next_truth_{};
     bool lag_noted_ = false;
+
+    Descriptor truth_;
+    Duration next_truth_{};
+    std::vector<std::optional<std::array<double, 4>>> told_objects_;
+    std::vector<std::optional<CytonBody::Positions>> told_arms_;
+    std::optional<SharedClock> shared_clock_;
+    std::vector<Track> tracks_;
+
+    // The cameras' thread gives pictures to the server, the server's asks the cameras: the server stops
+    // first, and goes last.
+    std::optional<PictureServer> picture_server_;
+    std::optional<Cameras> cameras_;
 };
 
 LabServer::LabServer(WorldDescription world, Options options)
@@ -253,6 +519,15 @@ LabServer::LabServer(WorldDescription world, Options options)
 LabServer::~LabServer() = default;
 std::vector<int> LabServer::ports() const {
     return loop_->ports();
+}
+std::vector<std::pair<std::string, std::string>> LabServer::addresses() const {
+    return loop_->addresses();
+}
+std::string LabServer::address(const std::string& name) const {
+    for (auto& [known, address] : loop_->addresses()) {
+        if (known == name) return address;
+    }
+    throw std::out_of_range("the laboratory has no " + name);
 }
 void LabServer::run() {
     loop_->run();

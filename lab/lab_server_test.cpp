@@ -4,7 +4,10 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <array>
 #include <atomic>
+#include <cmath>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <mutex>
@@ -142,6 +145,197 @@ TEST_F(LabServerTest, RobotsHavePortsOfTheirOwnAndDoNotMix) {
     ASSERT_TRUE(waitUntil([&] { return left->state().x_mm > 50; }));
     EXPECT_FALSE(client2->state().moving);
     EXPECT_FALSE(client2->state().motors_on);
+}
+
+/// One line there, one line back.
+class ControlLine {
+  public:
+    explicit ControlLine(const std::string& address)
+        : stream_(std::move(arcos::tcpStreams(address)(std::chrono::seconds{2}).value())) {}
+    std::string ask(const std::string& request) {
+        say(request);
+        return answer();
+    }
+    void say(const std::string& request) {
+        const std::string line = request + "\n";
+        EXPECT_TRUE(stream_->write(std::vector<std::uint8_t>(line.begin(), line.end())));
+    }
+    std::string answer() {
+        std::size_t end = 0;
+        EXPECT_TRUE(waitUntil([&] {
+            std::array<std::uint8_t, 4096> chunk;
+            const int got = stream_->read(chunk);
+            if (got > 0) in_.append(chunk.begin(), chunk.begin() + got);
+            end = in_.find('\n');
+            return end != std::string::npos;
+        }));
+        const auto line = in_.substr(0, end);
+        in_.erase(0, end + 1);
+        return line;
+    }
+
+  private:
+    std::unique_ptr<arcos::ByteStream> stream_;
+    std::string in_;
+};
+
+class WholeLab : public LabServerTest {
+  protected:
+    void serveAll(LabServer::Options options) {
+        WorldDescription world;
+        world.tables = {{.name = "west", .x = 6, .y = 3, .dx = 0.8, .dy = 1.2, .height = 0.66}};
+        world.objects = {{.name = "red", .colour = "red", .x = 6, .y = 3.2}};
+        world.robots = {{.name = "Robot", .x = 2, .y = 3, .theta = 0, .port = {}}};
+        world.arms = {{.name = "Arm", .x = 6, .y = 2.8, .z = {}, .theta = 90, .port = {}}};
+        options.listen = test::loopbackAddress();
+        options.first_port = 0;
+        server_ = std::make_unique<LabServer>(world, options);
+        thread_ = std::thread([this] { server_->run(); });
+    }
+    std::unique_ptr<arcos::ByteStream> open(const std::string& name) {
+        return std::move(arcos::robotStreams(server_->address(name))(std::chrono::seconds{2}).value());
+    }
+    static void say(arcos::ByteStream& stream, const std::string& text) {
+        EXPECT_TRUE(stream.write(std::vector<std::uint8_t>(text.begin(), text.end())));
+    }
+    static std::string hear(arcos::ByteStream& stream, std::size_t bytes) {
+        std::string heard;
+        EXPECT_TRUE(waitUntil([&] {
+            std::array<std::uint8_t, 65536> chunk;
+            const int got = stream.read(chunk);
+            if (got > 0) heard.append(chunk.begin(), chunk.begin() + got);
+            return heard.size() >= bytes || got < 0;
+        }));
+        return heard;
+    }
+    static double member(const std::string& json, const std::string& name) {
+        const auto at = json.find("\"" + name + "\":");
+        return at == std::string::npos ? std::nan("") : std::stod(json.substr(at + name.size() + 3));
+    }
+};
+
+TEST_F(WholeLab, AnArmIsTalkedToOverTcp) {
+    serveAll({.speed = 4});
+    const auto arm = open("Arm");
+    say(*arm, "VER\rQ\r");
+    EXPECT_EQ(hear(*arm, 15), "SSC32-V2.01XE\r.");
+    ControlLine control(server_->address("control"));
+    const double before = member(control.ask(R"({"do":"truth"})"), "claw_mm");
+    say(*arm, "#7P600T200\r");
+    EXPECT_TRUE(waitUntil([&] { return member(control.ask(R"({"do":"truth"})"), "claw_mm") > before + 4; }));
+}
+
+TEST_F(WholeLab, AnArmIsTalkedToOverATerminal) {
+    serveAll({.speed = 4, .pty = true});
+    const auto arm = open("Arm");
+    say(*arm, "QP7\r");
+    EXPECT_EQ(hear(*arm, 1), std::string(1, char(105)));
+}
+
+TEST_F(WholeLab, TimePassesOnlyByStepsAndTheSameStepsGiveTheSameTruth) {
+    std::string first;
+    for (int run = 0; run < 2; ++run) {
+        serveAll({.step = true, .noise = 1});
+        ControlLine control(server_->address("control"));
+        const auto arm = open("Arm");
+        say(*arm, "#0P1500#1P1700#3P1800T1000\rQ\r");
+        EXPECT_EQ(hear(*arm, 1), "+");
+        EXPECT_DOUBLE_EQ(member(control.ask(R"({"do":"truth"})"), "time_s"), 0);
+        EXPECT_NE(control.ask(R"({"do":"step","ms":2000})").find("\"ok\":true"), std::string::npos);
+        const auto truth = control.ask(R"({"do":"truth"})");
+        EXPECT_DOUBLE_EQ(member(truth, "time_s"), 2);
+        if (run == 0)
+            first = truth;
+        else
+            EXPECT_EQ(truth, first);
+        say(*arm, "Q\r");
+        EXPECT_EQ(hear(*arm, 1), ".");
+        end();
+    }
+}
+
+TEST_F(WholeLab, OtherProgramsAreToldTheLaboratorysTime) {
+    serveAll({.step = true, .clock_path = truth_path_});
+    ControlLine control(server_->address("control"));
+    control.ask(R"({"do":"step","ms":1500})");
+    std::ifstream file(truth_path_, std::ios::binary);
+    std::array<char, 16> page{};
+    file.read(page.data(), page.size());
+    EXPECT_EQ(std::string(page.data(), 8), "AXONCLK1");
+    std::int64_t nanoseconds = 0;
+    std::memcpy(&nanoseconds, page.data() + 8, sizeof nanoseconds);
+    EXPECT_EQ(nanoseconds, 1'500'000'000);
+}
+
+TEST_F(WholeLab, TheHandsOfTheExperimenter) {
+    serveAll({.step = true});
+    ControlLine control(server_->address("control"));
+    const auto ok = [&](const std::string& request) {
+        const auto answer = control.ask(request);
+        EXPECT_NE(answer.find("\"ok\":true"), std::string::npos) << request << " " << answer;
+    };
+    const auto refused = [&](const std::string& request, const std::string& why) {
+        const auto answer = control.ask(request);
+        EXPECT_NE(answer.find("\"ok\":false"), std::string::npos) << request << " " << answer;
+        EXPECT_NE(answer.find(why), std::string::npos) << request << " " << answer;
+    };
+    ok(R"({"do":"move","name":"red","x":5.8,"y":3.4})");
+    ok(R"({"do":"step","ms":400})");
+    const auto truth = control.ask(R"({"do":"truth"})");
+    EXPECT_NE(truth.find("west"), std::string::npos) << "it stands on the table";
+    ok(R"({"do":"block","name":"crate","x":3,"y":3})");
+    ok(R"({"do":"move","name":"crate","x":3.5,"y":3})");
+    ok(R"({"do":"unblock","name":"crate"})");
+    ok(R"({"do":"fault","name":"Robot","kind":"dead-sonar","which":3})");
+    ok(R"({"do":"mend","name":"Robot","kind":"dead-sonar","which":3})");
+    ok(R"({"do":"fault","name":"Arm","kind":"stuck-gripper"})");
+    ok(R"({"do":"speed","factor":5})");
+    ok(R"({"do":"reset"})");
+    ok(R"({"do":"forget-touches"})");
+    refused("nonsense", "JSON object");
+    refused("[]", "JSON object");
+    refused("{}", "do");
+    refused(R"({"do":"dance"})", "expected one of");
+    refused(R"({"do":"move","name":"green","x":1,"y":1})", "green");
+    refused(R"({"do":"unblock","name":"nothing"})", "nothing");
+    refused(R"({"do":"fault","name":"Robot","kind":"tired"})", "dead-sonar");
+    refused(R"({"do":"fault","name":"Nobody","kind":"dead-sonar"})", "Nobody");
+    refused(R"({"do":"speed","factor":"fast"})", "number");
+    refused(R"({"do":"speed","factor":1000})", "0.01 to 100");
+    refused(R"({"do":"picture","file":"/no/such/folder/p.png"})", "/no/such/folder");
+    ok(R"({"do":"resume"})");
+    refused(R"({"do":"step","ms":100})", "pause");
+}
+
+TEST_F(WholeLab, PicturesArePausedWithTheWorldButCanBeTaken) {
+    serveAll({.step = true, .overview = true});
+    const auto camera = open("Robot.camera");
+    say(*camera, "GET /frame.jpg HTTP/1.1\r\n\r\n");
+    const auto jpeg = hear(*camera, 2000);
+    EXPECT_EQ(jpeg.substr(0, 15), "HTTP/1.1 200 OK");
+    EXPECT_NE(jpeg.find("\xFF\xD8\xFF"), std::string::npos);
+    const auto room = open("overview");
+    say(*room, "GET /overview.png HTTP/1.1\r\n\r\n");
+    EXPECT_NE(hear(*room, 5000).find("PNG"), std::string::npos);
+    const auto lost = open("overview");
+    say(*lost, "GET /etc/passwd HTTP/1.1\r\n\r\n");
+    EXPECT_EQ(hear(*lost, 60).substr(0, 12), "HTTP/1.1 404");
+    const auto blobs = open("Robot.acts");
+    say(*blobs, "0");
+    EXPECT_GE(hear(*blobs, 128).size(), 128U);
+}
+
+TEST_F(WholeLab, RawPicturesComeTenASecondOfTheLaboratorysTime) {
+    serveAll({.step = true});
+    ControlLine control(server_->address("control"));
+    const auto camera = open("Robot.camera");
+    say(*camera, "GET /raw HTTP/1.1\r\n\r\n");
+    const std::size_t one = 15 + 320 * 240 * 3;
+    EXPECT_NE(hear(*camera, one).find("\r\n\r\nP6\n320 240\n255\n"), std::string::npos);
+    for (int i = 0; i < 3; ++i) {
+        control.ask(R"({"do":"step","ms":100})");
+        EXPECT_EQ(hear(*camera, one).size(), one);
+    }
 }
 
 TEST_F(LabServerTest, AnAddressInUseIsNamedWithTheMend) {

@@ -43,6 +43,38 @@ inline constexpr double kTableSensorY_mm = 233;
 inline constexpr double kTableSensorHeight_mm = 300;  // assumed
 inline constexpr double kTableSensorRange_mm = 600;   // assumed
 
+/// The laser range finder LMS-200, on the base in front of the column.
+inline constexpr double kLaserX_mm = 21;
+inline constexpr double kLaserHeight_mm = 330;     // assumed
+inline constexpr double kLaserMaximum_mm = 32000;  // millimetre mode, one reflector bit
+inline constexpr int kLaserPeriod_ms = 100;  // MobileSim's; the real one over 38400 baud needs twice that
+/// Standard deviations of normal noise. MobileSim's laser noise is uniform over 5 mm to both sides.
+inline constexpr double kLaserNoise_mm = 3;
+inline constexpr double kSonarNoise_mm = 10;  // assumed
+
+/// The two-finger gripper, in front of the column and over the base, so that nothing reaches beyond the
+/// bumpers: the robot drives under a table until what it is to grasp is between the paddles. The paddles are
+/// upright plates from kPaddleRear_mm to kPaddleTip_mm that move sideways; heights are those of their middle.
+/// Opening and lift are commonly quoted for the vendor's gripper, where it sits is assumed.
+inline constexpr double kPaddleRear_mm = 60;
+inline constexpr double kPaddleTip_mm = 205;
+inline constexpr double kPaddleHalfHeight_mm = 20;
+inline constexpr double kPaddleHalfThickness_mm = 6;
+inline constexpr double kPaddleLowest_mm = 600;
+inline constexpr double kInnerBeam_mm =
+    157;  // ahead of the axle; between the beams a 28 mm object cannot hide
+inline constexpr double kOuterBeam_mm = 183;
+inline constexpr double kPaddleStiffness_n_m = 1250;  // 5 N after 200 ms at 20 mm/s: the manual's 0.5 kg
+inline constexpr double kPaddleForce_n = 20;          // the manual's 2 kg
+inline constexpr double kPaddlePressed_n = 2;         // the manual's 0.2 kg
+inline constexpr double kLiftStiffness_n_m = 6000;
+inline constexpr double kLiftForce_n = 40;  // assumed; above what it carries itself
+
+/// The camera hangs in front of the column under the top deck, upright; its pan axis.
+inline constexpr double kCameraX_mm = 60;
+inline constexpr double kCameraHeight_mm = 950;
+inline constexpr double kCameraLens_mm = 35;  // ahead of the axes of pan and tilt
+
 inline constexpr double kBatteryFull_v = 12.9;
 inline constexpr double kBatteryEmpty_v = 11.0;
 inline constexpr double kBatteryIdle_v_per_h = 0.3;     // assumed

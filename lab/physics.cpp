@@ -6,10 +6,15 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdio>
 #include <cstring>
 #include <numbers>
+#include <random>
+#include <stdexcept>
 
 #include "lab/peoplebot_geometry.hpp"
+#include "lab/physics_view.hpp"
+#include "robots/arcos/laser.hpp"
 
 namespace axon::lab {
 namespace {
@@ -18,9 +23,15 @@ using namespace peoplebot;
 
 constexpr double kDegree = std::numbers::pi / 180;
 constexpr double kBlockedAfter_s = 0.3;
+constexpr double kSlippery = 0.005;  // friction of a tyre that has lost its grip
+constexpr double kParked_z = -5;     // where obstacles are that nobody has put anywhere
 
 /// Loads a model from text: MuJoCo reads files only, so it is given a file in memory.
 mjModel* loadModel(const std::string& xml) {
+    // Its own way to warn is a file in the working directory.
+    mju_user_warning = [](const char* text) {
+        std::fprintf(stderr, "axon-lab: warning: MuJoCo: %s\n", text);
+    };
     const auto files = std::make_unique<mjVFS>();
     mj_defaultVFS(files.get());
     if (mj_makeEmptyFileVFS(files.get(), "lab.xml", static_cast<int>(xml.size())) != 0) {
@@ -36,37 +47,101 @@ mjModel* loadModel(const std::string& xml) {
     return model;
 }
 
+/// A joint and the motor that moves it.
+struct Motor {
+    int position = 0;  // in qpos
+    int velocity = 0;  // in qvel
+    int actuator = 0;
+    double blocked_s = 0;
+};
+
 struct Body {
     int base = 0;
     int free_position = 0;  // of the base in qpos
     int free_velocity = 0;
-    struct Wheel {
-        int position = 0;
-        int velocity = 0;
-        int actuator = 0;
-        double blocked_s = 0;
-    };
-    Wheel left;
-    Wheel right;
+    Motor left;
+    Motor right;
+    std::array<int, 2> wheel_geoms{};
+    Motor left_paddle;
+    Motor right_paddle;
+    std::array<int, 2> paddle_geoms{};
+    Motor lift;
+    Motor pan;
+    Motor tilt;
+    int camera = 0;
+    GripperSpeeds gripper;
+    LaserSettings laser;
     double battery_v = kBatteryFull_v;
     int next_sonar = 0;  // of each array
     double sonar_due_s = 0;
+    double laser_due_s = 0;
+    std::uint32_t dead_sonars = 0;
+    bool gripper_stuck = false;
+    std::vector<std::string> touched;
     BodyReadings readings;
 };
+
+/// What a geom belongs to.
+struct Owner {
+    enum class Kind { Floor, Fixed, Obstacle, Object, Robot, Arm };
+    Kind kind = Kind::Floor;
+    std::size_t index = 0;
+    bool holds = false;  // gripper of a robot: it touches objects as a matter of course
+    unsigned front = 0;  // bumper segment
+    unsigned rear = 0;
+};
+
+bool startsWith(const std::string& text, std::string_view with) {
+    return text.compare(0, with.size(), with) == 0;
+}
+
+void addOnce(std::vector<std::string>& names, const std::string& name) {
+    if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+}
 
 }  // namespace
 
 class Physics::Model {
   public:
-    explicit Model(const WorldDescription& world)
-        : model_(loadModel(mjcf(world)), &mj_deleteModel), data_(mj_makeData(model_.get()), &mj_deleteData) {
-        bumper_of_geom_.resize(static_cast<std::size_t>(model_->ngeom));
-        for (std::size_t i = 0; i < world.robots.size(); ++i) bodies_.push_back(find(i));
+    Model(const WorldDescription& world, const Options& options)
+        : world_(world),
+          options_(options),
+          model_(loadModel(mjcf(world)), &mj_deleteModel),
+          data_(mj_makeData(model_.get()), &mj_deleteData) {
+        complete(world_);
+        obstacle_names_.resize(kObstacles);
+        for (std::size_t i = 0; i < world_.robots.size(); ++i) first_.push_back(find(i));
+        for (std::size_t i = 0; i < world_.arms.size(); ++i)
+            arms_.emplace_back(model_.get(), data_.get(), "c" + std::to_string(i) + "_");
+        for (std::size_t i = 0; i < world_.objects.size(); ++i)
+            objects_.push_back(id(mjOBJ_BODY, "object" + std::to_string(i)));
+        findOwners();
+        friction_.assign(model_->geom_friction, model_->geom_friction + 3 * model_->ngeom);
+        reset();
+    }
+
+    void reset() {
+        mj_resetData(model_.get(), data_.get());
+        std::copy(friction_.begin(), friction_.end(), model_->geom_friction);
+        std::fill(obstacle_names_.begin(), obstacle_names_.end(), std::string());
+        bodies_ = first_;
+        for (auto& body : bodies_) {
+            for (const int wheel : body.wheel_geoms) model_->geom_priority[wheel] = 0;
+            model_->cam_fovy[body.camera] = fieldOfView(0);
+            for (auto* paddle : {&body.left_paddle, &body.right_paddle}) {
+                data_->qpos[paddle->position] = GripperControl::kOpening_mm / 1000;
+                data_->ctrl[paddle->actuator] = GripperControl::kOpening_mm / 1000;
+            }
+        }
+        arm_targets_.assign(arms_.size(), CytonBody::home());
+        for (auto& arm : arms_) arm.place(CytonBody::home());
+        random_.seed(options_.seed);
+        normal_.reset();
         mj_forward(model_.get(), data_.get());
     }
 
     const BodyReadings& sense(std::size_t index) {
-        auto& body = bodies_[index];
+        auto& body = bodies_.at(index);
         auto& r = body.readings;
         r.left_wheel_mm = data_->qpos[body.left.position] * kWheelRadius_mm;
         r.right_wheel_mm = data_->qpos[body.right.position] * kWheelRadius_mm;
@@ -75,83 +150,336 @@ class Physics::Model {
         r.left_blocked = body.left.blocked_s > kBlockedAfter_s;
         r.right_blocked = body.right.blocked_s > kBlockedAfter_s;
         r.battery_v = body.battery_v;
-        senseBumpers(index, r);
+        r.charge = (body.battery_v - kBatteryEmpty_v) / (kBatteryFull_v - kBatteryEmpty_v);
+        senseContacts(index, body);
         r.table_left = senseTable(body, kTableSensorY_mm);
         r.table_right = senseTable(body, -kTableSensorY_mm);
+        senseBeams(body);
         senseSonars(body);
+        senseLaser(body);
         return r;
     }
 
     void setWheels(std::size_t index, const ArcosServer::WheelSpeeds& speeds) {
-        data_->ctrl[bodies_[index].left.actuator] = speeds.left_mm_s / kWheelRadius_mm;
-        data_->ctrl[bodies_[index].right.actuator] = speeds.right_mm_s / kWheelRadius_mm;
+        const auto& body = bodies_.at(index);
+        data_->ctrl[body.left.actuator] = speeds.left_mm_s / kWheelRadius_mm;
+        data_->ctrl[body.right.actuator] = speeds.right_mm_s / kWheelRadius_mm;
     }
+    void setGripper(std::size_t index, const GripperSpeeds& speeds) { bodies_.at(index).gripper = speeds; }
+    void setCamera(std::size_t index, const CameraPose& pose) {
+        const auto& body = bodies_.at(index);
+        data_->ctrl[body.pan.actuator] = pose.looks.pan_left_deg * kDegree;
+        data_->ctrl[body.tilt.actuator] = pose.looks.tilt_up_deg * kDegree;
+        model_->cam_fovy[body.camera] = fieldOfView(pose.zoom);
+    }
+    void setLaser(std::size_t index, const LaserSettings& settings) {
+        auto& body = bodies_.at(index);
+        if (settings.on && !body.laser.on) body.laser_due_s = data_->time;
+        body.laser = settings;
+    }
+    void setArm(std::size_t arm, const CytonBody::Positions& targets) { arm_targets_.at(arm) = targets; }
 
     void step() {
-        mj_step(model_.get(), data_.get());
         const double dt = model_->opt.timestep;
+        for (auto& body : bodies_) moveGripper(body, dt);
+        for (std::size_t i = 0; i < arms_.size(); ++i) arms_[i].setTargets(arm_targets_[i]);
+        mj_step(model_.get(), data_.get());
         for (auto& body : bodies_) {
-            updateBlocked(body.left, dt);
-            updateBlocked(body.right, dt);
+            for (auto* wheel : {&body.left, &body.right}) {
+                const double wanted = std::abs(data_->ctrl[wheel->actuator]);
+                const bool turning = std::abs(data_->qvel[wheel->velocity]) > 0.2 * wanted;
+                updateBlocked(*wheel, kMotorTorque_nm, wanted > 0 && !turning, dt);
+            }
+            updateBlocked(body.lift, kLiftForce_n, body.gripper.lift_mm_s != 0, dt);
             const double speed = std::abs(body.readings.left_mm_s + body.readings.right_mm_s) / 2 / 750;
             const double used = (kBatteryIdle_v_per_h + kBatteryDriving_v_per_h * speed) * dt / 3600;
             body.battery_v = std::max(kBatteryEmpty_v, body.battery_v - used);
         }
+        rememberTouches();
     }
 
+    double time() const { return data_->time; }
+
     Truth truth(std::size_t index) const {
-        const auto& body = bodies_[index];
+        const auto& body = bodies_.at(index);
         const mjtNum* position = data_->qpos + body.free_position;
         const mjtNum* velocity = data_->qvel + body.free_velocity;
         const mjtNum* q = position + 3;
         const double theta = std::atan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] * q[2] + q[3] * q[3]));
-        return {position[0], position[1], theta / kDegree,
-                velocity[0] * std::cos(theta) + velocity[1] * std::sin(theta), velocity[5] / kDegree};
+        return {position[0],           position[1],
+                theta / kDegree,       velocity[0] * std::cos(theta) + velocity[1] * std::sin(theta),
+                velocity[5] / kDegree, body.touched};
+    }
+
+    std::vector<ObjectTruth> truthOfObjects() const {
+        std::vector<ObjectTruth> truths;
+        for (std::size_t i = 0; i < objects_.size(); ++i) {
+            const auto& object = world_.objects[i];
+            const mjtNum* at = data_->xpos + 3 * objects_[i];
+            const mjtNum* turned = data_->xmat + 9 * objects_[i];
+            const mjtNum* velocity = data_->qvel + model_->jnt_dofadr[model_->body_jntadr[objects_[i]]];
+            ObjectTruth truth;
+            truth.name = object.name;
+            truth.x_m = at[0];
+            truth.y_m = at[1];
+            truth.z_m = at[2] - std::abs(turned[8]) * object.dz / 2;
+            truth.theta_deg = std::atan2(turned[3], turned[0]) / kDegree;
+            truth.tilt_deg = std::acos(std::clamp(turned[8], -1.0, 1.0)) / kDegree;
+            truth.speed_m_s = mju_norm3(velocity);
+            truths.push_back(std::move(truth));
+        }
+        forEachContact([&](const Owner& one, const Owner& other) {
+            if (one.kind == Owner::Kind::Object) addOnce(truths[one.index].on, nameOf(other));
+            if (other.kind == Owner::Kind::Object) addOnce(truths[other.index].on, nameOf(one));
+        });
+        return truths;
+    }
+    CytonBody::Positions truthOfArm(std::size_t arm) const { return arms_.at(arm).positions(); }
+    void forgetTouches() {
+        for (auto& body : bodies_) body.touched.clear();
+    }
+
+    void placeObject(const std::string& name, double x, double y, double z, double theta) {
+        const auto found = std::find_if(world_.objects.begin(), world_.objects.end(),
+                                        [&name](const Object& object) { return object.name == name; });
+        if (found == world_.objects.end()) throw std::invalid_argument("there is no object called " + name);
+        const int joint =
+            model_->body_jntadr[objects_[static_cast<std::size_t>(found - world_.objects.begin())]];
+        put(model_->jnt_qposadr[joint], model_->jnt_dofadr[joint], x, y, z + found->dz / 2, theta);
+        mj_forward(model_.get(), data_.get());
+    }
+    void placeRobot(std::size_t index, double x, double y, double theta) {
+        const auto& body = bodies_.at(index);
+        put(body.free_position, body.free_velocity, x, y, kWheelRadius_mm / 1000, theta);
+        mj_forward(model_.get(), data_.get());
+    }
+
+    void addObstacle(const Box& box) {
+        if (box.name.empty()) throw std::invalid_argument("an obstacle needs a name");
+        auto found = std::find(obstacle_names_.begin(), obstacle_names_.end(), box.name);
+        if (found == obstacle_names_.end())
+            found = std::find(obstacle_names_.begin(), obstacle_names_.end(), std::string());
+        if (found == obstacle_names_.end()) {
+            throw std::invalid_argument("there are " + std::to_string(kObstacles) +
+                                        " obstacles already: remove one first");
+        }
+        *found = box.name;
+        const auto number = found - obstacle_names_.begin();
+        const int geom = id(mjOBJ_GEOM, "obstacle" + std::to_string(number) + ":");
+        mjtNum* size = model_->geom_size + 3 * geom;
+        size[0] = box.dx / 2;
+        size[1] = box.dy / 2;
+        size[2] = box.height / 2;
+        model_->geom_rbound[geom] = mju_norm3(size);
+        standObstacle(static_cast<std::size_t>(number), box.x, box.y, box.z + box.height / 2, box.theta);
+    }
+    void moveObstacle(const std::string& name, double x, double y, double theta) {
+        const auto number = obstacleNamed(name);
+        standObstacle(number, x, y, data_->mocap_pos[3 * mocapOf(number) + 2], theta);
+    }
+    void removeObstacle(const std::string& name) {
+        const auto number = obstacleNamed(name);
+        standObstacle(number, static_cast<double>(number), 0, kParked_z, 0);
+        obstacle_names_[number].clear();
+    }
+
+    void setFault(std::size_t index, const Fault& fault, bool broken) {
+        auto& body = bodies_.at(index);
+        switch (fault.kind) {
+            case Fault::Kind::DeadSonar: {
+                if (fault.which < 0 || fault.which >= BodyReadings::kSonars)
+                    throw std::invalid_argument("sonars are numbered 0 to 23");
+                const auto bit = 1U << static_cast<unsigned>(fault.which);
+                body.dead_sonars = broken ? body.dead_sonars | bit : body.dead_sonars & ~bit;
+                break;
+            }
+            case Fault::Kind::StuckGripper:
+                body.gripper_stuck = broken;
+                break;
+            case Fault::Kind::SlippingWheel: {
+                if (fault.which < 0 || fault.which > 1)
+                    throw std::invalid_argument("wheels are 0, left, and 1, right");
+                const int geom = body.wheel_geoms[static_cast<std::size_t>(fault.which)];
+                // By priority: of two frictions the larger one counts, which is the floor's.
+                model_->geom_priority[geom] = broken ? 1 : 0;
+                model_->geom_friction[3 * geom] =
+                    broken ? kSlippery : friction_[3 * static_cast<std::size_t>(geom)];
+                break;
+            }
+            case Fault::Kind::FlatBattery:
+                body.battery_v = broken ? kBatteryEmpty_v : kBatteryFull_v;
+                break;
+        }
+    }
+
+    const mjModel* model() const { return model_.get(); }
+
+    void copyTo(mjModel* model, mjData* data) const {
+        std::copy_n(model_->cam_fovy, model_->ncam, model->cam_fovy);
+        for (int i = 0; i < kObstacles; ++i) {
+            const int geom = id(mjOBJ_GEOM, "obstacle" + std::to_string(i) + ":");
+            std::copy_n(model_->geom_size + 3 * geom, 3, model->geom_size + 3 * geom);
+            model->geom_rbound[geom] = model_->geom_rbound[geom];
+        }
+        data->time = data_->time;
+        std::copy_n(data_->qpos, model_->nq, data->qpos);
+        std::copy_n(data_->mocap_pos, 3 * model_->nmocap, data->mocap_pos);
+        std::copy_n(data_->mocap_quat, 4 * model_->nmocap, data->mocap_quat);
+        mj_kinematics(model, data);
+        mj_comPos(model, data);
+        mj_camlight(model, data);
     }
 
   private:
-    Body find(std::size_t index) {
+    int id(mjtObj type, const std::string& name) const {
+        return mj_name2id(model_.get(), type, name.c_str());
+    }
+
+    Body find(std::size_t index) const {
         const std::string r = "r" + std::to_string(index) + "_";
-        const auto id = [this](mjtObj type, const std::string& name) {
-            return mj_name2id(model_.get(), type, name.c_str());
-        };
-        const auto wheel = [&](const char* side) {
-            const int joint = id(mjOBJ_JOINT, r + side);
-            return Body::Wheel{model_->jnt_qposadr[joint], model_->jnt_dofadr[joint],
-                               id(mjOBJ_ACTUATOR, r + side)};
+        const auto motor = [&](const char* name) {
+            const int joint = id(mjOBJ_JOINT, r + name);
+            return Motor{model_->jnt_qposadr[joint], model_->jnt_dofadr[joint], id(mjOBJ_ACTUATOR, r + name)};
         };
         Body body;
         body.base = id(mjOBJ_BODY, r + "base");
         const int joint = model_->body_jntadr[body.base];
         body.free_position = model_->jnt_qposadr[joint];
         body.free_velocity = model_->jnt_dofadr[joint];
-        body.left = wheel("left");
-        body.right = wheel("right");
-        for (int segment = 0; segment < kBumperSegments; ++segment) {
-            const auto number = std::to_string(segment + 1);
-            const auto front = static_cast<std::size_t>(id(mjOBJ_GEOM, r + "frontbumper" + number));
-            const auto rear = static_cast<std::size_t>(id(mjOBJ_GEOM, r + "rearbumper" + number));
-            bumper_of_geom_[front] = {static_cast<int>(index), 1U << static_cast<unsigned>(segment), 0};
-            bumper_of_geom_[rear] = {static_cast<int>(index), 0, 1U << static_cast<unsigned>(segment)};
-        }
+        body.left = motor("left");
+        body.right = motor("right");
+        body.wheel_geoms = {id(mjOBJ_GEOM, r + "leftwheel"), id(mjOBJ_GEOM, r + "rightwheel")};
+        body.left_paddle = motor("leftpaddle");
+        body.right_paddle = motor("rightpaddle");
+        body.paddle_geoms = {id(mjOBJ_GEOM, r + "leftpaddle"), id(mjOBJ_GEOM, r + "rightpaddle")};
+        body.lift = motor("lift");
+        body.pan = motor("pan");
+        body.tilt = motor("tilt");
+        body.camera = id(mjOBJ_CAMERA, r + "camera");
         return body;
     }
 
-    void senseBumpers(std::size_t index, BodyReadings& readings) const {
-        readings.front_bumpers = readings.rear_bumpers = 0;
-        for (int i = 0; i < data_->ncon; ++i) {
-            const auto& contact = data_->contact[i];
-            for (const int geom : {contact.geom1, contact.geom2}) {
-                const auto& bumper = bumper_of_geom_[static_cast<std::size_t>(geom)];
-                if (bumper.robot != static_cast<int>(index)) continue;
-                readings.front_bumpers |= bumper.front;
-                readings.rear_bumpers |= bumper.rear;
+    void findOwners() {
+        owners_.resize(static_cast<std::size_t>(model_->ngeom));
+        const auto number = [](const std::string& text, std::size_t from) {
+            return static_cast<std::size_t>(std::stoul(text.substr(from)));
+        };
+        for (int geom = 0; geom < model_->ngeom; ++geom) {
+            auto& owner = owners_[static_cast<std::size_t>(geom)];
+            const int body = model_->geom_bodyid[geom];
+            const char* named = mj_id2name(model_.get(), mjOBJ_GEOM, geom);
+            const std::string name = named == nullptr ? "" : named;
+            const char* root = mj_id2name(model_.get(), mjOBJ_BODY, model_->body_rootid[body]);
+            const std::string tree = root == nullptr ? "" : root;
+            if (body == 0) {
+                owner.kind = name == "floor" ? Owner::Kind::Floor : Owner::Kind::Fixed;
+                if (name == "floor") continue;
+                owner.index = fixed_names_.size();
+                if (startsWith(name, "table")) {
+                    fixed_names_.push_back(world_.tables[number(name, 5)].name);
+                } else if (startsWith(name, "box")) {
+                    fixed_names_.push_back(world_.boxes[number(name, 3)].name);
+                } else {
+                    fixed_names_.emplace_back("wall");
+                }
+            } else if (startsWith(tree, "obstacle")) {
+                owner = {Owner::Kind::Obstacle, number(tree, 8)};
+            } else if (startsWith(tree, "object")) {
+                owner = {Owner::Kind::Object, number(tree, 6)};
+            } else if (startsWith(tree, "c")) {
+                owner = {Owner::Kind::Arm, number(tree, 1)};
+            } else {
+                owner = {Owner::Kind::Robot, number(tree, 1)};
+                const auto& robot = first_[owner.index];
+                const int lift = model_->jnt_bodyid[model_->dof_jntid[robot.lift.velocity]];
+                owner.holds = body == lift || model_->body_parentid[body] == lift;
+                const auto bumper = name.find("bumper");
+                if (bumper != std::string::npos) {
+                    const auto segment = 1U << (number(name, bumper + 6) - 1);
+                    (name.find("front") != std::string::npos ? owner.front : owner.rear) = segment;
+                }
             }
         }
     }
 
-    /// The distance along a ray that starts in the robot's frame, or nothing within the range:
-    /// kSonarMaximum_mm or more.
+    const std::string& nameOf(const Owner& owner) const {
+        static const std::string kFloor = "floor";
+        switch (owner.kind) {
+            case Owner::Kind::Fixed:
+                return fixed_names_[owner.index];
+            case Owner::Kind::Obstacle:
+                return obstacle_names_[owner.index];
+            case Owner::Kind::Object:
+                return world_.objects[owner.index].name;
+            case Owner::Kind::Robot:
+                return world_.robots[owner.index].name;
+            case Owner::Kind::Arm:
+                return world_.arms[owner.index].name;
+            default:
+                return kFloor;
+        }
+    }
+
+    const Owner& ownerOf(int geom) const { return owners_[static_cast<std::size_t>(geom)]; }
+
+    /// Of those that bear; the ones that are only near are left out.
+    template <class F>
+    void forEachContact(F&& visit) const {
+        for (int i = 0; i < data_->ncon; ++i) {
+            const auto& contact = data_->contact[i];
+            if (contact.exclude == 0 && contact.efc_address >= 0)
+                visit(ownerOf(contact.geom1), ownerOf(contact.geom2));
+        }
+    }
+
+    void rememberTouches() {
+        forEachContact([this](const Owner& one, const Owner& other) {
+            const auto note = [this](const Owner& robot, const Owner& thing) {
+                if (robot.kind != Owner::Kind::Robot || thing.kind == Owner::Kind::Floor) return;
+                if (thing.kind == Owner::Kind::Robot && thing.index == robot.index) return;
+                if (thing.kind == Owner::Kind::Object && robot.holds) return;
+                addOnce(bodies_[robot.index].touched, nameOf(thing));
+            };
+            note(one, other);
+            note(other, one);
+        });
+    }
+
+    void senseContacts(std::size_t index, Body& body) const {
+        auto& r = body.readings;
+        r.front_bumpers = r.rear_bumpers = 0;
+        std::array<double, 2> pressure{};
+        for (int i = 0; i < data_->ncon; ++i) {
+            const auto& contact = data_->contact[i];
+            for (const int geom : {contact.geom1, contact.geom2}) {
+                const auto& owner = ownerOf(geom);
+                if (owner.kind != Owner::Kind::Robot || owner.index != index) continue;
+                r.front_bumpers |= owner.front;
+                r.rear_bumpers |= owner.rear;
+                for (std::size_t side = 0; side < 2; ++side) {
+                    if (geom != body.paddle_geoms[side]) continue;
+                    std::array<mjtNum, 6> force{};
+                    mj_contactForce(model_.get(), data_.get(), i, force.data());
+                    // What presses on its face; not what it stands on.
+                    pressure[side] += force[0] * std::abs(alongPaddles(body, contact.frame));
+                }
+            }
+        }
+        r.gripper.left_pressed = pressure[0] > kPaddlePressed_n;
+        r.gripper.right_pressed = pressure[1] > kPaddlePressed_n;
+        r.gripper.left_paddle_mm = data_->qpos[body.left_paddle.position] * 1000;
+        r.gripper.right_paddle_mm = data_->qpos[body.right_paddle.position] * 1000;
+        r.gripper.lift_mm = data_->qpos[body.lift.position] * 1000;
+        r.gripper.lift_blocked = body.lift.blocked_s > kBlockedAfter_s;
+    }
+
+    /// The part of a direction that is along the robot's y axis.
+    double alongPaddles(const Body& body, const mjtNum* direction) const {
+        const mjtNum* rotation = data_->xmat + 9 * body.base;
+        return direction[0] * rotation[1] + direction[1] * rotation[4] + direction[2] * rotation[7];
+    }
+
+    /// The distance along a ray that starts in the robot's frame, or nothing: 1e9.
     double ray_mm(const Body& body, double x_mm, double y_mm, double height_mm, double yaw_deg,
                   double pitch_deg) const {
         const std::array<mjtNum, 3> point{x_mm / 1000, y_mm / 1000, (height_mm - kWheelRadius_mm) / 1000};
@@ -164,9 +492,9 @@ class Physics::Model {
         mju_rotVecMat(from.data(), point.data(), rotation);
         mju_rotVecMat(direction.data(), along.data(), rotation);
         mju_addTo3(from.data(), data_->xpos + 3 * body.base);
-        // Obstacles and hulls; not the floor, which a flat cone of sound leaves without an echo, and not
-        // wheels.
-        static constexpr std::array<mjtByte, mjNGROUP> kSeen{1, 1, 0, 0, 0, 0};
+        // Obstacles, hulls and objects; not the floor, which a flat cone of sound leaves without an echo, and
+        // not wheels and grippers.
+        static constexpr std::array<mjtByte, mjNGROUP> kSeen{1, 1, 1, 0, 0, 0};
         int geom = -1;
         const double distance = mj_ray(model_.get(), data_.get(), from.data(), direction.data(), kSeen.data(),
                                        1, body.base, &geom);
@@ -177,6 +505,23 @@ class Physics::Model {
 
     bool senseTable(const Body& body, double y_mm) const {
         return ray_mm(body, kTableSensorX_mm, y_mm, kTableSensorHeight_mm, 0, 90) <= kTableSensorRange_mm;
+    }
+
+    void senseBeams(Body& body) const {
+        const double left = data_->qpos[body.left_paddle.position] * 1000;
+        const double right = data_->qpos[body.right_paddle.position] * 1000;
+        const double height = kPaddleLowest_mm + data_->qpos[body.lift.position] * 1000;
+        // From inside of the one paddle to inside of the other: what is pinched is also between them.
+        const auto broken = [&](double x_mm) {
+            return ray_mm(body, x_mm, left + kPaddleHalfThickness_mm, height, -90, 0) <
+                   left + right + kPaddleHalfThickness_mm;
+        };
+        body.readings.gripper.inner_beam_broken = broken(kInnerBeam_mm);
+        body.readings.gripper.outer_beam_broken = broken(kOuterBeam_mm);
+    }
+
+    double noise(double deviation) {
+        return options_.noise == 0 ? 0 : normal_(random_) * deviation * options_.noise;
     }
 
     void senseSonars(Body& body) {
@@ -196,6 +541,9 @@ class Physics::Model {
                                                    pose.direction_deg + ray[0] * kSonarHalfCone_deg,
                                                    ray[1] * kSonarHalfCone_deg));
             }
+            const double off = noise(kSonarNoise_mm);
+            if (nearest < kSonarMaximum_mm) nearest = std::min(nearest + off, kSonarMaximum_mm);
+            if ((body.dead_sonars & (1U << static_cast<unsigned>(sonar))) != 0) nearest = kSonarMaximum_mm;
             body.readings.sonar_mm[static_cast<std::size_t>(sonar)] =
                 static_cast<std::uint16_t>(std::lround(std::max(nearest, kSonarMinimum_mm)));
             body.readings.sonars_fired |= 1U << static_cast<unsigned>(sonar);
@@ -203,26 +551,98 @@ class Physics::Model {
         body.next_sonar = (body.next_sonar + 1) % 8;
     }
 
-    void updateBlocked(Body::Wheel& wheel, double dt) const {
-        const double wanted = std::abs(data_->ctrl[wheel.actuator]);
-        const bool pushing = std::abs(data_->actuator_force[wheel.actuator]) > 0.97 * kMotorTorque_nm;
-        const bool turning = std::abs(data_->qvel[wheel.velocity]) > 0.2 * wanted;
-        wheel.blocked_s = pushing && !turning && wanted > 0 ? wheel.blocked_s + dt : 0;
+    void senseLaser(Body& body) {
+        auto& r = body.readings;
+        r.laser_scanned = false;
+        if (!body.laser.on || data_->time < body.laser_due_s) return;
+        body.laser_due_s =
+            std::max(body.laser_due_s, data_->time - kLaserPeriod_ms / 1000.0) + kLaserPeriod_ms / 1000.0;
+        r.laser_scanned = true;
+        r.laser_mm.resize(static_cast<std::size_t>(body.laser.readings()));
+        for (std::size_t i = 0; i < r.laser_mm.size(); ++i) {
+            const double angle = body.laser.start_deg + static_cast<double>(i) * body.laser.resolution_deg;
+            const double range =
+                ray_mm(body, kLaserX_mm, 0, kLaserHeight_mm, angle, 0) + noise(kLaserNoise_mm);
+            r.laser_mm[i] = range > kLaserMaximum_mm
+                                ? arcos::LaserPacket::kNothing_mm
+                                : static_cast<std::uint16_t>(std::lround(std::max(0.0, range)));
+        }
     }
 
-    struct Bumper {
-        int robot = -1;
-        unsigned front = 0;
-        unsigned rear = 0;
-    };
+    void moveGripper(Body& body, double dt) {
+        const auto speeds = body.gripper_stuck ? GripperSpeeds{} : body.gripper;
+        const auto move = [&](const Motor& motor, double speed_mm_s, double most_m, double stiffness,
+                              double force) {
+            auto& target = data_->ctrl[motor.actuator];
+            // No further ahead than the motor's force reaches: otherwise it would not let go at once.
+            const double now = data_->qpos[motor.position];
+            const double reach = 1.1 * force / stiffness;
+            target = std::clamp(target + speed_mm_s / 1000 * dt, now - reach, now + reach);
+            target = std::clamp(target, -reach, most_m);
+        };
+        constexpr double kOpening_m = GripperControl::kOpening_mm / 1000;
+        move(body.left_paddle, speeds.paddles_mm_s, kOpening_m, kPaddleStiffness_n_m, kPaddleForce_n);
+        move(body.right_paddle, speeds.paddles_mm_s, kOpening_m, kPaddleStiffness_n_m, kPaddleForce_n);
+        move(body.lift, speeds.lift_mm_s, GripperControl::kLift_mm / 1000, kLiftStiffness_n_m, kLiftForce_n);
+        if (data_->ctrl[body.lift.actuator] < 0) data_->ctrl[body.lift.actuator] = 0;
+        // MuJoCo 2.2.2 cannot compensate gravity: the lift would sag.
+        data_->qfrc_applied[body.lift.velocity] = data_->qfrc_bias[body.lift.velocity];
+    }
 
+    void updateBlocked(Motor& motor, double force, bool wants, double dt) const {
+        const bool pushing = std::abs(data_->actuator_force[motor.actuator]) > 0.97 * force;
+        motor.blocked_s = pushing && wants ? motor.blocked_s + dt : 0;
+    }
+
+    static double fieldOfView(int zoom) {
+        return 2 * std::atan(std::tan(arcos::vcc4::viewAt(zoom) / 2 * kDegree) * 0.75) / kDegree;
+    }
+
+    void put(int position, int velocity, double x, double y, double z, double theta_deg) {
+        mjtNum* q = data_->qpos + position;
+        const double half = theta_deg / 2 * kDegree;
+        const std::array<mjtNum, 7> pose{x, y, z, std::cos(half), 0, 0, std::sin(half)};
+        std::copy(pose.begin(), pose.end(), q);
+        std::fill_n(data_->qvel + velocity, 6, 0.0);
+    }
+
+    std::size_t obstacleNamed(const std::string& name) const {
+        const auto found = std::find(obstacle_names_.begin(), obstacle_names_.end(), name);
+        if (name.empty() || found == obstacle_names_.end())
+            throw std::invalid_argument("there is no obstacle called " + name);
+        return static_cast<std::size_t>(found - obstacle_names_.begin());
+    }
+    int mocapOf(std::size_t number) const {
+        return model_->body_mocapid[id(mjOBJ_BODY, "obstacle" + std::to_string(number))];
+    }
+    void standObstacle(std::size_t number, double x, double y, double z, double theta_deg) {
+        const int mocap = mocapOf(number);
+        const double half = theta_deg / 2 * kDegree;
+        const std::array<mjtNum, 3> position{x, y, z};
+        const std::array<mjtNum, 4> rotation{std::cos(half), 0, 0, std::sin(half)};
+        std::copy(position.begin(), position.end(), data_->mocap_pos + 3 * mocap);
+        std::copy(rotation.begin(), rotation.end(), data_->mocap_quat + 4 * mocap);
+    }
+
+    WorldDescription world_;
+    const Options options_;
     std::unique_ptr<mjModel, decltype(&mj_deleteModel)> model_;
     std::unique_ptr<mjData, decltype(&mj_deleteData)> data_;
-    std::vector<Bumper> bumper_of_geom_;
+    std::vector<Owner> owners_;  // by geom
+    std::vector<std::string> fixed_names_;
+    std::vector<std::string> obstacle_names_;  // empty: a spare one
+    std::vector<Body> first_;                  // as they are in the beginning
     std::vector<Body> bodies_;
+    std::vector<CytonBody> arms_;
+    std::vector<CytonBody::Positions> arm_targets_;
+    std::vector<int> objects_;  // bodies
+    std::vector<double> friction_;
+    std::mt19937_64 random_;
+    std::normal_distribution<double> normal_;
 };
 
-Physics::Physics(const WorldDescription& world) : model_(std::make_unique<Model>(world)) {}
+Physics::Physics(const WorldDescription& world, const Options& options)
+    : model_(std::make_unique<Model>(world, options)) {}
 Physics::~Physics() = default;
 const BodyReadings& Physics::sense(std::size_t robot) {
     return model_->sense(robot);
@@ -230,11 +650,63 @@ const BodyReadings& Physics::sense(std::size_t robot) {
 void Physics::setWheels(std::size_t robot, const ArcosServer::WheelSpeeds& speeds) {
     model_->setWheels(robot, speeds);
 }
+void Physics::setGripper(std::size_t robot, const GripperSpeeds& speeds) {
+    model_->setGripper(robot, speeds);
+}
+void Physics::setCamera(std::size_t robot, const CameraPose& pose) {
+    model_->setCamera(robot, pose);
+}
+void Physics::setLaser(std::size_t robot, const LaserSettings& settings) {
+    model_->setLaser(robot, settings);
+}
+void Physics::setArm(std::size_t arm, const CytonBody::Positions& targets) {
+    model_->setArm(arm, targets);
+}
 void Physics::step() {
     model_->step();
 }
+double Physics::time_s() const {
+    return model_->time();
+}
+void Physics::reset() {
+    model_->reset();
+}
 Truth Physics::truth(std::size_t robot) const {
     return model_->truth(robot);
+}
+std::vector<ObjectTruth> Physics::truthOfObjects() const {
+    return model_->truthOfObjects();
+}
+CytonBody::Positions Physics::truthOfArm(std::size_t arm) const {
+    return model_->truthOfArm(arm);
+}
+void Physics::forgetTouches() {
+    model_->forgetTouches();
+}
+void Physics::placeObject(const std::string& name, double x_m, double y_m, double z_m, double theta_deg) {
+    model_->placeObject(name, x_m, y_m, z_m, theta_deg);
+}
+void Physics::placeRobot(std::size_t robot, double x_m, double y_m, double theta_deg) {
+    model_->placeRobot(robot, x_m, y_m, theta_deg);
+}
+void Physics::addObstacle(const Box& box) {
+    model_->addObstacle(box);
+}
+void Physics::moveObstacle(const std::string& name, double x_m, double y_m, double theta_deg) {
+    model_->moveObstacle(name, x_m, y_m, theta_deg);
+}
+void Physics::removeObstacle(const std::string& name) {
+    model_->removeObstacle(name);
+}
+void Physics::setFault(std::size_t robot, const Fault& fault, bool broken) {
+    model_->setFault(robot, fault, broken);
+}
+
+const mjModel* PhysicsView::model() const {
+    return physics_.model_->model();
+}
+void PhysicsView::copyTo(mjModel* model, mjData* data) const {
+    physics_.model_->copyTo(model, data);
 }
 
 }  // namespace axon::lab

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -191,6 +192,141 @@ TEST_F(PhysicsTest, TheSameCommandsGiveTheSameNumbers) {
     const auto second = drive();
     EXPECT_EQ(first.x_m, second.x_m);
     EXPECT_EQ(first.theta_deg, second.theta_deg);
+}
+
+TEST_F(PhysicsTest, WhatTheRobotTouchesIsRememberedByName) {
+    WorldDescription world;
+    world.robots = {{.x = 2, .y = 3}};
+    world.boxes = {{.name = "crate", .x = 3.2, .y = 3, .height = 0.8}};
+    world.objects = {{.name = "bottle", .x = 2.4, .y = 3.1, .dz = 0.3, .mass = 0.2}};
+    start(world);
+    EXPECT_TRUE(lab_->truth(0).touched.empty());
+    order(Command::Vel, 200);
+    run(6);
+    EXPECT_THAT(lab_->truth(0).touched, ::testing::UnorderedElementsAre("bottle", "crate"));
+    const auto bottle = lab_->physics().truthOfObjects().at(0);
+    EXPECT_GT(bottle.tilt_deg, 45) << "a bottle of 30 cm is knocked over, not pushed";
+    EXPECT_THAT(bottle.on, ::testing::Contains("floor"));
+    lab_->physics().forgetTouches();
+    order(Command::Vel, -200);
+    run(3);
+    order(Command::Vel, 0);
+    lab_->physics().forgetTouches();
+    run(2);
+    EXPECT_TRUE(lab_->truth(0).touched.empty());
+}
+
+TEST_F(PhysicsTest, AnObstacleAppearsMovesStopsTheRobotAndGoes) {
+    start(2, 3, 0);
+    auto& physics = lab_->physics();
+    physics.addObstacle({.name = "cart", .x = 4, .y = 3, .dx = 0.4, .dy = 1, .height = 1});
+    run(1);
+    EXPECT_NEAR(robot().sonars[3].range_mm, 1800 - 166, 40);
+    physics.moveObstacle("cart", 3, 3, 0);
+    run(1);
+    EXPECT_NEAR(robot().sonars[3].range_mm, 800 - 166, 40);
+    order(Command::BumpStall, 3);
+    order(Command::Vel, 200);
+    run(6);
+    EXPECT_NEAR(lab_->truth(0).x_m, 2.8 - 0.212, 0.02) << "it cannot be pushed";
+    EXPECT_THAT(lab_->truth(0).touched, ::testing::ElementsAre("cart"));
+    physics.removeObstacle("cart");
+    run(1);
+    EXPECT_GT(robot().sonars[3].range_mm, 4500);
+    EXPECT_THROW(physics.moveObstacle("cart", 3, 3, 0), std::invalid_argument);
+    for (int i = 0; i < kObstacles; ++i)
+        physics.addObstacle({.name = std::to_string(i), .x = 1.0 + i, .y = 1});
+    EXPECT_THROW(physics.addObstacle({.name = "one more"}), std::invalid_argument);
+}
+
+TEST_F(PhysicsTest, FaultsBreakWhatTheyNameUntilTheyAreMended) {
+    start(2, 3, 0);
+    auto& physics = lab_->physics();
+    physics.setFault(0, {Fault::Kind::DeadSonar, 0}, true);
+    physics.setFault(0, {Fault::Kind::FlatBattery}, true);
+    physics.setFault(0, {Fault::Kind::SlippingWheel, 0}, true);
+    run(1);
+    EXPECT_EQ(robot().sonars[0].range_mm, 5000);
+    EXPECT_LT(robot().sonars[7].range_mm, 3000);
+    EXPECT_NEAR(robot().battery_v, 11, 0.05);
+    order(Command::Vel, 300);
+    run(4);
+    EXPECT_NEAR(robot().heading_deg, 0, 5) << "the odometry knows nothing of the slip";
+    EXPECT_GT(lab_->truth(0).theta_deg, 3) << "the left wheel does not push";
+    order(Command::Vel, 0);
+    run(2);
+    const double x = robot().x_mm;
+    lab_->reset();
+    run(1);
+    EXPECT_NEAR(robot().x_mm, x, 5) << "carried back: the wheels did not turn";
+    EXPECT_NEAR(lab_->truth(0).x_m, 2, 0.01);
+    EXPECT_LT(robot().sonars[0].range_mm, 3100);
+    EXPECT_GT(robot().battery_v, 12);
+    EXPECT_THROW(physics.setFault(0, {Fault::Kind::DeadSonar, 24}, true), std::invalid_argument);
+}
+
+TEST(Physics, TheLaserMeasuresTheRoomFromRightToLeft) {
+    WorldDescription world;
+    world.robots = {{.x = 3, .y = 2.5}};
+    Physics physics(world);
+    physics.setLaser(0, {.on = true});
+    const auto& readings = physics.sense(0);
+    ASSERT_TRUE(readings.laser_scanned);
+    ASSERT_EQ(readings.laser_mm.size(), 181U);
+    EXPECT_NEAR(readings.laser_mm[0], 2500, 2);
+    EXPECT_NEAR(readings.laser_mm[90], 5000 - 21, 2);
+    EXPECT_NEAR(readings.laser_mm[180], 3500, 2);
+    physics.step();
+    EXPECT_FALSE(physics.sense(0).laser_scanned);
+    int scans = 0;
+    for (int i = 0; i < 250; ++i) {
+        physics.step();
+        scans += physics.sense(0).laser_scanned ? 1 : 0;
+    }
+    EXPECT_NEAR(scans, 10, 1);
+    physics.setLaser(0, {.on = true, .resolution_deg = 0.5});
+    for (int i = 0; i < 30; ++i) {
+        physics.step();
+        physics.sense(0);
+    }
+    EXPECT_EQ(physics.sense(0).laser_mm.size(), 361U);
+}
+
+TEST(Physics, NoiseComesFromItsSeedAlone) {
+    WorldDescription world;
+    world.robots = {{.x = 3, .y = 2.5}};
+    const auto scan = [&world](const Physics::Options& options) {
+        Physics physics(world, options);
+        physics.setLaser(0, {.on = true});
+        return physics.sense(0).laser_mm;
+    };
+    const auto exact = scan({});
+    const auto noisy = scan({.seed = 7, .noise = 1});
+    EXPECT_EQ(noisy, scan({.seed = 7, .noise = 1}));
+    EXPECT_NE(noisy, scan({.seed = 8, .noise = 1}));
+    EXPECT_EQ(exact, scan({.seed = 7, .noise = 0}));
+    double squares = 0;
+    for (std::size_t i = 0; i < exact.size(); ++i) squares += std::pow(exact[i] - noisy[i], 2);
+    EXPECT_NEAR(std::sqrt(squares / static_cast<double>(exact.size())), 3, 0.8);
+}
+
+TEST(Physics, ObjectsStandWhereTheyArePut) {
+    WorldDescription world;
+    world.tables = {{.name = "west", .x = 2, .y = 2, .height = 0.66}};
+    world.objects = {{.name = "red", .x = 2, .y = 2},
+                     {.name = "can", .shape = Object::Shape::Cylinder, .x = 5, .y = 3}};
+    Physics physics(world);
+    for (int i = 0; i < 250; ++i) physics.step();
+    auto objects = physics.truthOfObjects();
+    EXPECT_NEAR(objects[0].z_m, 0.66, 0.002);
+    EXPECT_THAT(objects[0].on, ::testing::ElementsAre("west"));
+    EXPECT_NEAR(objects[1].z_m, 0, 0.002);
+    physics.placeObject("red", 2.3, 2.1, 0.7, 30);
+    for (int i = 0; i < 250; ++i) physics.step();
+    objects = physics.truthOfObjects();
+    EXPECT_NEAR(objects[0].x_m, 2.3, 0.01);
+    EXPECT_NEAR(objects[0].z_m, 0.66, 0.002) << "it has dropped 4 cm";
+    EXPECT_THROW(physics.placeObject("blue", 1, 1, 1, 0), std::invalid_argument);
 }
 
 }  // namespace

@@ -5,6 +5,7 @@ import os
 import pathlib
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -213,10 +214,38 @@ class Laboratory:
     def start_robot(self, port=0, name="lab"):
         """A virtual PeopleBot; returns the process, with .address and .truth_file."""
         truth = self.folder / f"{name}.truth"
-        lab = self.start(f"{name}-{len(self.processes)}", "axon-lab", "--port", str(port), "--truth", truth)
+        lab = self.start(f"{name}-{len(self.processes)}", "axon-lab", "--world", "plain", "--noise", "0",
+                         "--port", str(port), "--truth", truth)
         lab.address = next(iter(addresses(lab.wait_for("ready ")).values()))
         lab.truth_file = truth
         return lab
+
+    def start_transport(self, fixed_ports=False, *options):
+        """The laboratory of the transport (lab/worlds/transport.lab): two PeopleBots, two Cytons, their applications and
+        Entity Managers, the map uploaded nowhere yet. Returns the process of axon-lab, with .at: what listens where."""
+        world = self.start(f"lab-{len(self.processes)}", "axon-lab", *([] if fixed_ports else ["--port", "0"]), *options)
+        world.at = addresses(world.wait_for("ready "))
+        stand = {"PeopleBot": ("--at", "2400,2000,180"), "PeopleBot2": ("--at", "2400,4000,180"),
+                 "Cyton": ("--at", "555,2000,660"), "Cyton2": ("--at", "555,4000,660")}
+        for name, at in stand.items():
+            what = (["axon-peoplebot", "--robot", world.at[name], "--camera", world.at[f"{name}.camera"]]
+                    if name.startswith("PeopleBot") else ["axon-cyton", "--arm", world.at[name]])
+            self.start(f"app-{name}", *what, "--application", name, "--name", name, "--ports", self.ports, *at)
+            self.start(f"em-{name}", "axon-entity-manager", "--application", name, "--ports", self.ports,
+                       *self.manager_options([]))
+        world.names = list(stand)
+        return world
+
+    @staticmethod
+    def control(world, what, **more):
+        """Asks the laboratory's control port: {"do": what, …}; its answer as a dict. Raises Failed when it refuses."""
+        host, port = world.at["control"].rsplit(":", 1)
+        with socket.create_connection((host, int(port)), timeout=30) as connection:
+            connection.sendall((json.dumps({"do": what, **more}) + "\n").encode())
+            answer = json.loads(connection.makefile().readline() or "{}")
+        if not answer.get("ok"):
+            raise Failed(f"axon-lab does not {what}: {answer.get('error', 'it says nothing')}")
+        return answer
 
     def start_application(self, robot_address, suffix=""):
         return self.start(f"app{suffix}-{len(self.processes)}", "axon-peoplebot", "--robot", robot_address,

@@ -49,7 +49,10 @@ class ArcosClient::Worker final : public ClientSession::Port {
     Worker(StreamOpener open, Callbacks callbacks, Duration silence_limit)
         : open_(std::move(open)), callbacks_(std::move(callbacks)), session_(*this, silence_limit) {}
 
-    ~Worker() override {
+    ~Worker() override { finish(); }
+
+    void finish() {
+        if (finished_.exchange(true)) return;
         command(encodeCommand(Command::EStop));
         command(encodeCommand(Command::Close));
         quit_ = true;
@@ -166,6 +169,7 @@ class ArcosClient::Worker final : public ClientSession::Port {
     ClientSession session_;
     Duration pause_ = kFirstPause;
 
+    std::atomic<bool> finished_ = false;
     std::atomic<bool> quit_ = false;
     std::atomic<bool> broken_ = false;
 
@@ -186,6 +190,10 @@ void ArcosClient::start() {
     worker_->start();
 }
 
+void ArcosClient::finish() {
+    worker_->finish();
+}
+
 RobotState ArcosClient::state() const {
     return worker_->state();
 }
@@ -194,6 +202,9 @@ bool ArcosClient::command(Command command) {
 }
 bool ArcosClient::command(Command command, int argument) {
     return worker_->command(encodeCommand(command, argument));
+}
+bool ArcosClient::command(Command command, std::string_view text) {
+    return worker_->command(encodeCommand(command, text));
 }
 
 bool ArcosClient::drive(double forward_mm_s, double left_deg_s) {

@@ -3,6 +3,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <string_view>
 
 #include "robots/arcos/byte_stream.hpp"
 #include "robots/arcos/client_session.hpp"
@@ -13,7 +14,7 @@ namespace axon::arcos {
 /// fed, offers the newest RobotState, and after a loss tries again for ever (after 100 ms, doubling up to 2
 /// s).
 ///
-/// Between a robot application's service logic above and a ByteStream (TCP, later serial) below; the protocol
+/// Between a robot application's service logic above and a ByteStream (TCP or serial) below; the protocol
 /// itself is ClientSession. Threads: one of its own, on which all callbacks run; they must not block. state()
 /// and the commands may be called from any thread; a command is written to the link by the calling thread,
 /// without a queue, so a stop is on the wire when the call returns. Destruction stops the robot, closes the
@@ -36,14 +37,21 @@ class ArcosClient {
 
     /// Begins to connect; once. Callbacks come from now on.
     void start();
+    /// What the destructor does, while this object can still be used by a callback that is under way: stops
+    /// the robot, closes the session, joins the thread. No callback comes any more, no command goes out.
+    void finish();
 
     RobotState state() const;
 
     bool command(Command command);
     bool command(Command command, int argument);
+    /// A text: for the camera (Command::Tty2, vcc4.hpp).
+    bool command(Command command, std::string_view text);
     /// Forward speed and rotation to the left, rounded to ARCOS's whole mm/s and deg/s.
     bool drive(double forward_mm_s, double left_deg_s);
-    /// STOP with the robot's full deceleration (ESTOP): for the stop thread.
+    bool gripper(GripperOrder order) { return command(Command::Gripper, static_cast<int>(order)); }
+    /// STOP with the robot's full deceleration (ESTOP): for the stop thread. The gripper has its own
+    /// (GripperOrder::Halt), as motions end while it holds something.
     bool stop();
 
   private:

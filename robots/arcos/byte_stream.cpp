@@ -6,9 +6,12 @@
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
+#include <sys/file.h>
 #include <sys/socket.h>
+#include <termios.h>
 #include <unistd.h>
 
+#include <array>
 #include <cerrno>
 #include <charconv>
 #include <cstring>
@@ -40,6 +43,37 @@ class TcpStream final : public ByteStream {
   private:
     int fd_;
 };
+
+class SerialStream final : public ByteStream {
+  public:
+    explicit SerialStream(int fd) : fd_(fd) {}
+    ~SerialStream() override { ::close(fd_); }
+    SerialStream(const SerialStream&) = delete;
+    SerialStream& operator=(const SerialStream&) = delete;
+
+    int descriptor() const override { return fd_; }
+
+    int read(std::span<std::uint8_t> into) override {
+        const auto got = ::read(fd_, into.data(), into.size());
+        if (got > 0) return static_cast<int>(got);
+        // With VMIN 1 nothing yet is EAGAIN, and zero is a line that was hung up.
+        return got < 0 && (errno == EAGAIN || errno == EINTR) ? 0 : -1;
+    }
+
+    bool write(std::span<const std::uint8_t> bytes) override {
+        return ::write(fd_, bytes.data(), bytes.size()) == static_cast<ssize_t>(bytes.size());
+    }
+
+  private:
+    int fd_;
+};
+
+struct Speed {
+    int baud;
+    speed_t code;
+};
+constexpr std::array<Speed, 5> kSpeeds{
+    {{9600, B9600}, {19200, B19200}, {38400, B38400}, {57600, B57600}, {115200, B115200}}};
 
 Refusal notConnected(const std::string& address, const char* why) {
     return {RefusalCode::NotConnected, "cannot connect to the robot at " + address + ": " + why, {}};
@@ -81,6 +115,29 @@ Result<std::unique_ptr<ByteStream>> connectTo(const std::string& address, const 
     return notConnected(address, std::strerror(error));
 }
 
+Result<std::unique_ptr<ByteStream>> openSerial(const std::string& path, speed_t speed) {
+    const int fd = ::open(path.c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
+    if (fd < 0) {
+        return notConnected(path, errno == EACCES ? "permission denied: is this user in the group dialout?"
+                                                  : std::strerror(errno));
+    }
+    auto stream = std::make_unique<SerialStream>(fd);
+    // Two programs on one line would each see half of the answers.
+    if (::flock(fd, LOCK_EX | LOCK_NB) != 0) return notConnected(path, "another program uses this line");
+    termios line{};
+    if (::tcgetattr(fd, &line) != 0) return notConnected(path, "this is not a serial line");
+    ::cfmakeraw(&line);
+    line.c_cflag |= CLOCAL | CREAD;
+    line.c_cflag &= ~static_cast<tcflag_t>(CSTOPB | CRTSCTS);
+    line.c_cc[VMIN] = 1;
+    line.c_cc[VTIME] = 0;
+    ::cfsetspeed(&line, speed);
+    if (::tcsetattr(fd, TCSANOW, &line) != 0) return notConnected(path, std::strerror(errno));
+    // What the robot said to an earlier program is no answer to this one.
+    ::tcflush(fd, TCIOFLUSH);
+    return std::unique_ptr<ByteStream>(std::move(stream));
+}
+
 }  // namespace
 
 StreamOpener tcpStreams(const std::string& address) {
@@ -97,6 +154,29 @@ StreamOpener tcpStreams(const std::string& address) {
     return [address, host = address.substr(0, colon), port](Duration timeout) {
         return connectTo(address, host, port, timeout);
     };
+}
+
+StreamOpener serialStreams(const std::string& device) {
+    const auto colon = device.rfind(':');
+    auto path = device;
+    int baud = kSpeeds.front().baud;
+    if (colon != std::string::npos) {
+        path = device.substr(0, colon);
+        const auto text = device.substr(colon + 1);
+        const auto parsed = std::from_chars(text.data(), text.data() + text.size(), baud);
+        if (parsed.ec != std::errc{} || parsed.ptr != text.data() + text.size()) baud = 0;
+    }
+    for (const auto& speed : kSpeeds) {
+        if (speed.baud == baud && !path.empty())
+            return [path, code = speed.code](Duration /*timeout*/) { return openSerial(path, code); };
+    }
+    throw std::invalid_argument("robot address \"" + device +
+                                "\": expected a device, with :9600, :19200, :38400, :57600 or :115200 for its "
+                                "speed, for example /dev/ttyUSB0:38400");
+}
+
+StreamOpener robotStreams(const std::string& address) {
+    return address.starts_with('/') ? serialStreams(address) : tcpStreams(address);
 }
 
 }  // namespace axon::arcos

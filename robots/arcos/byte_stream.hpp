@@ -11,7 +11,7 @@
 
 namespace axon::arcos {
 
-/// A link that carries bytes both ways to a robot: a TCP connection now, a serial line later.
+/// A link that carries bytes both ways to a robot: a TCP connection or a serial line.
 /// Threads: read() on one thread, write() on any; the owner makes sure that no two write at once. Owns its
 /// descriptor.
 class ByteStream {
@@ -30,5 +30,13 @@ using StreamOpener = std::function<Result<std::unique_ptr<ByteStream>>(Duration 
 
 /// Opens TCP connections to "host:port". Throws std::invalid_argument for what is not that.
 StreamOpener tcpStreams(const std::string& address);
+
+/// Opens a serial line, raw, eight bits, no parity: "/dev/ttyS0" at 9600 baud, which ARCOS expects after it
+/// was switched on, "/dev/ttyUSB0:38400" at another speed. A pseudo terminal takes any speed. Throws
+/// std::invalid_argument for a speed that serial lines do not have.
+StreamOpener serialStreams(const std::string& device);
+
+/// What begins with "/" is a serial line, everything else host:port. Throws as the two above.
+StreamOpener robotStreams(const std::string& address);
 
 }  // namespace axon::arcos

@@ -21,10 +21,12 @@ int ringDifference(int from, int to, int ring) {
     return difference;
 }
 
-/// Table sensors are active low, right on bit 0, left on bit 1.
-void readTableSensors(unsigned digital_in, RobotState& robot) {
+/// Table sensors and the column's beams are active low.
+void readInfrared(unsigned digital_in, RobotState& robot) {
     robot.table_right = (digital_in & 1U) == 0;
     robot.table_left = (digital_in & 2U) == 0;
+    robot.column_right = (digital_in & 4U) == 0;
+    robot.column_left = (digital_in & 8U) == 0;
 }
 
 }  // namespace
@@ -34,7 +36,9 @@ void ClientSession::begin(TimePoint now) {
     reader_.reset();
     identity_ = {};
     robot_ = {};
-    config_.reset();
+    laser_ = {};
+    gripper_type_ = GripperPacket::kNone;
+    gripper_known_ = false;
     previous_.reset();
     table_sensors_by_io_ = false;
     sync_ = tries_ = rounds_ = 0;
@@ -71,10 +75,15 @@ void ClientSession::onPacket(const Packet& packet, TimePoint now) {
     } else if (const auto sip = parseServerInformation(packet)) {
         onServerInformation(*sip, now);
     } else if (auto config = parseRobotConfig(packet)) {
-        config_ = std::move(config);
+        robot_.config = std::make_shared<const RobotConfig>(std::move(*config));
+    } else if (const auto laser = parseLaserPacket(packet)) {
+        onLaser(*laser, now);
+    } else if (const auto gripper = parseGripperPacket(packet)) {
+        gripper_known_ = true;
+        gripper_type_ = gripper->type;
     } else if (const auto io = parseInputsOutputs(packet); io && io->digital_in.size() >= 4) {
         table_sensors_by_io_ = true;
-        readTableSensors(io->digital_in[3], robot_);
+        readInfrared(io->digital_in[3], robot_);
     }
 }
 
@@ -101,6 +110,63 @@ void ClientSession::onSync(const Packet& packet, TimePoint now) {
     send(encodeCommand(Command::Sonar, 1), now);
     // The robot itself stalls on a bumper, however slow this program is.
     send(encodeCommand(Command::BumpStall, 3), now);
+    // Robots whose laser is wired to the computer ignore it. MobileSim is asked as its own clients do.
+    send(encodeCommand(isMobileSim() ? Command::OldLaserOn : Command::LaserOn, 1), now);
+}
+
+void ClientSession::onLaser(const LaserPacket& packet, TimePoint now) {
+    const auto readings = laser_.add(packet);
+    if (!readings || !previous_) return;
+    auto scan = std::make_shared<LaserScan>();
+    scan->sequence = robot_.laser ? robot_.laser->sequence + 1 : 1;
+    scan->taken = now;
+    scan->x_mm = robot_.x_mm;
+    scan->y_mm = robot_.y_mm;
+    scan->heading_deg = robot_.heading_deg;
+    if (!packet.extended) {
+        scan->x_mm += ringDifference(previous_->x, packet.x, kPositionModulus);
+        scan->y_mm += ringDifference(previous_->y, packet.y, kPositionModulus);
+        // In whole degrees: where it agrees with the server information, that is the finer of the two.
+        const double turned = std::remainder(packet.theta - robot_.heading_deg, 360.0);
+        if (std::abs(turned) > 1) scan->heading_deg += turned;
+    }
+    if (readings->size() > 1) {
+        scan->start_deg = -90;
+        scan->step_deg = 180.0 / static_cast<double>(readings->size() - 1);
+    }
+    scan->ranges_mm.reserve(readings->size());
+    for (const auto& reading : *readings) scan->ranges_mm.push_back(reading.range_mm);
+    robot_.laser = std::move(scan);
+}
+
+void ClientSession::readGripper(std::uint8_t grip_state, std::uint8_t general_io) {
+    auto& gripper = robot_.gripper;
+    gripper = {};
+    gripper.known = gripper_known_;
+    gripper.fitted = gripper_type_ != GripperPacket::kNone;
+    if (!gripper.fitted) return;
+    const auto state = parseGripState(grip_state);
+    gripper.open = state.paddles_open;
+    gripper.closed = state.paddles_closed;
+    gripper.lift_up = state.lift_up;
+    gripper.lift_down = state.lift_down;
+    gripper.lift_at_limit = state.lift_up || state.lift_down;
+    gripper.paddles_moving = state.paddles_moving;
+    gripper.lift_moving = state.lift_moving;
+    gripper.paddle_error = state.paddles_error;
+    gripper.lift_error = state.lift_error;
+    if (gripper_type_ != GripperPacket::kGeneralIo) return;
+    const auto switches = parseGripperSwitches(general_io);
+    gripper.open = gripper.open || switches.paddles_open;
+    gripper.lift_at_limit = gripper.lift_at_limit || switches.lift_at_limit;
+    gripper.paddles_moving = gripper.paddles_moving || switches.paddles_moving;
+    gripper.lift_moving = gripper.lift_moving || switches.lift_moving;
+    gripper.outer_beam = switches.outer_beam_broken;
+    gripper.inner_beam = switches.inner_beam_broken;
+    gripper.left_pressed = switches.left_paddle_pressed;
+    gripper.right_pressed = switches.right_paddle_pressed;
+    // There is no switch for it: paddles that rest and are not open are closed, on something or on each other.
+    if (!gripper.open && !gripper.paddles_moving) gripper.closed = true;
 }
 
 void ClientSession::onServerInformation(const ServerInformation& sip, TimePoint now) {
@@ -128,7 +194,8 @@ void ClientSession::onServerInformation(const ServerInformation& sip, TimePoint 
     robot_.front_bumpers = sip.front_bumpers;
     robot_.rear_bumpers = sip.rear_bumpers;
     robot_.battery_v = (sip.battery_x10 != 0 ? sip.battery_x10 : sip.battery_dv) / 10.0;
-    if (!table_sensors_by_io_) readTableSensors(sip.digital_in, robot_);
+    if (!table_sensors_by_io_) readInfrared(sip.digital_in, robot_);
+    readGripper(sip.grip_state, sip.general_io);
     for (const auto& sonar : sip.sonars) {
         if (sonar.number < RobotState::kSonars) robot_.sonars[sonar.number] = {sonar.range_mm, now};
     }
@@ -169,6 +236,11 @@ void ClientSession::tick(TimePoint now) {
                         std::chrono::duration_cast<std::chrono::milliseconds>(silence_limit_).count()) +
                     " ms");
                 return;
+            }
+            // For MobileSim, which has no gripper, the same number is the laser's last angle.
+            if (!gripper_known_ && !isMobileSim() && now - gripper_asked_ >= kGripperRequestPeriod) {
+                gripper_asked_ = now;
+                send(encodeCommand(Command::GripperRequest, 1), now);
             }
             break;
     }

@@ -1,9 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <array>
+#include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
+#include "robots/arcos/gripper.hpp"
+#include "robots/arcos/laser.hpp"
 #include "robots/arcos/server_information.hpp"
 
 namespace axon::arcos {
@@ -15,6 +19,39 @@ struct RobotIdentity {
     std::string subtype;  ///< the model: "peoplebot-sh"
 
     bool operator==(const RobotIdentity&) const = default;
+};
+
+/// One sweep of the laser, assembled from the robot's packets. Immutable once published.
+struct LaserScan {
+    std::uint64_t sequence = 0;  ///< from 1 per connection; packets that are missing cost their whole scan
+    TimePoint taken{};           ///< when its last packet arrived
+    double x_mm = 0;             ///< odometry of the sweep, in the frame of RobotState
+    double y_mm = 0;
+    double heading_deg = 0;
+    double start_deg = -90;  ///< of the first reading, to the left of straight ahead; the first is on the right
+    double step_deg = 1;
+    std::vector<std::uint16_t> ranges_mm;  ///< 181 of an LMS-200; what sees nothing reads LaserPacket::kNothing_mm
+};
+
+/// The two-degrees-of-freedom gripper as its limit switches, beams and paddles tell. There is no position.
+struct GripperState {
+    bool known = false;   ///< the robot has answered whether it has a gripper
+    bool fitted = false;  ///< and it has
+    bool open = false;    ///< paddles at their outer limit
+    bool closed = false;  ///< paddles at rest at their inner limit or on what they hold
+    bool lift_up = false;
+    bool lift_down = false;
+    bool lift_at_limit = false;  ///< at one of the two; robots that do not tell which have this alone
+    bool paddles_moving = false;
+    bool lift_moving = false;
+    bool paddle_error = false;
+    bool lift_error = false;
+    bool outer_beam = false;  ///< something is between the paddles' tips
+    bool inner_beam = false;  ///< something is between the paddles' roots
+    bool left_pressed = false;
+    bool right_pressed = false;
+
+    bool operator==(const GripperState&) const = default;
 };
 
 /// What the robot last said of itself, in units a person thinks in. A value type.
@@ -42,8 +79,13 @@ struct RobotState {
     unsigned rear_bumpers = 0;
     bool table_left = false;  ///< the infrared table sensors see something
     bool table_right = false;
+    bool column_left = false;  ///< the break beams along the column: something reaches into the robot's outline
+    bool column_right = false;
     double battery_v = 0;
     std::array<Sonar, kSonars> sonars{};
+    std::shared_ptr<const LaserScan> laser;  ///< the newest; none until the robot has sent one
+    GripperState gripper;
+    std::shared_ptr<const RobotConfig> config;  ///< what the robot is and how it is tuned; none until it told
 
     double speed_mm_s() const { return (left_mm_s + right_mm_s) / 2; }
 };
@@ -79,6 +121,7 @@ class ClientSession {
     static constexpr int kSyncRounds = 4;
     static constexpr Duration kOpenTimeout = std::chrono::seconds{2};
     static constexpr Duration kSilenceLimit = std::chrono::milliseconds{500};  // five packets missing
+    static constexpr Duration kGripperRequestPeriod = std::chrono::seconds{1};  // until it is answered
     static constexpr Duration kPulsePeriod =
         std::chrono::milliseconds{500};  // a quarter of the robot's watchdog
 
@@ -98,7 +141,6 @@ class ClientSession {
     State state() const { return state_; }
     const RobotIdentity& identity() const { return identity_; }
     const RobotState& robot() const { return robot_; }
-    const std::optional<RobotConfig>& config() const { return config_; }
     const PacketReader& reader() const { return reader_; }
 
   private:
@@ -107,6 +149,9 @@ class ClientSession {
     void onPacket(const Packet& packet, TimePoint now);
     void onSync(const Packet& packet, TimePoint now);
     void onServerInformation(const ServerInformation& sip, TimePoint now);
+    void onLaser(const LaserPacket& packet, TimePoint now);
+    void readGripper(std::uint8_t grip_state, std::uint8_t general_io);
+    bool isMobileSim() const { return identity_.name == "MobileSim"; }
 
     Port& port_;
     const Duration silence_limit_;
@@ -114,12 +159,15 @@ class ClientSession {
     PacketReader reader_;
     RobotIdentity identity_;
     RobotState robot_;
-    std::optional<RobotConfig> config_;
+    LaserScanAssembler laser_;
     int sync_ = 0;   // which of SYNC0 to SYNC2 is awaited
     int tries_ = 0;  // of this one
     int rounds_ = 0;
     TimePoint last_sent_{};
     TimePoint last_heard_{};
+    TimePoint gripper_asked_{};
+    std::uint8_t gripper_type_ = GripperPacket::kNone;
+    bool gripper_known_ = false;  // it was answered, if only that there is none
     // What the wire last said, to accumulate differences.
     std::optional<ServerInformation> previous_;
     bool table_sensors_by_io_ = false;

@@ -85,6 +85,7 @@ TEST_F(ClientSessionTest, IgnoresServerInformationOfAnEarlierSessionWhileShaking
 
 TEST_F(ClientSessionTest, SendsAPulseOnlyWhenNothingElseWasSent) {
     shakeHands();
+    answer(toPacket(GripperPacket{}));
     sent_.clear();
     for (int i = 0; i < 20; ++i) {
         tell({});
@@ -160,6 +161,104 @@ TEST_F(ClientSessionTest, RemembersWhenEachSonarWasHeard) {
     EXPECT_EQ(robot_.sonars[3].range_mm, 412);
     EXPECT_EQ(robot_.sonars[3].heard, clock_.now());
     EXPECT_EQ(robot_.sonars[4].heard, TimePoint{});
+}
+
+TEST_F(ClientSessionTest, AsksForTheLaserAndAssemblesWholeScansOfBothKinds) {
+    shakeHands();
+    EXPECT_EQ(countSent(Command::LaserOn), 1);
+    ServerInformation sip;
+    sip.x = 32760;
+    sip.theta = 1000;
+    tell(sip);
+    EXPECT_FALSE(robot_.laser);
+    for (const bool extended : {false, true}) {
+        for (std::uint16_t first = 0; first < 181; first += 32) {
+            LaserPacket packet{.extended = extended, .x = 4, .theta = 88, .total = 181, .first = first};
+            for (int i = first; i < std::min(first + 32, 181); ++i)
+                packet.readings.push_back({static_cast<std::uint16_t>(1000 + i)});
+            answer(toPacket(packet));
+        }
+        tell(sip);
+        ASSERT_TRUE(robot_.laser);
+        EXPECT_EQ(robot_.laser->sequence, extended ? 2U : 1U);
+        ASSERT_EQ(robot_.laser->ranges_mm.size(), 181U);
+        EXPECT_EQ(robot_.laser->ranges_mm[180], 1180);
+        EXPECT_DOUBLE_EQ(robot_.laser->start_deg, -90);
+        EXPECT_DOUBLE_EQ(robot_.laser->step_deg, 1);
+        // Twelve millimetres further, over the wrap of the wire; extended packets have no pose of their own.
+        EXPECT_DOUBLE_EQ(robot_.laser->x_mm, robot_.x_mm + (extended ? 0 : 12));
+        EXPECT_DOUBLE_EQ(robot_.laser->heading_deg, robot_.heading_deg);
+    }
+}
+
+TEST_F(ClientSessionTest, ATurnSinceTheServerInformationIsInTheScansHeading) {
+    shakeHands();
+    tell({});
+    answer(toPacket(LaserPacket{.theta = -6, .total = 1, .readings = {{1000, 0}}}));
+    tell({});
+    ASSERT_TRUE(robot_.laser);
+    EXPECT_DOUBLE_EQ(robot_.laser->heading_deg, -6);
+}
+
+TEST_F(ClientSessionTest, AsksForTheGripperUntilItIsAnswered) {
+    shakeHands();
+    const auto pass_with_robot = [this](int packets) {
+        for (; packets > 0; --packets) {
+            tell({});
+            pass(milliseconds{100});
+        }
+    };
+    pass_with_robot(25);
+    EXPECT_EQ(countSent(Command::GripperRequest), 3);
+    EXPECT_FALSE(robot_.gripper.fitted);
+    answer(toPacket(GripperPacket{GripperPacket::kGeneralIo, {}, 10}));
+    pass_with_robot(25);
+    EXPECT_EQ(countSent(Command::GripperRequest), 3);
+    EXPECT_TRUE(robot_.gripper.fitted);
+}
+
+TEST_F(ClientSessionTest, MobileSimIsAskedInItsOwnNumbersAndNeverForAGripper) {
+    session_.begin(clock_.now());
+    answer({0, {}});
+    answer({1, {}});
+    answer({2, FieldWriter{}.text("MobileSim").text("Pioneer").text("peoplebot-sh").take()});
+    for (int i = 0; i < 30; ++i) {
+        tell({});
+        pass(milliseconds{100});
+    }
+    EXPECT_EQ(countSent(Command::OldLaserOn), 1);
+    EXPECT_EQ(countSent(Command::LaserOn), 0);
+    EXPECT_EQ(countSent(Command::GripperRequest), 0);
+}
+
+TEST_F(ClientSessionTest, TheGripperIsReadFromBothItsBytes) {
+    shakeHands();
+    ServerInformation sip;
+    sip.grip_state = toByte(GripState{.lift_up = true});
+    sip.general_io = toByte(GripperSwitches{
+        .lift_at_limit = true, .inner_beam_broken = true, .left_paddle_pressed = true, .right_paddle_pressed = true});
+    tell(sip);
+    EXPECT_EQ(robot_.gripper, GripperState{}) << "nothing is known of it before the robot says what it has";
+    answer(toPacket(GripperPacket{GripperPacket::kGeneralIo, {}, 10}));
+    tell(sip);
+    EXPECT_EQ(robot_.gripper,
+              (GripperState{.known = true, .fitted = true, .closed = true, .lift_up = true, .lift_at_limit = true,
+                            .inner_beam = true, .left_pressed = true, .right_pressed = true}));
+    sip.general_io = toByte(GripperSwitches{.paddles_moving = true});
+    tell(sip);
+    EXPECT_FALSE(robot_.gripper.closed);
+    EXPECT_TRUE(robot_.gripper.paddles_moving);
+}
+
+TEST_F(ClientSessionTest, TheColumnsBeamsAndTheConfigurationAreRead) {
+    shakeHands();
+    answer(toPacket(RobotConfig{.name = "Ann", .watchdog_ms = 2000}));
+    answer(toPacket(InputsOutputs{{0xFF, 0xFF, 0xFF, 0xFB}, {}, {}}));
+    tell({});
+    EXPECT_TRUE(robot_.column_right);
+    EXPECT_FALSE(robot_.column_left);
+    ASSERT_TRUE(robot_.config);
+    EXPECT_EQ(robot_.config->watchdog_ms, 2000);
 }
 
 }  // namespace

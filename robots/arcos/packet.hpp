@@ -57,12 +57,24 @@ enum class Command : std::uint8_t {
     Stop = 29,
     DigOut = 30,
     Vel2 = 32,
+    Gripper = 33,         // GripperOrder (gripper.hpp)
+    OldLaserOn = 35,      // 0 off, 1 on, 2 on with reflectances; ids 35 to 38 as old clients use them
+    GripperValue = 36,    // right after Gripper 16 or 17; else the old laser's first angle
+    GripperRequest = 37,  // 0 stop, 1 once, 2 continuously; any other value: the old laser's last angle
+    OldLaserResolution = 38,  // hundredths of a degree
     IoRequest = 40,
+    Tty2 = 42,    // a text: bytes for the serial port that the camera is wired to
+    GetAux = 43,  // so many bytes that came in on it are sent as kAuxPacket; 0: they are forgotten
     BumpStall = 44,
     JoyDrive = 47,
+    HostBaud = 50,
     EStop = 55,
     QStop = 57,
     BatteryInfo = 62,
+    LaserOn = 230,          // as OldLaserOn
+    LaserStart = 231,       // degrees from straight ahead, the first reading; -90 is to the right
+    LaserEnd = 232,         // degrees, the last reading
+    LaserResolution = 233,  // degrees between readings
 };
 
 /// What a robot sends.
@@ -70,6 +82,10 @@ inline constexpr std::uint8_t kStandingPacket = 0x32;  // server information, mo
 inline constexpr std::uint8_t kMovingPacket = 0x33;
 inline constexpr std::uint8_t kConfigPacket = 0x20;
 inline constexpr std::uint8_t kIoPacket = 0xF0;
+inline constexpr std::uint8_t kLaserPacket = 0x60;          // laser.hpp
+inline constexpr std::uint8_t kExtendedLaserPacket = 0x61;  // with reflectances
+inline constexpr std::uint8_t kAuxPacket = 0xB0;            // bytes from the camera, nothing else
+inline constexpr std::uint8_t kGripperPacket = 0xE0;        // gripper.hpp
 
 /// A command without, with an integer, with a text argument. Integers are sent as sign and magnitude, clamped
 /// to 16 bits.

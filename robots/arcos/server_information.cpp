@@ -11,7 +11,7 @@ Packet toPacket(const ServerInformation& sip) {
     f.u16(sip.control).u16(sip.flags).u8(sip.compass);
     f.u8(static_cast<unsigned>(sip.sonars.size()));
     for (const auto& sonar : sip.sonars) f.u8(sonar.number).u16(sonar.range_mm);
-    f.u8(sip.grip_state).u8(sip.analog_port).u8(sip.analog).u8(sip.digital_in).u8(sip.digital_out);
+    f.u8(sip.grip_state).u8(sip.general_io).u8(sip.analog).u8(sip.digital_in).u8(sip.digital_out);
     f.u16(sip.battery_x10)
         .u8(sip.charge_state)
         .u16(sip.rotation_tenth_deg_s)
@@ -49,7 +49,7 @@ std::optional<ServerInformation> parseServerInformation(const Packet& packet) {
     if (f.truncated()) return std::nullopt;
     if (f.atEnd()) return sip;
     sip.grip_state = f.u8();
-    sip.analog_port = f.u8();
+    sip.general_io = f.u8();
     sip.analog = f.u8();
     sip.digital_in = f.u8();
     sip.digital_out = f.u8();
@@ -70,7 +70,7 @@ Packet toPacket(const RobotConfig& c) {
         .u16(c.top_speed_mm_s)
         .u16(c.top_rotation_acceleration)
         .u16(c.top_acceleration);
-    f.u16(0).text(c.name).u8(static_cast<unsigned>(c.sip_cycle_ms)).u8(0).u8(0).u16(0);
+    f.u16(0).text(c.name).u8(static_cast<unsigned>(c.sip_cycle_ms)).u8(0).u8(0).u16(c.gripper ? 1 : 0);
     f.u16(c.front_sonar ? 1 : 0).u8(c.rear_sonar ? 1 : 0);
     f.u16(c.low_battery_dv).u16(0).u16(c.watchdog_ms).u8(0).u16(0).u16(c.stall_pause_ms).u16(0).u16(0);
     f.u16(c.rotation_limit_deg_s)
@@ -112,7 +112,8 @@ std::optional<RobotConfig> parseRobotConfig(const Packet& packet) {
     skip(2);
     c.name = f.text();
     c.sip_cycle_ms = f.u8();
-    skip(4);
+    skip(2);
+    c.gripper = f.u16() != 0;
     c.front_sonar = f.u16() != 0;
     c.rear_sonar = f.u8() != 0;
     c.low_battery_dv = f.u16();

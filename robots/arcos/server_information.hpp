@@ -40,8 +40,8 @@ struct ServerInformation {
     std::uint8_t compass = 0;
     std::vector<Sonar> sonars;  // those that fired since the last packet
     // Robots with old firmware end here.
-    std::uint8_t grip_state = 0;
-    std::uint8_t analog_port = 0;
+    std::uint8_t grip_state = 0;  // GripState (gripper.hpp)
+    std::uint8_t general_io = 0;  // GripperSwitches (gripper.hpp), where other robots tell the analogue port
     std::uint8_t analog = 0;
     std::uint8_t digital_in = 0;
     std::uint8_t digital_out = 0;
@@ -72,6 +72,7 @@ struct RobotConfig {
     int top_acceleration = 0;
     std::string name;
     int sip_cycle_ms = 0;
+    bool gripper = false;
     bool front_sonar = false;
     bool rear_sonar = false;
     int low_battery_dv = 0;

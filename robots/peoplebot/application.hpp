@@ -3,25 +3,33 @@
 #include <axon/entity_interfacer.hpp>
 
 #include <atomic>
+#include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
 
 #include "robots/arcos/arcos_client.hpp"
 #include "robots/peoplebot/drive_gate.hpp"
+#include "robots/peoplebot/grasp_services.hpp"
+#include "robots/peoplebot/localisation.hpp"
 #include "robots/peoplebot/motion.hpp"
 #include "robots/peoplebot/settings.hpp"
+#include "robots/peoplebot/wander.hpp"
 
 namespace axon::peoplebot {
 
-/// One PeopleBot as an entity: the services Driving and Turning, the streams pose, sonar and battery, and a
-/// stop that reaches the motors at once. Entity Interfacer on one side, ARCOS on the other, nothing else of
-/// Axon.
+/// One PeopleBot as an entity: its services (thesis 4.1.2), the streams of what it senses and of where it takes
+/// itself to be, and a stop that reaches the motors at once. Entity Interfacer on one side, ARCOS on the other,
+/// nothing else of Axon.
+///
+/// Once a map was used, the robot goes on finding itself on it, whatever it does, until the program ends; its pose is
+/// then that on the map, and the odometry's from `at` on before.
 ///
 /// While the robot cannot be reached its services are inactive and a running task fails with ROBOT_LOST; both
 /// mend themselves when it is back. Threads: those of the Entity Interfacer (stop thread, data thread, one
 /// per task) and that of the ArcosClient. The constructor throws what is wrong with the settings (BadSetting,
-/// std::invalid_argument, axon::Misconfiguration).
+/// std::invalid_argument, axon::Misconfiguration, fuzzy::BadRules).
 class Application {
   public:
     explicit Application(const Settings& settings);
@@ -35,12 +43,27 @@ class Application {
     void run();
 
   private:
+    // Each service is registered in a function of its own: its handler, and what speaks against a task.
+    using Objection = std::function<std::string(const Task&)>;
+    using Handler = std::function<void(Task&)>;
+    void offer(const std::string& service, Objection objection, Handler handler);
     void offerServices();
-    void drive(Task& task);
-    void turn(Task& task);
+    void offerDriving();
+    void offerTurning();
+    void offerWander();
+    void offerNavigation();
+    void offerTableApproach();
+
     template <class Motion>
     void perform(Task& task, Motion& motion, const std::function<void()>& report);
     Decision consider(const Task& task) const;
+
+    void navigate(Task& task);
+    /// The map that lies in this file, read once. Throws mapper3::BadMap.
+    std::shared_ptr<const FloorPlan> planOf(const std::filesystem::path& file) const;
+    /// Where the robot is on a map: what the task says, else what is known, else the map's home. Throws
+    /// std::invalid_argument with the mend.
+    std::optional<Localisation::Start> startOn(const std::shared_ptr<const FloorPlan>& plan, const Task& task) const;
 
     // On the stop thread.
     void onStop();
@@ -50,6 +73,7 @@ class Application {
     void onRobotState(const arcos::RobotState& robot);
     void onRobotLost(const std::string& reason);
     void setServicesActive(bool active, const std::string& reason);
+    void locate(const arcos::RobotState& robot);
     void publish(const arcos::RobotState& robot);
 
     // Constant after construction.
@@ -59,16 +83,38 @@ class Application {
     Stream pose_stream_;
     Stream sonar_stream_;
     Stream battery_stream_;
+    Stream laser_stream_;
+    Stream localisation_stream_;
+    Stream quality_stream_;
+    Stream particles_stream_;
+    const bool start_given_;
+    std::map<std::string, Objection> services_;
+    std::shared_ptr<const fuzzy::Engine> wander_rules_;
+    std::shared_ptr<const fuzzy::Engine> navigation_rules_;
     std::unique_ptr<arcos::ArcosClient> robot_;
     std::unique_ptr<DriveGate> gate_;
+    std::unique_ptr<GraspServices> grasp_;
 
     /// The server information packet after which a robot at rest obeys the last stop; 0: no stop waits for
     /// that.
     std::atomic<std::uint64_t> standstill_after_ = 0;
 
+    struct ReadMap {
+        std::filesystem::path file;
+        std::filesystem::file_time_type written;
+        std::shared_ptr<const FloorPlan> plan;
+    };
+    mutable std::mutex read_map_mutex_;
+    mutable ReadMap read_map_;  // guarded by read_map_mutex_: the last one
+
+    mutable std::mutex place_mutex_;  // held for some milliseconds while a scan is weighed
+    MapPose origin_;                  // of the odometry; guarded by place_mutex_
+    MapPose pose_;                    // guarded by place_mutex_
+    std::unique_ptr<Localisation> localisation_;  // guarded by place_mutex_; none until a map was used
+    bool odometry_began_anew_ = false;            // guarded by place_mutex_
+
     // Confined to the robot's thread.
-    MapPose origin_;  // of the odometry
-    MapPose pose_;
+    std::uint64_t last_scan_sent_ = 0;
     std::optional<MapPose> told_position_;
     std::string last_loss_;
     bool was_online_ = false;

@@ -70,6 +70,41 @@ class Manager : public entity_manager::BackEndEvents {
         }
         return send(message, task.task_id());
     }
+    /// Navigation, with texts as parameters and the map as its resource.
+    std::string navigate(const std::string& map, const std::vector<std::pair<std::string, std::string>>& params) {
+        proto::EmToEi message;
+        auto& task = *message.mutable_task();
+        task.set_task_id(Id128::random(random_).bytes());
+        task.set_service("Navigation");
+        task.set_stop_generation(gate_.generation());
+        for (const auto& [name, value] : params) {
+            auto& param = *task.add_params();
+            param.set_name(name);
+            param.add_values()->set_str(value);
+        }
+        if (!map.empty()) {
+            auto& resource = *task.add_resources();
+            resource.set_name("Map");
+            resource.set_url(map);
+        }
+        return send(message, task.task_id());
+    }
+    std::string dispatchValues(const std::string& service, const std::vector<std::pair<std::string, Value>>& params) {
+        proto::EmToEi message;
+        auto& task = *message.mutable_task();
+        task.set_task_id(Id128::random(random_).bytes());
+        task.set_service(service);
+        task.set_stop_generation(gate_.generation());
+        for (const auto& [name, value] : params) {
+            auto& param = *task.add_params();
+            param.set_name(name);
+            auto& out = *param.add_values();
+            if (const auto* text = std::get_if<std::string>(&value)) out.set_str(*text);
+            if (const auto* number = std::get_if<double>(&value)) out.set_dbl(*number);
+            if (const auto* flag = std::get_if<bool>(&value)) out.set_bool_(*flag);
+        }
+        return send(message, task.task_id());
+    }
     void pause(const std::string& id, bool resume) {
         proto::EmToEi message;
         message.mutable_pause()->set_task_id(id);
@@ -168,6 +203,8 @@ class ApplicationTest : public ::testing::Test {
         serve(0);
         Settings settings;
         settings.robot = test::loopbackAddress() + ":" + std::to_string(port_);
+        // Pictures are tried where the laboratory is a program of its own: MRPT brings along a GL that is not OSMesa's.
+        settings.camera.clear();
         settings.application = "peoplebot-test-" + std::to_string(::getpid());
         settings.ports = ports_.path();
         settings.profiles = "robots/peoplebot";
@@ -186,8 +223,8 @@ class ApplicationTest : public ::testing::Test {
         std::filesystem::remove(truth_path_);
     }
     void serve(int port) {
-        lab::WorldDescription world;
-        world.robots = {lab::parseRobot("", 0)};
+        auto world = world_;
+        if (world.robots.empty()) world.robots = {lab::parseRobot("", 0)};
         lab::LabServer::Options options{.listen = test::loopbackAddress(), .first_port = port, .speed = 2};
         options.truth_path = truth_path_;
         lab_ = std::make_unique<lab::LabServer>(world, options);
@@ -220,6 +257,7 @@ class ApplicationTest : public ::testing::Test {
             .string();
     const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
     int port_ = 0;
+    lab::WorldDescription world_;
     std::unique_ptr<lab::LabServer> lab_;
     std::thread lab_thread_;
     std::unique_ptr<Manager> manager_;
@@ -335,11 +373,113 @@ TEST_F(ApplicationTest, AWallEndsTheDriveWithTheSonarThatSawIt) {
     EXPECT_THAT(manager_->end(task)->reason().message(), HasSubstr("nearer than the threshold 3000 mm"));
 }
 
+TEST_F(ApplicationTest, WanderingGoesOnUntilItIsStopped) {
+    const auto task = manager_->dispatch("Wander", {{"Velocity", 300}});
+    ASSERT_TRUE(waitUntil([&] { return moves(); }));
+    EXPECT_FALSE(manager_->end(task));
+    const auto generation = manager_->stop();
+    EXPECT_TRUE(waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::STANDSTILL); }));
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }));
+    EXPECT_EQ(manager_->end(task)->state(), proto::TASK_STOPPED);
+    EXPECT_TRUE(waitUntil([&] { return stands(); }));
+}
+
+TEST_F(ApplicationTest, ANavigationThatCannotBeIsDeniedWithTheReason) {
+    const auto refusal = [&](const std::string& map, const std::vector<std::pair<std::string, std::string>>& params) {
+        const auto task = manager_->navigate(map, params);
+        waitUntil([&] { return manager_->answer(task).has_value(); });
+        return manager_->answer(task).value_or(proto::Refusal()).message();
+    };
+    const std::string map = "robots/peoplebot/testdata/small.map";
+    EXPECT_THAT(refusal("", {{"Destination", "west"}}), HasSubstr("upload one made with Mapper3"));
+    EXPECT_THAT(refusal("robots/peoplebot/wander.rules", {{"Destination", "west"}}), HasSubstr("2D-Map"));
+    EXPECT_THAT(refusal(map, {{"Destination", "moon"}}), HasSubstr("no goal \"moon\": it has"));
+    EXPECT_THAT(refusal(map, {{"Destination", "kept out"}}), HasSubstr("forbidden area"));
+    EXPECT_THAT(refusal(map, {{"Destination", "west"}, {"Start", "here"}}), HasSubstr("Start here: expected X,Y,HEADING"));
+    EXPECT_THAT(refusal(map, {{"Destination", "west"}, {"Start", "90000,0,0"}}), HasSubstr("not on the map"));
+    EXPECT_TRUE(stands());
+}
+
+TEST_F(ApplicationTest, NavigationDrivesToAGoalOfTheMap) {
+    for (const char* stream : {"laser", "localisation", "localisation quality", "particles"}) manager_->watch(stream);
+    // The default world's room and boxes, seen by a laser.
+    const TemporaryFile map(
+        "2D-Map\nCairn: GoalWithHeading 2600 2600 -90 \"\" ICON \"middle\"\nLINES\n0 0 8000 0\n8000 0 8000 6000\n8000 6000 0 6000\n0 6000 0 0\n"
+        "4950 750 5450 750\n4950 1250 5450 1250\n4950 750 4950 1250\n5450 750 5450 1250\n6000 5000 6800 5000\n6000 5000 6000 5400\n"
+        "3150 5150 3650 5150\n3150 5150 3150 5650\n3650 5150 3650 5650\n");
+    const auto task = manager_->navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
+    const auto end = *manager_->end(task);
+    EXPECT_EQ(end.state(), proto::TASK_SUCCEEDED) << end.reason().message();
+    EXPECT_NEAR(lastTrue("x_m"), 2.6, 0.25);
+    EXPECT_NEAR(lastTrue("y_m"), 2.6, 0.25);
+    EXPECT_NEAR(lastTrue("theta_deg"), -90, 8);
+    for (const char* stream : {"laser", "localisation", "localisation quality", "particles"}) EXPECT_GT(manager_->samples(stream), 0) << stream;
+}
+
 TEST_F(ApplicationTest, StreamsCarryPoseSonarAndBattery) {
     for (const char* stream : {"pose", "sonar", "battery"}) manager_->watch(stream);
     for (const char* stream : {"pose", "sonar", "battery"}) {
         EXPECT_TRUE(waitUntil([&] { return manager_->samples(stream) > 0; })) << stream;
     }
+}
+
+class GraspApplicationTest : public ApplicationTest {
+  protected:
+    void SetUp() override {
+        lab::Object object;
+        object.colour = "red";
+        object.x = 3.05;
+        object.y = 3.1;
+        world_.objects = {object};
+        world_.tables = {{.name = "west", .x = 3.4, .y = 3, .dx = 0.8, .dy = 2, .height = 0.66}};
+        lab::RobotPlacement robot;
+        robot.x = 2.0;
+        robot.y = 3;
+        world_.robots = {robot};
+        ApplicationTest::SetUp();
+        ASSERT_TRUE(waitUntil([&] { return manager_->active("Operate Gripper"); }));
+    }
+    std::optional<proto::TaskEvent> wait(const std::string& task) {
+        waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60});
+        return manager_->end(task);
+    }
+    std::string grip(const std::string& direction, std::optional<bool> open) {
+        std::vector<std::pair<std::string, Value>> params{{"Direction", direction}};
+        if (open) params.emplace_back("Open", *open);
+        return manager_->dispatchValues("Operate Gripper", params);
+    }
+};
+
+TEST_F(GraspApplicationTest, ComesUpToTheTableAndSquaresUp) {
+    const auto task = manager_->dispatchValues("Approach Table", {{"Velocity", 250.0}});
+    const auto end = wait(task);
+    ASSERT_TRUE(end) << manager_->answer(task)->message();
+    EXPECT_EQ(end->state(), proto::TASK_SUCCEEDED) << end->reason().message();
+    ASSERT_TRUE(waitUntil([&] { return stands(); }));
+    EXPECT_NEAR(lastTrue("x_m"), 3.0 - 0.333 + 0.23, 0.05);
+}
+
+TEST_F(GraspApplicationTest, AStopHaltsLiftAndPaddlesAndTheNextTaskMovesThemAgain) {
+    const auto up = grip("up", true);
+    ASSERT_TRUE(waitUntil([&] { return manager_->progress(up) > 0.1 || manager_->end(up) || manager_->answer(up); }));
+    const auto generation = manager_->stop();
+    EXPECT_TRUE(waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::CALLBACK_RETURNED); }));
+    auto end = wait(up);
+    ASSERT_TRUE(end);
+    EXPECT_EQ(end->state(), proto::TASK_STOPPED);
+    end = wait(grip("none", false));
+    ASSERT_TRUE(end);
+    EXPECT_EQ(end->state(), proto::TASK_SUCCEEDED) << end->reason().message();
+}
+
+TEST_F(GraspApplicationTest, AnUnknownColourAndNothingToDoAreDenied) {
+    const auto pink = manager_->dispatchValues("Table Object Tracking and Grabbing", {{"Color", std::string("pink")}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(pink).has_value(); }));
+    EXPECT_THAT(manager_->answer(pink)->message(), HasSubstr("red, orange, yellow, green or blue"));
+    const auto nothing = grip("none", std::nullopt);
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(nothing).has_value(); }));
+    EXPECT_THAT(manager_->answer(nothing)->message(), HasSubstr("nothing to do"));
 }
 
 }  // namespace

@@ -38,6 +38,12 @@ class DriveGate {
         return open_ && robot_.drive(forward_mm_s, left_deg_s);
     }
 
+    /// Halts the robot at once, and the motion goes on: for what appears suddenly. False as drive().
+    bool halt() {
+        const std::lock_guard lock(mutex_);
+        return open_ && robot_.stop();
+    }
+
     /// Closes and halts the robot; true when the robot was told.
     bool stop() {
         const std::lock_guard lock(mutex_);

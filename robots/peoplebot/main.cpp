@@ -10,7 +10,7 @@ namespace {
 constexpr auto kFooter = R"(
 With the virtual laboratory, each line in a terminal of its own:
   axon-lab
-  axon-peoplebot --at 1500,3000,0
+  axon-peoplebot --at 2400,2000,180
 An Entity Manager that is configured with the same --application links to it. The robot may come and go: its services are
 inactive while it cannot be reached. Ends on Ctrl-C, after stopping the robot.
 Exit status: 0 ended when told to, 2 something is wrong with the options or the profiles.)";
@@ -19,26 +19,29 @@ Exit status: 0 ended when told to, 2 something is wrong with the options or the 
 
 int main(int argc, char** argv) {
     using namespace axon::peoplebot;
-    CLI::App app{"A PeopleBot as an entity of Axon: drives the robot over ARCOS, offers Driving and Turning.",
+    CLI::App app{"A PeopleBot as an entity of Axon: drives the robot over ARCOS, offers the services of its profile.",
                  "axon-peoplebot"};
     app.footer(kFooter);
     Settings settings;
     std::string at;
-    app.add_option("--robot", settings.robot, "The robot, host:port")->capture_default_str();
+    app.add_option("--robot", settings.robot, "The robot: host:port, or a serial line such as /dev/ttyS0 or /dev/ttyUSB0:38400")->capture_default_str();
+    app.add_option("--camera", settings.camera, "The robot's camera, host:port; an empty text: there is none")
+        ->capture_default_str();
     app.add_option("--application", settings.application, "Name that the Entity Manager is configured with")
         ->capture_default_str();
     app.add_option("--instance", settings.instance, "Tells equal applications on one host apart");
     app.add_option("--name", settings.name, "Name of the entity, instead of the basic profile's");
     app.add_option("--ports", settings.ports, "A ports.cfg, or the range to listen in, such as 5500-5600");
     app.add_option("--at", at, "Where the robot stands: X,Y,HEADING in mm, mm, degrees");
-    app.add_option("--profiles", settings.profiles, "Folder with basic_profile.xml and services_profile.xml");
+    app.add_option("--profiles", settings.profiles, "Folder with basic_profile.xml and services_profile.xml, and wander.rules and navigation.rules if others are wanted");
     try {
         app.parse(argc, argv);
     } catch (const CLI::ParseError& error) {
         return app.exit(error) == 0 ? 0 : 2;
     }
     try {
-        if (!at.empty()) settings.at = parsePose(at);
+        settings.at_given = !at.empty();
+        if (settings.at_given) settings.at = parsePose(at);
         Application(settings).run();
     } catch (const std::exception& error) {
         fmt::print(stderr, "axon-peoplebot: {}\n", error.what());

@@ -134,6 +134,17 @@ std::optional<std::string> Driving::obstacle(const RobotState& robot, TimePoint 
                                request_.range_threshold_mm);
         }
     }
+    if (direction_ > 0 && robot.laser && now - robot.laser->taken <= kSonarSilence) {
+        heard = true;
+        for (std::size_t i = 0; i < robot.laser->ranges_mm.size(); ++i) {
+            const double angle = robot.laser->start_deg + static_cast<double>(i) * robot.laser->step_deg;
+            const int range = robot.laser->ranges_mm[i];
+            if (std::abs(angle) <= kConeOfTravel_deg && range > 0 && range < request_.range_threshold_mm) {
+                return fmt::format("the laser's {} mm at {:.0f} deg are nearer than the threshold {} mm", range, angle,
+                                   request_.range_threshold_mm);
+            }
+        }
+    }
     if (!heard)
         return "no sonar in the direction of travel was heard for a second: are the sonars switched on?";
     return std::nullopt;

@@ -16,6 +16,7 @@ struct MotionStep {
     double left_deg_s = 0;
     double progress = 0;  ///< 0 to 1
     std::string reason;   ///< Failed: for the person who asked
+    bool halt = false;    ///< Running: as fast as the motors can, instead of by the ramp of a velocity
 };
 
 /// Notices when a robot that was told to move does not: switched off motors, a wheel in the air, a blocked
@@ -36,7 +37,8 @@ class StandstillWatch {
 };
 
 /// The service Driving: straight for a distance, at a velocity whose sign is the direction, while every sonar
-/// that looks within 45 degrees of the direction of travel reads at least the range threshold.
+/// that looks within 45 degrees of the direction of travel, and the laser there, reads at least the range
+/// threshold.
 ///
 /// States: driving → settling (the way is made, the robot comes to rest) → done; from both of the first →
 /// failed. Fails with the reason on a near reading, a bumper on the side of travel (or one newly pressed on

@@ -149,6 +149,18 @@ TEST_F(DrivingTest, AStallIsAFailure) {
     EXPECT_THAT(robot_.run(motion, 1).reason, HasSubstr("left motor stalled"));
 }
 
+TEST_F(DrivingTest, TheLaserStopsADriveForwardToo) {
+    auto scan = std::make_shared<arcos::LaserScan>();
+    scan->taken = robot_.clock.now();
+    scan->ranges_mm.assign(181, 8000);
+    scan->ranges_mm[80] = 400;
+    robot_.state.laser = scan;
+    auto forward = begin({.distance_mm = 1000});
+    EXPECT_THAT(robot_.run(forward, 1).reason, HasSubstr("the laser's 400 mm at -10 deg are nearer than the threshold 500 mm"));
+    auto backward = begin({.distance_mm = 1000, .velocity_mm_s = -200});
+    EXPECT_EQ(robot_.run(backward, 1).outcome, Outcome::Running);
+}
+
 TEST_F(DrivingTest, SilentSonarsAreAFailureUnlessTheyAreNotWanted) {
     robot_.deaf = true;
     auto motion = begin({.distance_mm = 3000});

@@ -3,68 +3,13 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <cmath>
-#include <utility>
-
-#include "lab/laboratory.hpp"
-#include "robots/peoplebot/motion.hpp"
+#include "robots/peoplebot/virtual_robot_test.hpp"
 
 namespace axon::peoplebot {
 namespace {
 
 using Outcome = MotionStep::Outcome;
-using arcos::Command;
 using ::testing::HasSubstr;
-
-class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Port {
-  protected:
-    void start(const lab::WorldDescription& world) {
-        lab_ = std::make_unique<lab::Laboratory>(world, [this](std::size_t robot, const arcos::Bytes& bytes) {
-            if (robot == 0) inbox_.insert(inbox_.end(), bytes.begin(), bytes.end());
-        });
-        lab_->clientConnected(0);
-        session_.begin(lab_->now());
-        run(1.3);
-        order(Command::Enable, 1);
-    }
-    void send(const arcos::Bytes& bytes) override { lab_->receive(0, bytes); }
-    void onOnline(const arcos::RobotIdentity& /*identity*/) override {}
-    void onState(const arcos::RobotState& /*state*/) override { fresh_ = true; }
-    void onLost(const std::string& /*reason*/) override {}
-
-    void order(Command command, int argument) { lab_->receive(0, arcos::encodeCommand(command, argument)); }
-    void run(double seconds) {
-        const auto end =
-            lab_->age() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(seconds));
-        while (lab_->age() < end) tick();
-    }
-    void tick() {
-        session_.receive(std::exchange(inbox_, {}), lab_->now());
-        session_.tick(lab_->now());
-        lab_->step();
-    }
-    template <class Motion>
-    MotionStep perform(Motion& motion) {
-        MotionStep step;
-        const auto deadline = lab_->age() + std::chrono::seconds{60};
-        while (step.outcome == Outcome::Running && lab_->age() < deadline) {
-            tick();
-            if (!std::exchange(fresh_, false)) continue;
-            step = motion.step(session_.robot(), lab_->now());
-            order(Command::Vel, static_cast<int>(std::lround(step.forward_mm_s)));
-            order(Command::RVel, static_cast<int>(std::lround(step.left_deg_s)));
-        }
-        lab_->receive(0, arcos::encodeCommand(Command::EStop));
-        run(1);
-        EXPECT_NEAR(lab_->truth(0).speed_m_s, 0, 0.01);
-        return step;
-    }
-
-    std::unique_ptr<lab::Laboratory> lab_;
-    arcos::Bytes inbox_;
-    bool fresh_ = false;
-    arcos::ClientSession session_{*this};
-};
 
 TEST_F(VirtualRobotTest, DrivesTwoMetresInTheDefaultWorld) {
     auto world = lab::defaultWorld();

@@ -6,7 +6,9 @@
 
 #include "messages/profile_reader.hpp"
 #include "robots/peoplebot/motion.hpp"
+#include "robots/peoplebot/navigation.hpp"
 #include "robots/peoplebot/settings.hpp"
+#include "robots/peoplebot/wander.hpp"
 
 namespace axon::peoplebot {
 namespace {
@@ -36,7 +38,7 @@ TEST(PeopleBotProfiles, ARenamedProfileIsTheSameProfileWithAnotherName) {
 
 TEST(PeopleBotProfiles, WhatTheServicesProfileAllowsTheMotionsDo) {
     const auto profile = readServicesProfile(contentOf("services_profile.xml"), "services");
-    ASSERT_EQ(profile.message.services_size(), 3);
+    ASSERT_GE(profile.message.services_size(), 5);
     const auto& driving = profile.message.services(0);
     EXPECT_EQ(driving.global_id(), "Drive");
     EXPECT_TRUE(driving.is_pausable());
@@ -61,6 +63,23 @@ TEST(PeopleBotProfiles, WhatTheServicesProfileAllowsTheMotionsDo) {
         EXPECT_EQ(param.maximum(), Turning::kFastest_deg_s);
         EXPECT_EQ(param.minimum(), Turning::kSlowest_deg_s);
         EXPECT_EQ(param.initial(0).dbl(), Turning::Request{}.velocity_deg_s);
+    }
+    for (const auto& service : profile.message.services()) {
+        if (service.name() != "Wander" && service.name() != "Navigation") continue;
+        const bool wander = service.name() == "Wander";
+        EXPECT_EQ(service.global_id(), wander ? "peoplebot_wander" : "cruiser_dest");
+        for (const auto& param : service.params()) {
+            if (param.name() == "Velocity") {
+                EXPECT_EQ(param.minimum(), wander ? Wander::kSlowest_mm_s : Navigation::kSlowest_mm_s);
+                EXPECT_EQ(param.maximum(), wander ? Wander::kFastest_mm_s : Navigation::kFastest_mm_s);
+                EXPECT_EQ(param.initial(0).dbl(), wander ? Wander::Request{}.velocity_mm_s : Navigation::Request{}.velocity_mm_s);
+            }
+            if (param.name() == "Tolerance") {
+                EXPECT_EQ(param.initial(0).dbl(), Navigation::Request{}.tolerance_mm);
+            }
+            EXPECT_EQ(param.required(), param.name() == "Destination") << param.name();
+        }
+        EXPECT_EQ(service.resources_size(), wander ? 0 : 1);
     }
 }
 

@@ -76,6 +76,11 @@ std::vector<Attribute> attributesOfRoot(const std::string& xml) {
     }
 }
 
+std::filesystem::path installedFolder() {
+    std::error_code error;
+    return std::filesystem::read_symlink("/proc/self/exe", error).parent_path().parent_path() / "share/axon/robots/peoplebot";
+}
+
 }  // namespace
 
 std::pair<std::uint16_t, std::uint16_t> parsePortRange(const std::string& text) {
@@ -90,7 +95,7 @@ std::pair<std::uint16_t, std::uint16_t> parsePortRange(const std::string& text) 
     return {first, last};
 }
 
-MapPose parsePose(const std::string& text) {
+MapPose parsePose(const std::string& text, std::string_view what) {
     std::array<double, 3> numbers{};
     std::size_t at = 0;
     bool good = true;
@@ -102,7 +107,7 @@ MapPose parsePose(const std::string& text) {
     }
     if (!good)
         throw BadSetting(
-            fmt::format("--at {}: expected X,Y,HEADING in mm, mm, degrees, for example 1500,3000,90", text));
+            fmt::format("{} {}: expected X,Y,HEADING in mm, mm, degrees, for example 1500,3000,90", what, text));
     return {numbers[0], numbers[1], numbers[2]};
 }
 
@@ -114,12 +119,7 @@ std::string withEntityName(const std::string& xml, std::string_view name) {
 }
 
 std::filesystem::path profileFolder(const Settings& settings) {
-    auto folder = settings.profiles;
-    if (folder.empty()) {
-        std::error_code error;
-        folder = std::filesystem::read_symlink("/proc/self/exe", error).parent_path().parent_path() /
-                 "share/axon/robots/peoplebot";
-    }
+    const auto folder = settings.profiles.empty() ? installedFolder() : settings.profiles;
     for (const char* file : {"basic_profile.xml", "services_profile.xml"}) {
         std::error_code error;
         if (std::filesystem::is_regular_file(folder / file, error)) continue;
@@ -127,6 +127,14 @@ std::filesystem::path profileFolder(const Settings& settings) {
                                      file, folder.string()));
     }
     return folder;
+}
+
+std::filesystem::path rulesFile(const Settings& settings, const std::string& name) {
+    for (const auto& folder : {settings.profiles, installedFolder()}) {
+        std::error_code error;
+        if (!folder.empty() && std::filesystem::is_regular_file(folder / name, error)) return folder / name;
+    }
+    throw BadSetting(fmt::format("there is no {}, neither in {} nor with --profiles", name, installedFolder().string()));
 }
 
 TemporaryFile::TemporaryFile(const std::string& content) {

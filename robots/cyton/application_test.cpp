@@ -1,0 +1,473 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The whole application between its two neighbours, over real sockets: the Entity Manager's end of the link
+// on one side, the virtual controller on the other.
+#include "robots/cyton/application.hpp"
+
+#include <arpa/inet.h>
+#include <axon/link.pb.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/socket.h>
+
+#include <algorithm>
+#include <asio/executor_work_guard.hpp>
+#include <asio/io_context.hpp>
+#include <asio/post.hpp>
+#include <asio/strand.hpp>
+#include <functional>
+#include <map>
+#include <thread>
+
+#include "common/ids.hpp"
+#include "entity_manager/back_end_interface.hpp"
+#include "lab/ssc32_server.hpp"
+#include "tests/support/loopback.hpp"
+
+namespace axon::cyton {
+namespace {
+
+using entity_manager::BackEndInterface;
+using std::chrono::milliseconds;
+using std::chrono::seconds;
+using test::waitUntil;
+using ::testing::HasSubstr;
+
+/// The virtual controller on a TCP port, in real time.
+class Board {
+  public:
+    explicit Board(int port = 0) {
+        listener_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+        const int one = 1;
+        ::setsockopt(listener_, SOL_SOCKET, SO_REUSEADDR, &one, sizeof one);
+        sockaddr_in address{};
+        address.sin_family = AF_INET;
+        address.sin_port = htons(static_cast<std::uint16_t>(port));
+        ::inet_pton(AF_INET, test::loopbackAddress().c_str(), &address.sin_addr);
+        socklen_t size = sizeof address;
+        if (::bind(listener_, reinterpret_cast<sockaddr*>(&address), size) != 0 ||
+            ::listen(listener_, 4) != 0)
+            throw std::runtime_error("cannot listen");
+        ::getsockname(listener_, reinterpret_cast<sockaddr*>(&address), &size);
+        port_ = ntohs(address.sin_port);
+        thread_ = std::thread([this] { run(); });
+    }
+    ~Board() {
+        quit_ = true;
+        thread_.join();
+        if (client_ >= 0) ::close(client_);
+        ::close(listener_);
+    }
+    int port() const { return port_; }
+    /// rad, and metres that each claw is open.
+    std::array<double, kChannels> targets() {
+        const std::lock_guard lock(mutex_);
+        return board_.targets();
+    }
+    /// For so long no servo was told anything else.
+    Duration restsSince() {
+        const std::lock_guard lock(mutex_);
+        return std::chrono::steady_clock::now() - changed_;
+    }
+    std::uint64_t moves() {
+        const std::lock_guard lock(mutex_);
+        return board_.counters().moves;
+    }
+    std::uint64_t refusedLines() {
+        const std::lock_guard lock(mutex_);
+        return board_.counters().refused_lines;
+    }
+    /// Answers no more, but keeps the connection.
+    void fallSilent() { silent_ = true; }
+
+  private:
+    void run() {
+        auto last = std::chrono::steady_clock::now();
+        while (!quit_) {
+            std::array<pollfd, 2> waiting{pollfd{listener_, POLLIN, 0}, pollfd{client_, POLLIN, 0}};
+            ::poll(waiting.data(), client_ < 0 ? 1 : 2, 2);
+            const auto now = std::chrono::steady_clock::now();
+            {
+                const std::lock_guard lock(mutex_);
+                const auto before = board_.targets();
+                board_.step(now - last);
+                if (board_.targets() != before) changed_ = now;
+            }
+            last = now;
+            if (client_ < 0 && waiting[0].revents != 0) {
+                client_ = ::accept(listener_, nullptr, nullptr);
+                const std::lock_guard lock(mutex_);
+                board_.clientConnected();
+                continue;
+            }
+            if (client_ < 0) continue;
+            std::array<std::uint8_t, 1024> chunk;
+            const auto got = ::recv(client_, chunk.data(), chunk.size(), MSG_DONTWAIT);
+            if (got == 0) {
+                ::close(client_);
+                client_ = -1;
+            }
+            if (got <= 0) continue;
+            std::vector<std::uint8_t> answers;
+            {
+                const std::lock_guard lock(mutex_);
+                answers = board_.receive(std::span(chunk).first(static_cast<std::size_t>(got)));
+            }
+            if (!answers.empty() && !silent_) ::send(client_, answers.data(), answers.size(), MSG_NOSIGNAL);
+        }
+    }
+
+    int listener_ = -1;
+    int client_ = -1;
+    int port_ = 0;
+    std::mutex mutex_;
+    lab::Ssc32Server board_;  // these two guarded by mutex_
+    TimePoint changed_{};
+    std::atomic<bool> quit_ = false;
+    std::atomic<bool> silent_ = false;
+    std::thread thread_;
+};
+
+/// The Entity Manager's side of the link: notes what the application says.
+class Manager : public entity_manager::BackEndEvents {
+  public:
+    explicit Manager(const std::string& application) : strand_(asio::make_strand(context_)) {
+        entity_manager::BackEndSettings settings;
+        settings.application = application;
+        settings.where.address = test::loopbackAddress();
+        settings.manager = "test";
+        // Not what is tested here; sanitizers are slow.
+        settings.watchdog_busy = settings.watchdog_idle = milliseconds{2000};
+        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate_, random_, *this);
+        thread_ = std::thread([this] { context_.run(); });
+        asio::post(strand_, [this] { link_->start(); });
+    }
+    ~Manager() override { die(); }
+    void die() {
+        if (!thread_.joinable()) return;
+        asio::post(strand_, [this] { link_->close(); });
+        work_.reset();
+        thread_.join();
+    }
+
+    std::uint32_t stop() {
+        const auto generation = gate_.raise();
+        link_->stop(generation, StopCause::Requested);
+        return generation;
+    }
+    std::string dispatch(const std::string& service,
+                         const std::vector<std::pair<std::string, double>>& params) {
+        proto::EmToEi message;
+        auto& task = *message.mutable_task();
+        task.set_task_id(Id128::random(random_).bytes());
+        task.set_service(service);
+        task.set_stop_generation(gate_.generation());
+        for (const auto& [name, value] : params) {
+            auto& param = *task.add_params();
+            param.set_name(name);
+            param.add_values()->set_dbl(value);
+        }
+        send(message);
+        return task.task_id();
+    }
+    void pause(const std::string& id, bool resume) {
+        proto::EmToEi message;
+        message.mutable_pause()->set_task_id(id);
+        message.mutable_pause()->set_resume(resume);
+        message.mutable_pause()->set_stop_generation(gate_.generation());
+        send(message);
+    }
+    void cancel(const std::string& id) {
+        proto::EmToEi message;
+        message.mutable_cancel()->set_task_id(id);
+        send(message);
+    }
+    void watch(const std::string& stream) {
+        proto::EmToEi message;
+        message.mutable_stream()->set_stream(stream);
+        message.mutable_stream()->set_on(true);
+        send(message);
+    }
+
+    void onLinkUp() override {}
+    void onLinkDown(const std::string& /*reason*/) override {}
+    void onLinkMessage(const proto::EiToEm& message) override {
+        const std::lock_guard lock(mutex_);
+        if (message.has_task()) events_.push_back(message.task().event());
+        if (message.has_task_answer()) answers_.push_back(message.task_answer());
+        if (message.has_active()) active_[message.active().service()] = message.active();
+        if (message.has_stop_done()) stops_.push_back(message.stop_done());
+        if (message.has_sample()) ++samples_[message.sample().stream()];
+    }
+
+    std::optional<proto::TaskEvent> end(const std::string& id) {
+        const std::lock_guard lock(mutex_);
+        const auto found = std::find_if(events_.begin(), events_.end(), [&](const auto& event) {
+            return event.task_id() == id && event.state() >= proto::TASK_SUCCEEDED;
+        });
+        return found == events_.end() ? std::nullopt : std::optional(*found);
+    }
+    /// The last of that name.
+    std::string textResult(const std::string& id, const std::string& name) {
+        const std::lock_guard lock(mutex_);
+        std::string text;
+        for (const auto& event : events_) {
+            if (event.task_id() != id) continue;
+            for (const auto& result : event.results()) {
+                if (result.name() == name) text = result.values(0).str();
+            }
+        }
+        return text;
+    }
+    std::optional<proto::Refusal> answer(const std::string& id) {
+        const std::lock_guard lock(mutex_);
+        for (const auto& answer : answers_) {
+            if (answer.task_id() == id) return answer.refusal();
+        }
+        return std::nullopt;
+    }
+    bool active(const std::string& service) {
+        const std::lock_guard lock(mutex_);
+        return active_[service].active();
+    }
+    std::string inactiveReason(const std::string& service) {
+        const std::lock_guard lock(mutex_);
+        return active_[service].reason();
+    }
+    bool reached(std::uint32_t generation, proto::StopReceipt::Stage stage) {
+        const std::lock_guard lock(mutex_);
+        return std::any_of(stops_.begin(), stops_.end(), [&](const auto& done) {
+            return done.stop_generation() == generation && done.stage() == stage;
+        });
+    }
+    int samples(const std::string& stream) {
+        const std::lock_guard lock(mutex_);
+        return samples_[stream];
+    }
+
+  private:
+    void send(const proto::EmToEi& message) {
+        asio::post(strand_, [this, message] { link_->send(message); });
+    }
+
+    entity_manager::StopGate gate_;
+    SystemRandom random_;
+    asio::io_context context_;
+    asio::executor_work_guard<asio::io_context::executor_type> work_{context_.get_executor()};
+    asio::strand<asio::io_context::executor_type> strand_;
+    std::unique_ptr<BackEndInterface> link_;
+    std::mutex mutex_;
+    std::vector<proto::TaskEvent> events_;
+    std::vector<proto::TaskAnswer> answers_;
+    std::vector<proto::StopDone> stops_;
+    std::map<std::string, proto::ServiceActive> active_;
+    std::map<std::string, int> samples_;
+    std::thread thread_;
+};
+
+class CytonApplication : public ::testing::Test {
+  protected:
+    void SetUp() override {
+        board_ = std::make_unique<Board>();
+        Settings settings;
+        settings.arm = test::loopbackAddress() + ":" + std::to_string(board_->port());
+        settings.application = "cyton-test-" + std::to_string(::getpid());
+        settings.ports = ports_.path();
+        settings.profiles = "robots/cyton";
+        application_ = std::make_unique<Application>(settings);
+        application_->start();
+        manager_ = std::make_unique<Manager>(settings.application);
+        ASSERT_TRUE(
+            waitUntil([&] { return manager_->active("Control") && manager_->active("Grab and Place"); }));
+    }
+    void TearDown() override {
+        application_.reset();
+        manager_.reset();
+        board_.reset();
+    }
+
+    double joint_deg(std::size_t joint) { return degrees(board_->targets()[joint]); }
+    double farthestFromHome() {
+        double farthest = 0;
+        const auto now = board_->targets();
+        for (std::size_t i = 0; i < kJoints; ++i) farthest = std::max(farthest, std::abs(now[i] - kHome[i]));
+        return farthest;
+    }
+    bool stands() { return board_->restsSince() > milliseconds{100}; }
+    bool standsWithin(Duration time) {
+        return waitUntil([&] { return stands(); }, std::chrono::duration_cast<milliseconds>(time));
+    }
+    /// The arm to where it moves for seconds.
+    std::string longMove() { return manager_->dispatch("Control", {{"Shoulder Roll", -90}, {"Speed", 20}}); }
+    void waitUntilMoving() {
+        ASSERT_TRUE(waitUntil([&] { return joint_deg(0) < degrees(kHome[0]) - 3; }));
+    }
+    void expectEnd(const std::string& task, proto::TaskState state, seconds limit = seconds{15}) {
+        ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, limit));
+        EXPECT_EQ(manager_->end(task)->state(), state) << manager_->end(task)->reason().message();
+    }
+
+    const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
+    std::unique_ptr<Board> board_;
+    std::unique_ptr<Manager> manager_;
+    std::unique_ptr<Application> application_;
+};
+
+TEST_F(CytonApplication, ConnectingMovesNothing) {
+    EXPECT_EQ(board_->moves(), 0U);
+    EXPECT_LT(farthestFromHome(), 0.02);
+}
+
+TEST_F(CytonApplication, ControlTakesTheGivenJointsThereAndLeavesTheOthers) {
+    const auto task = manager_->dispatch(
+        "Control", {{"Shoulder Pitch", 20}, {"Wrist Yaw", -30}, {"Gripper", 10}, {"Speed", 180}});
+    expectEnd(task, proto::TASK_SUCCEEDED);
+    EXPECT_TRUE(standsWithin(seconds{5}));
+    EXPECT_NEAR(joint_deg(1), 20, 0.2);
+    EXPECT_NEAR(joint_deg(6), -30, 0.2);
+    EXPECT_NEAR(2000 * (board_->targets()[7] + 0.00083), 10, 0.2);
+    EXPECT_NEAR(joint_deg(0), degrees(kHome[0]), 1);
+    EXPECT_EQ(board_->refusedLines(), 0U);
+    ASSERT_FALSE(manager_->end(task)->results().empty());
+}
+
+TEST_F(CytonApplication, AStopFreezesTheArmAndIsAcknowledgedTwice) {
+    const auto task = longMove();
+    waitUntilMoving();
+    const auto generation = manager_->stop();
+    ASSERT_TRUE(
+        waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::CALLBACK_RETURNED); }));
+    const double there = joint_deg(0);
+    EXPECT_TRUE(waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::STANDSTILL); }));
+    EXPECT_TRUE(standsWithin(seconds{5}));
+    EXPECT_NEAR(joint_deg(0), there, 0.5);
+    expectEnd(task, proto::TASK_STOPPED);
+    EXPECT_NEAR(joint_deg(0), there, 0.5);
+    // What was stopped does not keep the next task from moving.
+    const auto next = manager_->dispatch("Control", {{"Wrist Roll", 20}, {"Speed", 180}});
+    expectEnd(next, proto::TASK_SUCCEEDED);
+    EXPECT_NEAR(joint_deg(0), there, 0.5) << "nor does the next one go on with it";
+}
+
+TEST_F(CytonApplication, ACancelAPauseAndALostManagerLeaveItStanding) {
+    const auto cancelled = longMove();
+    waitUntilMoving();
+    manager_->cancel(cancelled);
+    expectEnd(cancelled, proto::TASK_CANCELLED);
+    EXPECT_TRUE(standsWithin(seconds{5}));
+
+    const auto task = manager_->dispatch("Control", {{"Shoulder Pitch", 40}, {"Speed", 40}});
+    ASSERT_TRUE(waitUntil([&] { return joint_deg(1) > 5; }));
+    manager_->pause(task, false);
+    ASSERT_TRUE(standsWithin(seconds{5}));
+    EXPECT_LT(joint_deg(1), 39);
+    EXPECT_FALSE(manager_->end(task));
+    manager_->pause(task, true);
+    expectEnd(task, proto::TASK_SUCCEEDED);
+    EXPECT_NEAR(joint_deg(1), 40, 0.3);
+
+    longMove();
+    ASSERT_TRUE(waitUntil([&] { return !stands(); }));
+    manager_->die();
+    EXPECT_TRUE(standsWithin(seconds{5}));
+    EXPECT_GT(joint_deg(0), -85);
+}
+
+TEST_F(CytonApplication, AnApplicationThatEndsLeavesAnArmThatStands) {
+    longMove();
+    waitUntilMoving();
+    application_.reset();
+    EXPECT_TRUE(standsWithin(seconds{1}));
+    EXPECT_GT(joint_deg(0), -85);
+}
+
+TEST_F(CytonApplication, LosingTheControllerFailsTheTaskAndItsReturnMendsEverything) {
+    const auto task = longMove();
+    waitUntilMoving();
+    const int port = board_->port();
+    board_.reset();
+    expectEnd(task, proto::TASK_FAILED);
+    EXPECT_EQ(manager_->end(task)->reason().code(), proto::ROBOT_LOST);
+    ASSERT_TRUE(waitUntil([&] { return !manager_->active("Control"); }));
+    EXPECT_THAT(manager_->inactiveReason("Control"), HasSubstr("the arm is lost"));
+    const auto refused = longMove();
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(refused).has_value(); }));
+    EXPECT_EQ(manager_->answer(refused)->code(), proto::ROBOT_LOST);
+
+    board_ = std::make_unique<Board>(port);
+    ASSERT_TRUE(waitUntil([&] { return manager_->active("Control"); }));
+    EXPECT_EQ(board_->moves(), 0U) << "nothing moves because it is back";
+    const auto next = manager_->dispatch("Control", {{"Wrist Roll", 20}, {"Speed", 180}});
+    expectEnd(next, proto::TASK_SUCCEEDED);
+    EXPECT_NEAR(joint_deg(0), degrees(kHome[0]), 1)
+        << "from where the new one is, not from where the old one was";
+}
+
+TEST_F(CytonApplication, AControllerThatFallsSilentIsLostWithinASecondOrTwo) {
+    board_->fallSilent();
+    EXPECT_TRUE(waitUntil([&] { return !manager_->active("Control"); }));
+    EXPECT_THAT(manager_->inactiveReason("Control"), HasSubstr("has not answered"));
+}
+
+TEST_F(CytonApplication, WhatCannotBeDoneIsRefusedBeforeAnythingMoves) {
+    const auto nothing = manager_->dispatch("Control", {});
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(nothing).has_value(); }));
+    EXPECT_THAT(manager_->answer(nothing)->message(), HasSubstr("at least one joint"));
+    const auto too_far = manager_->dispatch("Control", {{"Wrist Pitch", 80}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(too_far).has_value(); }));
+    EXPECT_THAT(manager_->answer(too_far)->message(), HasSubstr("Wrist Pitch turns from -65.0 to 65.0 deg"));
+    const auto far = manager_->dispatch("Grab and Place", {{"Pick X", 590}, {"Pick Y", 400}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(far).has_value(); }));
+    EXPECT_THAT(manager_->answer(far)->message(), HasSubstr("the arm is 469 mm long"));
+    const auto near = manager_->dispatch("Grab and Place", {{"Pick X", 200}, {"Pick Y", 150}});
+    expectEnd(near, proto::TASK_FAILED);
+    EXPECT_THAT(manager_->end(near)->reason().message(), HasSubstr("cannot grip"));
+    EXPECT_LT(farthestFromHome(), 0.02);
+}
+
+TEST_F(CytonApplication, GrabAndPlaceClosesTheClawsOpensThemAndGoesHome) {
+    for (const char* stream : {"joints", "gripper"}) manager_->watch(stream);
+    const auto task = manager_->dispatch("Grab and Place", {{"Speed", 60}});
+    const auto opening_mm = [&] { return 2000 * (board_->targets()[7] + 0.00083); };
+    EXPECT_TRUE(waitUntil([&] { return opening_mm() > 33; }, seconds{20}));
+    EXPECT_TRUE(waitUntil([&] { return opening_mm() < 24; }, seconds{20}));
+    EXPECT_THAT(manager_->textResult(task, "Done"), HasSubstr("closed"));
+    EXPECT_TRUE(waitUntil([&] { return opening_mm() > 33; }, seconds{20}));
+    expectEnd(task, proto::TASK_SUCCEEDED, seconds{20});
+    EXPECT_THAT(manager_->textResult(task, "Done"), HasSubstr("placed at (390, 0, 0) mm"));
+    EXPECT_TRUE(standsWithin(seconds{5}));
+    EXPECT_LT(farthestFromHome(), 0.02);
+    EXPECT_EQ(board_->refusedLines(), 0U);
+    for (const char* stream : {"joints", "gripper"}) EXPECT_GT(manager_->samples(stream), 20) << stream;
+}
+
+TEST_F(CytonApplication, WhatAStoppedTaskMayHoldIsNotDroppedByTheNext) {
+    const auto task = manager_->dispatch("Grab and Place", {{"Speed", 60}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->textResult(task, "Step") == "lifting it"; }, seconds{20}));
+    manager_->stop();
+    expectEnd(task, proto::TASK_STOPPED);
+    EXPECT_THAT(manager_->textResult(task, "Done"), HasSubstr("not put down"));
+    const auto next = manager_->dispatch("Grab and Place", {});
+    ASSERT_TRUE(waitUntil([&] { return manager_->answer(next).has_value(); }));
+    EXPECT_THAT(manager_->answer(next)->message(), HasSubstr("may still hold"));
+    expectEnd(manager_->dispatch("Control", {{"Gripper", 34}}), proto::TASK_SUCCEEDED);
+    const auto again = manager_->dispatch("Reach Demo", {});
+    EXPECT_TRUE(waitUntil([&] { return manager_->textResult(again, "Joint") == "upright"; }));
+    manager_->stop();
+    expectEnd(again, proto::TASK_STOPPED);
+}
+
+TEST_F(CytonApplication, ReachDemoTurnsJointsToTheirEndsAndCanBeStopped) {
+    const auto task = manager_->dispatch("Reach Demo", {{"Speed", 180}});
+    EXPECT_TRUE(waitUntil([&] { return joint_deg(0) < -89; }));
+    EXPECT_TRUE(waitUntil([&] { return joint_deg(0) > 89; }));
+    EXPECT_THAT(manager_->textResult(task, "Joint"), HasSubstr("Shoulder Roll"));
+    EXPECT_TRUE(waitUntil([&] { return joint_deg(1) < -40; }));
+    manager_->stop();
+    EXPECT_TRUE(standsWithin(seconds{1}));
+    expectEnd(task, proto::TASK_STOPPED);
+}
+
+}  // namespace
+}  // namespace axon::cyton

@@ -1,0 +1,225 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// Navigation in physics: localisation from a noisy laser and slipping wheels, judged by ground truth.
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+
+#include <cstdlib>
+#include <fstream>
+#include <sstream>
+
+#include "robots/peoplebot/navigation.hpp"
+#include "robots/peoplebot/virtual_robot_test.hpp"
+
+namespace axon::peoplebot {
+namespace {
+
+using Outcome = MotionStep::Outcome;
+using ::testing::HasSubstr;
+
+/// Feeds the localisation before the navigation asks it, as the application does.
+struct Located {
+    Navigation navigation;
+    Localisation& localisation;
+    const std::function<void(const arcos::RobotState&)> watch;
+    std::string news;
+
+    MotionStep step(const arcos::RobotState& robot, TimePoint now) {
+        localisation.update(robot);
+        watch(robot);
+        const auto step = navigation.step(robot, now);
+        if (const auto fresh = navigation.takeNews(); !fresh.empty()) news += "    " + fresh + "\n";
+        if (std::getenv("AXON_NAVIGATION_TRACE") != nullptr) {
+            const auto& pose = navigation.estimate().pose;
+            fmt::print("{:.1f} s at ({:.0f}, {:.0f}, {:.0f}) fit {:.2f} spread {:.0f} drives {:.0f} {:.0f} {}\n", toSeconds(now), pose.x_mm, pose.y_mm,
+                       pose.heading_deg, navigation.estimate().fit, navigation.estimate().spread_mm, step.forward_mm_s, step.left_deg_s, step.halt);
+        }
+        return step;
+    }
+    static double toSeconds(TimePoint time) { return std::chrono::duration<double>(time.time_since_epoch()).count(); }
+};
+
+class NavigationPhysicsTest : public VirtualRobotTest {
+  protected:
+    /// The world of small.map.
+    static lab::WorldDescription smallWorld() {
+        lab::WorldDescription world;
+        world.boxes = {{.x = 4, .y = 1.5, .dx = 0.2, .dy = 3, .height = 1.5},
+                       {.x = 6.5, .y = 3.6, .dx = 3, .dy = 0.2, .height = 1.5},
+                       {.x = 2.6, .y = 5.2, .dx = 1.6, .dy = 1.59, .height = 1.5}};
+        world.robots = {{.x = 1.5, .y = 3}};
+        return world;
+    }
+    void begin(const lab::WorldDescription& world, MapPose off = {}, const std::string& map = "robots/peoplebot/testdata/small.map",
+               double spread_mm = 150, double spread_deg = 6) {
+        std::ostringstream text;
+        text << std::ifstream(map).rdbuf();
+        plan_ = std::make_shared<const FloorPlan>(mapper3::parseMap(text.str(), map));
+        start(world, {.seed = 7, .noise = 1});
+        run(0.5);  // the first scans
+        const auto& home = plan_->map().homes.at(0);
+        localisation_ = std::make_unique<Localisation>(
+            plan_, Localisation::Start{.pose = {home.at.x_mm + off.x_mm, home.at.y_mm + off.y_mm, home.heading_deg.value_or(0) + off.heading_deg},
+                                        .spread_mm = spread_mm,
+                                        .spread_deg = spread_deg},
+            robot());
+    }
+    /// To each goal of a world's map in turn; which could not be reached.
+    std::vector<std::string> everyGoal(const std::string& world) {
+        begin(lab::loadWorld("lab/worlds/" + world + ".lab"), {}, "lab/worlds/" + world + ".map");
+        std::vector<std::string> refused;
+        for (const auto& goal : plan_->map().goals) {
+            auto reason = Navigation::objection({.destination = goal.name}, *plan_);
+            if (reason.empty()) {
+                const auto end = go(goal.name, 400);
+                if (end.outcome == Outcome::Done) {
+                    EXPECT_LT(arrival_mm_, 200) << goal.name;
+                    EXPECT_LT(localisationError_mm(), 120) << goal.name;
+                    continue;
+                }
+                reason = end.reason;
+            }
+            fmt::print("\"{}\" refused: {}\n", goal.name, reason);
+            refused.push_back(goal.name);
+        }
+        EXPECT_EQ(touched(), "");
+        return refused;
+    }
+    MotionStep go(const std::string& goal, double velocity = 300) {
+        worst_mm_ = 0;
+        Located motion{Navigation({.destination = goal, .velocity_mm_s = velocity}, plan_, rules_, [this] { return localisation_->estimate(); },
+                                  lab_->now()),
+                       *localisation_, [this](const auto& /*robot*/) {
+                           worst_mm_ = std::max(worst_mm_, localisationError_mm());
+                           if (meanwhile_) meanwhile_();
+                       },
+                       ""};
+        const auto begun = lab_->age();
+        const auto end = perform(motion, std::chrono::seconds{240});
+        const auto truth = lab_->truth(0);
+        const auto at = plan_->map().goal(goal)->at;
+        arrival_mm_ = std::hypot(truth.x_m * 1000 - at.x_mm, truth.y_m * 1000 - at.y_mm);
+        localisation_->update(robot());
+        fmt::print("to \"{}\": {:.1f} s, arrival error {:.0f} mm, localisation error {:.0f} mm, {:.1f} deg (worst {:.0f} mm), nearest {:.0f} mm, {} plans, fit "
+                   "{:.2f} {}\n{}",
+                   goal, std::chrono::duration<double>(lab_->age() - begun).count(), arrival_mm_, localisationError_mm(),
+                   std::remainder(localisation_->estimate().pose.heading_deg - truth.theta_deg, 360), worst_mm_, nearest_mm_,
+                   motion.navigation.plans(), localisation_->estimate().fit, end.reason, motion.news);
+        return end;
+    }
+    double localisationError_mm() {
+        const auto pose = localisation_->estimate().pose;
+        const auto truth = lab_->truth(0);
+        return std::hypot(pose.x_mm - truth.x_m * 1000, pose.y_mm - truth.y_m * 1000);
+    }
+
+    std::shared_ptr<const fuzzy::Engine> rules_ = loadNavigationRules("robots/peoplebot/navigation.rules");
+    std::shared_ptr<const FloorPlan> plan_;
+    std::unique_ptr<Localisation> localisation_;
+    std::function<void()> meanwhile_;  // at each news of the robot
+    double worst_mm_ = 0;
+    double arrival_mm_ = 0;
+};
+
+TEST_F(NavigationPhysicsTest, ReachesEveryReachableGoalOfTheMapAndRefusesTheOthers) {
+    begin(smallWorld(), {100, -80, 4});
+    for (const auto& goal : plan_->map().goals) {
+        if (!Navigation::objection({.destination = goal.name}, *plan_).empty()) continue;
+        const auto end = go(goal.name);
+        if (goal.name == "walled in") {
+            EXPECT_EQ(end.outcome, Outcome::Failed);
+            EXPECT_THAT(end.reason, HasSubstr("cannot be reached: no way leads there"));
+            continue;
+        }
+        EXPECT_EQ(end.outcome, Outcome::Done) << goal.name << ": " << end.reason;
+        EXPECT_LT(arrival_mm_, 200) << goal.name;
+        EXPECT_LT(localisationError_mm(), 120) << goal.name;
+        if (goal.heading_deg) {
+            EXPECT_NEAR(std::remainder(lab_->truth(0).theta_deg - *goal.heading_deg, 360), 0, 6) << goal.name;
+        }
+    }
+    EXPECT_EQ(touched(), "");
+    EXPECT_GT(nearest_mm_, 20);
+}
+
+TEST_F(NavigationPhysicsTest, GoesRoundABoxThatIsNotOnTheMap) {
+    auto world = smallWorld();
+    world.boxes.push_back({.x = 2.9, .y = 3.4, .dx = 0.5, .dy = 0.5, .height = 0.6});
+    begin(world);
+    const auto end = go("north east");
+    EXPECT_EQ(end.outcome, Outcome::Done) << end.reason;
+    EXPECT_LT(arrival_mm_, 200);
+    EXPECT_EQ(touched(), "");
+    EXPECT_GT(nearest_mm_, 20);
+}
+
+TEST_F(NavigationPhysicsTest, WhatIsPutBeforeItWhileItDrivesIsNotTouched) {
+    begin(smallWorld());
+    int put = 0;
+    // At full speed, 0.6 m before its bumper, and once more on its way round.
+    meanwhile_ = [&] {
+        const auto truth = lab_->truth(0);
+        if (put >= 2 || truth.speed_m_s < 0.35 || truth.x_m < 2.2 + 2.4 * put) return;
+        const double a = truth.theta_deg * std::numbers::pi / 180;
+        lab_->physics().addObstacle({.name = "put" + std::to_string(put++),
+                                     .x = truth.x_m + 1.0 * std::cos(a),
+                                     .y = truth.y_m + 1.0 * std::sin(a),
+                                     .dx = 0.3,
+                                     .dy = 0.3,
+                                     .height = 0.8});
+    };
+    const auto end = go("north east", 400);
+    EXPECT_GE(put, 1);
+    EXPECT_EQ(touched(), "");
+    EXPECT_TRUE(end.outcome == Outcome::Done || end.reason.find("blocked") != std::string::npos) << end.reason;
+}
+
+TEST_F(NavigationPhysicsTest, StopsBeforeABlockedDoorAndGivesUpWithTheReason) {
+    auto world = smallWorld();
+    world.boxes.push_back({.x = 4.55, .y = 3.25, .dx = 1.0, .dy = 0.3, .height = 0.6, .theta = 29});
+    begin(world);
+    const auto end = go("south east");
+    EXPECT_EQ(end.outcome, Outcome::Failed);
+    EXPECT_THAT(end.reason, HasSubstr("the way to \"south east\" is blocked"));
+    EXPECT_EQ(touched(), "");
+    EXPECT_GT(nearest_mm_, 20);
+}
+
+TEST_F(NavigationPhysicsTest, ReachesTheGoalsOfTheSmallRoomOfTheLaboratory) {
+    EXPECT_THAT(everyGoal("room"), ::testing::UnorderedElementsAre("Booth", "Wet floor"));
+}
+
+TEST_F(NavigationPhysicsTest, InTheTransportLaboratoryOnlyTheGoalBesideTheOtherRobotIsInDoubt) {
+    EXPECT_THAT(everyGoal("transport"), ::testing::AnyOf(::testing::IsEmpty(), ::testing::ElementsAre("West table 2")));
+}
+
+TEST_F(NavigationPhysicsTest, ReachesTheGoalsOfTheBuildingOfTheLaboratory) {
+    if (std::getenv("AXON_LONG_TRIALS") == nullptr) GTEST_SKIP() << "takes half a minute; AXON_LONG_TRIALS=1 runs it";
+    EXPECT_THAT(everyGoal("corridors"), ::testing::UnorderedElementsAre("Stairs", "Shaft"));
+}
+
+TEST_F(NavigationPhysicsTest, FindsItselfFromARoughStart) {
+    begin(smallWorld(), {300, -250, 14}, "robots/peoplebot/testdata/small.map", 350, 15);
+    const auto end = go("north east");
+    EXPECT_EQ(end.outcome, Outcome::Done) << end.reason;
+    EXPECT_LT(arrival_mm_, 200);
+    EXPECT_EQ(touched(), "");
+}
+
+TEST_F(NavigationPhysicsTest, AWrongStartIsNoticed) {
+    begin(smallWorld(), {5000, 2000, 120});
+    const auto end = go("west");
+    EXPECT_EQ(end.outcome, Outcome::Failed);
+    EXPECT_THAT(end.reason, ::testing::AnyOf(HasSubstr("does the robot stand there?"), HasSubstr("lost itself")));
+    EXPECT_EQ(touched(), "");
+}
+
+TEST_F(NavigationPhysicsTest, WithoutALaserItDoesNotMove) {
+    has_laser_ = false;
+    begin(smallWorld());
+    const auto end = go("west");
+    EXPECT_THAT(end.reason, HasSubstr("the laser sends no readings"));
+    EXPECT_NEAR(lab_->truth(0).x_m, 1.5, 0.01);
+}
+
+}  // namespace
+}  // namespace axon::peoplebot

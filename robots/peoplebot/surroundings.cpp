@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "robots/peoplebot/surroundings.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "robots/peoplebot/body.hpp"
+
+namespace axon::peoplebot {
+namespace {
+
+constexpr double kDegree = std::numbers::pi / 180;
+// Half of the lane: the hull and as much again as the robot wanders off while it corrects.
+constexpr double kLane_mm = body::kRadius_mm + 45;
+constexpr double kBesideAxis_mm = 50;
+constexpr double kSideFrom_deg = 25;
+constexpr double kSideTo_deg = 120;
+constexpr double kSonarSeesUpTo_mm = 4900;
+
+struct Spot {
+    double x, y;
+};
+
+/// A point of the frame of `from`, in the frame of `here`.
+Spot seenFrom(const MapPose& here, const MapPose& from, double x, double y) {
+    const auto there = from.then({x, y, 0});
+    const double a = here.heading_deg * kDegree;
+    const double dx = there.x_mm - here.x_mm;
+    const double dy = there.y_mm - here.y_mm;
+    return {std::cos(a) * dx + std::sin(a) * dy, std::cos(a) * dy - std::sin(a) * dx};
+}
+
+}  // namespace
+
+void Surroundings::update(const arcos::RobotState& robot) {
+    here_ = {robot.x_mm, robot.y_mm, robot.heading_deg};
+    now_ = robot.taken;
+    for (std::size_t i = 0; i < echoes_.size(); ++i) {
+        const auto& sonar = robot.sonars[i];
+        if (sonar.heard == TimePoint{} || sonar.heard == echoes_[i].heard) continue;
+        echoes_[i] = {here_, static_cast<double>(sonar.range_mm), sonar.heard};
+    }
+    laser_ = robot.laser;
+}
+
+template <class Visit>
+void Surroundings::forEachEcho(const Visit& visit) const {
+    for (std::size_t i = 0; i < echoes_.size(); ++i) {
+        const auto& echo = echoes_[i];
+        if (echo.heard != TimePoint{} && now_ - echo.heard <= kMemory) visit(i, echo);
+    }
+}
+
+Clearance Surroundings::clearance() const {
+    Clearance room;
+    const auto see = [&room](Spot spot) {
+        const double behind = std::clamp(spot.x, body::kRear_mm, 0.0);
+        const double away = std::hypot(spot.x - behind, spot.y) - body::kRadius_mm;
+        const double bearing = std::atan2(spot.y, spot.x) / kDegree;
+        if (std::abs(spot.y) <= kLane_mm) {
+            if (spot.x > 0) room.front = std::min(room.front, std::max(0.0, std::max(away, spot.x - body::kRadius_mm)));
+            if (spot.x < body::kRear_mm) room.rear = std::min(room.rear, std::max(0.0, away));
+        }
+        if (std::abs(bearing) >= kSideFrom_deg && std::abs(bearing) <= kSideTo_deg) {
+            auto& side = bearing > 0 ? room.left : room.right;
+            side = std::min(side, std::max(0.0, away));
+        }
+        if (spot.x > kBesideAxis_mm) return;
+        const double swept = std::hypot(spot.x, spot.y) - body::kSwing_mm;
+        if (spot.y < kBesideAxis_mm) room.swing_left = std::min(room.swing_left, swept);
+        if (spot.y > -kBesideAxis_mm) room.swing_right = std::min(room.swing_right, swept);
+    };
+    forEachEcho([&](std::size_t i, const Echo& echo) {
+        const auto& pose = body::kSonars[i];
+        if (std::abs(pose.direction_deg) <= 50) room.heard = true;
+        if (echo.range_mm > kSonarSeesUpTo_mm) return;
+        for (const double part : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
+            const double a = (pose.direction_deg + part * body::kSonarHalfCone_deg) * kDegree;
+            see(seenFrom(here_, echo.from, pose.x_mm + echo.range_mm * std::cos(a), pose.y_mm + echo.range_mm * std::sin(a)));
+        }
+    });
+    if (laser_ && now_ - laser_->taken <= kMemory) {
+        room.heard = true;
+        const MapPose from{laser_->x_mm, laser_->y_mm, laser_->heading_deg};
+        for (std::size_t i = 0; i < laser_->ranges_mm.size(); ++i) {
+            const double range = laser_->ranges_mm[i];
+            if (range > Clearance::kNothing_mm) continue;
+            const double a = (laser_->start_deg + static_cast<double>(i) * laser_->step_deg) * kDegree;
+            see(seenFrom(here_, from, body::kLaserX_mm + range * std::cos(a), range * std::sin(a)));
+        }
+    }
+    return room;
+}
+
+std::vector<Surroundings::Sighting> Surroundings::sightings(double most_mm) const {
+    std::vector<Sighting> seen;
+    const auto add = [&](const MapPose& from, double sensor_x, double sensor_y, double range, double direction_deg, bool laser) {
+        const double a = direction_deg * kDegree;
+        const auto at = seenFrom(here_, from, sensor_x + range * std::cos(a), sensor_y + range * std::sin(a));
+        const auto sensor = seenFrom(here_, from, sensor_x, sensor_y);
+        seen.push_back({at.x, at.y, laser, range, sensor.x, sensor.y});
+    };
+    forEachEcho([&](std::size_t i, const Echo& echo) {
+        const auto& pose = body::kSonars[i];
+        if (echo.range_mm <= most_mm) add(echo.from, pose.x_mm, pose.y_mm, echo.range_mm, pose.direction_deg, false);
+    });
+    if (laser_ && now_ - laser_->taken <= kMemory) {
+        const MapPose from{laser_->x_mm, laser_->y_mm, laser_->heading_deg};
+        for (std::size_t i = 0; i < laser_->ranges_mm.size(); ++i) {
+            const double range = laser_->ranges_mm[i];
+            if (range <= most_mm)
+                add(from, body::kLaserX_mm, 0, range, laser_->start_deg + static_cast<double>(i) * laser_->step_deg, true);
+        }
+    }
+    return seen;
+}
+
+}  // namespace axon::peoplebot

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "robots/arcos/client_session.hpp"
+#include "robots/peoplebot/map_pose.hpp"
+
+namespace axon::peoplebot {
+
+/// How much room there is between the robot's hull and what its range sensors see, in millimetres.
+struct Clearance {
+    static constexpr double kNothing_mm = 5000;
+    double left = kNothing_mm;
+    double front = kNothing_mm;  ///< within the lane that the robot would drive along
+    double right = kNothing_mm;
+    double rear = kNothing_mm;
+    // To what the rear sweeps in a turn on the spot, to the left and to the right; negative: it would touch. The front
+    // is round about the turning axis and sweeps nothing.
+    double swing_left = kNothing_mm;
+    double swing_right = kNothing_mm;
+    double swing() const { return swing_left < swing_right ? swing_left : swing_right; }
+    bool heard = false;          ///< a front sonar or the laser spoke within the last second
+};
+
+/// What the range sensors saw last, in the odometry's frame. A sonar is heard every third of a second, and the
+/// robot moves meanwhile; so readings are remembered where they were made and looked at from where the robot is.
+/// Each reading of a sonar stands for its cone's arc. I/O-free, not thread-safe.
+class Surroundings {
+  public:
+    static constexpr Duration kMemory = std::chrono::seconds{1};
+
+    /// With each news of the robot.
+    void update(const arcos::RobotState& robot);
+    Clearance clearance() const;
+
+    struct Sighting {
+        double x_mm = 0, y_mm = 0;  ///< in the robot's frame
+        bool laser = false;         ///< else the middle of a sonar's arc
+        double distance_mm = 0;     ///< from the sensor
+        double sensor_x_mm = 0, sensor_y_mm = 0;
+    };
+    /// What is nearer to its sensor than `most_mm`, seen from the robot's present place.
+    std::vector<Sighting> sightings(double most_mm) const;
+
+  private:
+    struct Echo {
+        MapPose from;  // of the robot, odometry
+        double range_mm = 0;
+        TimePoint heard{};
+    };
+    template <class Visit>
+    void forEachEcho(const Visit& visit) const;
+
+    MapPose here_;
+    TimePoint now_{};
+    std::array<Echo, 24> echoes_{};
+    std::shared_ptr<const arcos::LaserScan> laser_;
+};
+
+}  // namespace axon::peoplebot
