@@ -30,8 +30,8 @@ function(axon_program name)
 endfunction()
 
 # axon_test(common_test LABEL unit SOURCES a_test.cpp LINK axon_common)
-# Labels are the levels of docs: unit, scenario, property, component, fuzz, physics, e2e, install. Sanitizers do without
-# physics: robots in a world of MuJoCo for minutes, single-threaded, the most of it in libraries without instrumentation.
+# Labels are the levels of docs: unit, scenario, property, component, fuzz, physics, e2e, install. Physics are robots in a
+# world of MuJoCo for simulated minutes.
 # One ctest entry per binary; GoogleTest's main is linked in.
 function(axon_test name)
   if(NOT AXON_TESTS)
@@ -39,9 +39,7 @@ function(axon_test name)
   endif()
   cmake_parse_arguments(T "" "LABEL;TIMEOUT" "SOURCES;LINK;ARGS" ${ARGN})
   add_executable(${name} ${T_SOURCES})
-  if(NOT T_LABEL STREQUAL physics)
-    add_dependencies(test_programs ${name})
-  endif()
+  add_dependencies(test_programs ${name})
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/tests")
   target_link_libraries(${name} PRIVATE axon_options axon_test_support ${T_LINK} GTest::gmock GTest::gtest GTest::gtest_main)
   add_test(NAME ${name} COMMAND ${name} ${T_ARGS} WORKING_DIRECTORY "${PROJECT_SOURCE_DIR}")
