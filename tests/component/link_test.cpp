@@ -730,7 +730,7 @@ TEST(Link, ASlowStopCallbackIsNoSilenceOfTheManager) {
         if (stop.cause == Cause::LinkLost) lost++;
     });
     interfacer.start();
-    Manager manager("SlowStop", {5500, 5600}, {}, 100ms, 500ms);
+    Manager manager("SlowStop", {5500, 5600}, {}, 100ms * kSlow, 500ms * kSlow);
     ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
     manager.setBusy(true);
     const auto generation = manager.stop();
