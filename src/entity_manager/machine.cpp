@@ -1197,7 +1197,11 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     for (const auto& active : active_)
         if (active.alone_until) next = std::min(next, *active.alone_until);
     if (run_) next = std::min(next, run_->nextDeadline());
-    if (member_ && !isMaster(*member_)) next = std::min({next, member_->beat_at, masterLostAt()});
+    if (member_ && !isMaster(*member_)) {
+        next = std::min({next, member_->beat_at, masterLostAt()});
+        for (const auto& [id, step] : member_->steps)
+            if (step.held) next = std::min(next, step.due);
+    }
     for (const auto& farewell : farewells_) next = std::min(next, farewell.again);
     if (position_waits_ && server_up_ && registration_)
         next = std::min(next, position_sent_ + kPositionPeriod);
