@@ -103,6 +103,29 @@ TEST(Collaboration, AShortStepIsOneReportAndALongOneTwo) {
     }
 }
 
+TEST(Collaboration, ARestBetweenTwoStepsIsToldOnlyIfItLasts) {
+    Fleet fleet(2);
+    fleet.behave = [](std::size_t robot, const auto&) { return Fleet::Outcome{.lasts = robot == 0 ? 100ms : 10ms}; };
+    std::vector<EntityState> told;
+    const auto look = [&] {
+        told.clear();
+        for (const auto& status : std::exchange(fleet.rig(1).statuses, {})) told.push_back(status.state);
+        return told;
+    };
+    using S = EntityState;
+    look();
+    fleet.launch(globalService({"1 Turning 1", "1 Turning 2", "0 Turning 3", "1 Turning 4"}), 0);
+    fleet.advance(15ms);
+    EXPECT_EQ(look(), (std::vector{S::SLAVE, S::BUSY}));
+    fleet.advance(20ms);
+    EXPECT_EQ(look(), (std::vector<S>{})) << "from the first step to the second, and 15 ms of a rest";
+    EXPECT_EQ(fleet.state(1), S::SLAVE);
+    fleet.advance(10ms);
+    EXPECT_EQ(look(), (std::vector{S::SLAVE})) << "while the other's step lasts";
+    fleet.advance(200ms);
+    EXPECT_EQ(look(), (std::vector{S::BUSY, S::REG})) << "the run's end is told at once";
+}
+
 TEST(Collaboration, EventsOfStepsAloneAreTenMillisecondsApartAndThoseOfTheRunAtOnce) {
     Fleet fleet(8);
     std::vector<std::string> steps;

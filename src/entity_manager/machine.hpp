@@ -398,6 +398,7 @@ class EntityManagerCore::Machine {
     TimePoint server_warn_again_{};
     std::string warning_;
     std::optional<EntityStatus> status_told_;
+    std::optional<TimePoint> rest_told_at_;  ///< when it is told that a step has ended, if no other has begun by then
 
     LeaseBook lease_;
     std::string datagram_endpoint_;  ///< told with a grant
