@@ -1,6 +1,10 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Shows that check_invariants.py and check_docs.py can fail: one small tree for each rule."""
+"""Shows that check_invariants.py and check_docs.py can fail: one small tree for each rule; and what unless_stalled does."""
+import contextlib
+import importlib.machinery
+import importlib.util
+import io
 import sys
 import tempfile
 import unittest
@@ -10,6 +14,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.dont_write_bytecode = True
 import check_docs  # noqa: E402
 import check_invariants  # noqa: E402
+
+_loader = importlib.machinery.SourceFileLoader("unless_stalled", str(Path(__file__).with_name("unless_stalled")))
+unless_stalled = importlib.util.module_from_spec(importlib.util.spec_from_loader(_loader.name, _loader))
+_loader.exec_module(unless_stalled)
 
 GPL = "// SPDX-License-Identifier: GPL-2.0-or-later\n"
 MIT = "// SPDX-License-Identifier: MIT\n"
@@ -28,6 +36,42 @@ class TreeCase(unittest.TestCase):
         file = self.root / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")
+
+
+class UnlessStalled(TreeCase):
+    """A command that leaves a mark each time, and succeeds from the third on."""
+
+    def run_beside(self, longest, stolen=0.0):
+        class Host:
+            def __enter__(self):
+                self.longest, self.stolen = longest, stolen
+                return self
+
+            def __exit__(self, *_):
+                pass
+        marks = self.root / "marks"
+        marks.write_text("", encoding="utf-8")
+        with contextlib.redirect_stdout(io.StringIO()):
+            code = unless_stalled.main(["sh", "-c", 'echo >>"$0"; [ $(wc -l <"$0") -ge 3 ] || exit 7', str(marks)], Host)
+        return code, len(marks.read_text(encoding="utf-8"))
+
+    def test_a_failure_stands(self):
+        self.assertEqual(self.run_beside(0.05), (7, 1))
+
+    def test_beside_a_stall_it_is_run_again(self):
+        self.assertEqual(self.run_beside(0.2), (0, 3))
+        self.assertEqual(self.run_beside(0.0, stolen=0.3), (0, 3))
+
+    def test_but_not_for_ever(self):
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.assertEqual(unless_stalled.main(["false"], lambda: contextlib.nullcontext(
+                type("Host", (), {"longest": 1.0, "stolen": 0.0}))), 1)
+
+    def test_the_probe_sees_what_a_thread_waits(self):
+        with unless_stalled.Probe() as probe:
+            pass
+        self.assertGreaterEqual(probe.longest, 0.0)
+        self.assertTrue(0.0 <= probe.stolen <= 1.0)
 
 
 class Invariants(TreeCase):

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <set>
 #include <string_view>
 
@@ -17,6 +18,7 @@ namespace {
 constexpr std::size_t kStepsPerEvent = 250;
 constexpr std::size_t kEventBytes = 512 * 1024;
 constexpr int kBeatsPerWatchdog = 5;
+constexpr auto kShortestWatchdog = std::chrono::milliseconds{50};
 
 proto::Problem problem(std::string entity, int step, RefusalCode code, std::string message) {
     proto::Problem made;
@@ -24,10 +26,6 @@ proto::Problem problem(std::string entity, int step, RefusalCode code, std::stri
     made.set_entity(std::move(entity));
     *made.mutable_refusal() = toProto({code, std::move(message), {}});
     return made;
-}
-
-bool isFinal(proto::TaskState state) {
-    return state >= proto::TASK_SUCCEEDED;
 }
 
 std::string inMilliseconds(Duration time) {
@@ -42,6 +40,12 @@ std::string titleOf(const proto::GlobalStep& step) {
 
 proto::Problem andMore(int count) {
     return problem({}, -1, RefusalCode::Malformed, "… and " + std::to_string(count) + " more. Mend these first.");
+}
+
+Duration beatPeriod(Duration own, std::uint32_t other_ms) {
+    const Duration other = std::chrono::milliseconds{other_ms};
+    if (other_ms > 0) own = std::min(own, std::max<Duration>(other, kShortestWatchdog));
+    return own / kBeatsPerWatchdog;
 }
 
 bool isStop(const Refusal& reason) {
@@ -138,6 +142,7 @@ Collaboration::Collaboration(proto::CollaborationRequest request, std::string se
       pace_(pace),
       launched_(now),
       members_(static_cast<std::size_t>(request_.participants_size())),
+      beat_every_(pace.watchdog / kBeatsPerWatchdog),
       beat_at_(now) {
     std::map<std::int32_t, std::size_t> roles;
     for (int i = 0; i < request_.participants_size(); ++i)
@@ -184,6 +189,8 @@ void Collaboration::invite(TimePoint now) {
     common.set_service(request_.service().name());
     common.set_by(by_);
     common.set_check_only(request_.check_only());
+    common.set_watchdog_ms(static_cast<std::uint32_t>(
+        std::chrono::duration_cast<std::chrono::milliseconds>(pace_.watchdog).count()));
     for (const auto& participant : request_.participants()) {
         auto& other = *common.add_participants();
         other.set_role(participant.role());
@@ -241,6 +248,7 @@ void Collaboration::order(Step& step, TimePoint now) {
         given.set_name(source.param());
     }
     step.task_id = Id128::random(random_).bytes();
+    step.ordered_s = since(now);
     step.heard = step.given_up = false;
     members_[step.participant].begin_until = now + pace_.end_within;
     step.answer_until = now + pace_.answer_within;
@@ -354,6 +362,8 @@ void Collaboration::answered(std::size_t participant, const proto::InvitationAns
     if (member.stage != Member::Stage::Invited) return;
     member.stage = Member::Stage::In;
     member.stop_generation = answer.stop_generation();
+    beat_every_ = std::min(beat_every_, beatPeriod(pace_.watchdog, answer.watchdog_ms()));
+    beat_at_ = std::min(beat_at_, now + beat_every_);
     if (answer.problems_size() > 0 || request_.check_only()) member.stage = Member::Stage::Out;  // it has not joined
     for (auto found : answer.problems()) {
         found.set_entity(this->participant(participant).name());
@@ -391,7 +401,10 @@ void Collaboration::reported(std::size_t participant, const proto::StepReport& r
         (known == results.end() ? *results.Add() : *known) = result;
     }
     if (event.has_reason()) *status.mutable_reason() = event.reason();
-    if (status.began_s() < 0 && event.state() == proto::TASK_RUNNING) status.set_began_s(since(now));
+    if (status.began_s() < 0 && report.has_running_s()) {
+        const double running = std::isfinite(report.running_s()) ? report.running_s() : 0;
+        status.set_began_s(since(now) - std::clamp(running, 0.0, since(now) - step.ordered_s));
+    }
     if (!isFinal(event.state())) {
         attend(step, now);
         return;
@@ -526,6 +539,10 @@ std::string Collaboration::titled(const Step& step, const std::string& message) 
 
 bool Collaboration::anyOpen() const {
     return std::any_of(steps_.begin(), steps_.end(), [](const Step& step) { return step.open(); });
+}
+
+bool Collaboration::anyChanged() const {
+    return std::any_of(steps_.begin(), steps_.end(), [](const Step& step) { return step.changed; });
 }
 
 /// Its participant has not said a word about it. The order may only be late, so it is cancelled.
@@ -687,7 +704,7 @@ void Collaboration::onTimer(TimePoint now) {
         return;
     }
     if (now >= beat_at_) {
-        beat_at_ = now + pace_.watchdog / kBeatsPerWatchdog;
+        beat_at_ = now + beat_every_;
         ++beat_;
         for (std::size_t i = 0; i < members_.size(); ++i)
             if (!isSelf(i) && members_[i].stage == Member::Stage::In) send(i).mutable_beat()->set_sequence(beat_);
@@ -705,6 +722,7 @@ TimePoint Collaboration::nextDeadline() const {
     for (const auto& step : steps_)
         if (step.active() && !step.heard) next = std::min(next, step.answer_until);
     for (const auto& step : steps_) next = std::min(next, patienceWith(step));
+    if (anyChanged()) next = std::min(next, event_at_);
     if (state_ == proto::RUN_STOPPING) next = std::min(next, end_until_);
     return next;
 }
@@ -722,8 +740,8 @@ double Collaboration::progress() const {
 
 std::optional<proto::RunEvent> Collaboration::takeEvent(TimePoint now) {
     if (over() && !ended_) ended_ = now;
-    const bool any = std::any_of(steps_.begin(), steps_.end(), [](const Step& step) { return step.changed; });
-    if (!changed_ && !any) return std::nullopt;
+    if (!changed_ && (!anyChanged() || now < event_at_)) return std::nullopt;
+    event_at_ = now + pace_.event_period;
     proto::RunEvent event;
     std::size_t told = 0;
     std::size_t bytes = 0;
@@ -741,7 +759,7 @@ std::optional<proto::RunEvent> Collaboration::takeEvent(TimePoint now) {
         step.changed = false;
         event.add_steps()->Swap(&status);
     }
-    const bool more = std::any_of(steps_.begin(), steps_.end(), [](const Step& step) { return step.changed; });
+    const bool more = anyChanged();
     event.set_run_id(id());
     event.set_sequence(++sequence_);
     // The end is told with the last of the steps.

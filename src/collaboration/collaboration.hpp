@@ -3,6 +3,7 @@
 #include <axon/collaboration.pb.h>
 
 #include <cstddef>
+#include <cstdint>
 #include <map>
 #include <optional>
 #include <string>
@@ -19,19 +20,31 @@ inline constexpr int kStepsMax = 1'000;
 inline constexpr int kParticipantsMax = 256;
 inline constexpr int kProblemsMax = 50;
 
+/// Nothing comes after it.
+inline bool isFinal(proto::TaskState state) {
+    return state >= proto::TASK_SUCCEEDED;
+}
+
 /// Instead of the problems that are not told one by one.
 proto::Problem andMore(int count);
 
 /// Times that a master keeps.
 struct Pace {
-    /// A participant that is silent for so long is lost; a beat goes to each five times in it.
+    /// A participant that is silent for so long is lost; a beat goes to each five times in it, or in a participant's
+    /// own if that is shorter.
     Duration watchdog = std::chrono::milliseconds{250};
     /// For the answer to an invitation, and for the first word about a step that was ordered.
     Duration answer_within = std::chrono::seconds{5};
     /// For a step that was told to end or to pause to do so, and for one of the compensation to begin once its
     /// participant could; then everybody is stopped.
     Duration end_within = std::chrono::seconds{10};
+    /// Between events that tell of nothing but steps. Each costs the master about as much as an order.
+    Duration event_period = std::chrono::milliseconds{10};
 };
+
+/// How often those beat who watch each other with these: five times in the shorter one. `other` as it was told; 0 =
+/// not told. Never more often than in the shortest watchdog that can be configured.
+Duration beatPeriod(Duration own, std::uint32_t other_ms);
 
 /// Whether somebody wanted the end that has this reason, or who was responsible has gone; all else is a failure.
 bool isStop(const Refusal& reason);
@@ -82,6 +95,7 @@ class Collaboration {
     bool over() const { return state_ >= proto::RUN_SUCCEEDED; }
     proto::RunState state() const { return state_; }
     const std::string& id() const { return request_.run_id(); }
+    Duration beatEvery() const { return beat_every_; }
     const proto::CollaborationRequest& request() const { return request_; }
     const proto::Participant& participant(std::size_t index) const {
         return request_.participants(static_cast<int>(index));
@@ -89,7 +103,7 @@ class Collaboration {
     bool isSelf(std::size_t index) const { return participant(index).entity() == self_; }
 
     std::vector<Order> takeOrders() { return std::exchange(orders_, {}); }
-    /// What has changed since this was last asked; nothing when nothing has.
+    /// What has changed since the last one; nothing when nothing has, or only steps and it is not their time yet.
     std::optional<proto::RunEvent> takeEvent(TimePoint now);
     /// As it is now.
     proto::RunRecord record(TimePoint now) const;
@@ -101,6 +115,7 @@ class Collaboration {
         std::size_t participant = 0;
         proto::StepStatus status;
         std::string task_id;             ///< of the present try; empty = not ordered
+        double ordered_s = 0;            ///< since the launch
         Want want = Want::Run;
         Want told = Want::Run;           ///< the last that its participant was told
         bool pausable = false;
@@ -143,6 +158,7 @@ class Collaboration {
     void giveUp(Step& step, TimePoint now);
     void note(proto::Problem found);
     bool anyOpen() const;
+    bool anyChanged() const;
     std::string titled(const Step& step, const std::string& message) const;
     std::size_t firstCompensation() const { return static_cast<std::size_t>(request_.service().steps_size()); }
     double progress() const;
@@ -163,12 +179,14 @@ class Collaboration {
     proto::RunState outcome_ = proto::RUN_UNSPECIFIED;  ///< of what is stopping or compensating
     bool compensates_ = false;                          ///< once all that runs has ended
     TimePoint end_until_{};
+    Duration beat_every_{};
     TimePoint beat_at_{};
+    TimePoint event_at_{};  ///< not before this, of steps alone
     std::uint64_t beat_ = 0;
     std::optional<TimePoint> ended_;
     std::vector<proto::Problem> problems_;  ///< the first kProblemsMax
     int more_problems_ = 0;
-    bool changed_ = true;
+    bool changed_ = true;  ///< more than steps
     std::uint64_t sequence_ = 0;
     std::vector<Order> orders_;
 };

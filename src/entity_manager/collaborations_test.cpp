@@ -82,6 +82,80 @@ TEST(Collaboration, StepsOfOnePlaceRunAtTheSameTime) {
     for (std::size_t i = 0; i < 3; ++i) EXPECT_EQ(fleet.log[i].what, What::Began);
 }
 
+TEST(Collaboration, AShortStepIsOneReportAndALongOneTwo) {
+    for (const bool is_short : {true, false}) {
+        Fleet fleet(2);
+        fleet.behave = [&](auto, const auto&) { return Fleet::Outcome{.lasts = is_short ? 0ms : 100ms}; };
+        std::vector<proto::StepReport> reports;
+        fleet.lose = [&](auto, auto, const proto::ToEntity& message) {
+            if (message.from_slave().has_report()) reports.push_back(message.from_slave().report());
+            return false;
+        };
+        fleet.launch(globalService({"0 Turning 1", "1 Turning 2"}), 0);
+        fleet.advance(500ms);
+        EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED);
+        ASSERT_EQ(reports.size(), is_short ? 1U : 2U);
+        EXPECT_EQ(reports.front().event().state(), is_short ? proto::TASK_SUCCEEDED : proto::TASK_RUNNING);
+        EXPECT_EQ(reports.back().event().state(), proto::TASK_SUCCEEDED);
+        EXPECT_NEAR(reports.back().running_s(), is_short ? 0 : 0.1, 0.006);
+        const auto& step = fleet.told.steps[1];
+        EXPECT_NEAR(step.ended_s() - step.began_s(), is_short ? 0 : 0.1, 0.006) << "though it is told later";
+    }
+}
+
+TEST(Collaboration, ARestBetweenTwoStepsIsToldOnlyIfItLasts) {
+    Fleet fleet(2);
+    fleet.behave = [](std::size_t robot, const auto&) { return Fleet::Outcome{.lasts = robot == 0 ? 100ms : 10ms}; };
+    std::vector<EntityState> told;
+    const auto look = [&] {
+        told.clear();
+        for (const auto& status : std::exchange(fleet.rig(1).statuses, {})) told.push_back(status.state);
+        return told;
+    };
+    using S = EntityState;
+    look();
+    fleet.launch(globalService({"1 Turning 1", "1 Turning 2", "0 Turning 3", "1 Turning 4"}), 0);
+    fleet.advance(15ms);
+    EXPECT_EQ(look(), (std::vector{S::SLAVE, S::BUSY}));
+    fleet.advance(20ms);
+    EXPECT_EQ(look(), (std::vector<S>{})) << "from the first step to the second, and 15 ms of a rest";
+    EXPECT_EQ(fleet.state(1), S::SLAVE);
+    fleet.advance(10ms);
+    EXPECT_EQ(look(), (std::vector{S::SLAVE})) << "while the other's step lasts";
+    fleet.advance(200ms);
+    EXPECT_EQ(look(), (std::vector{S::BUSY, S::REG})) << "the run's end is told at once";
+}
+
+TEST(Collaboration, EventsOfStepsAloneAreTenMillisecondsApartAndThoseOfTheRunAtOnce) {
+    Fleet fleet(8);
+    std::vector<std::string> steps;
+    for (int i = 0; i < 8; ++i) steps.push_back(std::to_string(i) + " Turning 1");
+    fleet.behave = [](std::size_t robot, const auto&) {
+        return Fleet::Outcome{.lasts = 5ms * static_cast<int>(robot + 1)};
+    };
+    fleet.launch(globalService(steps), 0);
+    fleet.advance(500ms);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED);
+    EXPECT_TRUE(fleet.told.in_order);
+    EXPECT_EQ(fleet.told.events.back().second, fleet.log.back().at);
+    const auto& events = fleet.told.events;
+    EXPECT_GT(events.size(), 4U);
+    for (std::size_t i = 1; i < events.size(); ++i)
+        EXPECT_TRUE(events[i].first != events[i - 1].first || events[i].second >= events[i - 1].second + 10ms) << i;
+    for (const auto& [number, step] : fleet.told.steps) EXPECT_EQ(step.state(), proto::TASK_SUCCEEDED) << number;
+}
+
+TEST(Collaboration, ThoseWithVeryDifferentWatchdogsWorkTogether) {
+    for (const std::size_t master : {0U, 1U}) {
+        Fleet fleet(2, 1, {50ms, 2s});
+        fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 3s}; };
+        fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), master);
+        fleet.advance(3100ms);
+        EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED) << fleet.told.reason.message();
+        expectAllAtRest(fleet);
+    }
+}
+
 TEST(Collaboration, CarriesAResultToALaterStep) {
     Fleet fleet(2);
     auto service = globalService({"0 Driving 1", "1 Driving 2"});

@@ -423,17 +423,30 @@ class FileResourceStore::Writer {
     void close(std::shared_ptr<Transfer> transfer) {
         {
             const std::lock_guard lock(mutex_);
-            closing_.try_emplace(transfer->path, false);
+            closing_[transfer->path] = {transfer, false, false};
             jobs_.push_back({std::move(transfer), {}, true});
         }
         wake_.notify_one();
+    }
+    /// One that is being closed goes on instead: nobody waits for the disk for that. Null: none, one whose writing has
+    /// failed, or one that is to be deleted.
+    std::shared_ptr<Transfer> takeBack(const fs::path& path) {
+        const std::lock_guard lock(mutex_);
+        const auto at = closing_.find(path);
+        if (at == closing_.end() || at->second.drop) return nullptr;
+        const auto transfer = at->second.transfer;
+        const auto backlog = waiting_.find(transfer.get());
+        if (backlog != waiting_.end() && !backlog->second.failure.ok()) return nullptr;
+        closing_.erase(at);
+        std::erase_if(jobs_, [&](const Job& job) { return job.last && job.transfer == transfer; });
+        return transfer;
     }
     Result<std::uint64_t> waiting(const Transfer& transfer) const {
         const std::lock_guard lock(mutex_);
         const auto at = waiting_.find(&transfer);
         if (at == waiting_.end()) return std::uint64_t{0};
         if (!at->second.failure.ok()) return at->second.failure;
-        return at->second.bytes;
+        return at->second.bytes + (at->second.noting ? 1 : 0);
     }
     /// Whether the file is nobody's any more, for which it waits a little, and there is room for more.
     bool mayOpen(const fs::path& path) {
@@ -445,7 +458,7 @@ class FileResourceStore::Writer {
         const std::lock_guard lock(mutex_);
         const auto at = closing_.find(path);
         if (at == closing_.end()) return false;
-        at->second = true;
+        at->second.drop = true;
         return true;
     }
 
@@ -457,7 +470,13 @@ class FileResourceStore::Writer {
     };
     struct Backlog {
         std::uint64_t bytes = 0;
+        bool noting = false;  ///< the thread is at it, though nothing waits
         Refusal failure;
+    };
+    struct Closing {
+        std::shared_ptr<Transfer> transfer;
+        bool begun = false;
+        bool drop = false;
     };
 
     void run() {
@@ -468,19 +487,7 @@ class FileResourceStore::Writer {
             const auto job = std::move(jobs_.front());
             jobs_.pop_front();
             if (job.last) {
-                waiting_.erase(job.transfer.get());
-                lock.unlock();
-                job.transfer->note();
-                lock.lock();
-                if (closing_.at(job.transfer->path)) {
-                    std::error_code ignored;
-                    lock.unlock();
-                    job.transfer->forgetNote();
-                    fs::remove(job.transfer->path, ignored);
-                    lock.lock();
-                }
-                closing_.erase(job.transfer->path);
-                closed_.notify_all();
+                close(job.transfer, lock);
                 continue;
             }
             auto* const backlog = &waiting_[job.transfer.get()];  // this thread alone erases it
@@ -492,20 +499,48 @@ class FileResourceStore::Writer {
             backlog->bytes -= job.content.size();
             bytes_ -= job.content.size();
             if (backlog->bytes == 0 && backlog->failure.ok()) waiting_.erase(job.transfer.get());
+            tellOfChange(lock);
+        }
+    }
+    void close(const std::shared_ptr<Transfer>& transfer, std::unique_lock<std::mutex>& lock) {
+        closing_.at(transfer->path).begun = true;
+        waiting_[transfer.get()].noting = true;
+        lock.unlock();
+        transfer->note();
+        lock.lock();
+        auto at = closing_.find(transfer->path);
+        if (at == closing_.end() || !at->second.begun) {  // taken back meanwhile, and perhaps given up again
+            auto& backlog = waiting_[transfer.get()];
+            backlog.noting = false;
+            if (backlog.bytes == 0) waiting_.erase(transfer.get());
+            tellOfChange(lock);
+            return;
+        }
+        waiting_.erase(transfer.get());
+        if (at->second.drop) {
+            std::error_code ignored;
             lock.unlock();
-            {
-                const std::lock_guard telling(telling_);
-                if (changed_) changed_();
-            }
+            transfer->forgetNote();
+            fs::remove(transfer->path, ignored);
             lock.lock();
         }
+        closing_.erase(transfer->path);
+        closed_.notify_all();
+    }
+    void tellOfChange(std::unique_lock<std::mutex>& lock) {
+        lock.unlock();
+        {
+            const std::lock_guard telling(telling_);
+            if (changed_) changed_();
+        }
+        lock.lock();
     }
 
     mutable std::mutex mutex_;
     std::condition_variable wake_, closed_;
     std::deque<Job> jobs_;                        // guarded by mutex_
     std::map<const Transfer*, Backlog> waiting_;  // guarded by mutex_
-    std::map<fs::path, bool> closing_;            // guarded by mutex_; true = delete it then
+    std::map<fs::path, Closing> closing_;         // guarded by mutex_
     std::uint64_t bytes_ = 0;                     // guarded by mutex_; of all that wait
     bool ending_ = false;                         // guarded by mutex_
     std::mutex telling_;
@@ -534,18 +569,22 @@ Result<std::uint64_t> FileResourceStore::begin(const proto::ResourceOffer& offer
         if (other->path == incoming)
             return Refusal{
                 RefusalCode::Duplicate, "The same content is being uploaded already. Wait for its end.", {}};
-    if (!writer_->mayOpen(incoming))
-        return Refusal{RefusalCode::Overloaded,
-                       "The disk has not taken yet what was uploaded before. Try again in a moment.",
-                       {}};
-    auto transfer = std::make_shared<Transfer>(incoming);
-    if (!transfer->file.isOpen()) return storeRefusal("open", incoming);
+    auto transfer = writer_->takeBack(incoming);
+    if (!transfer) {
+        if (!writer_->mayOpen(incoming))
+            return Refusal{RefusalCode::Overloaded,
+                           "The disk has not taken yet what was uploaded before. Try again in a moment.",
+                           {}};
+        transfer = std::make_shared<Transfer>(incoming);
+        if (!transfer->file.isOpen()) return storeRefusal("open", incoming);
+        transfer->sha256 = offer.sha256();
+        transfer->size = offer.size();
+        if (!transfer->resume()) return storeRefusal("use", incoming);
+        transfer->accepted = transfer->written;
+    }
     transfer->service = offer.service();
     transfer->resource = offer.resource();
-    transfer->sha256 = offer.sha256();
-    transfer->size = offer.size();
-    if (!transfer->resume()) return storeRefusal("use", incoming);
-    const auto here = transfer->accepted = transfer->written;
+    const auto here = transfer->accepted;
     transfers_[offer.transfer_id()] = std::move(transfer);
     return here;
 }

@@ -59,7 +59,8 @@ class FileStorage final : public Storage {
 /// Threads: one at a time; two of its own. Bounded: what waits to be written by whoever calls write(), who asks
 /// waiting() first, and begin() takes nothing new above kBacklog; kUnsynchronised files wait for their thread, of more the
 /// oldest is not marked. Failure: refusals; the message names the file. A disk that is full is OVERLOADED, and so is one
-/// that has not taken the rest of a suspended transfer when the same content is offered again (kPatience).
+/// that has not yet got rid of a dropped or failed transfer when the same content is offered again (kPatience); a
+/// suspended one just goes on, written or not.
 class FileResourceStore final : public ResourceStore {
   public:
     static constexpr std::size_t kUnsynchronised = 64;

@@ -17,6 +17,7 @@ namespace axon::entity_manager {
 namespace {
 
 constexpr Duration kPositionPeriod = std::chrono::milliseconds{200};
+constexpr Duration kRestUntold = std::chrono::milliseconds{20};
 constexpr Duration kRawRefusalPeriod = std::chrono::milliseconds{200};
 constexpr std::size_t kOpenStops = 16;
 constexpr std::size_t kActiveTold = 1024;
@@ -717,9 +718,20 @@ EntityStatus EntityManagerCore::Machine::status() const {
 }
 
 void EntityManagerCore::Machine::tellStatus() {
+    const auto rest_told_at = std::exchange(rest_told_at_, std::nullopt);
     if (!server_up_ || !registration_) return;
     auto now = status();
     if (status_told_ == now) return;
+    // Between two steps of a run it rests for a moment. Told each time, that is two broadcasts for each step.
+    if (auto told = status_told_; told && told->state == EntityState::BUSY &&
+                                  (now.state == EntityState::SLAVE || now.state == EntityState::COLLAB)) {
+        told->state = now.state;
+        const auto at = rest_told_at.value_or(clock_.now() + kRestUntold);
+        if (told == now && clock_.now() < at) {
+            rest_told_at_ = at;
+            return;
+        }
+    }
     server_.sendStatus(now);
     status_told_ = std::move(now);
 }
@@ -1197,8 +1209,13 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     for (const auto& active : active_)
         if (active.alone_until) next = std::min(next, *active.alone_until);
     if (run_) next = std::min(next, run_->nextDeadline());
-    if (member_ && !isMaster(*member_)) next = std::min({next, member_->beat_at, masterLostAt()});
+    if (member_ && !isMaster(*member_)) {
+        next = std::min({next, member_->beat_at, masterLostAt()});
+        for (const auto& [id, step] : member_->steps)
+            if (step.held) next = std::min(next, step.due);
+    }
     for (const auto& farewell : farewells_) next = std::min(next, farewell.again);
+    if (rest_told_at_) next = std::min(next, *rest_told_at_);
     if (position_waits_ && server_up_ && registration_)
         next = std::min(next, position_sent_ + kPositionPeriod);
     return next;

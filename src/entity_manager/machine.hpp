@@ -266,14 +266,21 @@ class EntityManagerCore::Machine {
     void expireSpared();
 
     // Collaboration (machine_collaboration.cpp).
+    struct OpenStep {
+        std::int32_t number;
+        std::optional<TimePoint> began;
+        std::optional<proto::TaskEvent> held;  ///< what is told once it is `due`, or with what is told before
+        TimePoint due{};
+    };
     /// This entity's part in a run, as a slave or as the master itself.
     struct Membership {
         std::string run_id;
         Sender master;
         std::vector<proto::Participant> participants;
-        std::map<Id128, std::int32_t> steps;  ///< under way, by the task's id
+        std::map<Id128, OpenStep> steps;      ///< under way, by the task's id
         TimePoint heard{};                    ///< from the master
         bool led = false;                     ///< it has begun to beat, or has given an order
+        Duration beat_every{};
         TimePoint beat_at{};
         std::uint64_t beat = 0;
     };
@@ -288,6 +295,7 @@ class EntityManagerCore::Machine {
     struct Farewell {
         std::string entity;
         proto::FromMaster message;  ///< a beat, or a stop once more
+        Duration every{};
         TimePoint again{}, until{};
     };
     static constexpr std::size_t kFarewells = 1024;
@@ -309,7 +317,8 @@ class EntityManagerCore::Machine {
     void controlStep(const proto::StepControl& control);
     void endMembership(const proto::CollaborationEnd& end);
     void sendToMaster(Lane lane, const Sender& master, const proto::FromSlave& message);
-    void reportStep(std::int32_t step, const proto::TaskEvent& event);
+    void tellStep(OpenStep& step, proto::TaskEvent& event);
+    void reportStep(const OpenStep& step, const proto::TaskEvent& event);
     void depart(const Sender& master, const std::string& run_id, const Refusal& reason);
     void leaveCollaboration(const Refusal& reason);
     /// Its part is over; why is told again to a master that does not know it.
@@ -389,6 +398,7 @@ class EntityManagerCore::Machine {
     TimePoint server_warn_again_{};
     std::string warning_;
     std::optional<EntityStatus> status_told_;
+    std::optional<TimePoint> rest_told_at_;  ///< when it is told that a step has ended, if no other has begun by then
 
     LeaseBook lease_;
     std::string datagram_endpoint_;  ///< told with a grant

@@ -12,13 +12,15 @@
 
 namespace axon::entity_manager {
 
+using collaboration::isFinal;
+
 namespace {
 
 constexpr const char* kRunsKey = "runs";
 constexpr int kRunsKept = 32;
 constexpr std::size_t kRunsBytes = 512 * 1024;  ///< together; above it the oldest go
 constexpr std::size_t kRunBytes = 128 * 1024;   ///< of one; of a larger one parameters and results are left out
-constexpr int kBeatsPerWatchdog = 5;
+constexpr auto kReportPeriod = std::chrono::milliseconds{5};
 
 proto::Problem problem(std::int32_t step, const Refusal& refusal) {
     proto::Problem made;
@@ -261,12 +263,15 @@ void EntityManagerCore::Machine::considerInvitation(const Sender& master, const 
     auto& answer = *reply.mutable_answer();
     problemsOf(invitation, answer);
     answer.set_stop_generation(generation_);
+    answer.set_watchdog_ms(static_cast<std::uint32_t>(
+        std::chrono::duration_cast<std::chrono::milliseconds>(settings_.server_watchdog_busy).count()));
     if (answer.problems_size() == 0 && !invitation.check_only()) {
         member_.emplace();
         member_->run_id = message.run_id();
         member_->master = master;
         member_->participants.assign(invitation.participants().begin(), invitation.participants().end());
         member_->heard = member_->beat_at = clock_.now();
+        member_->beat_every = collaboration::beatPeriod(settings_.server_watchdog_busy, invitation.watchdog_ms());
         if (!isMaster(*member_)) fire(Event::CollaborationJoined);
     }
     sendToMaster(Lane::Data, master, reply);
@@ -350,7 +355,8 @@ void EntityManagerCore::Machine::admitStep(const proto::StepOrder& order) {
         refusal = typed.refusal();
     else
         task.mutable_params()->Swap(&typed.value());
-    if (refusal.ok() && id && member_->steps.emplace(*id, order.step()).second) {
+    const OpenStep step{.number = order.step()};
+    if (refusal.ok() && id && member_->steps.emplace(*id, step).second) {
         refusal = admit(task, 0);
         // Its end, if it has come already, has been told.
         if (refusal.ok()) return;
@@ -363,13 +369,13 @@ void EntityManagerCore::Machine::admitStep(const proto::StepOrder& order) {
     event.set_state(proto::TASK_REFUSED);
     event.set_progress(-1);
     *event.mutable_reason() = toProto(refusal);
-    reportStep(order.step(), event);
+    reportStep(step, event);
 }
 
 /// As the client's own pause, resume or cancel; what cannot be done now the master sees from the reports.
 void EntityManagerCore::Machine::controlStep(const proto::StepControl& control) {
     const auto step = std::find_if(member_->steps.begin(), member_->steps.end(),
-                                   [&](const auto& known) { return known.second == control.step(); });
+                                   [&](const auto& known) { return known.second.number == control.step(); });
     if (step == member_->steps.end()) return;
     proto::ToEntity body;
     body.mutable_task_control()->set_task_id(step->first.bytes());
@@ -403,11 +409,34 @@ void EntityManagerCore::Machine::endMembership(const proto::CollaborationEnd& en
     fire(Event::CollaborationEnded);
 }
 
-void EntityManagerCore::Machine::reportStep(std::int32_t step, const proto::TaskEvent& event) {
+/// A short step begins and ends within a few milliseconds: one message then, not two, and each costs the master. What
+/// goes on waits for kReportPeriod; what ends or pauses does not.
+void EntityManagerCore::Machine::tellStep(OpenStep& step, proto::TaskEvent& event) {
+    const auto now = clock_.now();
+    if (event.state() == proto::TASK_RUNNING && !step.began) step.began = now;
+    if (step.held) {
+        if (event.progress() < 0) event.set_progress(step.held->progress());
+        step.held->MergeFrom(event);
+        event.Swap(&*step.held);
+        step.held.reset();
+    } else {
+        step.due = now + kReportPeriod;
+    }
+    const bool goes_on = !isFinal(event.state()) && event.state() != proto::TASK_PAUSED;
+    if (goes_on && !isMaster(*member_) && now < step.due) {
+        step.held.emplace().Swap(&event);
+        return;
+    }
+    reportStep(step, event);
+}
+
+void EntityManagerCore::Machine::reportStep(const OpenStep& step, const proto::TaskEvent& event) {
     proto::FromSlave message;
     message.set_run_id(member_->run_id);
-    message.mutable_report()->set_step(step);
-    *message.mutable_report()->mutable_event() = event;
+    auto& report = *message.mutable_report();
+    report.set_step(step.number);
+    *report.mutable_event() = event;
+    if (step.began) report.set_running_s(std::chrono::duration<double>(clock_.now() - *step.began).count());
     sendToMaster(Lane::Data, member_->master, message);
 }
 
@@ -465,7 +494,8 @@ void EntityManagerCore::Machine::bidFarewell(const std::string& entity, const pr
     Farewell farewell{.entity = entity};
     const auto now = clock_.now();
     const auto watchdog = settings_.server_watchdog_busy;
-    farewell.again = now + watchdog / kBeatsPerWatchdog;
+    farewell.every = run_->beatEvery();
+    farewell.again = now + farewell.every;
     // Who does not hear a stop misses the beats.
     farewell.until = now + (end.end().stop() ? 2 * watchdog : collaboration::Pace{}.answer_within);
     farewell.message.set_run_id(end.run_id());
@@ -481,7 +511,7 @@ void EntityManagerCore::Machine::repeatFarewells() {
     std::erase_if(farewells_, [&](const Farewell& farewell) { return now >= farewell.until; });
     for (auto& farewell : farewells_) {
         if (now < farewell.again) continue;
-        farewell.again = now + settings_.server_watchdog_busy / kBeatsPerWatchdog;
+        farewell.again = now + farewell.every;
         proto::ToEntity message;
         *message.mutable_from_master() = farewell.message;
         sendToPeer(Lane::Signal, farewell.entity, kMsgCollaboration, message);
@@ -506,8 +536,13 @@ void EntityManagerCore::Machine::expireCollaboration() {
         fire(incident);
         return;
     }
+    for (auto& [id, step] : member_->steps) {
+        if (!step.held || now < step.due) continue;
+        reportStep(step, *step.held);
+        step.held.reset();
+    }
     if (now < member_->beat_at) return;
-    member_->beat_at = now + settings_.server_watchdog_busy / kBeatsPerWatchdog;
+    member_->beat_at = now + member_->beat_every;
     proto::FromSlave message;
     message.set_run_id(member_->run_id);
     message.mutable_beat()->set_sequence(++member_->beat);

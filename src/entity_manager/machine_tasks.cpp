@@ -13,6 +13,8 @@
 
 namespace axon::entity_manager {
 
+using collaboration::isFinal;
+
 namespace {
 
 constexpr std::size_t kQuestions = 64;
@@ -42,10 +44,6 @@ Refusal checkSize(std::size_t bytes) {
                 " bytes, and the robot application takes at most " + std::to_string(kMessageMax) +
                 " at once. Shorten the parameters, or upload a resource.",
             {}};
-}
-
-bool isFinal(proto::TaskState state) {
-    return state >= proto::TASK_SUCCEEDED;
 }
 
 }  // namespace
@@ -450,9 +448,13 @@ void EntityManagerCore::Machine::tellTask(proto::TaskEvent& event) {
     if (member_) {
         const auto id = Id128::fromBytes(event.task_id());
         if (const auto step = member_->steps.find(*id); step != member_->steps.end()) {
-            const auto number = step->second;
-            if (isFinal(event.state())) member_->steps.erase(step);
-            reportStep(number, event);
+            if (!isFinal(event.state())) {
+                tellStep(step->second, event);
+                return;
+            }
+            auto last = std::move(step->second);
+            member_->steps.erase(step);  // before it is told: the master's own next order may come of it
+            tellStep(last, event);
             return;
         }
     }

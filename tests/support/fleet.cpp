@@ -32,9 +32,11 @@ proto::GlobalService globalService(const std::vector<std::string>& steps, proto:
     return service;
 }
 
-Fleet::Fleet(std::size_t robots, std::uint64_t seed) : robots_(robots) {
+Fleet::Fleet(std::size_t robots, std::uint64_t seed, const std::vector<Duration>& watchdogs) : robots_(robots) {
     for (std::size_t i = 0; i < robots; ++i) {
-        robots_[i].rig = std::make_unique<CoreRig>(seed * 1000 + i);
+        entity_manager::CoreSettings settings{.application = "rig"};
+        if (i < watchdogs.size()) settings.server_watchdog_busy = watchdogs[i];
+        robots_[i].rig = std::make_unique<CoreRig>(seed * 1000 + i, settings);
         auto& rig = *robots_[i].rig;
         rig.makeIdle();
         rig.take("client1", "r1", kRoot);
@@ -51,6 +53,7 @@ Fleet::Fleet(std::size_t robots, std::uint64_t seed) : robots_(robots) {
             told.in_order = told.in_order && event.sequence() == told.sequence + 1;
             told.sequence = event.sequence();
             told.state = event.state();
+            told.events.emplace_back(event.state(), now());
             told.reason = event.reason();
             told.problems.assign(event.problems().begin(), event.problems().end());
             for (const auto& step : event.steps()) told.steps[step.step()] = step;
@@ -80,6 +83,11 @@ void Fleet::serve(std::size_t robot, const proto::EmToEi& message) {
             log.push_back({Happened::What::Began, robot, dispatch.service(), rig(robot).clock.now()});
         }
         self.answers.push_back(answer);
+        if (!outcome.denied && outcome.lasts <= Duration::zero()) {
+            const auto task = self.running.back();
+            self.running.pop_back();
+            finish(robot, task);
+        }
     } else if (message.has_cancel()) {
         const auto task = find(message.cancel().task_id());
         if (task == self.running.end() || task->outcome.deaf) return;
@@ -101,6 +109,17 @@ void Fleet::serve(std::size_t robot, const proto::EmToEi& message) {
         answer.mutable_task()->mutable_event()->set_state(task->paused ? proto::TASK_PAUSED : proto::TASK_RUNNING);
         self.answers.push_back(answer);
     }
+}
+
+void Fleet::finish(std::size_t robot, const Running& task) {
+    log.push_back({Happened::What::Ended, robot, task.service, rig(robot).clock.now()});
+    proto::EiToEm ended;
+    auto& event = *ended.mutable_task()->mutable_event();
+    event.set_task_id(task.id);
+    event.set_state(task.outcome.verdict);
+    event.set_progress(-1);
+    for (const auto& result : task.outcome.results) *event.add_results() = result;
+    robots_[robot].answers.push_back(ended);
 }
 
 /// What the Entity Interfacer does at each stop, also at the loss of its Entity Manager.
@@ -174,14 +193,7 @@ void Fleet::advance(Duration by) {
                 }
                 const auto task = self.running[at];
                 self.running.erase(self.running.begin() + static_cast<std::ptrdiff_t>(at));
-                log.push_back({Happened::What::Ended, i, task.service, self.rig->clock.now()});
-                proto::EiToEm ended;
-                auto& event = *ended.mutable_task()->mutable_event();
-                event.set_task_id(task.id);
-                event.set_state(task.outcome.verdict);
-                event.set_progress(-1);
-                for (const auto& result : task.outcome.results) *event.add_results() = result;
-                self.answers.push_back(ended);
+                finish(i, task);
             }
         }
         deliver();

@@ -21,11 +21,12 @@ proto::GlobalService globalService(const std::vector<std::string>& steps, proto:
 /// `behave` says, and a network between them that can be cut. Everything on one virtual time.
 class Fleet {
   public:
-    explicit Fleet(std::size_t robots, std::uint64_t seed = 1);
+    /// Those with a watchdog of their own: `watchdogs`, in the robots' order.
+    explicit Fleet(std::size_t robots, std::uint64_t seed = 1, const std::vector<Duration>& watchdogs = {});
 
     /// How a task goes, once it is given to a robot.
     struct Outcome {
-        Duration lasts = std::chrono::milliseconds{100};
+        Duration lasts = std::chrono::milliseconds{100};  ///< 0: it has ended when it answers
         proto::TaskState verdict = proto::TASK_SUCCEEDED;
         std::vector<proto::Param> results = {};
         bool denied = false;
@@ -66,6 +67,7 @@ class Fleet {
         std::vector<proto::Problem> problems;
         std::uint64_t sequence = 0;
         bool in_order = true;  ///< each event's number is one more than that of the last
+        std::vector<std::pair<proto::RunState, TimePoint>> events;
         Refusal refused;       ///< the request itself, by a reply
     };
     Told told;
@@ -95,6 +97,7 @@ class Fleet {
         std::vector<Running> running;
         std::deque<proto::EiToEm> answers;
     };
+    void finish(std::size_t robot, const Running& task);
     struct Letter {
         std::size_t from, to;
         Header head;

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Global services with real processes: the three entities of examples/05_collaboration, their Entity Managers and a server.
 
-    python3 tests/e2e/collaboration_test.py --bin build/dev/bin [unittest options]
+    python3 tests/e2e/global_run_test.py --bin build/dev/bin [unittest options]
 
 Each test has a laboratory of its own, with a copy of the example whose table and global services it may change.
 """
