@@ -147,7 +147,7 @@ int runCrowd(const std::string& board_file, std::size_t entities, const std::str
         settings.application = "bench-" + std::to_string(i);
         member->manager = EntityManager::create(
             executor.get_executor(), ice, settings, server,
-            [&](const EntityManager::Strand& strand, const StopGate&, BackEndEvents& events) {
+            [&](const EntityManager::Strand& strand, const StopGate&, const Clock&, BackEndEvents& events) {
                 auto link = std::make_unique<MemoryLink>(strand, events, settings.application, board[i]);
                 auto* const at = link.get();
                 return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};

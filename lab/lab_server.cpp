@@ -17,9 +17,9 @@
 #include <stdexcept>
 
 #include "lab/camera.hpp"
+#include "lab/clock_file.hpp"
 #include "lab/control.hpp"
 #include "lab/picture_server.hpp"
-#include "lab/shared_clock.hpp"
 #include "lab/sockets.hpp"
 
 namespace axon::lab {
@@ -62,7 +62,7 @@ class LabServer::Loop final : Control::Operator {
                 ::open(options_.truth_path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644));
             if (!truth_) failWithErrno("--truth " + options_.truth_path);
         }
-        if (!options_.clock_path.empty()) shared_clock_.emplace(options_.clock_path);
+        if (!options_.clock_path.empty()) clock_file_.emplace(options_.clock_path);
         // Robots whose ports were chosen by hand leave nothing to be expected of the others.
         const bool usual = options_.first_port == kFirstPort;
         const auto port = [usual](int first, std::size_t index) {
@@ -170,6 +170,7 @@ class LabServer::Loop final : Control::Operator {
                 keepPace();
             }
             answerSteps();
+            tellTime();  // also where time stands: the laboratory is not gone
             cameras_->offer(lab_.age(), keepUp());
         }
     }
@@ -237,7 +238,7 @@ class LabServer::Loop final : Control::Operator {
 
     void step() {
         lab_.step();
-        if (shared_clock_) shared_clock_->set(lab_.age());
+        tellTime();
         if (lab_.age() >= next_truth_) {
             next_truth_ = lab_.age() + kTruthPeriod - lab_.age() % kTruthPeriod;
             followTracks();
@@ -246,6 +247,10 @@ class LabServer::Loop final : Control::Operator {
         for (auto& link : robots_) {
             if (link.broken) drop(link);
         }
+    }
+
+    void tellTime() {
+        if (clock_file_) clock_file_->tell(lab_.age(), paused_ || pendingStep() ? 0 : speed_, clock_.now());
     }
 
     void noteLag() {
@@ -505,7 +510,7 @@ class LabServer::Loop final : Control::Operator {
     Duration next_truth_{};
     std::vector<std::optional<std::array<double, 4>>> told_objects_;
     std::vector<std::optional<CytonBody::Positions>> told_arms_;
-    std::optional<SharedClock> shared_clock_;
+    std::optional<ClockFile> clock_file_;
     std::vector<Track> tracks_;
 
     // The cameras' thread gives pictures to the server, the server's asks the cameras: the server stops

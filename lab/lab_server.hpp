@@ -42,7 +42,7 @@ class LabServer {
         double noise = 0;        ///< 1: as much as the real sensors have
         bool overview = false;   ///< streams the room from above
         bool pty = false;        ///< arms on pseudo-terminals instead of ports
-        std::string clock_path;  ///< not empty: the laboratory's time for other programs (SharedClock)
+        std::string clock_path;  ///< not empty: the laboratory's time for other programs (ClockFile)
     };
 
     LabServer(WorldDescription world, Options options);

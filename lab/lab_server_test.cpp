@@ -7,7 +7,6 @@
 #include <array>
 #include <atomic>
 #include <cmath>
-#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <mutex>
@@ -15,6 +14,7 @@
 #include <thread>
 
 #include "common/ids.hpp"
+#include "common/shared_clock.hpp"
 #include "robots/arcos/arcos_client.hpp"
 #include "tests/support/loopback.hpp"
 
@@ -257,14 +257,11 @@ TEST_F(WholeLab, TimePassesOnlyByStepsAndTheSameStepsGiveTheSameTruth) {
 TEST_F(WholeLab, OtherProgramsAreToldTheLaboratorysTime) {
     serveAll({.step = true, .clock_path = truth_path_});
     ControlLine control(server_->address("control"));
+    const SharedClock clock(truth_path_);
+    const auto begin = clock.now();
     control.ask(R"({"do":"step","ms":1500})");
-    std::ifstream file(truth_path_, std::ios::binary);
-    std::array<char, 16> page{};
-    file.read(page.data(), page.size());
-    EXPECT_EQ(std::string(page.data(), 8), "AXONCLK1");
-    std::int64_t nanoseconds = 0;
-    std::memcpy(&nanoseconds, page.data() + 8, sizeof nanoseconds);
-    EXPECT_EQ(nanoseconds, 1'500'000'000);
+    EXPECT_EQ(clock.now() - begin, milliseconds{1500});
+    EXPECT_EQ(clock.realTimeUntil(clock.now() + milliseconds{1}), SharedClock::kLongestWait) << "it stands";
 }
 
 TEST_F(WholeLab, TheHandsOfTheExperimenter) {

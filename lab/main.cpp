@@ -92,8 +92,9 @@ int main(int argc, char** argv) {
         ->check(CLI::Range(0.0, 10.0));
     app.add_flag("--view", options.overview, "Stream the room: http://127.0.0.1:8099/");
     app.add_flag("--pty", options.pty, "Arms on pseudo-terminals, as on serial lines");
-    app.add_option("--clock", options.clock_path,
-                   "Tell the laboratory's time in this file, for other programs");
+    app.add_option(
+        "--clock", options.clock_path,
+        "Tell the laboratory's time in this file; it becomes that of programs started with AXON_CLOCK=FILE");
     app.add_option("--truth", options.truth_path,
                    "Append where everything really is to this file, as JSON lines, every 100 ms");
     options.noise = 1;

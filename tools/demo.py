@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 
-from laboratory import Failed, Laboratory, wait_until
+from laboratory import FIRST_ROBOT_PORT, Failed, Laboratory, wait_until
 
 DEFAULT_PORTS = {"client": "127.0.0.1:10410", "client-signal": "127.0.0.1:10411",
                  "entity": "127.0.0.1:10412", "entity-signal": "127.0.0.1:10413"}
@@ -32,7 +32,7 @@ class Story:
     def __init__(self, options):
         self.options = options
         self.pictures = ROOT / "build" / "demo"
-        self.lab = Laboratory(options.bin, environment="cluster" if options.cluster else "embedded")
+        self.lab = Laboratory(options.bin, environment="cluster" if options.cluster else "embedded", speed=options.speed)
         self.steps = []
         self.bold, self.plain = ("\033[1m", "\033[0m") if sys.stdout.isatty() and not options.json else ("", "")
 
@@ -71,6 +71,7 @@ class Story:
     def start_laboratory(self):
         begin = time.monotonic()
         lab = self.lab
+        self.world = lab.start_world(port=FIRST_ROBOT_PORT if self.options.keep else 0)
         if self.options.cluster:
             lab.start_cluster(shape=() if self.options.keep else ("--base-port", 0))
             for program in lab.server.status["programs"]:
@@ -79,7 +80,7 @@ class Story:
             lab.start_server(DEFAULT_PORTS if self.options.keep else None)
             self.say(f"   axon-server           clients at {lab.at['client']}, entities at {lab.at['entity']}")
         shutil.copy(TRANSPORT, lab.services_folder)
-        self.world = lab.start_transport(self.options.keep)
+        lab.start_transport()
         for name in self.world.names:
             kind = "PeopleBot, speaks ARCOS" if name.startswith("PeopleBot") else "Cyton arm, an SSC-32"
             self.say(f"   {name:<21} a virtual {kind} at {self.world.at[name]}; its application and Entity Manager")
@@ -121,7 +122,7 @@ class Story:
         def stop_in_mid_drive():
             try:
                 wait_until(lambda: self.truth("PeopleBot")["speed_m_s"] > 0.3, "the robot drives", 20)
-                time.sleep(1.5)  # so that a person sees the progress bar
+                time.sleep(1.5 / (self.options.speed or 1))  # so that a person sees the progress bar
             except Failed as failure:
                 outcome["reason"] = str(failure)
             outcome["exit"], outcome["receipt"], _ = self.lab.axon("stop", "PeopleBot")
@@ -202,6 +203,7 @@ def main():
     parser.add_argument("--keep", action="store_true")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--cluster", action="store_true")
+    parser.add_argument("--speed", type=float, help="seconds of the laboratory, its robots and Axon in one second")
     story = Story(parser.parse_args())
     ok = False
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))

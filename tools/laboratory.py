@@ -12,6 +12,9 @@ import tempfile
 import time
 
 
+FIRST_ROBOT_PORT = 8101  # of axon-lab, as it is without --port
+
+
 class Failed(Exception):
     """Something did not do what it should; the text says what was expected and what came."""
 
@@ -140,9 +143,14 @@ class Laboratory:
 
     In the environment "cluster" (AXON_ENVIRONMENT) the server is a whole `axon-cluster`, clients and Entity Managers
     are told its routers, and nothing else is different for who uses this class.
+
+    With a `speed` the virtual laboratory goes that many times faster, and everything that is started here takes the
+    laboratory's time as its own (AXON_CLOCK): start_world() or start_robot() then comes first, once.
     """
 
-    def __init__(self, programs, application="peoplebot", ports="5500-8000", environment=None):
+    def __init__(self, programs, application="peoplebot", ports="5500-8000", environment=None, speed=None):
+        self.speed = speed
+        self.world = None
         self.environment = environment or os.environ.get("AXON_ENVIRONMENT") or "embedded"
         if self.environment not in ("embedded", "cluster"):
             raise Failed(f"AXON_ENVIRONMENT={self.environment}: expected embedded or cluster")
@@ -152,7 +160,7 @@ class Laboratory:
         self.application = application
         self.ports = ports
         self.env = dict(os.environ, XDG_RUNTIME_DIR=str(self.folder), XDG_STATE_HOME=str(self.folder / "state"))
-        for name in ("AXON_SERVER", "AXON_AGENT", "AXON_CONFIG"):
+        for name in ("AXON_SERVER", "AXON_AGENT", "AXON_CONFIG", "AXON_CLOCK"):
             self.env.pop(name, None)
         self.processes = []
 
@@ -163,6 +171,8 @@ class Laboratory:
 
     def start_server(self, fixed_ports=None, *more):
         """On free ports, or on those of an earlier start (a dict as addresses() returns); `more` options of axon-server."""
+        if self.speed and not self.world:
+            raise Failed("the server lives in the laboratory's time: start_world() or start_robot() comes first")
         if self.environment == "cluster":
             return self.start_cluster(*more)
         at = fixed_ports or {}
@@ -211,20 +221,33 @@ class Laboratory:
         config.write_text(lines)
         return ["--config", config, *options]
 
+    def start_world(self, *options, port=0, name="lab"):
+        """axon-lab with these options (of itself: the world of the transport). Returns the process, with .at: what listens
+        where."""
+        options = ["--port", port, *options]
+        if self.speed:
+            clock = self.folder / "clock"
+            options += ["--speed", self.speed, "--clock", clock]
+        world = self.start(f"{name}-{len(self.processes)}", "axon-lab", *options)
+        world.at = addresses(world.wait_for("ready "))
+        if self.speed:
+            self.env["AXON_CLOCK"] = str(clock)
+        self.world = world
+        return world
+
     def start_robot(self, port=0, name="lab"):
         """A virtual PeopleBot; returns the process, with .address and .truth_file."""
         truth = self.folder / f"{name}.truth"
-        lab = self.start(f"{name}-{len(self.processes)}", "axon-lab", "--world", "plain", "--noise", "0",
-                         "--port", str(port), "--truth", truth)
-        lab.address = next(iter(addresses(lab.wait_for("ready ")).values()))
+        lab = self.start_world("--world", "plain", "--noise", 0, "--truth", truth, port=port, name=name)
+        lab.address = next(iter(lab.at.values()))
         lab.truth_file = truth
         return lab
 
     def start_transport(self, fixed_ports=False, *options):
         """The laboratory of the transport (lab/worlds/transport.lab): two PeopleBots, two Cytons, their applications and
-        Entity Managers, the map uploaded nowhere yet. Returns the process of axon-lab, with .at: what listens where."""
-        world = self.start(f"lab-{len(self.processes)}", "axon-lab", *([] if fixed_ports else ["--port", "0"]), *options)
-        world.at = addresses(world.wait_for("ready "))
+        Entity Managers, the map uploaded nowhere yet. `options` are axon-lab's, where start_world() did not start it.
+        Returns its process."""
+        world = self.world or self.start_world(*options, port=FIRST_ROBOT_PORT if fixed_ports else 0)
         stand = {"PeopleBot": ("--at", "2400,2000,180"), "PeopleBot2": ("--at", "2400,4000,180"),
                  "Cyton": ("--at", "555,2000,660"), "Cyton2": ("--at", "555,4000,660")}
         for name, at in stand.items():

@@ -46,8 +46,11 @@ class EventDescriptor {
 
 class ArcosClient::Worker final : public ClientSession::Port {
   public:
-    Worker(StreamOpener open, Callbacks callbacks, Duration silence_limit)
-        : open_(std::move(open)), callbacks_(std::move(callbacks)), session_(*this, silence_limit) {}
+    Worker(StreamOpener open, Callbacks callbacks, Duration silence_limit, std::shared_ptr<const Clock> clock)
+        : open_(std::move(open)),
+          callbacks_(std::move(callbacks)),
+          clock_(std::move(clock)),
+          session_(*this, silence_limit) {}
 
     ~Worker() override { finish(); }
 
@@ -136,16 +139,16 @@ class ArcosClient::Worker final : public ClientSession::Port {
             link_ = std::move(stream);
             broken_ = false;
         }
-        session_.begin(clock_.now());
+        session_.begin(clock_->now());
         std::array<std::uint8_t, 2048> chunk;
         while (!quit_ && session_.state() != ClientSession::State::Closed) {
-            waitFor(fd, kTick);
+            waitFor(fd, clock_->realTimeUntil(clock_->now() + kTick));
             const int got = link_->read(chunk);
             if (got > 0)
-                session_.receive(std::span(chunk).first(static_cast<std::size_t>(got)), clock_.now());
+                session_.receive(std::span(chunk).first(static_cast<std::size_t>(got)), clock_->now());
             if (got < 0) session_.end("the robot closed the connection");
             if (broken_) session_.end("the connection to the robot does not take any more bytes");
-            session_.tick(clock_.now());
+            session_.tick(clock_->now());
         }
         session_.end("the program ends");
         const std::lock_guard lock(link_mutex_);
@@ -154,7 +157,7 @@ class ArcosClient::Worker final : public ClientSession::Port {
 
     void waitFor(int fd, Duration time) {
         std::array<pollfd, 2> waiting{pollfd{wake_.get(), POLLIN, 0}, pollfd{fd, POLLIN, 0}};
-        const auto ms = std::chrono::duration_cast<std::chrono::milliseconds>(time).count();
+        const auto ms = std::chrono::ceil<std::chrono::milliseconds>(time).count();
         ::poll(waiting.data(), fd < 0 ? 1 : 2, static_cast<int>(ms));
         if (waiting[0].revents != 0) wake_.lower();
     }
@@ -162,7 +165,7 @@ class ArcosClient::Worker final : public ClientSession::Port {
     // Constant after construction.
     const StreamOpener open_;
     const Callbacks callbacks_;
-    const SteadyClock clock_;
+    const std::shared_ptr<const Clock> clock_;
     const EventDescriptor wake_;
 
     // Confined to the worker's thread.
@@ -183,8 +186,10 @@ class ArcosClient::Worker final : public ClientSession::Port {
     std::thread thread_;
 };
 
-ArcosClient::ArcosClient(StreamOpener open, Callbacks callbacks, Duration silence_limit)
-    : worker_(std::make_unique<Worker>(std::move(open), std::move(callbacks), silence_limit)) {}
+ArcosClient::ArcosClient(StreamOpener open, Callbacks callbacks, Duration silence_limit,
+                         std::shared_ptr<const Clock> clock)
+    : worker_(
+          std::make_unique<Worker>(std::move(open), std::move(callbacks), silence_limit, std::move(clock))) {}
 ArcosClient::~ArcosClient() = default;
 void ArcosClient::start() {
     worker_->start();

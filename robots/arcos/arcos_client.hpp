@@ -28,9 +28,9 @@ class ArcosClient {
         std::function<void(const std::string& reason)> on_lost;  ///< also for each failed attempt to connect
     };
 
-    /// `silence_limit`: without a packet for so long the robot counts as lost.
-    ArcosClient(StreamOpener open, Callbacks callbacks,
-                Duration silence_limit = ClientSession::kSilenceLimit);
+    /// `silence_limit`: without a packet for so long, on `clock`, the robot counts as lost.
+    ArcosClient(StreamOpener open, Callbacks callbacks, Duration silence_limit = ClientSession::kSilenceLimit,
+                std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>());
     ~ArcosClient();
     ArcosClient(const ArcosClient&) = delete;
     ArcosClient& operator=(const ArcosClient&) = delete;

@@ -27,10 +27,11 @@ constexpr double kDemoSpeed_deg_s = 60;  // the profile's, for a link that does 
 constexpr double kControlSpeed_deg_s = 30;
 constexpr double kTolerance_deg = 0.01;
 
-EntityInterfacer::Options interfacerOptions(const Settings& settings) {
+EntityInterfacer::Options interfacerOptions(const Settings& settings, std::shared_ptr<const Clock> clock) {
     EntityInterfacer::Options options;
     options.application = settings.application;
     options.instance = settings.instance;
+    options.clock = std::move(clock);
     if (std::filesystem::exists(settings.ports)) {
         options.ports_file = settings.ports;
     } else if (!settings.ports.empty()) {
@@ -84,8 +85,9 @@ std::string controlObjection(const Task& task) {
 
 }  // namespace
 
-Application::Application(const Settings& settings)
-    : entity_(interfacerOptions(settings)),
+Application::Application(const Settings& settings, std::shared_ptr<const Clock> clock)
+    : clock_(std::move(clock)),
+      entity_(interfacerOptions(settings, clock_)),
       joints_stream_(entity_.stream("joints")),
       gripper_stream_(entity_.stream("gripper")) {
     const auto folder = profileFolder(settings);
@@ -110,11 +112,11 @@ Application::Application(const Settings& settings)
         std::move(open), std::move(channels),
         ssc32::Ssc32Client::Callbacks{
             .on_online = [this](const std::vector<int>& pulses) { onOnline(pulses); },
-            .on_pulses = [this](const std::vector<int>& pulses) { gate_->told(pulses, clock_.now()); },
+            .on_pulses = [this](const std::vector<int>& pulses) { gate_->told(pulses, clock_->now()); },
             .on_status = [this](bool moving) { onStatus(moving); },
             .on_lost = [this](const std::string& reason) { onLost(reason); },
         },
-        settings.silence_limit);
+        settings.silence_limit, clock_);
     arm_->start();
 }
 
@@ -183,7 +185,7 @@ void Application::control(Task& task) {
         return std::vector<Leg>{{"moving", Trajectory({from, target}, speed), 0.2}};
     };
     const bool done = perform(task, plan, [](std::size_t, const std::string&) {});
-    if (const auto present = gate_->present(clock_.now())) {
+    if (const auto present = gate_->present(clock_->now())) {
         std::vector<Value> angles;
         for (const double angle : present->joints) angles.emplace_back(std::round(degrees(angle) * 10) / 10);
         task.result("Joints", std::move(angles), "deg");
@@ -235,7 +237,7 @@ bool Application::perform(Task& task, const Planning& plan, const OnLeg& on_leg)
         return false;
     }
     // The arm is given back, and stands, however this ends.
-    const auto give_back = [this](ServoGate* gate) { gate->giveBack(clock_.now()); };
+    const auto give_back = [this](ServoGate* gate) { gate->giveBack(clock_->now()); };
     const std::unique_ptr<ServoGate, decltype(give_back)> back(gate_.get(), give_back);
     const auto from = findOut(task);
     if (!from) return false;
@@ -244,16 +246,16 @@ bool Application::perform(Task& task, const Planning& plan, const OnLeg& on_leg)
 }
 
 std::optional<Posture> Application::findOut(Task& task) {
-    if (auto present = gate_->present(clock_.now())) return present;
+    if (auto present = gate_->present(clock_->now())) return present;
     task.feedback("going home slowly: since the controller was switched on nobody knows where the arm is");
     Posture home;
     home.joints = kHome;
-    if (!gate_->command(home, kFirstHoming, clock_.now())) {
+    if (!gate_->command(home, kFirstHoming, clock_->now())) {
         tellLoss(task);
         return std::nullopt;
     }
     while (task.waitFor(kPeriod)) {
-        if (auto present = gate_->present(clock_.now())) return present;
+        if (auto present = gate_->present(clock_->now())) return present;
         if (!arm_->online()) {
             tellLoss(task);
             return std::nullopt;
@@ -264,10 +266,10 @@ std::optional<Posture> Application::findOut(Task& task) {
 
 bool Application::play(Task& task, std::vector<Leg> legs, const OnLeg& on_leg) {
     Playback playback(std::move(legs));
-    auto last = clock_.now();
+    auto last = clock_->now();
     std::optional<std::size_t> leg;
     for (int i = 0; task.waitFor(kPeriod); ++i) {
-        const auto now = clock_.now();
+        const auto now = clock_->now();
         // A machine that stands still for a while makes the motion longer, never faster.
         const auto passed = std::min<Duration>(now - last, kReachWithin);
         last = now;
@@ -292,9 +294,9 @@ void Application::tellLoss(Task& task) {
 }
 
 void Application::onStop() {
-    const bool told = gate_->stop(clock_.now());
+    const bool told = gate_->stop(clock_->now());
     // Frozen on a way that began nobody knows where: only the controller can tell where that was.
-    if (!gate_->present(clock_.now())) arm_->askPulses();
+    if (!gate_->present(clock_->now())) arm_->askPulses();
     if (!told) return;  // lost: nothing to tell, and its last move ends within kReachWithin
     // One status may have been on its way already, the second is about the time after the stop.
     standstill_after_ = statuses_ + 2;
@@ -303,10 +305,10 @@ void Application::onStop() {
 void Application::onOnline(const std::vector<int>& pulses_us) {
     was_online_ = true;
     last_loss_.clear();
-    gate_->told(pulses_us, clock_.now());
+    gate_->told(pulses_us, clock_->now());
     setServicesActive(true, "");
     entity_.sendInfoMsg(
-        gate_->present(clock_.now())
+        gate_->present(clock_->now())
             ? "connected to the arm's controller"
             : "connected to the arm's controller, which was just switched on: the first task goes "
               "home slowly first");
@@ -317,7 +319,7 @@ void Application::onStatus(bool moving) {
     auto waiting = standstill_after_.load();
     if (waiting != 0 && status >= waiting && !moving && standstill_after_.compare_exchange_strong(waiting, 0))
         entity_.standstill();
-    const auto present = gate_->present(clock_.now());
+    const auto present = gate_->present(clock_->now());
     if (!present) return;
     if (joints_stream_.wanted()) {
         std::vector<double> angles(kJoints);

@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include "common/shared_clock.hpp"
 #include "robots/cyton/pick_and_place.hpp"
 #include "robots/cyton/servo_gate.hpp"
 #include "robots/cyton/settings.hpp"
@@ -29,7 +30,8 @@ namespace axon::cyton {
 /// axon::Misconfiguration).
 class Application {
   public:
-    explicit Application(const Settings& settings);
+    explicit Application(const Settings& settings,
+                         std::shared_ptr<const Clock> clock = clockFromEnvironment());
     ~Application();
     Application(const Application&) = delete;
     Application& operator=(const Application&) = delete;
@@ -69,7 +71,7 @@ class Application {
     void setServicesActive(bool active, const std::string& reason);
 
     // Constant after construction.
-    const SteadyClock clock_;
+    const std::shared_ptr<const Clock> clock_;
     std::unique_ptr<TemporaryFile> renamed_profile_;
     EntityInterfacer entity_;
     Stream joints_stream_;

@@ -139,7 +139,7 @@ class Manager : public entity_manager::BackEndEvents {
         settings.manager = "test";
         // Not what is tested here; sanitizers are slow.
         settings.watchdog_busy = settings.watchdog_idle = milliseconds{2000};
-        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate_, random_, *this);
+        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate_, clock_, random_, *this);
         thread_ = std::thread([this] { context_.run(); });
         asio::post(strand_, [this] { link_->start(); });
     }
@@ -252,6 +252,7 @@ class Manager : public entity_manager::BackEndEvents {
     }
 
     entity_manager::StopGate gate_;
+    SteadyClock clock_;
     SystemRandom random_;
     asio::io_context context_;
     asio::executor_work_guard<asio::io_context::executor_type> work_{context_.get_executor()};

@@ -70,10 +70,11 @@ TableApproach::Request tableApproachRequest(const Task& task) {
     return request;
 }
 
-EntityInterfacer::Options interfacerOptions(const Settings& settings) {
+EntityInterfacer::Options interfacerOptions(const Settings& settings, std::shared_ptr<const Clock> clock) {
     EntityInterfacer::Options options;
     options.application = settings.application;
     options.instance = settings.instance;
+    options.clock = std::move(clock);
     if (std::filesystem::exists(settings.ports)) {
         options.ports_file = settings.ports;
     } else if (!settings.ports.empty()) {
@@ -99,8 +100,9 @@ std::string contentOf(const std::filesystem::path& file) {
 
 }  // namespace
 
-Application::Application(const Settings& settings)
-    : entity_(interfacerOptions(settings)),
+Application::Application(const Settings& settings, std::shared_ptr<const Clock> clock)
+    : clock_(std::move(clock)),
+      entity_(interfacerOptions(settings, clock_)),
       pose_stream_(entity_.stream("pose")),
       sonar_stream_(entity_.stream("sonar")),
       battery_stream_(entity_.stream("battery")),
@@ -141,7 +143,7 @@ Application::Application(const Settings& settings)
             .on_state = [this](const RobotState& robot) { onRobotState(robot); },
             .on_lost = [this](const std::string& reason) { onRobotLost(reason); },
         },
-        settings.robot_silence_limit);
+        settings.robot_silence_limit, clock_);
     robot_->start();
 }
 
@@ -194,7 +196,7 @@ void Application::offerDriving() {
     offer(
         kDriving, [](const Task& task) { return Driving::objection(drivingRequest(task)); },
         [this](Task& task) {
-            Driving motion(drivingRequest(task), robot_->state(), clock_.now());
+            Driving motion(drivingRequest(task), robot_->state(), clock_->now());
             perform(task, motion, [&] { task.result("Travelled", std::round(motion.travelled_mm()), "mm"); });
         });
 }
@@ -203,7 +205,7 @@ void Application::offerTurning() {
     offer(
         kTurning, [](const Task& task) { return Turning::objection(turningRequest(task)); },
         [this](Task& task) {
-            Turning motion(turningRequest(task), robot_->state(), clock_.now());
+            Turning motion(turningRequest(task), robot_->state(), clock_->now());
             perform(task, motion, [&] { task.result("Turned", std::round(motion.turned_deg() * 10) / 10, "deg"); });
         });
 }
@@ -212,7 +214,7 @@ void Application::offerWander() {
     offer(
         kWander, [](const Task& task) { return Wander::objection(wanderRequest(task)); },
         [this](Task& task) {
-            Wander motion(wanderRequest(task), wander_rules_, robot_->state(), clock_.now());
+            Wander motion(wanderRequest(task), wander_rules_, robot_->state(), clock_->now());
             perform(task, motion, [&] {
                 task.result("Travelled", std::round(motion.travelled_mm()), "mm");
                 task.result("Recoveries", static_cast<std::int64_t>(motion.recoveries()));
@@ -224,7 +226,7 @@ void Application::offerTableApproach() {
     offer(
         kTableApproach, [](const Task& task) { return TableApproach::objection(tableApproachRequest(task)); },
         [this](Task& task) {
-            TableApproach motion(tableApproachRequest(task), robot_->state(), clock_.now());
+            TableApproach motion(tableApproachRequest(task), robot_->state(), clock_->now());
             perform(task, motion, [&] { task.result("Travelled", std::round(motion.travelled_mm()), "mm"); });
         });
 }
@@ -296,7 +298,7 @@ void Application::navigate(Task& task) {
         const std::lock_guard lock(place_mutex_);
         return localisation_->estimate();
     };
-    Navigation motion(navigationRequest(task), plan, navigation_rules_, here, clock_.now());
+    Navigation motion(navigationRequest(task), plan, navigation_rules_, here, clock_->now());
     perform(task, motion, [&] {
         if (const auto news = motion.takeNews(); !news.empty()) task.feedback(news);
         const auto& pose = motion.estimate().pose;
@@ -326,10 +328,10 @@ void Application::perform(Task& task, Motion& motion, const std::function<void()
             resting = true;
             continue;
         }
-        if (std::exchange(resting, false)) motion.resume(clock_.now());
+        if (std::exchange(resting, false)) motion.resume(clock_->now());
         if (robot.online && robot.sequence == seen) continue;
         seen = robot.sequence;
-        const auto step = motion.step(robot, clock_.now());
+        const auto step = motion.step(robot, clock_->now());
         report();
         task.progress(step.progress);
         if (step.outcome == MotionStep::Outcome::Running) {

@@ -9,6 +9,7 @@
 #include <mutex>
 #include <optional>
 
+#include "common/shared_clock.hpp"
 #include "robots/arcos/arcos_client.hpp"
 #include "robots/peoplebot/drive_gate.hpp"
 #include "robots/peoplebot/grasp_services.hpp"
@@ -32,7 +33,8 @@ namespace axon::peoplebot {
 /// std::invalid_argument, axon::Misconfiguration, fuzzy::BadRules).
 class Application {
   public:
-    explicit Application(const Settings& settings);
+    explicit Application(const Settings& settings,
+                         std::shared_ptr<const Clock> clock = clockFromEnvironment());
     ~Application();
     Application(const Application&) = delete;
     Application& operator=(const Application&) = delete;
@@ -77,7 +79,7 @@ class Application {
     void publish(const arcos::RobotState& robot);
 
     // Constant after construction.
-    const SteadyClock clock_;
+    const std::shared_ptr<const Clock> clock_;
     std::unique_ptr<TemporaryFile> renamed_profile_;
     EntityInterfacer entity_;
     Stream pose_stream_;

@@ -22,8 +22,12 @@ constexpr int kLook_ms = 50;  // how long the end of the program may have to wai
 
 class CameraClient::Worker {
   public:
-    Worker(const std::string& address, Callbacks callbacks, bool wanted)
-        : open_(arcos::tcpStreams(address)), address_(address), callbacks_(std::move(callbacks)), wanted_(wanted) {
+    Worker(const std::string& address, Callbacks callbacks, bool wanted, std::shared_ptr<const Clock> clock)
+        : open_(arcos::tcpStreams(address)),
+          address_(address),
+          callbacks_(std::move(callbacks)),
+          clock_(std::move(clock)),
+          wanted_(wanted) {
         thread_ = std::thread([this] { run(); });
     }
     ~Worker() {
@@ -80,12 +84,12 @@ class CameraClient::Worker {
         if (!stream.write({reinterpret_cast<const std::uint8_t*>(request.data()), request.size()}))
             return "the camera at " + address_ + " does not take a request";
         reader_.reset();
-        auto heard = clock_.now();
+        auto heard = clock_->now();
         while (!quit_ && wanted_) {
             pollfd waiting{stream.descriptor(), POLLIN, 0};
             ::poll(&waiting, 1, kLook_ms);
             const int got = stream.read(chunk_);
-            const auto now = clock_.now();
+            const auto now = clock_->now();
             if (got < 0) return "the camera at " + address_ + " closed the connection";
             if (got == 0) {
                 if (now - heard > kSilenceLimit) return "the camera at " + address_ + " is silent";
@@ -116,7 +120,7 @@ class CameraClient::Worker {
     const arcos::StreamOpener open_;
     const std::string address_;
     const Callbacks callbacks_;
-    const SteadyClock clock_;
+    const std::shared_ptr<const Clock> clock_;
 
     // Confined to the worker's thread.
     PictureReader reader_;
@@ -132,8 +136,9 @@ class CameraClient::Worker {
     std::thread thread_;
 };
 
-CameraClient::CameraClient(const std::string& address, Callbacks callbacks, bool wanted)
-    : worker_(std::make_unique<Worker>(address, std::move(callbacks), wanted)) {}
+CameraClient::CameraClient(const std::string& address, Callbacks callbacks, bool wanted,
+                           std::shared_ptr<const Clock> clock)
+    : worker_(std::make_unique<Worker>(address, std::move(callbacks), wanted, std::move(clock))) {}
 CameraClient::~CameraClient() = default;
 void CameraClient::want(bool wanted) {
     worker_->want(wanted);

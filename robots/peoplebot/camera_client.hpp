@@ -25,7 +25,8 @@ class CameraClient {
         std::function<void(const std::string& reason)> on_lost{};  ///< also for each failed attempt to connect
     };
 
-    CameraClient(const std::string& address, Callbacks callbacks, bool wanted = true);
+    CameraClient(const std::string& address, Callbacks callbacks, bool wanted = true,
+                 std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>());
     ~CameraClient();
     CameraClient(const CameraClient&) = delete;
     CameraClient& operator=(const CameraClient&) = delete;

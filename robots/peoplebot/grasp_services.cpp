@@ -63,21 +63,22 @@ GraspServices::GraspServices(Parts parts, const std::string& camera)
       gripper_([this] { parts_.robot().gripper(GripperOrder::Halt); }),
       head_([this] { parts_.robot().command(Command::Tty2, vcc4::stop()); }) {
     if (camera.empty()) return;
-    camera_ = std::make_unique<CameraClient>(
-        camera,
-        CameraClient::Callbacks{
-            .on_picture =
-                [this](const std::shared_ptr<const CameraPicture>& picture) {
-                    camera_trouble_.clear();
-                    sendThumbnail(*picture);
-                },
-            .on_lost =
-                [this](const std::string& reason) {
-                    if (std::exchange(camera_trouble_, reason) == reason) return;  // told once
-                    parts_.entity.sendInfoMsg("no camera: " + reason);
-                },
-        },
-        false);
+    camera_ =
+        std::make_unique<CameraClient>(camera,
+                                       CameraClient::Callbacks{
+                                           .on_picture =
+                                               [this](const std::shared_ptr<const CameraPicture>& picture) {
+                                                   camera_trouble_.clear();
+                                                   sendThumbnail(*picture);
+                                               },
+                                           .on_lost =
+                                               [this](const std::string& reason) {
+                                                   if (std::exchange(camera_trouble_, reason) == reason)
+                                                       return;  // told once
+                                                   parts_.entity.sendInfoMsg("no camera: " + reason);
+                                               },
+                                       },
+                                       false, parts_.clock);
 }
 
 void GraspServices::offer(const std::function<void(const std::string&, Objection, Handler)>& offer) {
@@ -147,7 +148,7 @@ void GraspServices::operate(Task& task) {
         const auto robot = parts_.robot().state();
         if (robot.online && robot.sequence == seen) continue;
         seen = robot.sequence;
-        const auto step = operation.step(robot, parts_.clock.now());
+        const auto step = operation.step(robot, parts_.clock->now());
         for (const auto& command : step.commands) tell(command);
         task.progress(step.progress);
         if (step.outcome == Outcome::Running) continue;
@@ -188,7 +189,7 @@ void GraspServices::track(Task& task) {
     const Finally watching_back([&] { --watching_; });
 
     const auto request = trackingRequest(task);
-    Tracking tracking(request, {}, parts_.clock.now());
+    Tracking tracking(request, {}, parts_.clock->now());
     parts_.robot().command(Command::Enable, 1);
     CameraView view;
     std::uint64_t seen = 0;
@@ -202,7 +203,7 @@ void GraspServices::track(Task& task) {
         if (new_picture)
             view = {picture->sequence, picture->taken, picture->width, picture->height,
                     findBlobs(*picture, request.colour)};
-        const auto step = tracking.step(robot, view.sequence != 0 ? &view : nullptr, parts_.clock.now());
+        const auto step = tracking.step(robot, view.sequence != 0 ? &view : nullptr, parts_.clock->now());
         for (const auto& command : step.gripper) tell(command);
         if (step.look)
             head_.order([&] { return parts_.robot().command(Command::Tty2, vcc4::panTilt(*step.look)); });

@@ -24,7 +24,7 @@ class GraspServices {
   public:
     struct Parts {
         EntityInterfacer& entity;
-        const Clock& clock;
+        std::shared_ptr<const Clock> clock;
         DriveGate& drive;
         std::function<arcos::ArcosClient&()> robot;  ///< there from the first task on
     };

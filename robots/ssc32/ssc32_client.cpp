@@ -47,9 +47,10 @@ class EventDescriptor {
 class Ssc32Client::Worker final : public ClientSession::Port {
   public:
     Worker(arcos::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
-           Duration silence_limit)
+           Duration silence_limit, std::shared_ptr<const Clock> clock)
         : open_(std::move(open)),
           callbacks_(std::move(callbacks)),
+          clock_(std::move(clock)),
           session_(*this, std::move(channels), silence_limit) {}
 
     ~Worker() override {
@@ -132,17 +133,17 @@ class Ssc32Client::Worker final : public ClientSession::Port {
             link_ = std::move(stream);
             broken_ = false;
         }
-        session_.begin(clock_.now());
+        session_.begin(clock_->now());
         std::array<std::uint8_t, 256> chunk;
         while (!quit_ && session_.state() != ClientSession::State::Closed) {
-            waitFor(fd, kTick);
+            waitFor(fd, clock_->realTimeUntil(clock_->now() + kTick));
             const int got = link_->read(chunk);
             if (got > 0)
-                session_.receive(std::span(chunk).first(static_cast<std::size_t>(got)), clock_.now());
+                session_.receive(std::span(chunk).first(static_cast<std::size_t>(got)), clock_->now());
             if (got < 0) session_.end("the controller closed the connection");
             if (broken_) session_.end("the connection to the controller does not take any more bytes");
             if (pulses_wanted_.exchange(false)) session_.askPulses();
-            session_.tick(clock_.now());
+            session_.tick(clock_->now());
         }
         session_.end("the program ends");
         const std::lock_guard lock(link_mutex_);
@@ -151,7 +152,7 @@ class Ssc32Client::Worker final : public ClientSession::Port {
 
     void waitFor(int fd, Duration time) {
         std::array<pollfd, 2> waiting{pollfd{wake_.get(), POLLIN, 0}, pollfd{fd, POLLIN, 0}};
-        const auto ms = std::chrono::duration_cast<std::chrono::milliseconds>(time).count();
+        const auto ms = std::chrono::ceil<std::chrono::milliseconds>(time).count();
         ::poll(waiting.data(), fd < 0 ? 1 : 2, static_cast<int>(ms));
         if (waiting[0].revents != 0) wake_.lower();
     }
@@ -159,7 +160,7 @@ class Ssc32Client::Worker final : public ClientSession::Port {
     // Constant after construction.
     const arcos::StreamOpener open_;
     const Callbacks callbacks_;
-    const SteadyClock clock_;
+    const std::shared_ptr<const Clock> clock_;
     const EventDescriptor wake_;
 
     // Confined to the worker's thread.
@@ -178,9 +179,9 @@ class Ssc32Client::Worker final : public ClientSession::Port {
 };
 
 Ssc32Client::Ssc32Client(arcos::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
-                         Duration silence_limit)
+                         Duration silence_limit, std::shared_ptr<const Clock> clock)
     : worker_(std::make_unique<Worker>(std::move(open), std::move(channels), std::move(callbacks),
-                                       silence_limit)) {}
+                                       silence_limit, std::move(clock))) {}
 Ssc32Client::~Ssc32Client() = default;
 void Ssc32Client::start() {
     worker_->start();

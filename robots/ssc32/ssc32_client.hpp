@@ -27,7 +27,8 @@ class Ssc32Client {
     };
 
     Ssc32Client(arcos::StreamOpener open, std::vector<std::size_t> channels, Callbacks callbacks,
-                Duration silence_limit = ClientSession::kSilenceLimit);
+                Duration silence_limit = ClientSession::kSilenceLimit,
+                std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>());
     ~Ssc32Client();
     Ssc32Client(const Ssc32Client&) = delete;
     Ssc32Client& operator=(const Ssc32Client&) = delete;

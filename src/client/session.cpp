@@ -11,6 +11,8 @@
 
 #include "client/content.hpp"
 #include "client/log.hpp"
+#include "common/shared_clock.hpp"
+#include "common/waiting.hpp"
 #include "transport/communicator.hpp"
 #include "transport/routed_session.hpp"
 #include "transport/tls.hpp"
@@ -52,8 +54,9 @@ std::string userAtHost() {
 
 }  // namespace
 
-Client::Session::Session(Options options)
+Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
     : options_(std::move(options)),
+      time_(std::move(clock)),
       core_(settingsOf(options_), clock_, random_, *this, *this, marks_),
       desk_(clock_, *this, marks_) {}
 
@@ -1052,23 +1055,24 @@ Result<std::vector<DrillReport>> Client::Session::drill(const std::vector<std::s
 
 Result<Entity> Client::Session::waitFor(std::string_view name, Seconds time) const {
     mayWait();
-    const auto until = std::chrono::steady_clock::now() + toDuration(time);
+    const auto until = clock_.now() + toDuration(time);
     std::unique_lock lock(core_mutex_);
     while (true) {
+        const auto left = clock_.realTimeUntil(until);
         auto found = core_.find(name);
         if (found && found->state != EntityState::UNAV && found->state != EntityState::INIT &&
             found->state != EntityState::ERR) {
             return found;
         }
         if (!found && found.refusal().code == RefusalCode::AmbiguousEntity) return found;
-        if (closing_ || std::chrono::steady_clock::now() >= until) {
+        if (closing_ || left <= Duration::zero()) {
             if (!found) return found;
             return Refusal{RefusalCode::TimedOut,
                            found->name + " is still " + toString(found->state) +
                                (found->reason.empty() ? std::string(".") : ": " + found->reason),
                            {}};
         }
-        entities_changed_.wait_until(lock, until);
+        entities_changed_.wait_for(lock, left);
     }
 }
 
@@ -1112,7 +1116,13 @@ Client::~Client() {
 }
 
 Result<std::unique_ptr<Client>> Client::connect(Options options) {
-    auto session = std::make_shared<Session>(std::move(options));
+    std::shared_ptr<const Clock> clock;
+    try {
+        clock = clockFromEnvironment();
+    } catch (const std::exception& error) {
+        return Refusal{RefusalCode::Malformed, error.what(), {}};
+    }
+    auto session = std::make_shared<Session>(std::move(options), std::move(clock));
     const auto connected = session->connect();
     if (!connected) {
         session->close();
@@ -1277,11 +1287,15 @@ auto newest(Shared& shared) {
 
 template <class Shared>
 auto awaitEnd(Shared& shared, std::optional<Seconds> time) {
-    if (const auto session = shared.session.lock()) session->mayWait();
+    std::shared_ptr<const Clock> clock = std::make_shared<SteadyClock>();
+    if (const auto session = shared.session.lock()) {
+        session->mayWait();
+        clock = session->clock();
+    }
     std::unique_lock lock(shared.mutex);
     const auto over = [&] { return isFinal(shared.report.state); };
     if (time) {
-        shared.changed.wait_for(lock, std::chrono::nanoseconds(toDuration(*time)), over);
+        waitUntil(shared.changed, lock, *clock, clock->now() + toDuration(*time), over);
     } else {
         shared.changed.wait(lock, over);
     }

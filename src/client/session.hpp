@@ -93,10 +93,11 @@ class Client::Session final : public SessionObserver,
                               public ConnectionEvents,
                               public std::enable_shared_from_this<Client::Session> {
   public:
-    explicit Session(Options options);
+    Session(Options options, std::shared_ptr<const Clock> clock);
     ~Session() override;
 
     Result<void> connect();
+    const std::shared_ptr<const Clock>& clock() const { return time_; }
     void close();
 
     /// Who sends what a use of the core gave to send: the calling thread, when it is the user's, or the
@@ -241,7 +242,8 @@ class Client::Session final : public SessionObserver,
 
     // Constant after construction.
     const Options options_;
-    const SteadyClock clock_{};
+    const std::shared_ptr<const Clock> time_;
+    const Clock& clock_{*time_};
     SystemRandom random_;
     SignalMarks marks_;
 

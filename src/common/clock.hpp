@@ -5,16 +5,21 @@
 
 namespace axon {
 
-/// All of Axon counts time on one monotonic clock (CLOCK_MONOTONIC), never on the wall clock.
+/// All of Axon counts time on one monotonic clock, never on the wall clock: CLOCK_MONOTONIC, or in trials
+/// that of a virtual laboratory (shared_clock.hpp).
 using Duration = std::chrono::nanoseconds;
 using TimePoint = std::chrono::time_point<std::chrono::steady_clock, Duration>;
 
-/// Where a pure core gets its time from. Tests and simulations inject ManualClock; programs inject
-/// SteadyClock. Threads: now() may be called from any thread.
+/// Where a pure core gets its time from, and how long a thread waits for it. Tests and simulations inject
+/// ManualClock; programs inject SteadyClock, or what clockFromEnvironment() says. Threads: any.
 class Clock {
   public:
     virtual ~Clock() = default;
     virtual TimePoint now() const = 0;
+    /// How long a thread really waits (on CLOCK_MONOTONIC) before it looks again whether `deadline` has come;
+    /// zero or less once it has. Not longer than that takes, perhaps less: who waits asks again until now()
+    /// says so.
+    virtual Duration realTimeUntil(TimePoint deadline) const { return deadline - now(); }
 };
 
 class SteadyClock final : public Clock {

@@ -18,6 +18,7 @@
 #include <iostream>
 #include <utility>
 
+#include "common/shared_clock.hpp"
 #include "common/utf8.hpp"
 
 namespace axon {
@@ -39,10 +40,6 @@ constexpr std::size_t kNameMax = 255;
 constexpr std::size_t kNotesMax = 32;
 constexpr auto kOutOfDescriptors = 100ms;
 constexpr auto kStopAgain = 200ms;  // a stop callback that threw
-
-TimePoint now() {
-    return std::chrono::steady_clock::now();
-}
 
 std::int64_t nanoseconds(TimePoint t) {
     return t.time_since_epoch().count();
@@ -85,9 +82,18 @@ std::chrono::milliseconds watchdogFrom(std::uint32_t ms, std::chrono::millisecon
     throw Misconfiguration("axon: " + what);
 }
 
+std::shared_ptr<const Clock> clockOfProcess() {
+    try {
+        return clockFromEnvironment();
+    } catch (const std::exception& error) {
+        misconfigured(error.what());
+    }
+}
+
 }  // namespace
 
-Communicator::Communicator(EntityInterfacer::Options options) : options_(std::move(options)) {
+Communicator::Communicator(EntityInterfacer::Options options)
+    : options_(std::move(options)), clock_(options_.clock ? options_.clock : clockOfProcess()) {
     if (options_.application.empty() || options_.application.size() > kNameMax ||
         options_.instance.size() > kNameMax || validUtf8(options_.application) != options_.application ||
         validUtf8(options_.instance) != options_.instance)
@@ -295,7 +301,8 @@ void Communicator::stopThread() {
                                    pollfd{signal_link_ ? signal_link_->signalFd() : -1, POLLIN, 0}};
         int wait_ms = -1;
         if (owed_ && stop_failed_ && !level_.inside())  // whoever is inside wakes us
-            wait_ms = static_cast<int>(std::max<std::int64_t>((call_again_ - now()) / 1ms + 1, 0));
+            wait_ms =
+                static_cast<int>(std::max<std::int64_t>(clock_->realTimeUntil(call_again_) / 1ms + 1, 0));
         ::poll(wait.data(), wait.size(), wait_ms);
         if (signal_link_ && (wait[1].revents != 0 || signal_link_->lost())) readSignals(*signal_link_);
         if ((wait[0].revents & POLLIN) != 0) stop_wake_.drain();
@@ -315,7 +322,9 @@ void Communicator::stopThread() {
         }
         if (end_stop_thread_) {
             dispatchStop(StopSignal::Cause::Shutdown);
-            level_.waitUntil(now() + kLastWords, [this] { return !level_.inside(); });
+            // Really: a laboratory's time may stand.
+            const SteadyClock real;
+            level_.waitUntil(real, real.now() + kLastWords, [this] { return !level_.inside(); });
             if (owed_) callStop(*owed_);
             this_thread_of = nullptr;
             return;
@@ -486,7 +495,7 @@ void Communicator::watchThread() {
         }
         timespec timeout{};
         if (due != TimePoint::max()) {
-            const auto left = std::max<Duration>(due - now(), Duration::zero());
+            const auto left = std::max<Duration>(clock_->realTimeUntil(due), Duration::zero());
             timeout.tv_sec = left / 1s;
             timeout.tv_nsec = (left % 1s).count();
         }

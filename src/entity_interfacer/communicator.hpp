@@ -78,6 +78,7 @@ class Communicator {
     void quit();
     void shutdown();
 
+    TimePoint now() const { return clock_->now(); }
     bool linked() const;
     std::uint16_t port() const { return port_.load(); }
 
@@ -170,6 +171,7 @@ class Communicator {
 
     // Constant after start()
     EntityInterfacer::Options options_;
+    std::shared_ptr<const Clock> clock_;
     PortRange ports_;
     std::string address_;
     Callbacks callbacks_;
@@ -181,7 +183,7 @@ class Communicator {
     std::atomic<std::uint16_t> port_{0};
     std::mutex shutdown_mutex_;
 
-    StopLevel level_;
+    StopLevel level_{*clock_};
     WakeUp stop_wake_, watch_wake_, data_wake_, run_wake_;
     std::atomic<bool> quit_{false};
     std::atomic<bool> end_stop_thread_{false}, end_watch_thread_{false}, end_data_thread_{false};

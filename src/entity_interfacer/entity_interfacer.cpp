@@ -46,7 +46,7 @@ void sendSample(Stream::Channel& channel, proto::EiToEm& message, std::uint64_t 
     auto& sample = *message.mutable_sample();
     sample.set_stream(channel.name);
     sample.set_sequence(sequence);
-    sample.set_taken_at_us(toMicroseconds(SteadyClock{}.now()));
+    sample.set_taken_at_us(toMicroseconds(channel.communicator.now()));
     if (!channel.communicator.send(message, Link::Kind::Droppable))
         channel.communicator.log(
             LogLevel::Error,

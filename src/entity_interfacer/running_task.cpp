@@ -114,9 +114,9 @@ Task::Running::Running(const proto::TaskDispatch& dispatch, std::shared_ptr<Link
       service(dispatch.service()),
       generation(dispatch.stop_generation()),
       epoch(link->epoch),
-      start_by(dispatch.start_within_ms() == 0 ? std::chrono::steady_clock::time_point::max()
-                                               : std::chrono::steady_clock::now() +
-                                                     std::chrono::milliseconds{dispatch.start_within_ms()}),
+      start_by(dispatch.start_within_ms() == 0
+                   ? TimePoint::max()
+                   : level.clock().now() + std::chrono::milliseconds{dispatch.start_within_ms()}),
       link_(std::move(link)),
       level_(level) {
     for (const auto& param : dispatch.params()) parameters.push_back(fromProto(param));
@@ -162,11 +162,11 @@ bool Task::Running::waitWhilePaused() {
 }
 
 bool Task::Running::waitFor(std::chrono::nanoseconds time) {
-    return !level_.waitUntil(std::chrono::steady_clock::now() + time, [this] { return stopRequested(); });
+    return !level_.waitUntil(level_.clock().now() + time, [this] { return stopRequested(); });
 }
 
 std::optional<Refusal> Task::Running::waitForStart() {
-    level_.waitUntil(std::min(start_by, std::chrono::steady_clock::now() + kSettleTime), [this] {
+    level_.waitUntil(std::min(start_by, level_.clock().now() + kSettleTime), [this] {
         return stopRequested() || (level_.settled() && level_.announced() >= generation);
     });
     if (level_.stopped() > generation)
@@ -175,7 +175,7 @@ std::optional<Refusal> Task::Running::waitForStart() {
                        {}};
     if (cancelled_) return Refusal{RefusalCode::Cancelled, "cancelled before it began", {}};
     if (stopRequested()) return Refusal{RefusalCode::Stopped, "the robot application has stopped itself", {}};
-    if (std::chrono::steady_clock::now() >= start_by)
+    if (level_.clock().now() >= start_by)
         return Refusal{RefusalCode::Expired,
                        "its not_after passed before the robot application could begin; it was not started",
                        {}};

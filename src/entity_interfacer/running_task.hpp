@@ -32,7 +32,7 @@ class Task::Running {
     const std::string service;
     const std::uint32_t generation;
     const std::uint64_t epoch;
-    const std::chrono::steady_clock::time_point start_by;  ///< a handler does not begin later
+    const TimePoint start_by;  ///< a handler does not begin later
     std::vector<Parameter> parameters;
     std::vector<std::pair<std::string, std::string>> resources;  // name, path
 

@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <mutex>
 
+#include "common/waiting.hpp"
+
 namespace axon {
 
 /// The level that a stop raises, seen by every running task.
@@ -23,6 +25,9 @@ namespace axon {
 /// while a waiting task checks its condition, never during I/O or in user code.
 class StopLevel {
   public:
+    explicit StopLevel(const Clock& clock) : clock_(clock) {}
+
+    const Clock& clock() const { return clock_; }
     std::uint32_t announced() const { return announced_.load(std::memory_order_acquire); }
     std::uint32_t stopped() const { return stopped_.load(std::memory_order_acquire); }
     std::uint64_t epoch() const { return epoch_.load(std::memory_order_acquire); }
@@ -72,11 +77,16 @@ class StopLevel {
         change([] {});
     }
 
-    /// Until the condition holds or the time is up; returns the condition.
+    /// Until the condition holds or the clock says `end`; returns the condition.
     template <class Condition>
-    bool waitUntil(std::chrono::steady_clock::time_point end, Condition condition) {
+    bool waitUntil(TimePoint end, Condition condition) {
+        return waitUntil(clock_, end, condition);
+    }
+    /// The same by another clock.
+    template <class Condition>
+    bool waitUntil(const Clock& clock, TimePoint end, Condition condition) {
         std::unique_lock lock(mutex_);
-        return changed_.wait_until(lock, end, condition);
+        return axon::waitUntil(changed_, lock, clock, end, condition);
     }
     template <class Condition>
     void wait(Condition condition) {
@@ -94,6 +104,7 @@ class StopLevel {
         changed_.notify_all();
     }
 
+    const Clock& clock_;
     std::mutex mutex_;
     std::condition_variable changed_;
     std::atomic<std::uint32_t> announced_{0};

@@ -54,10 +54,6 @@ constexpr std::size_t kWriteAtOnce = 65'536;  // what the queue no longer has ca
 constexpr Duration kLastWords = 50ms;
 constexpr int kPriority = 6;  // SO_PRIORITY: the highest that needs no privilege
 
-TimePoint now() {
-    return std::chrono::steady_clock::now();
-}
-
 /// The signal connection for those who may not wait for the strand. A duplicate descriptor, so that it
 /// outlives the strand's own for as long as somebody is writing. Threads: any; no lock: one small send(2) is
 /// atomic.
@@ -89,10 +85,11 @@ class SignalSocket {
 class BackEndInterface::Connections : public std::enable_shared_from_this<Connections> {
   public:
     Connections(asio::any_io_executor strand, BackEndSettings settings, const StopGate& stop_gate,
-                RandomSource& random, BackEndEvents& events)
+                const Clock& clock, RandomSource& random, BackEndEvents& events)
         : strand_(std::move(strand)),
           settings_(std::move(settings)),
           stop_gate_(stop_gate),
+          clock_(clock),
           random_(random),
           events_(events),
           look_timer_(strand_),
@@ -177,6 +174,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
   private:
+    TimePoint now() const { return clock_.now(); }
+
     /// The connections of one link.
     struct Peer {
         Peer(tcp::socket signal_socket, FrameReader from_signal, tcp::socket data_socket,
@@ -570,9 +569,15 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         }
         auto next = time + watchdog_.timeout() / 5;
         if (watchdog_.deadline() > time) next = std::min(next, watchdog_.deadline());
-        beat_timer_.expires_at(std::chrono::steady_clock::time_point{next.time_since_epoch()});
-        beat_timer_.async_wait([self = shared_from_this(), peer](const asio::error_code& error) {
-            if (!error && self->peer_ == peer) self->onBeatTimer();
+        beatAt(next);
+    }
+
+    void beatAt(TimePoint due) {
+        beat_timer_.expires_after(clock_.realTimeUntil(due));
+        beat_timer_.async_wait([self = shared_from_this(), peer = peer_, due](const asio::error_code& error) {
+            if (error || self->peer_ != peer || peer->ending) return;
+            if (self->now() < due) return self->beatAt(due);
+            self->onBeatTimer();
         });
     }
 
@@ -598,6 +603,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     const asio::any_io_executor strand_;
     const BackEndSettings settings_;
     const StopGate& stop_gate_;
+    const Clock& clock_;
     RandomSource& random_;
     BackEndEvents& events_;
 
@@ -627,7 +633,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
 };
 
 BackEndInterface::BackEndInterface(asio::any_io_executor strand, BackEndSettings settings,
-                                   const StopGate& stop_gate, RandomSource& random, BackEndEvents& events) {
+                                   const StopGate& stop_gate, const Clock& clock, RandomSource& random,
+                                   BackEndEvents& events) {
     if (settings.application.empty() || settings.application.size() > 255)
         throw std::invalid_argument(
             "application: expected the name of the robot application, 1 to 255 characters: set it");
@@ -642,8 +649,8 @@ BackEndInterface::BackEndInterface(asio::any_io_executor strand, BackEndSettings
             "one, or allow others explicitly on a network you trust");
     const auto range = checkPortRange(settings.where.ports.first, settings.where.ports.last, "ports");
     if (!range) throw std::invalid_argument(range.refusal().message);
-    connections_ =
-        std::make_shared<Connections>(std::move(strand), std::move(settings), stop_gate, random, events);
+    connections_ = std::make_shared<Connections>(std::move(strand), std::move(settings), stop_gate, clock,
+                                                 random, events);
 }
 
 BackEndInterface::~BackEndInterface() {

@@ -59,7 +59,7 @@ class BackEndInterface final : public BackEndPort {
   public:
     /// Throws std::invalid_argument, with the mend, where the settings cannot work.
     BackEndInterface(asio::any_io_executor strand, BackEndSettings settings, const StopGate& stop_gate,
-                     RandomSource& random, BackEndEvents& events);
+                     const Clock& clock, RandomSource& random, BackEndEvents& events);
     ~BackEndInterface() override;
     BackEndInterface(const BackEndInterface&) = delete;
     BackEndInterface& operator=(const BackEndInterface&) = delete;

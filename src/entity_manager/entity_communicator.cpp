@@ -81,10 +81,11 @@ class EntityCallbackServant final : public EntityCallback {
 class EntityCommunicator::Connection : public std::enable_shared_from_this<Connection> {
   public:
     Connection(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice, ServerAddress address,
-               std::weak_ptr<ServerEvents> events)
+               const Clock& clock, std::weak_ptr<ServerEvents> events)
         : strand_(std::move(strand)),
           ice_(std::move(ice)),
           address_(std::move(address)),
+          clock_(clock),
           events_(std::move(events)),
           retry_(strand_),
           beat_(strand_),
@@ -424,10 +425,16 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
                 },
                 failure(attempt_, "sign of life"));
         });
-        beat_.expires_after(busy_ ? busy_period_ : idle_period_);
-        beat_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
-            if (cancelled) return;
-            if (const auto self = weak.lock()) self->keepAlive();
+        keepAliveAt(clock_.now() + (busy_ ? busy_period_ : idle_period_));
+    }
+
+    void keepAliveAt(TimePoint due) {
+        beat_.expires_after(clock_.realTimeUntil(due));
+        beat_.async_wait([weak = weak_from_this(), due](const asio::error_code& cancelled) {
+            const auto self = weak.lock();
+            if (cancelled || !self) return;
+            if (self->clock_.now() < due) return self->keepAliveAt(due);
+            self->keepAlive();
         });
     }
 
@@ -485,6 +492,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     const asio::any_io_executor strand_;
     const std::shared_ptr<ServerCommunicators> ice_;
     const ServerAddress address_;
+    const Clock& clock_;
     const std::weak_ptr<ServerEvents> events_;
 
     // Confined to the strand.
@@ -512,8 +520,10 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 };
 
 EntityCommunicator::EntityCommunicator(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice,
-                                       ServerAddress address, std::weak_ptr<ServerEvents> events)
-    : connection_(std::make_shared<Connection>(std::move(strand), std::move(ice), std::move(address), std::move(events))) {}
+                                       ServerAddress address, const Clock& clock,
+                                       std::weak_ptr<ServerEvents> events)
+    : connection_(std::make_shared<Connection>(std::move(strand), std::move(ice), std::move(address), clock,
+                                               std::move(events))) {}
 
 EntityCommunicator::~EntityCommunicator() { connection_->close(); }
 

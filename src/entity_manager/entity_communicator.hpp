@@ -61,8 +61,8 @@ class ServerEvents {
 /// not answered.
 class EntityCommunicator final : public ServerPort {
   public:
-    EntityCommunicator(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice, ServerAddress address,
-                       std::weak_ptr<ServerEvents> events);
+    EntityCommunicator(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice,
+                       ServerAddress address, const Clock& clock, std::weak_ptr<ServerEvents> events);
     ~EntityCommunicator() override;
 
     void wantConnection(bool wanted) override;

@@ -17,17 +17,23 @@ namespace {
 constexpr int kEventsPerTurn = 128;  // then other strands of the executor get a turn
 }
 
-EntityManager::EntityManager(asio::any_io_executor executor, std::string name)
-    : strand_(asio::make_strand(asio::any_io_executor(CallerFirst::over(std::move(executor))))), name_(std::move(name)), timer_(strand_) {}
+EntityManager::EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock)
+    : strand_(asio::make_strand(asio::any_io_executor(CallerFirst::over(std::move(executor))))),
+      name_(std::move(name)),
+      clock_(clock),
+      timer_(strand_) {}
 
 std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor executor,
                                                      std::shared_ptr<ServerCommunicators> ice,
                                                      CoreSettings settings, ServerAddress server,
-                                                     const BackEndFactory& back_end, Clock& clock, RandomSource& random,
-                                                     Storage& storage, ResourceStore& resources, Journal* journal) {
-    const std::shared_ptr<EntityManager> self(new EntityManager(std::move(executor), settings.application));
-    self->back_end_ = back_end(self->strand_, self->gate_, *self);
-    self->server_ = std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), std::move(server), self);
+                                                     const BackEndFactory& back_end, const Clock& clock,
+                                                     RandomSource& random, Storage& storage,
+                                                     ResourceStore& resources, Journal* journal) {
+    const std::shared_ptr<EntityManager> self(
+        new EntityManager(std::move(executor), settings.application, clock));
+    self->back_end_ = back_end(self->strand_, self->gate_, clock, *self);
+    self->server_ =
+        std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), std::move(server), clock, self);
     self->core_ = std::make_unique<EntityManagerCore>(std::move(settings), clock, random, *self->back_end_.port, *self->server_,
                                                       storage, resources, self->gate_, journal);
     // The store's thread must not be the one that drops the last reference.
@@ -49,8 +55,9 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
 EntityManager::~EntityManager() = default;
 
 EntityManager::BackEndFactory EntityManager::overTcp(BackEndSettings settings, RandomSource& random) {
-    return [settings = std::move(settings), &random](const Strand& strand, const StopGate& gate, BackEndEvents& events) {
-        auto link = std::make_unique<BackEndInterface>(strand, settings, gate, random, events);
+    return [settings = std::move(settings), &random](const Strand& strand, const StopGate& gate,
+                                                     const Clock& clock, BackEndEvents& events) {
+        auto link = std::make_unique<BackEndInterface>(strand, settings, gate, clock, random, events);
         auto* const at = link.get();
         return BackEnd{std::move(link), [at] { at->start(); }, [at] { at->close(); }};
     };
@@ -274,7 +281,7 @@ void EntityManager::armTimer() {
         timer_.cancel();
         return;
     }
-    timer_.expires_at(deadline);
+    timer_.expires_after(clock_.realTimeUntil(deadline));
     timer_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
         if (cancelled) return;
         const auto self = weak.lock();

@@ -37,16 +37,18 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
         std::unique_ptr<BackEndPort> port;
         std::function<void()> start, close;
     };
-    using BackEndFactory = std::function<BackEnd(const Strand&, const StopGate&, BackEndEvents&)>;
+    using BackEndFactory =
+        std::function<BackEnd(const Strand&, const StopGate&, const Clock&, BackEndEvents&)>;
     /// The one over TCP.
     static BackEndFactory overTcp(BackEndSettings settings, RandomSource& random);
 
     /// The executor's threads run the strand; it and all references must outlive the object.
     static std::shared_ptr<EntityManager> create(asio::any_io_executor executor,
-                                                 std::shared_ptr<ServerCommunicators> ice, CoreSettings settings,
-                                                 ServerAddress server, const BackEndFactory& back_end, Clock& clock,
-                                                 RandomSource& random, Storage& storage, ResourceStore& resources,
-                                                 Journal* journal = nullptr);
+                                                 std::shared_ptr<ServerCommunicators> ice,
+                                                 CoreSettings settings, ServerAddress server,
+                                                 const BackEndFactory& back_end, const Clock& clock,
+                                                 RandomSource& random, Storage& storage,
+                                                 ResourceStore& resources, Journal* journal = nullptr);
     ~EntityManager() override;
 
     /// Before start(): stops may arrive as datagrams too, once there is a session with the server. Costs a thread.
@@ -75,7 +77,7 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     void undeliverable(Lane lane, Header head, const Refusal& refusal) override;
 
   private:
-    EntityManager(asio::any_io_executor executor, std::string name);
+    EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock);
 
     // BackEndEvents, on the strand.
     void onLinkUp() override;
@@ -98,6 +100,7 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
 
     Strand strand_;
     const std::string name_;
+    const Clock& clock_;
     Inbox inbox_;
     std::mutex stop_mutex_;  // of the two signal threads: stops reach robot and inbox in the order of their
                              // generations

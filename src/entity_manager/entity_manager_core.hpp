@@ -58,7 +58,7 @@ struct CoreCounters {
 class EntityManagerCore {
   public:
     /// Without a journal a task id is known for this life only.
-    EntityManagerCore(CoreSettings settings, Clock& clock, RandomSource& random, BackEndPort& back_end,
+    EntityManagerCore(CoreSettings settings, const Clock& clock, RandomSource& random, BackEndPort& back_end,
                       ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate,
                       Journal* journal = nullptr);
     ~EntityManagerCore();

@@ -114,7 +114,7 @@ Event eventOf(const proto::ToEntity& message) {
 
 }  // namespace
 
-EntityManagerCore::Machine::Machine(CoreSettings settings, Clock& clock, RandomSource& random,
+EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, RandomSource& random,
                                     BackEndPort& back_end, ServerPort& server, Storage& storage,
                                     ResourceStore& resources, StopGate& stop_gate, Journal* journal)
     : settings_(std::move(settings)),

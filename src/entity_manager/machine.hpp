@@ -36,7 +36,7 @@ namespace axon::entity_manager {
 /// machine_collaboration.cpp what it does with other entities.
 class EntityManagerCore::Machine {
   public:
-    Machine(CoreSettings settings, Clock& clock, RandomSource& random, BackEndPort& back_end,
+    Machine(CoreSettings settings, const Clock& clock, RandomSource& random, BackEndPort& back_end,
             ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate,
             Journal* journal);
 
@@ -364,7 +364,7 @@ class EntityManagerCore::Machine {
     const Sender* holder() const { return lease_.held() ? &lease_.held()->holder : nullptr; }
 
     const CoreSettings settings_;
-    Clock& clock_;
+    const Clock& clock_;
     RandomSource& random_;
     BackEndPort& back_end_;
     ServerPort& server_;

@@ -7,6 +7,7 @@
 #include <future>
 #include <iostream>
 
+#include "common/shared_clock.hpp"
 #include "entity_manager/daemon_options.hpp"
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/file_journal.hpp"
@@ -30,7 +31,8 @@ int main(int argc, char** argv) {
         transport::logToStderr(options.log_level);
         if (options.lock_memory) transport::lockMemory();
 
-        SteadyClock clock;
+        const auto time = clockFromEnvironment();
+        const Clock& clock = *time;
         SystemRandom random;
         FileStorage storage(options.state_folder);
         FileResourceStore resources(options.state_folder);

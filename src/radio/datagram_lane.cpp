@@ -95,9 +95,7 @@ void DatagramLane::run() {
     pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);
     while (!ending_) {
         const auto next = due_ ? due_(*this) : TimePoint::max();
-        const auto now = clock_.now();
-        const auto wait =
-            next == TimePoint::max() ? kLongestWait : std::clamp<Duration>(next - now, 0ns, kLongestWait);
+        const auto wait = std::clamp<Duration>(clock_.realTimeUntil(next), 0ns, kLongestWait);
         const auto seconds = std::chrono::duration_cast<std::chrono::seconds>(wait);
         const timespec time{static_cast<time_t>(seconds.count()),
                             static_cast<long>((wait - seconds).count())};

@@ -10,8 +10,8 @@
 #include <stdexcept>
 #include <utility>
 
-#include "common/clock.hpp"
 #include "common/ids.hpp"
+#include "common/shared_clock.hpp"
 #include "entity_server/entity_server.hpp"
 #include "front_end_server/front_end_server.hpp"
 #include "global_services/services_folder.hpp"
@@ -339,7 +339,8 @@ class Server::Parts {
         if (front_end) front_end->publishTo(entity_servers);
     }
 
-    SteadyClock clock;
+    const std::shared_ptr<const Clock> time = clockFromEnvironment();
+    const Clock& clock = *time;
     SystemRandom random;
     LoginDesk logins;
     Ice::CommunicatorHolder data;

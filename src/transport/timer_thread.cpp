@@ -4,6 +4,7 @@
 #include <pthread.h>
 #include <sched.h>
 
+#include "common/waiting.hpp"
 #include "transport/communicator.hpp"
 
 namespace axon::transport {
@@ -44,12 +45,10 @@ void TimerThread::run() {
     }
     while (true) {
         const auto due = tick_();
-        // A duration, and wait_until on the steady clock: the injected clock only says how long.
-        const auto ahead = due - clock_.now();
-        const auto now = std::chrono::steady_clock::now();
         std::unique_lock lock(mutex_);
-        changed_.wait_until(lock, now + pause_, [this] { return stopping_; });
-        changed_.wait_until(lock, now + ahead, [this] { return woken_ || stopping_; });
+        // The pause spares the processor, so it is one of the machine's time, whatever the clock counts.
+        changed_.wait_for(lock, pause_, [this] { return stopping_; });
+        waitUntil(changed_, lock, clock_, due, [this] { return woken_ || stopping_; });
         if (stopping_) return;
         woken_ = false;
     }

@@ -163,7 +163,8 @@ class DatagramsTest : public ::testing::Test {
             executor_.get_executor(), std::make_shared<entity_manager::ServerCommunicators>(1, 1), core,
             {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
              "", ""},
-            [&](const EntityManager::Strand& strand, const entity_manager::StopGate&, BackEndEvents& events) {
+            [&](const EntityManager::Strand& strand, const entity_manager::StopGate&, const Clock&,
+                BackEndEvents& events) {
                 auto application = std::make_unique<Application>(strand, events, stops_);
                 auto* const its = application.get();
                 return EntityManager::BackEnd{std::move(application), [its] { its->start(); }, [] {}};

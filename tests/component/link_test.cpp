@@ -63,7 +63,7 @@ class Manager : public BackEndEvents {
         settings.manager = "test " + application;
         settings.watchdog_busy = busy * kSlow;
         settings.watchdog_idle = idle * kSlow;
-        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate, random_, *this);
+        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate, clock_, random_, *this);
         thread_ = std::thread([this] { context_.run(); });
         started_at = Clock::now();
         post([this] { link_->start(); });
@@ -189,6 +189,7 @@ class Manager : public BackEndEvents {
     asio::io_context context_;
     asio::executor_work_guard<asio::io_context::executor_type> work_;
     asio::strand<asio::io_context::executor_type> strand_;
+    SteadyClock clock_;
     SystemRandom random_;
     std::unique_ptr<BackEndInterface> link_;
     std::mutex mutex_;

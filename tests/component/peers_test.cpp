@@ -30,7 +30,8 @@ class Peer final : public entity_manager::ServerEvents, public std::enable_share
     }
     void start(const std::shared_ptr<entity_manager::ServerCommunicators>& ice, std::uint16_t port) {
         way_ = std::make_unique<EntityCommunicator>(
-            strand_, ice, entity_manager::ServerAddress{loopbackAddress(), port, name_, ""}, weak_from_this());
+            strand_, ice, entity_manager::ServerAddress{loopbackAddress(), port, name_, ""}, clock_,
+            weak_from_this());
         asio::post(strand_, [this] { way_->wantConnection(true); });
     }
     void send(Lane lane, const std::string& to, const std::string& text) {

@@ -101,6 +101,7 @@ struct Image {
     std::string pixels;    ///< bytes; a whole sample is at most 1 MiB
 };
 
+class Clock;
 class Communicator;
 
 /// A named stream of samples to whoever watches. Cheap to copy; valid as long as its EntityInterfacer lives.
@@ -220,6 +221,10 @@ class AXON_EI_API EntityInterfacer {
         bool beyond_loopback = false;       ///< the link has no authentication: only for networks you trust
         bool watch_profiles = true;         ///< upload the profiles again when their files change
         std::function<void(LogLevel, const std::string&)> logger{};  ///< any thread; none = standard error
+        /// What beats, watchdogs and waiting tasks count by (axon's common/clock.hpp); none = the time of
+        /// this machine, or in trials that of the virtual laboratory whose file the variable AXON_CLOCK
+        /// names.
+        std::shared_ptr<const Clock> clock{};
     };
     using TaskHandler = std::function<void(Task&)>;
 
