@@ -567,16 +567,16 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 if (!self->closed_) self->events_.onLinkSlow(text);
             });
         }
-        auto next = time + watchdog_.timeout() / 5;
-        if (watchdog_.deadline() > time) next = std::min(next, watchdog_.deadline());
-        beatAt(next);
+        beat_due_ = time + watchdog_.timeout() / 5;
+        if (watchdog_.deadline() > time) beat_due_ = std::min(beat_due_, watchdog_.deadline());
+        awaitBeat();
     }
 
-    void beatAt(TimePoint due) {
-        beat_timer_.expires_after(clock_.realTimeUntil(due));
-        beat_timer_.async_wait([self = shared_from_this(), peer = peer_, due](const asio::error_code& error) {
+    void awaitBeat() {
+        beat_timer_.expires_after(clock_.realTimeUntil(beat_due_));
+        beat_timer_.async_wait([self = shared_from_this(), peer = peer_](const asio::error_code& error) {
             if (error || self->peer_ != peer || peer->ending) return;
-            if (self->now() < due) return self->beatAt(due);
+            if (self->now() < self->beat_due_) return self->awaitBeat();
             self->onBeatTimer();
         });
     }
@@ -627,6 +627,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     Watchdog watchdog_;
     LifeSigns signs_;
     LifeSigns::Gap told_;  // by the application: what it heard of us
+    TimePoint beat_due_{};
     TimePoint warn_again_{};
     std::uint64_t beat_sequence_ = 0;
     std::uint32_t gate_seen_ = 0;

@@ -425,15 +425,16 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
                 },
                 failure(attempt_, "sign of life"));
         });
-        keepAliveAt(clock_.now() + (busy_ ? busy_period_ : idle_period_));
+        beat_due_ = clock_.now() + (busy_ ? busy_period_ : idle_period_);
+        awaitBeat();
     }
 
-    void keepAliveAt(TimePoint due) {
-        beat_.expires_after(clock_.realTimeUntil(due));
-        beat_.async_wait([weak = weak_from_this(), due](const asio::error_code& cancelled) {
+    void awaitBeat() {
+        beat_.expires_after(clock_.realTimeUntil(beat_due_));
+        beat_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
             const auto self = weak.lock();
             if (cancelled || !self) return;
-            if (self->clock_.now() < due) return self->keepAliveAt(due);
+            if (self->clock_.now() < self->beat_due_) return self->awaitBeat();
             self->keepAlive();
         });
     }
@@ -498,6 +499,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     // Confined to the strand.
     asio::steady_timer retry_;
     asio::steady_timer beat_;
+    TimePoint beat_due_{};
     const std::shared_ptr<EntityCallbackServant> data_servant_, signal_servant_;
     std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;

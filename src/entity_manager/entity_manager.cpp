@@ -281,11 +281,16 @@ void EntityManager::armTimer() {
         timer_.cancel();
         return;
     }
-    timer_.expires_after(clock_.realTimeUntil(deadline));
+    awaitArmed();
+}
+
+void EntityManager::awaitArmed() {
+    timer_.expires_after(clock_.realTimeUntil(armed_));
     timer_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
         if (cancelled) return;
         const auto self = weak.lock();
-        if (!self || self->stopped_) return;
+        if (!self || self->stopped_ || self->armed_ == TimePoint::max()) return;
+        if (self->clock_.now() < self->armed_) return self->awaitArmed();
         self->armed_ = TimePoint::max();
         self->hearServer();
         self->core_->onTimer();

@@ -97,6 +97,7 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     void hearServer();
     void afterEvents();
     void armTimer();
+    void awaitArmed();
 
     Strand strand_;
     const std::string name_;
