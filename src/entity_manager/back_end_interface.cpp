@@ -567,16 +567,18 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 if (!self->closed_) self->events_.onLinkSlow(text);
             });
         }
-        beat_due_ = time + watchdog_.timeout() / 5;
-        if (watchdog_.deadline() > time) beat_due_ = std::min(beat_due_, watchdog_.deadline());
-        awaitBeat();
+        auto next = time + watchdog_.timeout() / 5;
+        if (watchdog_.deadline() > time) next = std::min(next, watchdog_.deadline());
+        beatAt(next);
     }
 
-    void awaitBeat() {
-        beat_timer_.expires_after(clock_.realTimeUntil(beat_due_));
+    void beatAt(TimePoint due) {
+        beat_due_ = due;
+        beat_timer_.expires_after(clock_.realTimeUntil(due));
         beat_timer_.async_wait([self = shared_from_this(), peer = peer_](const asio::error_code& error) {
             if (error || self->peer_ != peer || peer->ending) return;
-            if (self->now() < self->beat_due_) return self->awaitBeat();
+            // As it is now: who was under way already when the beat was brought forward must not put it off again.
+            if (self->now() < self->beat_due_) return self->beatAt(self->beat_due_);
             self->onBeatTimer();
         });
     }
@@ -616,6 +618,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     // Confined to the strand
     bool started_ = false, closed_ = false, linking_ = false;
     asio::steady_timer look_timer_, beat_timer_;
+    TimePoint beat_due_{};
     std::deque<std::uint16_t> ports_;
     std::map<std::uint16_t, TimePoint> pass_over_;
     std::set<std::shared_ptr<Handshake>> handshakes_;
@@ -627,7 +630,6 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     Watchdog watchdog_;
     LifeSigns signs_;
     LifeSigns::Gap told_;  // by the application: what it heard of us
-    TimePoint beat_due_{};
     TimePoint warn_again_{};
     std::uint64_t beat_sequence_ = 0;
     std::uint32_t gate_seen_ = 0;

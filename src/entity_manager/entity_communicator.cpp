@@ -425,16 +425,17 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
                 },
                 failure(attempt_, "sign of life"));
         });
-        beat_due_ = clock_.now() + (busy_ ? busy_period_ : idle_period_);
-        awaitBeat();
+        keepAliveAt(clock_.now() + (busy_ ? busy_period_ : idle_period_));
     }
 
-    void awaitBeat() {
-        beat_.expires_after(clock_.realTimeUntil(beat_due_));
+    void keepAliveAt(TimePoint due) {
+        beat_due_ = due;
+        beat_.expires_after(clock_.realTimeUntil(due));
         beat_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
             const auto self = weak.lock();
             if (cancelled || !self) return;
-            if (self->clock_.now() < self->beat_due_) return self->awaitBeat();
+            // As it is now: who was under way already when the beat was brought forward must not put it off again.
+            if (self->clock_.now() < self->beat_due_) return self->keepAliveAt(self->beat_due_);
             self->keepAlive();
         });
     }
