@@ -290,6 +290,7 @@ void EntityManager::awaitArmed() {
         if (cancelled) return;
         const auto self = weak.lock();
         if (!self || self->stopped_ || self->armed_ == TimePoint::max()) return;
+        // The clock's time has not come, or an event has armed it anew when this was under way already.
         if (self->clock_.now() < self->armed_) return self->awaitArmed();
         self->armed_ = TimePoint::max();
         self->hearServer();
