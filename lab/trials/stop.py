@@ -12,12 +12,14 @@ DECELERATION_M_S2 = 0.6
 DECELERATION_DEG_S2 = 100.0
 # A servo has no deceleration that could be set: its arm swings out.
 ARM_S = 0.3
+# Below this it stands: the tall body rocks on its casters for half a second after it has stopped, by some millimetres.
+ROCKING_M_S = 0.03
 # The robot hears of it in its next cycle of 8 ms, and the truth is read every 8 ms.
 SLACK_S = 0.08
 
 
 def robot_moves(now, end):
-    return (abs(now["speed_m_s"]) > 0.02 or abs(now["rotation_deg_s"]) > 1.5 or abs(now["lift_mm"] - end["lift_mm"]) > 0.5 or
+    return (abs(now["speed_m_s"]) > ROCKING_M_S or abs(now["rotation_deg_s"]) > 1.5 or abs(now["lift_mm"] - end["lift_mm"]) > 0.5 or
             abs(now["opening_mm"] - end["opening_mm"]) > 1)
 
 

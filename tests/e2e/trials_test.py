@@ -21,7 +21,7 @@ class TrialsTest(unittest.TestCase):
         self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
 
     def trials(self, *words):
-        done = subprocess.run([BIN / "axon-lab-trials", "--folder", self.folder / "run", "--speed", "3", *words], stdin=subprocess.DEVNULL,
+        done = subprocess.run([BIN / "axon-lab-trials", "--folder", self.folder / "run", *words], stdin=subprocess.DEVNULL,
                               capture_output=True, text=True, timeout=500, check=False)
         return done.returncode, done.stdout, done.stderr
 
