@@ -152,7 +152,7 @@ def start_on_map(trial, world):
     """One of the worlds with a map, by the seed; the PeopleBot stands a little beside where it is told to stand."""
     text, name = trial.world_text(world), "PeopleBot"
     line = next(line for line in text.splitlines() if line.startswith(f"peoplebot name={name} "))
-    told = {key: float(value) for key, value in (word.split("=") for word in line.split()[2:])} | {}
+    told = {key: float(value) for key, value in (word.split("=") for word in line.split()[2:])}
     x, y, theta = told["x"], told["y"], told.get("theta", 0)
     really = (x + trial.random.uniform(-0.1, 0.1), y + trial.random.uniform(-0.1, 0.1), theta + trial.random.uniform(-6, 6))
     text = text.replace(line, f"peoplebot name={name} x={really[0]:.4f} y={really[1]:.4f} theta={really[2]:.2f}")
