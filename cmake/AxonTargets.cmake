@@ -68,6 +68,9 @@ function(axon_test name)
   if(NOT T_TIMEOUT)
     set(T_TIMEOUT 120)
   endif()
+  if(launcher) # for all its repeats
+    math(EXPR T_TIMEOUT "${T_TIMEOUT} * 3")
+  endif()
   if(AXON_SANITIZE) # an instrumented program is five to fifteen times slower
     math(EXPR T_TIMEOUT "${T_TIMEOUT} * 5")
   endif()

@@ -29,6 +29,7 @@ constexpr Duration kTick = std::chrono::milliseconds{8};          // of the wall
 constexpr Duration kShortestTick = std::chrono::milliseconds{1};  // when time goes fast
 constexpr Duration kTruthPeriod = std::chrono::milliseconds{100};  // of the world
 constexpr Duration kLongestLag = std::chrono::milliseconds{250};   // of the world; more is given up
+constexpr double kStepRate = 100;  // told while a step is carried out as fast as the physics can
 constexpr Duration kStepSlice = std::chrono::milliseconds{20};  // of the world between two looks at clients
 constexpr std::size_t kLongestRequest = 64 * 1024;
 constexpr std::size_t kMostControlClients = 16;
@@ -250,7 +251,8 @@ class LabServer::Loop final : Control::Operator {
     }
 
     void tellTime() {
-        if (clock_file_) clock_file_->tell(lab_.age(), paused_ || pendingStep() ? 0 : speed_, clock_.now());
+        const double rate = pendingStep() ? kStepRate : paused_ ? 0 : speed_;
+        if (clock_file_) clock_file_->tell(lab_.age(), rate, clock_.now());
     }
 
     void noteLag() {

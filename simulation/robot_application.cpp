@@ -59,6 +59,7 @@ struct RobotApplication::Link {
 };
 
 struct RobotApplication::Life {
+    explicit Life(const Clock& clock) : level(clock) {}
     StopLevel level;
     std::optional<Link> link;
     int in_callback = 0;
@@ -84,7 +85,7 @@ std::size_t RobotApplication::tasks() const {
 
 void RobotApplication::start() {
     process_.start();
-    life_ = std::make_unique<Life>();
+    life_ = std::make_unique<Life>(process_);
 }
 
 void RobotApplication::kill() {

@@ -5,6 +5,8 @@ import contextlib
 import importlib.machinery
 import importlib.util
 import io
+import signal
+import subprocess
 import sys
 import tempfile
 import unittest
@@ -41,10 +43,10 @@ class TreeCase(unittest.TestCase):
 class UnlessStalled(TreeCase):
     """A command that leaves a mark each time, and succeeds from the third on."""
 
-    def run_beside(self, longest, stolen=0.0):
+    def run_beside(self, longest, code=7):
         class Host:
             def __enter__(self):
-                self.longest, self.stolen = longest, stolen
+                self.longest = longest
                 return self
 
             def __exit__(self, *_):
@@ -52,7 +54,8 @@ class UnlessStalled(TreeCase):
         marks = self.root / "marks"
         marks.write_text("", encoding="utf-8")
         with contextlib.redirect_stdout(io.StringIO()):
-            code = unless_stalled.main(["sh", "-c", 'echo >>"$0"; [ $(wc -l <"$0") -ge 3 ] || exit 7', str(marks)], Host)
+            code = unless_stalled.main(
+                ["sh", "-c", f'echo >>"$0"; [ $(wc -l <"$0") -ge 3 ] || exit {code}', str(marks)], Host)
         return code, len(marks.read_text(encoding="utf-8"))
 
     def test_a_failure_stands(self):
@@ -60,18 +63,23 @@ class UnlessStalled(TreeCase):
 
     def test_beside_a_stall_it_is_run_again(self):
         self.assertEqual(self.run_beside(0.2), (0, 3))
-        self.assertEqual(self.run_beside(0.0, stolen=0.3), (0, 3))
+
+    def test_but_not_what_a_sanitizer_found(self):
+        self.assertEqual(self.run_beside(0.2, code=66), (66, 1))
+
+    def test_nor_after_a_death_which_it_dies_too(self):
+        done = subprocess.run([unless_stalled.__file__, "sh", "-c", "kill -SEGV $$"], check=False)
+        self.assertEqual(done.returncode, -signal.SIGSEGV)
 
     def test_but_not_for_ever(self):
         with contextlib.redirect_stdout(io.StringIO()):
             self.assertEqual(unless_stalled.main(["false"], lambda: contextlib.nullcontext(
-                type("Host", (), {"longest": 1.0, "stolen": 0.0}))), 1)
+                type("Host", (), {"longest": 1.0}))), 1)
 
     def test_the_probe_sees_what_a_thread_waits(self):
         with unless_stalled.Probe() as probe:
             pass
         self.assertGreaterEqual(probe.longest, 0.0)
-        self.assertTrue(0.0 <= probe.stolen <= 1.0)
 
 
 class Invariants(TreeCase):

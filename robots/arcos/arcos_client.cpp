@@ -157,7 +157,8 @@ class ArcosClient::Worker final : public ClientSession::Port {
 
     void waitFor(int fd, Duration time) {
         std::array<pollfd, 2> waiting{pollfd{wake_.get(), POLLIN, 0}, pollfd{fd, POLLIN, 0}};
-        const auto ms = std::chrono::ceil<std::chrono::milliseconds>(time).count();
+        // Less than none is for ever to poll(2).
+        const auto ms = std::max<std::int64_t>(0, std::chrono::ceil<std::chrono::milliseconds>(time).count());
         ::poll(waiting.data(), fd < 0 ? 1 : 2, static_cast<int>(ms));
         if (waiting[0].revents != 0) wake_.lower();
     }

@@ -17,8 +17,8 @@ constexpr Duration kAskedLongest = std::chrono::seconds{630};
 /// What is waited for is looked at this often, should a status have been missed.
 constexpr Duration kParkedLook = std::chrono::seconds{5};
 /// An entity that has left is back within this, or its lease is lost: its Entity Manager has ended. A router or server that
-/// is started anew has its entities back within 1.6 s (faults/cluster_faults.py); given up before, they would be
-/// nobody's until the grace ends.
+/// is started anew has its entities back within 1.6 s, as was measured with
+/// faults/cluster_faults.py; given up before, they would be nobody's until the grace ends.
 constexpr Duration kLeftPatience = std::chrono::milliseconds{2500};
 
 LeaseNumber numberOf(const proto::Lease& lease) {

@@ -581,6 +581,14 @@ TEST_F(CheckOutsTest, AnEntityThatLeavesHasAMomentToComeBack) {
     EXPECT_EQ(core.task(task)->state, TaskState::Unknown);
 }
 
+TEST_F(CheckOutsTest, TheServerIsNotExpectedToBeatFastForAnEntityThatHasLeft) {
+    take("Cyton", 1, 5s);
+    status(3, EntityState::BUSY, kMe, {1, 1});
+    EXPECT_LE(core.serverDeadline(), clock.now() + 1s);
+    core.onProfile(Presence::Left, {uuid(3), "Cyton"}, {});
+    EXPECT_GT(core.serverDeadline(), clock.now() + 5s) << "the connection would be given up after a second";
+}
+
 TEST_F(CheckOutsTest, AServerThatEndsTakesItsEntitiesWithItAndTheLeaseIsStillResumed) {
     const auto held = take("Cyton", 1, 5s);
     core.onProfile(Presence::Left, {uuid(3), "Cyton"}, {});

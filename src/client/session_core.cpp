@@ -295,6 +295,7 @@ void SessionCore::onProfile(Presence presence, const Registration& registration,
         names_.remove(id);
         marks_.forget(id);
         countMoving(id);
+        pace();  // the server beats slowly again
         if (announced) observer_.onEntity(Presence::Left, facts);
         return;
     }

@@ -141,9 +141,7 @@ Collaboration::Collaboration(proto::CollaborationRequest request, std::string se
       random_(random),
       pace_(pace),
       launched_(now),
-      members_(static_cast<std::size_t>(request_.participants_size())),
-      beat_every_(pace.watchdog / kBeatsPerWatchdog),
-      beat_at_(now) {
+      members_(static_cast<std::size_t>(request_.participants_size())) {
     std::map<std::int32_t, std::size_t> roles;
     for (int i = 0; i < request_.participants_size(); ++i)
         roles.emplace(request_.participants(i).role(), static_cast<std::size_t>(i));
@@ -362,8 +360,8 @@ void Collaboration::answered(std::size_t participant, const proto::InvitationAns
     if (member.stage != Member::Stage::Invited) return;
     member.stage = Member::Stage::In;
     member.stop_generation = answer.stop_generation();
-    beat_every_ = std::min(beat_every_, beatPeriod(pace_.watchdog, answer.watchdog_ms()));
-    beat_at_ = std::min(beat_at_, now + beat_every_);
+    member.beat_every = beatPeriod(pace_.watchdog, answer.watchdog_ms());
+    member.beat_at = now;
     if (answer.problems_size() > 0 || request_.check_only()) member.stage = Member::Stage::Out;  // it has not joined
     for (auto found : answer.problems()) {
         found.set_entity(this->participant(participant).name());
@@ -703,21 +701,22 @@ void Collaboration::onTimer(TimePoint now) {
                  {RefusalCode::TimedOut, titled(step, what + inMilliseconds(pace_.end_within) + '.'), {}});
         return;
     }
-    if (now >= beat_at_) {
-        beat_at_ = now + beat_every_;
-        ++beat_;
-        for (std::size_t i = 0; i < members_.size(); ++i)
-            if (!isSelf(i) && members_[i].stage == Member::Stage::In) send(i).mutable_beat()->set_sequence(beat_);
+    for (std::size_t i = 0; i < members_.size(); ++i) {
+        auto& member = members_[i];
+        if (isSelf(i) || member.stage != Member::Stage::In || now < member.beat_at) continue;
+        member.beat_at = now + member.beat_every;
+        send(i).mutable_beat()->set_sequence(++beat_);
     }
 }
 
 TimePoint Collaboration::nextDeadline() const {
     if (over()) return TimePoint::max();
-    auto next = beat_at_;
+    auto next = TimePoint::max();
     for (std::size_t i = 0; i < members_.size(); ++i) {
         if (isSelf(i)) continue;
         if (members_[i].stage == Member::Stage::Invited) next = std::min(next, launched_ + pace_.answer_within);
-        if (members_[i].stage == Member::Stage::In) next = std::min(next, members_[i].heard + pace_.watchdog);
+        if (members_[i].stage == Member::Stage::In)
+            next = std::min({next, members_[i].heard + pace_.watchdog, members_[i].beat_at});
     }
     for (const auto& step : steps_)
         if (step.active() && !step.heard) next = std::min(next, step.answer_until);

@@ -30,8 +30,8 @@ proto::Problem andMore(int count);
 
 /// Times that a master keeps.
 struct Pace {
-    /// A participant that is silent for so long is lost; a beat goes to each five times in it, or in a participant's
-    /// own if that is shorter.
+    /// A participant that is silent for so long is lost; a beat goes to it five times in that, or in its own if that is
+    /// shorter.
     Duration watchdog = std::chrono::milliseconds{250};
     /// For the answer to an invitation, and for the first word about a step that was ordered.
     Duration answer_within = std::chrono::seconds{5};
@@ -95,7 +95,7 @@ class Collaboration {
     bool over() const { return state_ >= proto::RUN_SUCCEEDED; }
     proto::RunState state() const { return state_; }
     const std::string& id() const { return request_.run_id(); }
-    Duration beatEvery() const { return beat_every_; }
+    Duration beatEvery(std::size_t participant) const { return members_[participant].beat_every; }
     const proto::CollaborationRequest& request() const { return request_; }
     const proto::Participant& participant(std::size_t index) const {
         return request_.participants(static_cast<int>(index));
@@ -133,6 +133,8 @@ class Collaboration {
         Stage stage = Stage::Invited;
         std::uint32_t stop_generation = 0;
         TimePoint heard{};
+        Duration beat_every{};
+        TimePoint beat_at{};
         TimePoint begin_until{};  ///< of a compensation: while none of its steps runs
     };
 
@@ -179,8 +181,6 @@ class Collaboration {
     proto::RunState outcome_ = proto::RUN_UNSPECIFIED;  ///< of what is stopping or compensating
     bool compensates_ = false;                          ///< once all that runs has ended
     TimePoint end_until_{};
-    Duration beat_every_{};
-    TimePoint beat_at_{};
     TimePoint event_at_{};  ///< not before this, of steps alone
     std::uint64_t beat_ = 0;
     std::optional<TimePoint> ended_;

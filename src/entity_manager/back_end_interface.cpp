@@ -573,10 +573,12 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
     void beatAt(TimePoint due) {
+        beat_due_ = due;
         beat_timer_.expires_after(clock_.realTimeUntil(due));
-        beat_timer_.async_wait([self = shared_from_this(), peer = peer_, due](const asio::error_code& error) {
+        beat_timer_.async_wait([self = shared_from_this(), peer = peer_](const asio::error_code& error) {
             if (error || self->peer_ != peer || peer->ending) return;
-            if (self->now() < due) return self->beatAt(due);
+            // As it is now: who was under way already when the beat was brought forward must not put it off again.
+            if (self->now() < self->beat_due_) return self->beatAt(self->beat_due_);
             self->onBeatTimer();
         });
     }
@@ -616,6 +618,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     // Confined to the strand
     bool started_ = false, closed_ = false, linking_ = false;
     asio::steady_timer look_timer_, beat_timer_;
+    TimePoint beat_due_{};
     std::deque<std::uint16_t> ports_;
     std::map<std::uint16_t, TimePoint> pass_over_;
     std::set<std::shared_ptr<Handshake>> handshakes_;

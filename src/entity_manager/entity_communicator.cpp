@@ -429,11 +429,13 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     }
 
     void keepAliveAt(TimePoint due) {
+        beat_due_ = due;
         beat_.expires_after(clock_.realTimeUntil(due));
-        beat_.async_wait([weak = weak_from_this(), due](const asio::error_code& cancelled) {
+        beat_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
             const auto self = weak.lock();
             if (cancelled || !self) return;
-            if (self->clock_.now() < due) return self->keepAliveAt(due);
+            // As it is now: who was under way already when the beat was brought forward must not put it off again.
+            if (self->clock_.now() < self->beat_due_) return self->keepAliveAt(self->beat_due_);
             self->keepAlive();
         });
     }
@@ -498,6 +500,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
     // Confined to the strand.
     asio::steady_timer retry_;
     asio::steady_timer beat_;
+    TimePoint beat_due_{};
     const std::shared_ptr<EntityCallbackServant> data_servant_, signal_servant_;
     std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;

@@ -556,6 +556,37 @@ TEST_F(Held, AnUploadIsCreditedAndDoneForWhatTheDiskHasTaken) {
     EXPECT_EQ(rig.to_application.back().resource().size(), content.size());
 }
 
+TEST_F(Held, AnUploadThatIsGoneOnWithBeginsWhenTheDiskHasWhatCameBefore) {
+    for (const bool whole : {false, true}) {
+        const std::string content(200'000, whole ? 'm' : 'n');
+        const std::size_t sent = whole ? content.size() : 150'000;
+        rig.send("client1", mapOffer(content));
+        rig.resources.behind = 1;
+        for (std::size_t at = 0; at < sent; at += 50'000) rig.send("client1", mapChunk(content, at, 50'000));
+        rig.send("client1", mapChunk(content, 0, 0));  // given up
+        rig.resources.behind = 50'000;
+        auto again = mapOffer(content);
+        again.mutable_resource_offer()->set_transfer_id(idOf(whole ? "y" : "z"));
+        const auto messages = rig.to_clients.size();
+        const auto application = rig.to_application.size();
+        rig.send("client1", again);
+        EXPECT_EQ(rig.to_clients.size(), messages) << "neither credit nor an end while something waits";
+        EXPECT_EQ(rig.to_application.size(), application);
+        rig.resources.behind = 0;
+        rig.core().onResourcesWritten();
+        if (whole) {
+            ASSERT_TRUE(rig.to_application.back().has_resource());
+            EXPECT_EQ(rig.to_application.back().resource().size(), content.size());
+        } else {
+            ASSERT_TRUE(rig.to_clients.back().message.has_resource_credit());
+            EXPECT_EQ(rig.to_clients.back().message.resource_credit().offset(), sent);
+            auto last = mapChunk(content, sent, 0);
+            last.mutable_resource_chunk()->set_transfer_id(idOf("z"));
+            rig.send("client1", last);  // given up again
+        }
+    }
+}
+
 TEST_F(Held, AnUploadEndsWithTheReasonWhenTheDiskTakesNoMore) {
     const std::string content(200'000, 'm');
     rig.send("client1", mapOffer(content));

@@ -255,6 +255,23 @@ TEST_F(Folder, WhatGoesWithItsHolderWhileItIsBeingWrittenIsDeletedToo) {
     EXPECT_EQ(store.begin(offer("t2", 3, kAbc)).value(), 0U);
 }
 
+TEST_F(Folder, GivenUpAndGoneOnWithAgainAndAgainItIsWhole) {
+    FileResourceStore store(folder);
+    constexpr std::uint64_t kParts = 300;
+    std::uint64_t at = 0;
+    for (; at < kParts; ++at) {
+        const auto id = "t" + std::to_string(at);
+        ASSERT_EQ(store.begin(offer(id, kParts + 1, kAbc)).value(), at);
+        ASSERT_TRUE(store.write(id, at, "x").ok());
+        store.suspend(id);
+    }
+    ASSERT_EQ(store.begin(offer("last", kParts + 1, kAbc)).value(), at);
+    ASSERT_TRUE(store.write("last", at, "x").ok());
+    ASSERT_TRUE(arrives(store, "last"));
+    EXPECT_EQ(store.finish("last").refusal().code, RefusalCode::HashMismatch) << "of 301 x, not of abc";
+    EXPECT_TRUE(fs::is_empty(folder / "incoming"));
+}
+
 TEST_F(Folder, ATransferThatIsNotKnownIsRefused) {
     FileResourceStore store(folder);
     EXPECT_EQ(store.write("no", 0, "x").refusal().code, RefusalCode::UnknownResource);

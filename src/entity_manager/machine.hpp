@@ -327,7 +327,7 @@ class EntityManagerCore::Machine {
     void expireCollaboration();
     /// When the silence of the master stops this entity.
     TimePoint masterLostAt() const;
-    void bidFarewell(const std::string& entity, const proto::FromMaster& end);
+    void bidFarewell(const std::string& entity, const proto::FromMaster& end, Duration beat_every);
     void repeatFarewells();
     void sendToPeer(Lane lane, const std::string& entity, const char* type, const proto::ToEntity& message);
     void sendRawToPartner(proto::LinkRaw& raw);

@@ -129,7 +129,8 @@ void EntityManagerCore::Machine::attendRun() {
                                 (message.from_master().has_end() && message.from_master().end().stop());
             const auto& to = run_->participant(order.participant).entity();
             sendToPeer(urgent ? Lane::Signal : Lane::Data, to, kMsgCollaboration, message);
-            if (message.from_master().has_end()) bidFarewell(to, message.from_master());
+            if (message.from_master().has_end())
+                bidFarewell(to, message.from_master(), run_->beatEvery(order.participant));
         }
     }
     attending_ = false;
@@ -415,9 +416,10 @@ void EntityManagerCore::Machine::tellStep(OpenStep& step, proto::TaskEvent& even
     const auto now = clock_.now();
     if (event.state() == proto::TASK_RUNNING && !step.began) step.began = now;
     if (step.held) {
+        // Each event says all that is known, or nothing, of these.
         if (event.progress() < 0) event.set_progress(step.held->progress());
-        step.held->MergeFrom(event);
-        event.Swap(&*step.held);
+        if (event.feedback().empty()) event.set_feedback(step.held->feedback());
+        if (event.results().empty()) event.mutable_results()->Swap(step.held->mutable_results());
         step.held.reset();
     } else {
         step.due = now + kReportPeriod;
@@ -489,12 +491,13 @@ TimePoint EntityManagerCore::Machine::masterLostAt() const {
 
 /// An end waits with the data before it, and a stop's may find no room. Beats, or the stop again, until it is answered:
 /// a participant that has finished must not miss its master.
-void EntityManagerCore::Machine::bidFarewell(const std::string& entity, const proto::FromMaster& end) {
+void EntityManagerCore::Machine::bidFarewell(const std::string& entity, const proto::FromMaster& end,
+                                             Duration beat_every) {
     if (farewells_.size() == kFarewells) return;
     Farewell farewell{.entity = entity};
     const auto now = clock_.now();
     const auto watchdog = settings_.server_watchdog_busy;
-    farewell.every = run_->beatEvery();
+    farewell.every = beat_every;
     farewell.again = now + farewell.every;
     // Who does not hear a stop misses the beats.
     farewell.until = now + (end.end().stop() ? 2 * watchdog : collaboration::Pace{}.answer_within);

@@ -55,9 +55,8 @@ Result<UploadDesk::Progress> UploadDesk::offer(const proto::ResourceOffer& offer
     upload.service = service;
     upload.resource = resource;
     upload.received = std::min(here.value(), offer.size());
-    upload.credited = upload.received + window_;
-    if (upload.received == offer.size()) return Progress{upload.received, 0, true};
-    return Progress{upload.received, window_, false};
+    upload.credited = upload.received;
+    return advance(offer.transfer_id(), upload);
 }
 
 Result<UploadDesk::Progress> UploadDesk::chunk(const proto::ResourceChunk& chunk) {
@@ -101,11 +100,13 @@ Result<UploadDesk::Progress> UploadDesk::advance(const std::string& transfer_id,
         end(id);
         return waiting.refusal();
     }
-    const auto written = upload.received - waiting.value();
-    if (written == upload.offer.size()) return Progress{written, 0, true};
+    const auto written = upload.received - std::min(waiting.value(), upload.received);
+    if (waiting.value() > 0 && !upload.begun) return Progress{written, 0, false};
+    if (waiting.value() == 0 && written == upload.offer.size()) return Progress{written, 0, true};
     // New credit when half of the old is used: few reverse messages, and the client need not pause.
-    if (upload.credited - written > window_ / 2 || upload.received == upload.offer.size())
+    if (upload.begun && (upload.credited - written > window_ / 2 || upload.received == upload.offer.size()))
         return Progress{written, 0, false};
+    upload.begun = true;
     upload.credited = written + window_;
     return Progress{written, window_, false};
 }
@@ -133,6 +134,7 @@ const UploadDesk::Upload* UploadDesk::find(std::string_view transfer_id) const {
 Result<std::string> UploadDesk::finish(std::string_view transfer_id) {
     const std::string id(transfer_id);
     auto path = store_.finish(id);
+    if (!path) store_.suspend(id);
     end(id);
     return path;
 }

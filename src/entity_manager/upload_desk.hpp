@@ -18,7 +18,8 @@ namespace axon::entity_manager {
 /// The resources that are on their way from clients into the store: windows, order, completeness.
 ///
 /// Where in the flow: an offer and then chunks in order; what the client may send ahead is bounded by
-/// credits, which are given for what is written: behind a slow disk no more waits than the window. Threads: the core's strand. Bounded: at most kMaxUploads at once (OVERLOADED), chunks of at most
+/// credits, which are given for what is written: behind a slow disk no more waits than the window. One that is gone on
+/// with begins when the disk has what came before. Threads: the core's strand. Bounded: at most kMaxUploads at once (OVERLOADED), chunks of at most
 /// kMaxChunk bytes, a window per upload. Failure: any broken rule ends that upload, keeping what has arrived
 /// for a later offer of the same content; a hash that differs deletes it.
 class UploadDesk {
@@ -33,6 +34,7 @@ class UploadDesk {
         int resource = 0;
         std::uint64_t received = 0;
         std::uint64_t credited = 0;  ///< the client may send up to here
+        bool begun = false;          ///< it has been told where to begin: once nothing waits that came before
     };
     /// What an accepted offer or chunk leads to.
     struct Progress {
