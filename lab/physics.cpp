@@ -212,7 +212,8 @@ class Physics::Model {
                 .speed_m_s = velocity[0] * std::cos(theta) + velocity[1] * std::sin(theta),
                 .rotation_deg_s = velocity[5] / kDegree,
                 .lift_mm = data_->qpos[body.lift.position] * 1000,
-                .opening_mm = (data_->qpos[body.left_paddle.position] + data_->qpos[body.right_paddle.position]) * 1000,
+                .opening_mm =
+                    (data_->qpos[body.left_paddle.position] + data_->qpos[body.right_paddle.position]) * 1000,
                 .touched = body.touched};
     }
 
