@@ -23,6 +23,4 @@ endif()
 if(AXON_LAB)
   install(TARGETS axon-lab axon-peoplebot axon-cyton RUNTIME COMPONENT Programs)
   install(DIRECTORY "${PROJECT_BINARY_DIR}/share/axon/" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT Programs)
-  install(FILES "${PROJECT_SOURCE_DIR}/lab/globalservices/transport.xml" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon/lab/globalservices"
-    COMPONENT Programs)
 endif()

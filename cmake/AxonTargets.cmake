@@ -29,6 +29,24 @@ function(axon_program name)
   target_link_libraries(${name} PRIVATE axon_options ${P_LINK})
 endfunction()
 
+# axon_python_program(axon-cluster MODULES cluster/__main__.py cluster/cluster.py)
+# Python modules packed into one executable file, in the build tree as where it is installed.
+function(axon_python_program name)
+  cmake_parse_arguments(P "" "" "MODULES" ${ARGN})
+  find_package(Python3 REQUIRED COMPONENTS Interpreter)
+  list(TRANSFORM P_MODULES PREPEND "${CMAKE_CURRENT_SOURCE_DIR}/")
+  set(stage "${CMAKE_CURRENT_BINARY_DIR}/${name}.modules")
+  set(program "${CMAKE_RUNTIME_OUTPUT_DIRECTORY}/${name}")
+  add_custom_command(OUTPUT "${program}"
+    COMMAND "${CMAKE_COMMAND}" -E rm -rf "${stage}"
+    COMMAND "${CMAKE_COMMAND}" -E make_directory "${stage}" "${CMAKE_RUNTIME_OUTPUT_DIRECTORY}"
+    COMMAND "${CMAKE_COMMAND}" -E copy ${P_MODULES} "${stage}"
+    COMMAND Python3::Interpreter -m zipapp --python "/usr/bin/env python3" --output "${program}" "${stage}"
+    DEPENDS ${P_MODULES} VERBATIM COMMENT "Packing ${name}")
+  add_custom_target(${name} ALL DEPENDS "${program}")
+  install(PROGRAMS "${program}" DESTINATION "${CMAKE_INSTALL_BINDIR}" COMPONENT Programs)
+endfunction()
+
 # axon_test(common_test LABEL unit SOURCES a_test.cpp LINK axon_common)
 # Labels are the levels of docs: unit, scenario, property, component, fuzz, physics, e2e, install. Physics are robots in a
 # world of MuJoCo for simulated minutes.

@@ -118,6 +118,8 @@ Json truthOf(const Laboratory& laboratory, const WorldDescription& world) {
                                    {"theta_deg", rounded(t.theta_deg, 2)},
                                    {"speed_m_s", rounded(t.speed_m_s, 4)},
                                    {"rotation_deg_s", rounded(t.rotation_deg_s, 2)},
+                                   {"lift_mm", rounded(t.lift_mm, 2)},
+                                   {"opening_mm", rounded(t.opening_mm, 2)},
                                    {"touched", t.touched}});
     }
     for (std::size_t i = 0; i < world.arms.size(); ++i) {

@@ -578,7 +578,7 @@ std::string mjcf(const WorldDescription& described) {
     const double bottom = world.room_bottom;
     std::string xml = R"(<mujoco model="axon-lab">
 <compiler angle="degree" eulerseq="xyz"/>
-<option timestep="0.004"/>
+<option timestep="0.004"><flag multiccd="enable"/></option>
 <size nconmax="300" njmax="1200"/>
 <statistic extent="1"/>
 <visual><global offwidth="1280" offheight="960"/><quality shadowsize="0" offsamples="0"/><map znear="0.02" zfar="300"/>

@@ -206,9 +206,15 @@ class Physics::Model {
         const mjtNum* velocity = data_->qvel + body.free_velocity;
         const mjtNum* q = position + 3;
         const double theta = std::atan2(2 * (q[0] * q[3] + q[1] * q[2]), 1 - 2 * (q[2] * q[2] + q[3] * q[3]));
-        return {position[0],           position[1],
-                theta / kDegree,       velocity[0] * std::cos(theta) + velocity[1] * std::sin(theta),
-                velocity[5] / kDegree, body.touched};
+        return {.x_m = position[0],
+                .y_m = position[1],
+                .theta_deg = theta / kDegree,
+                .speed_m_s = velocity[0] * std::cos(theta) + velocity[1] * std::sin(theta),
+                .rotation_deg_s = velocity[5] / kDegree,
+                .lift_mm = data_->qpos[body.lift.position] * 1000,
+                .opening_mm =
+                    (data_->qpos[body.left_paddle.position] + data_->qpos[body.right_paddle.position]) * 1000,
+                .touched = body.touched};
     }
 
     std::vector<ObjectTruth> truthOfObjects() const {

@@ -17,6 +17,8 @@ struct Truth {
     double theta_deg = 0;
     double speed_m_s = 0;  ///< along the robot's own x axis
     double rotation_deg_s = 0;
+    double lift_mm = 0;     ///< of the gripper, above its lower end
+    double opening_mm = 0;  ///< between its paddles
     /// Everything that its body ever touched with more than a breath, each once: "wall", tables, boxes,
     /// obstacles, robots and arms by their names, objects that were not between the paddles.
     std::vector<std::string> touched;

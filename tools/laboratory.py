@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Axon's programs as real processes, for ./demo and the end-to-end tests: each with its log, ended by its own id."""
+import contextlib
 import json
 import os
 import pathlib
@@ -243,32 +244,47 @@ class Laboratory:
         lab.truth_file = truth
         return lab
 
+    def start_entities(self, stand):
+        """For each robot of the world in `stand` ({name: what --at is told}) its application and Entity Manager; names that
+        begin with Cyton are arms."""
+        for name, at in stand.items():
+            what = (["axon-cyton", "--arm", self.world.at[name]] if name.startswith("Cyton")
+                    else ["axon-peoplebot", "--robot", self.world.at[name], "--camera", self.world.at[f"{name}.camera"]])
+            # Other laboratories of this machine have robots of the same names in the same range of ports.
+            application = f"{self.folder.name}-{name}"
+            self.start(f"app-{name}", *what, "--application", application, "--name", name, "--ports", self.ports, "--at", at)
+            self.start(f"em-{name}", "axon-entity-manager", "--application", application, "--ports", self.ports,
+                       *self.manager_options([]))
+        self.world.names = list(stand)
+
     def start_transport(self, fixed_ports=False, *options):
         """The laboratory of the transport (lab/worlds/transport.lab): two PeopleBots, two Cytons, their applications and
         Entity Managers, the map uploaded nowhere yet. `options` are axon-lab's, where start_world() did not start it.
-        Returns its process."""
+        Returns its process, with .names: the robots."""
         world = self.world or self.start_world(*options, port=FIRST_ROBOT_PORT if fixed_ports else 0)
-        stand = {"PeopleBot": ("--at", "2400,2000,180"), "PeopleBot2": ("--at", "2400,4000,180"),
-                 "Cyton": ("--at", "555,2000,660"), "Cyton2": ("--at", "555,4000,660")}
-        for name, at in stand.items():
-            what = (["axon-peoplebot", "--robot", world.at[name], "--camera", world.at[f"{name}.camera"]]
-                    if name.startswith("PeopleBot") else ["axon-cyton", "--arm", world.at[name]])
-            self.start(f"app-{name}", *what, "--application", name, "--name", name, "--ports", self.ports, *at)
-            self.start(f"em-{name}", "axon-entity-manager", "--application", name, "--ports", self.ports,
-                       *self.manager_options([]))
-        world.names = list(stand)
+        self.start_entities({"PeopleBot": "2400,2000,180", "PeopleBot2": "2400,4000,180", "Cyton": "555,2000,660", "Cyton2": "555,4000,660"})
         return world
 
     @staticmethod
-    def control(world, what, **more):
-        """Asks the laboratory's control port: {"do": what, …}; its answer as a dict. Raises Failed when it refuses."""
+    @contextlib.contextmanager
+    def control_line(world):
+        """A connection to the laboratory's control port, as a function: ask("truth") gives the answer as a dict. It
+        raises Failed when the laboratory refuses."""
         host, port = world.at["control"].rsplit(":", 1)
-        with socket.create_connection((host, int(port)), timeout=30) as connection:
-            connection.sendall((json.dumps({"do": what, **more}) + "\n").encode())
-            answer = json.loads(connection.makefile().readline() or "{}")
-        if not answer.get("ok"):
-            raise Failed(f"axon-lab does not {what}: {answer.get('error', 'it says nothing')}")
-        return answer
+        with socket.create_connection((host, int(port)), timeout=30) as connection, connection.makefile() as answers:
+            def ask(what, **more):
+                connection.sendall((json.dumps({"do": what, **more}) + "\n").encode())
+                answer = json.loads(answers.readline() or "{}")
+                if not answer.get("ok"):
+                    raise Failed(f"axon-lab does not {what}: {answer.get('error', 'it says nothing')}")
+                return answer
+            yield ask
+
+    @staticmethod
+    def control(world, what, **more):
+        """Asks the laboratory's control port once: {"do": what, …}."""
+        with Laboratory.control_line(world) as ask:
+            return ask(what, **more)
 
     def start_application(self, robot_address, suffix=""):
         return self.start(f"app{suffix}-{len(self.processes)}", "axon-peoplebot", "--robot", robot_address,
@@ -323,8 +339,9 @@ class Laboratory:
         return wait_until(lambda: abs(self.truth(robot).get("speed_m_s", 1)) < 0.02, "the robot stands", seconds)
 
     def end(self):
-        subprocess.run([self.bin / "axon", "agent", "stop"], env=self.env, stdout=subprocess.DEVNULL,
-                       stderr=subprocess.DEVNULL, timeout=20, check=False)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            subprocess.run([self.bin / "axon", "agent", "stop"], env=self.env, stdout=subprocess.DEVNULL,
+                           stderr=subprocess.DEVNULL, timeout=20, check=False)
         for process in reversed(self.processes):
             process.end()
         if self.environment == "cluster" and self.server:

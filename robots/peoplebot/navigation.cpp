@@ -33,12 +33,14 @@ constexpr double kGain_per_s = 1.6;
 constexpr double kFastestTurn_deg_s = 45;
 constexpr double kTurnOnTheSpot_deg = 40;
 constexpr double kTurnedEnough_deg = 12;
+constexpr double kBeside_mm = 40;
 constexpr double kTurnCrawl_deg_s = 6;
 constexpr double kBraking_mm_s2 = 200;
 constexpr double kCrawl_mm_s = 60;
 constexpr double kFaced_deg = 2;
 constexpr double kSwingMargin_mm = 5;  // routes lead through places that are hardly wider
 constexpr double kFacingMargin_mm = 40;
+constexpr double kOvershoot_deg = 20;
 constexpr Duration kFacingPatience = seconds{20};
 constexpr Duration kGettingOn = seconds{8};
 constexpr double kStepOn_mm = 50;
@@ -409,7 +411,7 @@ MotionStep Navigation::follow(const arcos::RobotState& robot, TimePoint now) {
     if (std::abs(bearing) < kTurnedEnough_deg) turning_ = false;
     double turn = std::clamp(bearing * kGain_per_s, -kFastestTurn_deg_s, kFastestTurn_deg_s);
     if (turning_) {
-        if ((bearing > 0 ? room.swing_left : room.swing_right) < kSwingMargin_mm)
+        if (surroundings_.roomToTurn(bearing) < kSwingMargin_mm)
             return recover(robot, "there is no room to turn", {}, now);
         if (std::abs(turn) < kTurnCrawl_deg_s) turn = std::copysign(kTurnCrawl_deg_s, bearing);
         return {.left_deg_s = turn, .progress = progress()};
@@ -421,6 +423,8 @@ MotionStep Navigation::follow(const arcos::RobotState& robot, TimePoint now) {
     speed = std::min(speed, std::max(kCrawl_mm_s, std::sqrt(2 * kBraking_mm_s2 * std::max(0.0, rest_way - robot.speed_mm_s() * 0.2))));
     // Close to the goal nothing but the goal counts, unless it touches.
     if (speed < kCrawl_mm_s && to_goal < 400 && room.front > 60) speed = kCrawl_mm_s;
+    // What is beside it is not steered towards, wherever the route leads.
+    if ((turn > 0 ? room.left : room.right) < kBeside_mm) turn = 0;
     return {.forward_mm_s = speed, .left_deg_s = turn + wish[1], .progress = progress()};
 }
 
@@ -451,13 +455,16 @@ MotionStep Navigation::face(const arcos::RobotState& robot, TimePoint now) {
         enter(State::Settling, now);
         return rest();
     }
-    const auto room = surroundings_.clearance();
-    const bool left_free = room.swing_left >= kFacingMargin_mm;
-    const bool right_free = room.swing_right >= kFacingMargin_mm;
-    if (!(off > 0 ? left_free : right_free)) {
-        if (!left_free && !right_free) return fail("there is no room to turn to the goal's heading: something stands too near");
-        off -= std::copysign(360, off);  // by the longer way
+    // One way round as long as it is free: what stands there is only known while a sonar sees it.
+    const auto turn = [off](int direction) { return off * direction < -kOvershoot_deg ? off + 360 * direction : off; };
+    const auto free = [&](int direction) { return surroundings_.roomToTurn(turn(direction)) >= kFacingMargin_mm; };
+    if (facing_ == 0) facing_ = off > 0 ? 1 : -1;
+    if (!free(facing_)) {
+        facing_ = -facing_;
+        if (std::exchange(turned_back_, true) || !free(facing_))
+            return fail("there is no room to turn to the goal's heading: something stands too near");
     }
+    off = turn(facing_);
     if (now - state_since_ > kFacingPatience) return fail("the robot does not get to the goal's heading");
     // A turn goes on while it slows down, and each news is a tenth of a second old.
     const double rest_deg = std::max(0.0, std::abs(off) - std::abs(robot.rotation_deg_s) * 0.15);

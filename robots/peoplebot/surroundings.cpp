@@ -17,10 +17,16 @@ constexpr double kBesideAxis_mm = 50;
 constexpr double kSideFrom_deg = 25;
 constexpr double kSideTo_deg = 120;
 constexpr double kSonarSeesUpTo_mm = 4900;
+constexpr double kTurnGrain_deg = 5;
+constexpr double kNearer_mm = 5;  // what a turn does not bring nearer than it is does not stand in its way
 
 struct Spot {
     double x, y;
 };
+
+double fromHull_mm(Spot spot) {
+    return std::hypot(spot.x - std::clamp(spot.x, body::kRear_mm, 0.0), spot.y) - body::kRadius_mm;
+}
 
 /// A point of the frame of `from`, in the frame of `here`.
 Spot seenFrom(const MapPose& here, const MapPose& from, double x, double y) {
@@ -52,11 +58,30 @@ void Surroundings::forEachEcho(const Visit& visit) const {
     }
 }
 
+template <class Visit>
+void Surroundings::forEachSpot(const Visit& visit) const {
+    forEachEcho([&](std::size_t i, const Echo& echo) {
+        if (echo.range_mm > kSonarSeesUpTo_mm) return;
+        const auto& pose = body::kSonars[i];
+        for (const double part : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
+            const double a = (pose.direction_deg + part * body::kSonarHalfCone_deg) * kDegree;
+            visit(seenFrom(here_, echo.from, pose.x_mm + echo.range_mm * std::cos(a), pose.y_mm + echo.range_mm * std::sin(a)));
+        }
+    });
+    if (!laser_ || now_ - laser_->taken > kMemory) return;
+    const MapPose from{laser_->x_mm, laser_->y_mm, laser_->heading_deg};
+    for (std::size_t i = 0; i < laser_->ranges_mm.size(); ++i) {
+        const double range = laser_->ranges_mm[i];
+        if (range > Clearance::kNothing_mm) continue;
+        const double a = (laser_->start_deg + static_cast<double>(i) * laser_->step_deg) * kDegree;
+        visit(seenFrom(here_, from, body::kLaserX_mm + range * std::cos(a), range * std::sin(a)));
+    }
+}
+
 Clearance Surroundings::clearance() const {
     Clearance room;
-    const auto see = [&room](Spot spot) {
-        const double behind = std::clamp(spot.x, body::kRear_mm, 0.0);
-        const double away = std::hypot(spot.x - behind, spot.y) - body::kRadius_mm;
+    forEachSpot([&room](Spot spot) {
+        const double away = fromHull_mm(spot);
         const double bearing = std::atan2(spot.y, spot.x) / kDegree;
         if (std::abs(spot.y) <= kLane_mm) {
             if (spot.x > 0) room.front = std::min(room.front, std::max(0.0, std::max(away, spot.x - body::kRadius_mm)));
@@ -66,30 +91,27 @@ Clearance Surroundings::clearance() const {
             auto& side = bearing > 0 ? room.left : room.right;
             side = std::min(side, std::max(0.0, away));
         }
-        if (spot.x > kBesideAxis_mm) return;
-        const double swept = std::hypot(spot.x, spot.y) - body::kSwing_mm;
-        if (spot.y < kBesideAxis_mm) room.swing_left = std::min(room.swing_left, swept);
-        if (spot.y > -kBesideAxis_mm) room.swing_right = std::min(room.swing_right, swept);
-    };
-    forEachEcho([&](std::size_t i, const Echo& echo) {
-        const auto& pose = body::kSonars[i];
-        if (std::abs(pose.direction_deg) <= 50) room.heard = true;
-        if (echo.range_mm > kSonarSeesUpTo_mm) return;
-        for (const double part : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
-            const double a = (pose.direction_deg + part * body::kSonarHalfCone_deg) * kDegree;
-            see(seenFrom(here_, echo.from, pose.x_mm + echo.range_mm * std::cos(a), pose.y_mm + echo.range_mm * std::sin(a)));
+        if (spot.x <= kBesideAxis_mm) room.swing = std::min(room.swing, std::hypot(spot.x, spot.y) - body::kSwing_mm);
+    });
+    forEachEcho([&](std::size_t i, const Echo& /*echo*/) {
+        if (std::abs(body::kSonars[i].direction_deg) <= 50) room.heard = true;
+    });
+    if (laser_ && now_ - laser_->taken <= kMemory) room.heard = true;
+    return room;
+}
+
+double Surroundings::roomToTurn(double by_deg) const {
+    double room = Clearance::kNothing_mm;
+    const int steps = static_cast<int>(std::ceil(std::abs(by_deg) / kTurnGrain_deg));
+    forEachSpot([&](Spot spot) {
+        if (std::hypot(spot.x, spot.y) - body::kSwing_mm >= room) return;
+        const double now = fromHull_mm(spot);
+        for (int i = 1; i <= steps; ++i) {
+            const double a = by_deg * i / steps * kDegree;
+            const double then = fromHull_mm({std::cos(a) * spot.x + std::sin(a) * spot.y, std::cos(a) * spot.y - std::sin(a) * spot.x});
+            if (then < now - kNearer_mm) room = std::min(room, then);
         }
     });
-    if (laser_ && now_ - laser_->taken <= kMemory) {
-        room.heard = true;
-        const MapPose from{laser_->x_mm, laser_->y_mm, laser_->heading_deg};
-        for (std::size_t i = 0; i < laser_->ranges_mm.size(); ++i) {
-            const double range = laser_->ranges_mm[i];
-            if (range > Clearance::kNothing_mm) continue;
-            const double a = (laser_->start_deg + static_cast<double>(i) * laser_->step_deg) * kDegree;
-            see(seenFrom(here_, from, body::kLaserX_mm + range * std::cos(a), range * std::sin(a)));
-        }
-    }
     return room;
 }
 

@@ -16,11 +16,7 @@ struct Clearance {
     double front = kNothing_mm;  ///< within the lane that the robot would drive along
     double right = kNothing_mm;
     double rear = kNothing_mm;
-    // To what the rear sweeps in a turn on the spot, to the left and to the right; negative: it would touch. The front
-    // is round about the turning axis and sweeps nothing.
-    double swing_left = kNothing_mm;
-    double swing_right = kNothing_mm;
-    double swing() const { return swing_left < swing_right ? swing_left : swing_right; }
+    double swing = kNothing_mm;  ///< to what the rear may sweep in a turn on the spot; negative: it would touch
     bool heard = false;          ///< a front sonar or the laser spoke within the last second
 };
 
@@ -34,6 +30,9 @@ class Surroundings {
     /// With each news of the robot.
     void update(const arcos::RobotState& robot);
     Clearance clearance() const;
+    /// The least room between the hull and what a turn on the spot by so much (positive: to the left) brings nearer to
+    /// it, on the way or at its end; negative: it would touch.
+    double roomToTurn(double by_deg) const;
 
     struct Sighting {
         double x_mm = 0, y_mm = 0;  ///< in the robot's frame
@@ -52,6 +51,8 @@ class Surroundings {
     };
     template <class Visit>
     void forEachEcho(const Visit& visit) const;
+    template <class Visit>
+    void forEachSpot(const Visit& visit) const;
 
     MapPose here_;
     TimePoint now_{};

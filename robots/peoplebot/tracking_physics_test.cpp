@@ -178,6 +178,7 @@ Setting settingFor(std::uint64_t seed) {
     object.x = kEdge_m + uniform(0.03, 0.08);
     object.y = 3 + uniform(-0.25, 0.25);
     object.theta = uniform(-45, 45);
+    if (seed % 3 == 0) object.shape = lab::Object::Shape::Cylinder;
     world.objects = {object};
     world.robots = {{.x = uniform(1.4, 2.1), .y = 3 + uniform(-0.3, 0.3), .theta = uniform(-40, 40)}};
     return setting;

@@ -155,7 +155,7 @@ MotionStep Wander::wander(const arcos::RobotState& robot, const Clearance& room,
     if (robot.front_bumpers != 0 || robot.rear_bumpers != 0 || robot.left_stall || robot.right_stall || robot.table_left ||
         robot.table_right)
         return recover(robot, room, State::Waiting, now);
-    if (now - anchored_ > kPatience) return recover(robot, room, room.swing() > 0 ? State::Turning : State::Backing, now);
+    if (now - anchored_ > kPatience) return recover(robot, room, room.swing > 0 ? State::Turning : State::Backing, now);
     chooseFavour(room);
     const auto wish = rules_->evaluate(std::array{room.left, room.front, room.right, favour_});
     double speed = request_.velocity_mm_s * std::clamp(wish[0], 0.0, 100.0) / 100;
@@ -169,7 +169,7 @@ MotionStep Wander::wander(const arcos::RobotState& robot, const Clearance& room,
     }
     speed = std::min(speed, speedThatStopsWithin(room.front));
     // Where a turn on the spot would touch, the robot first goes where there is room: on, else back.
-    if (room.swing() < 15 && speed < 60 && room.rear > kBacking_mm) return recover(robot, room, State::Backing, now);
+    if (room.swing < 15 && speed < 60 && room.rear > kBacking_mm) return recover(robot, room, State::Backing, now);
     return {.forward_mm_s = speed, .left_deg_s = turn, .progress = progress(now)};
 }
 

@@ -177,5 +177,24 @@ TEST(Surroundings, WhatWasHeardBeforeATurnStaysWhereItWas) {
     EXPECT_EQ(surroundings.clearance().front, Clearance::kNothing_mm) << "and is forgotten after a while";
 }
 
+TEST(Surroundings, ATurnNeedsRoomWhereTheRearSweepsAndWhereItEnds) {
+    Surroundings surroundings;
+    arcos::RobotState robot;
+    robot.online = true;
+    robot.taken = TimePoint{std::chrono::seconds{10}};
+    robot.sonars[7] = {149, robot.taken};  // to the right of the axis, nearer than the rear is long
+    surroundings.update(robot);
+    EXPECT_GT(surroundings.roomToTurn(20), 0) << "the rear does not get there";
+    EXPECT_LT(surroundings.roomToTurn(90), 0) << "the rear ends there";
+    EXPECT_LT(surroundings.roomToTurn(-270), 0) << "whichever way round";
+    EXPECT_LT(surroundings.roomToTurn(150), 0) << "the rear passes there";
+    EXPECT_GT(surroundings.roomToTurn(-90), 0) << "the rear sweeps the other side";
+    robot.sonars[7].range_mm = 300;
+    robot.sonars[7].heard = robot.taken += milliseconds{300};
+    surroundings.update(robot);
+    EXPECT_GT(surroundings.roomToTurn(90), 40);
+    EXPECT_LT(surroundings.roomToTurn(90), 200);
+}
+
 }  // namespace
 }  // namespace axon::peoplebot

@@ -1,0 +1,119 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""The judge of axon-lab-trials without a laboratory: what it lets pass and what not, and how it is called."""
+import contextlib
+import io
+import pathlib
+import runpy
+import sys
+import types
+import unittest
+
+HERE = pathlib.Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent.parent / "tools")]
+import scenarios  # noqa: E402
+import stop  # noqa: E402
+import trial  # noqa: E402
+
+COMMAND = types.SimpleNamespace(**runpy.run_path(str(HERE / "__main__.py"), run_name="command"))
+
+
+def judged(objects=(), robots=()):
+    """A trial whose laboratory is in this state."""
+    one = trial.Trial.__new__(trial.Trial)
+    one.figures, one.notes = {}, []
+    one.control = lambda what, **more: {"objects": list(objects), "robots": list(robots), "arms": []}
+    return one
+
+
+def red(on=("east",), tilt=0.0):
+    return {"name": "red", "x_m": 7.08, "y_m": 2.03, "z_m": 0.66, "tilt_deg": tilt, "on": list(on)}
+
+
+class JudgeTest(unittest.TestCase):
+    def test_an_object_that_stands_on_the_other_table_is_what_a_transport_is_for(self):
+        one = judged([red()])
+        scenarios.judge_transport(one, scenarios.STATIONS[0])
+        self.assertAlmostEqual(one.figures["from the edge, mm"][0], 80)
+        self.assertAlmostEqual(one.figures["beside the goal, mm"][0], 30)
+
+    def test_an_object_elsewhere_lying_or_held_is_not(self):
+        for wrong, what in ((red(on=["west"]), "not on east"), (red(tilt=90.0), "knocked over"), (red(on=[]), "on nothing"),
+                            (red(on=["PeopleBot", "east"]), "PeopleBot and east")):
+            with self.assertRaisesRegex(trial.Broken, what):
+                scenarios.judge_transport(judged([wrong]), scenarios.STATIONS[0])
+
+    def test_whoever_touched_a_wall_has_failed_whatever_else_came_of_it(self):
+        robots = [{"name": "PeopleBot", "touched": []}, {"name": "PeopleBot2", "touched": ["wall"]}]
+        with self.assertRaisesRegex(trial.Broken, "PeopleBot2 touched wall"):
+            judged(robots=robots).expect_untouched()
+        judged(robots=robots).expect_untouched("wall")
+
+    def test_headings_are_compared_the_short_way_round(self):
+        self.assertAlmostEqual(trial.off(179, -179), 2)
+        self.assertAlmostEqual(trial.off(-90, 270), 0)
+
+    def test_the_reason_is_the_failed_step_s_or_the_last_message(self):
+        run = {"event": "run", "final": True, "reason": {"code": "STEP_FAILED", "message": "step 1 failed"},
+               "steps": [{"called": "place", "service": "cyton_pick", "state": "SUCCEEDED", "reason": None},
+                         {"called": "grab", "service": "peoplebot_blobpick", "state": "FAILED", "reason": {"message": "not found"}}]}
+        self.assertEqual(trial.Trial.reason([run]), "grab: not found")
+        self.assertEqual(trial.Trial.reason([{"event": "error", "message": "no such entity"}]), "no such entity")
+        self.assertEqual(trial.Trial.reason([]), "")
+
+
+def slowing(deceleration, speed=0.4):
+    """Samples of a robot that is stopped at the time 1.0 s, one each 8 ms."""
+    samples, x = [], 0.0
+    for i in range(400):
+        time_s = 0.8 + i * 0.008
+        now = speed if time_s < 1 else max(0.0, speed - deceleration * (time_s - 1))
+        x += now * 0.008
+        robot = {"name": "PeopleBot", "x_m": x, "y_m": 2.0, "theta_deg": 0.0, "speed_m_s": now, "rotation_deg_s": 0.0,
+                 "lift_mm": 0.0, "opening_mm": 200.0}
+        samples.append((50 + time_s, {"time_s": time_s, "robots": [robot]}))
+    return samples
+
+
+class StopTest(unittest.TestCase):
+    def judge(self, deceleration):
+        one = judged()
+        stop.Stop("Driving", "PeopleBot", {}, 1).judge(one, "PeopleBot", slowing(deceleration), 51.0, 0.5)
+        return one.figures
+
+    def test_a_robot_that_brakes_with_its_deceleration_is_at_rest_in_time(self):
+        figures = self.judge(stop.DECELERATION_M_S2)
+        self.assertAlmostEqual(figures["robot to rest, ms"][0], 1000 * 0.4 / 0.6, delta=60)
+        self.assertAlmostEqual(figures["robot's way, mm"][0], 133, delta=10)
+
+    def test_one_that_brakes_less_or_rolls_on_is_not(self):
+        for deceleration in (0.4, 0.2):
+            with self.assertRaises(trial.Broken):
+                self.judge(deceleration)
+
+
+class CommandTest(unittest.TestCase):
+    def test_seeds_are_one_or_a_range(self):
+        self.assertEqual(list(COMMAND.seeds("7")), [7])
+        self.assertEqual(list(COMMAND.seeds("2..4")), [2, 3, 4])
+
+    def test_what_is_no_range_no_scenario_or_no_number_is_told_with_status_2(self):
+        for wrong, told in ((["--seeds", "5..3"], "such as 1..20"), (["--seeds", "a..b"], "such as 1..20"), (["--seeds", "-1"], "seeds"),
+                            (["--scenario", "flight"], "two-transports"), (["--jobs", "0"], "above 0"), (["--minutes", "x"], "above 0")):
+            said = io.StringIO()
+            with contextlib.redirect_stderr(said), self.assertRaises(SystemExit) as end:
+                COMMAND.parse(wrong)
+            self.assertEqual(end.exception.code, 2, wrong)
+            self.assertIn(told, said.getvalue(), wrong)
+
+    def test_19_of_20_transports_are_enough_and_18_are_not(self):
+        def outcomes(ok):
+            return [{"ok": i < ok} for i in range(20)]
+        self.assertTrue(COMMAND.kept("transport", outcomes(19), 20))
+        self.assertFalse(COMMAND.kept("transport", outcomes(18), 20))
+        self.assertFalse(COMMAND.kept("wander", outcomes(19), 20), "nothing may be touched at all")
+        self.assertFalse(COMMAND.kept("transport", outcomes(19)[:10], 20), "seeds that were not tried are not kept")
+
+
+if __name__ == "__main__":
+    unittest.main()
