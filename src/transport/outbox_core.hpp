@@ -12,7 +12,9 @@ namespace axon::transport {
 /// What may happen to a message when its consumer does not read.
 enum class Traffic : std::uint8_t {
     Signal,     ///< never queued: sent at once, or the consumer is disconnected
-    Heartbeat,  ///< left out when anything is unsent; the next one repeats the level
+    /// Left out while the one before is unsent; the next one repeats the level. Other messages do not hold it back: with the
+    /// same period as theirs it would be left out each time, and the server be taken for silent.
+    Heartbeat,
     Control,    ///< queued in order; overflow disconnects the consumer
     Data        ///< queued in order; overflow drops the oldest data
 };
@@ -39,7 +41,7 @@ struct OutboxCounts {
 ///
 /// Ice queues without a bound whatever a socket does not take. So at most `window_bytes` are given to it; the
 /// rest waits here, in the order of arrival and within bounds. While anything waits, or is being taken out of
-/// the queue, nothing but signals is sent past it.
+/// the queue, nothing but signals and a heartbeat is sent past it.
 ///
 ///     idle ── offer ──► Send …… sent() ──► idle
 ///     window full ── offer ──► Queued …… sent() → startPump() → next()* → none
@@ -77,10 +79,11 @@ class OutboxCore {
                 ++unsent_signals_;
                 return launch(bytes);
             case Traffic::Heartbeat:
-                if (unsent_messages_ > 0 || !queue_.empty()) {
+                if (heartbeat_unsent_) {
                     ++counts_.dropped;
                     return Verdict::Dropped;
                 }
+                heartbeat_unsent_ = true;
                 return launch(bytes);
             case Traffic::Control:
                 if (mayPass()) return launch(bytes);
@@ -114,7 +117,7 @@ class OutboxCore {
     void sent(Traffic traffic, std::size_t bytes) {
         unsent_bytes_ -= bytes;
         if (traffic == Traffic::Signal) --unsent_signals_;
-        --unsent_messages_;
+        if (traffic == Traffic::Heartbeat) heartbeat_unsent_ = false;
         ++counts_.sent;
     }
 
@@ -165,7 +168,6 @@ class OutboxCore {
     bool mayPass() const { return !pumping_ && queue_.empty() && unsent_bytes_ < limits_.window_bytes; }
     Verdict launch(std::size_t bytes) {
         unsent_bytes_ += bytes;
-        ++unsent_messages_;
         return Verdict::Send;
     }
 
@@ -176,8 +178,8 @@ class OutboxCore {
     std::size_t control_bytes_ = 0;
     std::size_t control_messages_ = 0;
     std::size_t unsent_bytes_ = 0;
-    std::size_t unsent_messages_ = 0;
     std::size_t unsent_signals_ = 0;
+    bool heartbeat_unsent_ = false;
     bool pumping_ = false;
     bool closed_ = false;
     OutboxCounts counts_;

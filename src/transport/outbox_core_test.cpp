@@ -95,18 +95,23 @@ TEST(OutboxCore, UnsentDataIsNotCountedAsSignals) {
     for (int i = 0; i < 20; ++i) ASSERT_EQ(offer(core, Traffic::Data, i, 1), Verdict::Send);
     for (int i = 20; i < 23; ++i) EXPECT_EQ(offer(core, Traffic::Signal, i, 1), Verdict::Send);
     core.sent(Traffic::Data, 1);
-    EXPECT_EQ(offer(core, Traffic::Heartbeat, 23, 1), Verdict::Dropped);
     core.sent(Traffic::Signal, 1);
     EXPECT_EQ(offer(core, Traffic::Signal, 24, 1), Verdict::Send);
     EXPECT_EQ(offer(core, Traffic::Signal, 25, 1), Verdict::Overflow);
 }
 
-TEST(OutboxCore, LeavesOutAHeartbeatBehindUnsentMessages) {
+TEST(OutboxCore, LeavesOutAHeartbeatBehindAnUnsentOneAndBehindNothingElse) {
     Core core(small());
-    EXPECT_EQ(offer(core, Traffic::Heartbeat, 0, 10), Verdict::Send);
-    EXPECT_EQ(offer(core, Traffic::Heartbeat, 1, 10), Verdict::Dropped);
-    core.sent(Traffic::Control, 10);
-    EXPECT_EQ(offer(core, Traffic::Heartbeat, 2, 10), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Signal, 0), Verdict::Send);
+    while (offer(core, Traffic::Data, 1) != Verdict::Queued) {
+    }
+    EXPECT_EQ(offer(core, Traffic::Heartbeat, 2), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Heartbeat, 3), Verdict::Dropped);
+    EXPECT_EQ(core.counts().dropped, 1U);
+    core.sent(Traffic::Signal, 100);
+    EXPECT_EQ(offer(core, Traffic::Heartbeat, 4), Verdict::Dropped);
+    core.sent(Traffic::Heartbeat, 100);
+    EXPECT_EQ(offer(core, Traffic::Heartbeat, 5), Verdict::Send);
 }
 
 TEST(OutboxCore, NothingPassesAMessageThatIsBeingTakenOutOfTheQueue) {
