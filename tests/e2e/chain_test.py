@@ -15,6 +15,7 @@ import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
+import stalls  # noqa: E402
 from laboratory import Laboratory, keep_if_failed, wait_until  # noqa: E402
 
 BIN = ROOT / "build" / "dev" / "bin"
@@ -283,4 +284,4 @@ if __name__ == "__main__":
         at = sys.argv.index("--bin")
         BIN = pathlib.Path(sys.argv[at + 1]).resolve()
         del sys.argv[at:at + 2]
-    unittest.main(verbosity=2)
+    stalls.main()

@@ -18,6 +18,7 @@ import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
+import stalls  # noqa: E402
 from laboratory import Laboratory, addresses, keep_if_failed, wait_until  # noqa: E402
 
 BIN = ROOT / "build" / "dev" / "bin"
@@ -326,4 +327,4 @@ if __name__ == "__main__":
         place = sys.argv.index("--bin")
         BIN = pathlib.Path(sys.argv[place + 1]).resolve()
         del sys.argv[place:place + 2]
-    unittest.main(verbosity=2)
+    stalls.main()

@@ -12,7 +12,11 @@ import sys
 import tempfile
 import unittest
 
-BIN = pathlib.Path(__file__).resolve().parent.parent.parent / "build" / "dev" / "bin"
+ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(ROOT / "tools"))
+import stalls  # noqa: E402
+
+BIN = ROOT / "build" / "dev" / "bin"
 
 
 class TrialsTest(unittest.TestCase):
@@ -70,4 +74,4 @@ if __name__ == "__main__":
         at = sys.argv.index("--bin")
         BIN = pathlib.Path(sys.argv[at + 1]).resolve()
         del sys.argv[at:at + 2]
-    unittest.main()
+    stalls.main()
