@@ -50,14 +50,19 @@ endfunction()
 # axon_test(common_test LABEL unit SOURCES a_test.cpp LINK axon_common)
 # Labels are the levels of docs: unit, scenario, property, component, fuzz, physics, e2e, install. Physics are robots in a
 # world of MuJoCo for simulated minutes.
-# One ctest entry per binary; GoogleTest's main is linked in.
+# One ctest entry per binary; GoogleTest's main is linked in. THREADS: it has some, as every component test has; those
+# have the label threads, too.
 function(axon_test name)
   if(NOT AXON_TESTS)
     return()
   endif()
-  cmake_parse_arguments(T "" "LABEL;TIMEOUT" "SOURCES;LINK;ARGS" ${ARGN})
+  cmake_parse_arguments(T "THREADS" "LABEL;TIMEOUT" "SOURCES;LINK;ARGS" ${ARGN})
   add_executable(${name} ${T_SOURCES})
   add_dependencies(test_programs ${name})
+  if(T_THREADS OR T_LABEL STREQUAL "component")
+    add_dependencies(threaded_test_programs ${name})
+    list(APPEND T_LABEL threads)
+  endif()
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY "${PROJECT_BINARY_DIR}/tests")
   target_link_libraries(${name} PRIVATE axon_options axon_test_support ${T_LINK} GTest::gmock GTest::gtest GTest::gtest_main)
   set(launcher)
