@@ -16,6 +16,16 @@ import time
 FIRST_ROBOT_PORT = 8101  # of axon-lab, as it is without --port
 
 
+def programs():
+    """Where Axon's programs lie: what --bin says, which is taken out of a test's command line; else build/dev/bin."""
+    if "--bin" not in sys.argv:
+        return pathlib.Path(__file__).resolve().parent.parent / "build" / "dev" / "bin"
+    at = sys.argv.index("--bin")
+    place = pathlib.Path(sys.argv[at + 1]).resolve()
+    del sys.argv[at:at + 2]
+    return place
+
+
 class Failed(Exception):
     """Something did not do what it should; the text says what was expected and what came."""
 
@@ -257,13 +267,10 @@ class Laboratory:
                        *self.manager_options([]))
         self.world.names = list(stand)
 
-    def start_transport(self, fixed_ports=False, *options):
-        """The laboratory of the transport (lab/worlds/transport.lab): two PeopleBots, two Cytons, their applications and
-        Entity Managers, the map uploaded nowhere yet. `options` are axon-lab's, where start_world() did not start it.
-        Returns its process, with .names: the robots."""
-        world = self.world or self.start_world(*options, port=FIRST_ROBOT_PORT if fixed_ports else 0)
+    def start_transport(self):
+        """After start_world(), in the world of the transport (lab/worlds/transport.lab): applications and Entity Managers of its
+        two PeopleBots and two Cytons, the map uploaded nowhere yet."""
         self.start_entities({"PeopleBot": "2400,2000,180", "PeopleBot2": "2400,4000,180", "Cyton": "555,2000,660", "Cyton2": "555,4000,660"})
-        return world
 
     @staticmethod
     @contextlib.contextmanager

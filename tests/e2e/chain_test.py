@@ -16,9 +16,9 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, programs, wait_until  # noqa: E402
 
-BIN = ROOT / "build" / "dev" / "bin"
+BIN = programs()
 
 
 def final(lines):
@@ -280,8 +280,4 @@ class ChainTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    if "--bin" in sys.argv:
-        at = sys.argv.index("--bin")
-        BIN = pathlib.Path(sys.argv[at + 1]).resolve()
-        del sys.argv[at:at + 2]
     stalls.main()

@@ -19,9 +19,9 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 import stalls  # noqa: E402
-from laboratory import Process, keep_if_failed, wait_until  # noqa: E402
+from laboratory import Process, keep_if_failed, programs, wait_until  # noqa: E402
 
-BIN = ROOT / "build" / "dev" / "bin"
+BIN = programs()
 ROUTERS = "10.77.0.1"  # of lab
 CLIENT, ROBOT = "10.77.1.2", "10.77.2.2"
 BASE_PORT = 10420
@@ -147,8 +147,4 @@ class FirewallTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    if "--bin" in sys.argv:
-        at = sys.argv.index("--bin")
-        BIN = pathlib.Path(sys.argv[at + 1]).resolve()
-        del sys.argv[at:at + 2]
     stalls.main()

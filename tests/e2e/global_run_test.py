@@ -18,9 +18,9 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, keep_if_failed, stays, wait_until  # noqa: E402
+from laboratory import Laboratory, keep_if_failed, programs, stays, wait_until  # noqa: E402
 
-BIN = ROOT / "build" / "dev" / "bin"
+BIN = programs()
 EXAMPLE = ROOT / "examples" / "05_collaboration"
 ENTITIES = ("Shuttle", "Arm", "Planner")
 
@@ -420,8 +420,4 @@ class CollaborationTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    if "--bin" in sys.argv:
-        at = sys.argv.index("--bin")
-        BIN = pathlib.Path(sys.argv[at + 1]).resolve()
-        del sys.argv[at:at + 2]
     stalls.main()

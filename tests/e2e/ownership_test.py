@@ -19,9 +19,9 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, wait_until  # noqa: E402
+from laboratory import Laboratory, programs, wait_until  # noqa: E402
 
-BIN = ROOT / "build" / "dev" / "bin"
+BIN = programs()
 GRACE_S = 2
 
 # As `openssl passwd -6` makes them of NAME-secret.
@@ -341,8 +341,4 @@ class OwnershipTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    if "--bin" in sys.argv:
-        at = sys.argv.index("--bin")
-        BIN = pathlib.Path(sys.argv[at + 1]).resolve()
-        del sys.argv[at:at + 2]
     stalls.main()

@@ -19,9 +19,9 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, addresses, keep_if_failed, wait_until  # noqa: E402
+from laboratory import Laboratory, addresses, keep_if_failed, programs, wait_until  # noqa: E402
 
-BIN = ROOT / "build" / "dev" / "bin"
+BIN = programs()
 ROUTER = shutil.which("glacier2router")
 WATCHDOG_S = 0.25
 STOPPED_WITHIN_S = WATCHDOG_S + 0.1
@@ -323,8 +323,4 @@ IceSSL.VerifyPeer=2
 
 
 if __name__ == "__main__":
-    if "--bin" in sys.argv:
-        place = sys.argv.index("--bin")
-        BIN = pathlib.Path(sys.argv[place + 1]).resolve()
-        del sys.argv[place:place + 2]
     stalls.main()

@@ -12,9 +12,9 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, addresses, keep_if_failed, wait_until  # noqa: E402
+from laboratory import Laboratory, addresses, keep_if_failed, programs, wait_until  # noqa: E402
 
-BIN = ROOT / "build" / "dev" / "bin"
+BIN = programs()
 
 
 class TlsTest(unittest.TestCase):
@@ -101,8 +101,4 @@ class TlsTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    if "--bin" in sys.argv:
-        at = sys.argv.index("--bin")
-        BIN = pathlib.Path(sys.argv[at + 1]).resolve()
-        del sys.argv[at:at + 2]
     stalls.main()
