@@ -260,6 +260,7 @@ void EntityManager::hearServer() {
 }
 
 void EntityManager::afterEvents() {
+    if (datagrams_) datagrams_->hold(core_->held());  // first: who sees the state below may rely on it
     const auto state = core_->state();
     if (const auto before = state_.exchange(state); before != state) {
         const auto reason = core_->status().reason;
@@ -268,7 +269,6 @@ void EntityManager::afterEvents() {
     if (const bool latched = core_->latched(); std::exchange(latched_, latched) != latched)
         spdlog::info("{}: {}", name_, latched ? "stopped and latched" : "rearmed");
     if (const auto warning = core_->takeWarning(); !warning.empty()) spdlog::warn("{}: {}", name_, warning);
-    if (datagrams_) datagrams_->hold(core_->held());
     armTimer();
 }
 
