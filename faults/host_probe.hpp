@@ -3,20 +3,22 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <deque>
 #include <mutex>
 #include <thread>
 #include <vector>
 
 namespace axon::faults {
 
-/// A time in which this host let an ordinary thread wait that wanted to run. CLOCK_MONOTONIC nanoseconds.
+/// A time in which one of this host's processors, or several, let a thread wait that wanted to run. CLOCK_MONOTONIC
+/// nanoseconds.
 struct Stall {
     std::int64_t begin = 0, end = 0;
 };
 
-/// Sleeps for a millisecond, again and again, under the ordinary scheduler, and notes when it was woken more
-/// than 50 ms late: what a figure of the same moment may owe to the host. Threads: one of its own; members
-/// from any.
+/// On each processor a thread sleeps for 5 ms, again and again, and notes when it was woken more than 50 ms late: what
+/// a figure of the same moment may owe to the host. Above all of Axon's priorities where permitted: then nothing that
+/// runs here can make it late, and what does is below this machine. Threads: its own; members from any.
 class HostProbe {
   public:
     static constexpr std::int64_t kStallNs = 50'000'000;
@@ -25,18 +27,23 @@ class HostProbe {
     HostProbe(const HostProbe&) = delete;
     HostProbe& operator=(const HostProbe&) = delete;
 
+    /// In the order of their begin; those of several processors at the same time are one. One that has not ended yet ends
+    /// now.
     std::vector<Stall> stalls() const;
     /// How much of the time from `begin` to `end` the host stood still, in nanoseconds.
     std::int64_t overlap(std::int64_t begin, std::int64_t end) const;
-    std::int64_t longestNs() const { return longest_; }
 
   private:
-    void run();
+    static constexpr std::int64_t kSleepNs = 5'000'000;
+    struct Watcher {
+        std::atomic<std::int64_t> asleep_since{0};
+        std::thread thread;
+    };
+    void run(Watcher& watcher, int processor);
     std::atomic<bool> ending_{false};
-    std::atomic<std::int64_t> longest_{0};
     mutable std::mutex mutex_;
-    std::vector<Stall> stalls_;  // guarded by mutex_
-    std::thread thread_;
+    std::vector<Stall> stalls_;  // of each processor, ended; guarded by mutex_
+    std::deque<Watcher> watchers_;
 };
 
 /// Threads at ordinary priority, one for each core, that do nothing but compute: a host with no time to

@@ -44,18 +44,17 @@ Report carryOut(const Kind& kind, Laboratory& lab, const Wishes& wishes, std::si
     report.trials_wanted = trials;
     report.busy = wishes.busy;
     const auto begin = nowNs();
-    const auto stalls = lab.probe().stalls().size();
     Run run{
         lab,    report,  axon::SeededRandom(wishes.seed),
         trials, seconds, [&kind](std::size_t done, std::size_t of) { showProgress(kind.name, done, of); }};
     kind.run(run);
     showProgress("", 0, 0);
     report.seconds = static_cast<double>(nowNs() - begin) / 1e9;
-    const auto all = lab.probe().stalls();
-    report.host_stalls = all.size() - stalls;
-    for (auto i = stalls; i < all.size(); ++i)
-        report.longest_stall_ms =
-            std::max(report.longest_stall_ms, static_cast<double>(all[i].end - all[i].begin) / 1e6);
+    for (const auto& stall : lab.probe().stalls()) {
+        if (stall.end <= begin) continue;
+        ++report.host_stalls;
+        report.longest_stall_ms = std::max(report.longest_stall_ms, static_cast<double>(stall.end - stall.begin) / 1e6);
+    }
     report.partial = interrupted();
     return report;
 }

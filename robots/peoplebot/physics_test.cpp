@@ -71,5 +71,61 @@ TEST_F(VirtualRobotTest, ATableOverheadCancelsATurn) {
     EXPECT_LT(motion.turned_deg(), 90);
 }
 
+/// "Within one sensor cycle": the robot tells of itself every 100 ms; a bumper and a table sensor are in every
+/// packet, a sonar has its turn every eighth of 40 ms.
+class StallTest : public VirtualRobotTest {
+  protected:
+    static constexpr auto kPacket = std::chrono::milliseconds{100} + 2 * lab::Physics::kPeriod;
+    static constexpr auto kRound = std::chrono::milliseconds{8 * 40};
+
+    template <class Motion>
+    void expectFailure(Motion motion, std::string_view why, Duration within) {
+        const auto end = perform(motion);
+        EXPECT_EQ(end.outcome, Outcome::Failed);
+        EXPECT_THAT(end.reason, HasSubstr(why));
+        ASSERT_TRUE(seen_at_ && failed_at_) << "never came to it";
+        EXPECT_LE(*failed_at_ - *seen_at_, within) << toMillis(*failed_at_ - *seen_at_);
+    }
+    static double toMillis(Duration d) { return std::chrono::duration<double, std::milli>(d).count(); }
+    Driving drive(double velocity_mm_s, double threshold_mm) {
+        return {{.distance_mm = 5000, .velocity_mm_s = velocity_mm_s, .range_threshold_mm = threshold_mm},
+                session_.robot(),
+                lab_->now()};
+    }
+};
+
+class BumperTest : public StallTest, public ::testing::WithParamInterface<double> {};
+INSTANTIATE_TEST_SUITE_P(Velocities, BumperTest, ::testing::Values(300, -300, 700));
+
+TEST_P(BumperTest, OfEitherSideEndsADriveWithinOneSensorCycle) {
+    lab::WorldDescription world;
+    world.robots = {{.x = GetParam() < 0 ? 1.2 : 6.8, .y = 3}};
+    start(world);
+    must_end_ = [](const lab::Truth& truth) { return !truth.touched.empty(); };
+    expectFailure(drive(GetParam(), 0), "bumper", kPacket);
+}
+
+TEST_F(StallTest, ARangeBelowTheThresholdEndsADriveWithinOneSensorCycle) {
+    lab::WorldDescription world;
+    world.robots = {{.x = 4, .y = 3}};
+    start(world);
+    const auto& sonar = body::kSonars[3];
+    must_end_ = [&](const lab::Truth& truth) { return (8 - truth.x_m) * 1000 - sonar.x_mm < 600; };
+    expectFailure(drive(500, 600), "nearer than the threshold 600 mm", kPacket + kRound);
+}
+
+TEST_F(StallTest, ATableSensorEndsATurnWithinOneSensorCycle) {
+    lab::WorldDescription world;
+    world.robots = {{.x = 3, .y = 3}};
+    world.tables = {{.x = 3, .y = 3.75, .dx = 1.2, .dy = 0.8}};
+    start(world);
+    must_end_ = [&](const lab::Truth& truth) {  // the left sensor is below the table's edge
+        const double a = truth.theta_deg * std::numbers::pi / 180;
+        return 3000 + std::sin(a) * body::kTableSensorX_mm + std::cos(a) * body::kTableSensorY_mm > 3350;
+    };
+    expectFailure(Turning({.angle_deg = 180, .velocity_deg_s = 40}, session_.robot(), lab_->now()), "table sensor",
+                  kPacket);
+}
+
 }  // namespace
 }  // namespace axon::peoplebot

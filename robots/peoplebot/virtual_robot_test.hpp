@@ -4,7 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <numbers>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -52,6 +54,7 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
         session_.receive(std::exchange(inbox_, {}), lab_->now());
         session_.tick(lab_->now());
         lab_->step();
+        if (!seen_at_ && must_end_ && must_end_(lab_->truth(0))) seen_at_ = lab_->age();
     }
     /// What the application would know.
     arcos::RobotState robot() const {
@@ -69,6 +72,7 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
             step = motion.step(robot(), lab_->now());
             nearest_mm_ = std::min(nearest_mm_, clearance_mm());
             bumps_ += session_.robot().front_bumpers != 0 || session_.robot().rear_bumpers != 0 ? 1 : 0;
+            if (step.outcome == MotionStep::Outcome::Failed) failed_at_ = lab_->age();
             if (step.halt) {
                 lab_->receive(0, arcos::encodeCommand(Command::EStop));
                 continue;
@@ -122,6 +126,9 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
     bool has_laser_ = true;
     double nearest_mm_ = 1e9;
     int bumps_ = 0;
+    /// By ground truth: from when on the motion must end; and the laboratory's age when that came, and when it did.
+    std::function<bool(const lab::Truth&)> must_end_;
+    std::optional<Duration> seen_at_, failed_at_;
     arcos::ClientSession session_{*this};
 
   private:
