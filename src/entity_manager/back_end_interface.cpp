@@ -27,6 +27,7 @@
 #include "common/snapshot.hpp"
 #include "common/watchdog.hpp"
 #include "entity_interfacer/frame.hpp"
+#include "entity_manager/due_timer.hpp"
 
 namespace axon::entity_manager {
 namespace {
@@ -93,7 +94,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
           random_(random),
           events_(events),
           look_timer_(strand_),
-          beat_timer_(strand_),
+          beat_timer_(strand_, clock_),
           watchdog_(settings_.watchdog_busy, settings_.watchdog_idle, now()) {}
 
     void start() {
@@ -450,8 +451,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     /// that of the signal connection. The application has stopped by itself.
     void awaitLastWords(const std::shared_ptr<Peer>& peer) {
         peer->ending = true;
-        beat_timer_.expires_after(kLastWords);
-        beat_timer_.async_wait([self = shared_from_this(), peer](const asio::error_code& error) {
+        look_timer_.expires_after(kLastWords);
+        look_timer_.async_wait([self = shared_from_this(), peer](const asio::error_code& error) {
             if (!error) self->lost(peer, "the robot application has closed the link");
         });
     }
@@ -573,13 +574,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
     void beatAt(TimePoint due) {
-        beat_due_ = due;
-        beat_timer_.expires_after(clock_.realTimeUntil(due));
-        beat_timer_.async_wait([self = shared_from_this(), peer = peer_](const asio::error_code& error) {
-            if (error || self->peer_ != peer || peer->ending) return;
-            // As it is now: who was under way already when the beat was brought forward must not put it off again.
-            if (self->now() < self->beat_due_) return self->beatAt(self->beat_due_);
-            self->onBeatTimer();
+        beat_timer_.at(due, [self = shared_from_this(), peer = peer_] {
+            if (self->peer_ == peer && !peer->ending) self->onBeatTimer();
         });
     }
 
@@ -617,8 +613,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
 
     // Confined to the strand
     bool started_ = false, closed_ = false, linking_ = false;
-    asio::steady_timer look_timer_, beat_timer_;
-    TimePoint beat_due_{};
+    asio::steady_timer look_timer_;
+    DueTimer beat_timer_;
     std::deque<std::uint16_t> ports_;
     std::map<std::uint16_t, TimePoint> pass_over_;
     std::set<std::shared_ptr<Handshake>> handshakes_;

@@ -11,6 +11,7 @@
 #include <asio/steady_timer.hpp>
 #include <atomic>
 
+#include "entity_manager/due_timer.hpp"
 #include "entity_manager/server_communicators.hpp"
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
@@ -88,7 +89,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
           clock_(clock),
           events_(std::move(events)),
           retry_(strand_),
-          beat_(strand_),
+          beat_(strand_, clock_),
           data_servant_(std::make_shared<EntityCallbackServant>(Lane::Data, events_)),
           signal_servant_(std::make_shared<EntityCallbackServant>(Lane::Signal, events_)) {}
 
@@ -425,18 +426,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
                 },
                 failure(attempt_, "sign of life"));
         });
-        keepAliveAt(clock_.now() + (busy_ ? busy_period_ : idle_period_));
-    }
-
-    void keepAliveAt(TimePoint due) {
-        beat_due_ = due;
-        beat_.expires_after(clock_.realTimeUntil(due));
-        beat_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
-            const auto self = weak.lock();
-            if (cancelled || !self) return;
-            // As it is now: who was under way already when the beat was brought forward must not put it off again.
-            if (self->clock_.now() < self->beat_due_) return self->keepAliveAt(self->beat_due_);
-            self->keepAlive();
+        beat_.at(clock_.now() + (busy_ ? busy_period_ : idle_period_), [weak = weak_from_this()] {
+            if (const auto self = weak.lock()) self->keepAlive();
         });
     }
 
@@ -499,8 +490,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     // Confined to the strand.
     asio::steady_timer retry_;
-    asio::steady_timer beat_;
-    TimePoint beat_due_{};
+    DueTimer beat_;
     const std::shared_ptr<EntityCallbackServant> data_servant_, signal_servant_;
     std::shared_ptr<Ice::Connection> data_connection_, signal_connection_;
     std::shared_ptr<EntityCallbackPrx> data_callback_, signal_callback_;

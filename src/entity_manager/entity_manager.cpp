@@ -21,7 +21,7 @@ EntityManager::EntityManager(asio::any_io_executor executor, std::string name, c
     : strand_(asio::make_strand(asio::any_io_executor(CallerFirst::over(std::move(executor))))),
       name_(std::move(name)),
       clock_(clock),
-      timer_(strand_) {}
+      timer_(strand_, clock_) {}
 
 std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor executor,
                                                      std::shared_ptr<ServerCommunicators> ice,
@@ -275,24 +275,11 @@ void EntityManager::afterEvents() {
 void EntityManager::armTimer() {
     if (stopped_) return;
     const auto deadline = core_->nextDeadline();
-    if (deadline == armed_) return;
-    armed_ = deadline;
-    if (deadline == TimePoint::max()) {
-        timer_.cancel();
-        return;
-    }
-    awaitArmed();
-}
-
-void EntityManager::awaitArmed() {
-    timer_.expires_after(clock_.realTimeUntil(armed_));
-    timer_.async_wait([weak = weak_from_this()](const asio::error_code& cancelled) {
-        if (cancelled) return;
+    if (deadline == timer_.due()) return;
+    if (deadline == TimePoint::max()) return timer_.cancel();
+    timer_.at(deadline, [weak = weak_from_this()] {
         const auto self = weak.lock();
-        if (!self || self->stopped_ || self->armed_ == TimePoint::max()) return;
-        // The clock's time has not come, or an event has armed it anew when this was under way already.
-        if (self->clock_.now() < self->armed_) return self->awaitArmed();
-        self->armed_ = TimePoint::max();
+        if (!self || self->stopped_) return;
         self->hearServer();
         self->core_->onTimer();
         self->afterEvents();

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <asio/any_io_executor.hpp>
-#include <asio/steady_timer.hpp>
 #include <asio/strand.hpp>
 #include <atomic>
 #include <functional>
@@ -13,6 +12,7 @@
 #include "common/ids.hpp"
 #include "entity_manager/back_end_interface.hpp"
 #include "entity_manager/datagram_desk.hpp"
+#include "entity_manager/due_timer.hpp"
 #include "entity_manager/entity_communicator.hpp"
 #include "entity_manager/entity_manager_core.hpp"
 #include "entity_manager/inbox.hpp"
@@ -97,7 +97,6 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     void hearServer();
     void afterEvents();
     void armTimer();
-    void awaitArmed();
 
     Strand strand_;
     const std::string name_;
@@ -110,8 +109,7 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     std::unique_ptr<EntityCommunicator> server_;
     ResourceStore* resources_ = nullptr;
     std::unique_ptr<EntityManagerCore> core_;
-    asio::steady_timer timer_;
-    TimePoint armed_ = TimePoint::max();
+    DueTimer timer_;
     std::atomic<EntityState> state_{EntityState::UNAV};
     std::atomic<bool> server_heard_{false};  // a heartbeat that the strand has not counted yet
     std::atomic<bool> leaving_{false};       // a control overflow on its way to the strand
