@@ -19,18 +19,21 @@
 #include "lab/camera.hpp"
 #include "lab/clock_file.hpp"
 #include "lab/control.hpp"
+#include "lab/pace.hpp"
 #include "lab/picture_server.hpp"
 #include "lab/sockets.hpp"
 
 namespace axon::lab {
 namespace {
 
-constexpr Duration kTick = std::chrono::milliseconds{8};          // of the wall clock between two looks at it
+constexpr Duration kTick = Pace::kTick;
 constexpr Duration kShortestTick = std::chrono::milliseconds{1};  // when time goes fast
 constexpr Duration kTruthPeriod = std::chrono::milliseconds{100};  // of the world
-constexpr Duration kLongestLag = std::chrono::milliseconds{250};   // of the world; more is given up
+// Of the world. Who has other clocks sees it jump back by what is given up; programs on the laboratory's own time see nothing, and would be
+// late themselves if it caught up.
+constexpr Duration kLongestLag = std::chrono::milliseconds{250};
+constexpr Duration kLongestSilentLoss = std::chrono::seconds{1};  // of a time that everybody shares
 constexpr double kStepRate = 100;  // told while a step is carried out as fast as the physics can
-constexpr Duration kStepSlice = std::chrono::milliseconds{20};  // of the world between two looks at clients
 constexpr std::size_t kLongestRequest = 64 * 1024;
 constexpr std::size_t kMostControlClients = 16;
 constexpr double kTrackStep_m = 0.05;
@@ -56,6 +59,7 @@ class LabServer::Loop final : Control::Operator {
           speed_(options_.speed),
           paused_(options_.step),
           stepping_(options_.step),
+          pace_(options_.clock_path.empty() ? kLongestLag : Duration::zero()),
           tracks_(world_.robots.size()) {
         if (!wake_) failWithErrno("eventfd");
         if (!options_.truth_path.empty()) {
@@ -152,7 +156,7 @@ class LabServer::Loop final : Control::Operator {
                 ::poll(
                     watched_.data(), watched_.size(),
                     static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(kTick).count()));
-            } else if (pendingStep()) {
+            } else if (pendingStep() || behind_) {
                 ::poll(watched_.data(), watched_.size(), 0);
             } else {
                 // Sleeping in whole ticks, whatever arrives: commands wait for the next tick, 100 wake-ups a
@@ -164,7 +168,7 @@ class LabServer::Loop final : Control::Operator {
             if ((watched_[0].revents & POLLIN) != 0) return;
             serveClients();
             if (pendingStep()) {
-                const auto until = std::min(lab_.age() + kStepSlice, *pendingStep());
+                const auto until = std::min(lab_.age() + Pace::kSlice, *pendingStep());
                 while (lab_.age() < until) step();
                 rebase();
             } else if (!paused_) {
@@ -205,24 +209,14 @@ class LabServer::Loop final : Control::Operator {
     bool standing() const { return paused_ && !pendingStep(); }
     bool keepUp() const { return stepping_ || paused_ || speed_ > 1; }
 
-    void rebase() {
-        pace_start_ = clock_.now();
-        pace_age_ = lab_.age();
-    }
+    void rebase() { pace_.rebase(clock_.now(), lab_.age()); }
 
     void keepPace() {
-        const auto due =
-            pace_age_ + std::chrono::duration_cast<Duration>((clock_.now() - pace_start_) * speed_);
-        if (due - lab_.age() >
-            std::max(kLongestLag, std::chrono::duration_cast<Duration>(kTick * speed_ * 3))) {
-            // Too slow, or the process was stopped for a while: give up the lost time instead of racing
-            // after it.
-            noteLag();
-            step();
-            rebase();
-            return;
-        }
-        while (lab_.age() < due) {
+        const auto order = pace_.next(clock_.now(), lab_.age(), speed_);
+        behind_ = order.behind;
+        given_up_ += order.given_up;
+        if (given_up_ > (clock_file_ ? kLongestSilentLoss : Duration::zero())) noteLag();
+        while (lab_.age() < order.until) {
             step();
             // At high speeds a tick is many pictures long.
             if (speed_ > 1) cameras_->offer(lab_.age(), true);
@@ -503,8 +497,9 @@ class LabServer::Loop final : Control::Operator {
     double speed_;
     bool paused_;
     const bool stepping_;
-    TimePoint pace_start_{};
-    Duration pace_age_{};
+    Pace pace_;
+    bool behind_ = false;
+    Duration given_up_{};  // of the world, altogether
     TimePoint next_tick_{};
     bool lag_noted_ = false;
 

@@ -174,6 +174,9 @@ class Laboratory:
         for name in ("AXON_SERVER", "AXON_AGENT", "AXON_CONFIG", "AXON_CLOCK"):
             self.env.pop(name, None)
         self.processes = []
+        # What lies there when the server starts is there from the beginning; what comes later when it looks again.
+        self.services_folder = self.folder / "globalservices"
+        self.services_folder.mkdir()
 
     def start(self, name, program, *options, env=None):
         process = Process(name, [self.bin / program, *options], self.folder, env or self.env)
@@ -188,8 +191,6 @@ class Laboratory:
             return self.start_cluster(*more)
         at = fixed_ports or {}
         options = list(more)
-        self.services_folder = self.folder / "globalservices"
-        self.services_folder.mkdir(exist_ok=True)
         options += ["--global-services", self.services_folder]
         for option, key in (("--client-endpoint", "client"), ("--client-signal-endpoint", "client-signal"),
                             ("--entity-endpoint", "entity"), ("--entity-signal-endpoint", "entity-signal")):

@@ -82,9 +82,9 @@ class Trial:
                 shutil.copy(used, self.lab.folder)
         file.write_text(text)
         self.world = self.lab.start_world(file, "--seed", self.seed, "--truth", self.lab.folder / "truth.jsonl")
-        self.lab.start_server()
         if services:
             (self.lab.services_folder / "services.xml").write_text(services)
+        self.lab.start_server()
         self.lab.start_entities(stand)
         for name in stand:
             self.lab.wait_for_entity(name)
