@@ -336,6 +336,31 @@ TEST(PickAndPlace, WhatCannotBeReachedIsRefusedWithTheReason) {
                 HasSubstr("not put it down at (250, 0, 0) mm"));
 }
 
+/// Over the arm's top an object would be upside down on the way, and what is round turns between the claws.
+TEST(PickAndPlace, WhatIsCarriedIsHeldLevelWhereverTheArmReaches) {
+    std::mt19937 random(5);
+    const auto among = [&random](double a, double b) {
+        return a + (b - a) * static_cast<double>(random()) / 4294967296.0;
+    };
+    for (int i = 0; i < 15; ++i) {
+        Kinematics kinematics;
+        PickAndPlaceRequest request;
+        const double far = among(0.362, 0.412);
+        const double round = radians(among(72, 98));
+        request.pick = {far * std::cos(round), far * std::sin(round), 0.1};
+        request.place = {among(0.375, 0.4), among(-0.06, 0.06), 0};
+        const auto plan = planPickAndPlace(kinematics, request, atHome());
+        ASSERT_TRUE(plan) << i << ": " << plan.refusal().message;
+        EXPECT_LT(degrees(plan->carried_tilt), 45) << i << ": " << far << " m, " << degrees(round) << " deg";
+        // Not only by its own word.
+        const auto& carry = plan->legs[plan->grasped + 1];
+        ASSERT_EQ(carry.name, "carrying it");
+        const double before = kinematics.forward(carry.way.at(0).joints).approach[2];
+        for (double t = 0; t < carry.way.duration_s(); t += 0.05)
+            EXPECT_NEAR(std::acos(kinematics.forward(carry.way.at(t).joints).approach[2]), std::acos(before), radians(46));
+    }
+}
+
 TEST(PickAndPlace, PlanningEndsWhenTheTaskIsStopped) {
     Kinematics kinematics;
     const auto plan = planPickAndPlace(kinematics, {}, atHome(), [] { return true; });

@@ -21,6 +21,7 @@ constexpr double kLargestTurn_rad = 0.35;  // of a joint on one step: more is an
 constexpr double kArmClearance = 0.030;    // half as thick as the arm
 constexpr double kHandClearance = 0.012;
 constexpr double kCareful = 0.4;  // of the speed, close to the object
+constexpr double kLevel_rad = radians(45);  // what is round turns between the claws when it is carried upside down
 constexpr double kTilts_deg[] = {0, 10, 20, 30, 40, 50, 60, 70, 80, 90};
 constexpr double kYawTolerance_rad = radians(50);  // between the tool's plane and the line from the arm
 
@@ -79,22 +80,51 @@ bool clear(const Kinematics& kinematics, const Joints& joints, const Surrounding
     });
 }
 
+Joints between(const Joints& from, const Joints& to, double part) {
+    Joints joints;
+    for (std::size_t k = 0; k < kJoints; ++k) joints[k] = std::lerp(from[k], to[k], part);
+    return joints;
+}
+
 bool clearWay(const Kinematics& kinematics, const Joints& from, const Joints& to,
               const Surroundings& surroundings) {
     const int steps = std::max(1, static_cast<int>(std::ceil(largestDifference(from, to) / 0.1)));
-    for (int i = 0; i <= steps; ++i) {
-        Joints joints;
-        for (std::size_t k = 0; k < kJoints; ++k)
-            joints[k] = std::lerp(from[k], to[k], static_cast<double>(i) / steps);
-        if (!clear(kinematics, joints, surroundings)) return false;
-    }
+    for (int i = 0; i <= steps; ++i)
+        if (!clear(kinematics, between(from, to, static_cast<double>(i) / steps), surroundings)) return false;
     return true;
+}
+
+/// How far what the tool holds upright at the beginning is tilted on the way, at the most; rad, 0 to pi.
+double tiltOn(const Kinematics& kinematics, const std::vector<Joints>& way) {
+    const auto axes = [&](const Joints& joints) {
+        const auto tool = kinematics.forward(joints);
+        const auto& [a, c] = std::pair{tool.approach, tool.closing};
+        return std::array<Point, 3>{a, c, {a[1] * c[2] - a[2] * c[1], a[2] * c[0] - a[0] * c[2], a[0] * c[1] - a[1] * c[0]}};
+    };
+    const auto held = axes(way.front());
+    double least = 1;  // cosine
+    for (std::size_t leg = 1; leg < way.size(); ++leg) {
+        const int steps = std::max(1, static_cast<int>(std::ceil(largestDifference(way[leg - 1], way[leg]) / 0.1)));
+        for (int i = 1; i <= steps; ++i) {
+            const auto now = axes(between(way[leg - 1], way[leg], static_cast<double>(i) / steps));
+            double up = 0;  // of the object's axis, which is the world's at the beginning
+            for (std::size_t k = 0; k < 3; ++k) up += held[k][2] * now[k][2];
+            least = std::min(least, up);
+        }
+    }
+    return std::acos(std::clamp(least, -1.0, 1.0));
 }
 
 /// Joints on the way from one place to the other; the shortest list of those that are clear.
 std::optional<std::vector<Joints>> way(const Kinematics& kinematics, const Joints& from, const Joints& to,
                                        const Surroundings& surroundings) {
     if (clearWay(kinematics, from, to, surroundings)) return std::vector{from, to};
+    // Turned about the arm's axis first or last: what is held stays as it is meanwhile.
+    for (auto turned : {from, to}) {
+        turned[0] = turned[0] == from[0] ? to[0] : from[0];
+        if (clearWay(kinematics, from, turned, surroundings) && clearWay(kinematics, turned, to, surroundings))
+            return std::vector{from, turned, to};
+    }
     // By way of postures above everything: upright, turned as at the beginning or at the end.
     for (const auto& like : {to, from}) {
         Joints upright = like;
@@ -203,11 +233,24 @@ class Planner {
         : kinematics_(kinematics), request_(request), start_(start), cancelled_(cancelled) {}
 
     Result<PickAndPlacePlan> plan() {
+        std::optional<PickAndPlacePlan> best;  // of those that tilt the object on the way
+        for (const int postures : {2, 6}) {
+            if (auto found = search(postures, best)) return *std::move(found);
+            if (!best || (cancelled_ && cancelled_())) break;
+        }
+        if (best) return *std::move(best);
+        if (cancelled_ && cancelled_()) return refusal("the task was stopped while it was planned");
+        return refusal(reason());
+    }
+
+  private:
+    /// Looks at so many postures for each end. A plan that carries the object level, or nothing and perhaps a `best`.
+    std::optional<PickAndPlacePlan> search(int postures, std::optional<PickAndPlacePlan>& best) {
         for (const double tilt_deg : kTilts_deg) {
             const double tilt = radians(tilt_deg);
             const double grip = std::max(gripHeight(request_, tilt), leastGripHeight(tilt));
             if (grip > request_.height) continue;
-            for (const auto& pick : solve(request_.pick, request_.pick_yaw, tilt, grip, std::nullopt)) {
+            for (const auto& pick : solve(request_.pick, request_.pick_yaw, tilt, grip, std::nullopt, postures)) {
                 pick_reached_ = true;
                 std::optional<double> place_yaw;
                 if (request_.place_yaw) {
@@ -217,19 +260,20 @@ class Planner {
                 }
                 auto above = request_.place;
                 above[2] += kSetDown;
-                for (const auto& place : solve(above, place_yaw, tilt, grip, pick.at)) {
+                for (const auto& place : solve(above, place_yaw, tilt, grip, pick.at, postures)) {
                     place_reached_ = true;
-                    if (cancelled_ && cancelled_())
-                        return refusal("the task was stopped while it was planned");
-                    if (auto plan = connect(pick, place, tilt, grip)) return *plan;
+                    if (cancelled_ && cancelled_()) return std::nullopt;
+                    auto plan = connect(pick, place, tilt, grip);
+                    if (!plan) continue;
+                    if (plan->carried_tilt <= kLevel_rad) return plan;
+                    if (!best || plan->carried_tilt < best->carried_tilt) best = std::move(plan);
                 }
-                if (cancelled_ && cancelled_()) return refusal("the task was stopped while it was planned");
+                if (cancelled_ && cancelled_()) return std::nullopt;
             }
         }
-        return refusal(reason());
+        return std::nullopt;
     }
 
-  private:
     static Refusal refusal(const std::string& why) { return {RefusalCode::Denied, why, {}}; }
 
     std::string reason() const {
@@ -257,7 +301,7 @@ class Planner {
     }
 
     std::vector<Solved> solve(const Point& foot, std::optional<double> yaw, double tilt, double grip,
-                              const std::optional<Joints>& like) {
+                              const std::optional<Joints>& like, int postures) {
         std::vector<Solved> found;
         for (const auto& stand : stands(foot + Point{0, 0, grip}, yaw, tilt)) {
             auto wanted = reachingPosture(foot);
@@ -266,7 +310,7 @@ class Planner {
                 wanted = *like;
                 wanted[0] = roll;
             }
-            for (const auto& at : kinematics_.solutions(stand.pose, wanted, {.starts = 50, .solutions = 4})) {
+            for (const auto& at : kinematics_.solutions(stand.pose, wanted, {.starts = 25 * postures, .solutions = 2 * postures})) {
                 std::optional<std::vector<Joints>> back;
                 for (const double far : kApproaches) {
                     back = line(kinematics_, stand.pose, stand.pose.position - far * stand.pose.approach, at);
@@ -279,7 +323,7 @@ class Planner {
                 }
                 if (!up || !clear(kinematics_, at, {})) continue;
                 found.push_back({stand, at, *back, *up});
-                if (found.size() >= 2) return found;
+                if (found.size() >= static_cast<std::size_t>(postures)) return found;
             }
         }
         return found;
@@ -315,6 +359,7 @@ class Planner {
         };
         PickAndPlacePlan plan;
         plan.tilt = tilt;
+        plan.carried_tilt = tiltOn(kinematics_, *carry);
         plan.grip_height = grip;
         auto first = postures(*to_ready, open);
         first.front().opening_mm = start_.opening_mm;

@@ -30,6 +30,7 @@ struct PickAndPlacePlan {
     std::size_t grasped = 0;   ///< from this leg on the object is in the claws,
     std::size_t released = 0;  ///< and from this one on no more
     double tilt = 0;           ///< of the tool, both times; 0 points straight down, 90 degrees outwards
+    double carried_tilt = 0;   ///< of the object while it is carried, at the most; rad
     double grip_height = 0;    ///< above the underside, m
 };
 
@@ -40,9 +41,10 @@ std::string objection(const PickAndPlaceRequest& request);
 /// release, back off, home. The object stays upright, so that the tool tilts alike at both places: straight
 /// down is tried first, then further and further outwards. The whole way is checked: joints within limits,
 /// arm, hand and object above the plane of the base, off the surface below the object (taken to be 0.12 m
-/// wide) and off the object itself while it stands. What else stands around, nobody here knows.
+/// wide) and off the object itself while it stands. What else stands around, nobody here knows. Of several ways one is
+/// taken on which the object is tilted by no more than 45 degrees, if there is one.
 ///
-/// Takes up to two seconds where it finds nothing; `cancelled` is asked in between. Refuses with the reason.
+/// Takes up to two seconds where it finds nothing, or none that is level; `cancelled` is asked in between. Refuses with the reason.
 Result<PickAndPlacePlan> planPickAndPlace(Kinematics& kinematics, const PickAndPlaceRequest& request,
                                           const Posture& start, const std::function<bool()>& cancelled = {});
 
