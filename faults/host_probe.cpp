@@ -12,7 +12,14 @@ namespace axon::faults {
 
 namespace {
 
-constexpr int kPriority = 50;
+/// Above the Entity Interfacer's stop thread (30), Axon's highest.
+constexpr int kPriority = 31;
+
+bool raised() {
+    sched_param parameters{};
+    parameters.sched_priority = kPriority;
+    return pthread_setschedparam(pthread_self(), SCHED_RR, &parameters) == 0;
+}
 
 bool earlier(const Stall& a, const Stall& b) {
     return a.begin < b.begin;
@@ -23,12 +30,14 @@ bool earlier(const Stall& a, const Stall& b) {
 HostProbe::HostProbe() {
     cpu_set_t allowed;
     CPU_ZERO(&allowed);
-    if (sched_getaffinity(0, sizeof allowed, &allowed) != 0) return;
+    bool permitted = false;
+    std::thread([&permitted] { permitted = raised(); }).join();
+    if (!permitted || sched_getaffinity(0, sizeof allowed, &allowed) != 0) {
+        watch(kAny);
+        return;
+    }
     for (int processor = 0; processor < CPU_SETSIZE; ++processor)
-        if (CPU_ISSET(processor, &allowed)) {
-            auto& watcher = watchers_.emplace_back();
-            watcher.thread = std::thread([this, &watcher, processor] { run(watcher, processor); });
-        }
+        if (CPU_ISSET(processor, &allowed)) watch(processor);
 }
 
 HostProbe::~HostProbe() {
@@ -36,34 +45,42 @@ HostProbe::~HostProbe() {
     for (auto& watcher : watchers_) watcher.thread.join();
 }
 
-void HostProbe::run(Watcher& watcher, int processor) {
-    cpu_set_t mine;
-    CPU_ZERO(&mine);
-    CPU_SET(processor, &mine);
-    pthread_setaffinity_np(pthread_self(), sizeof mine, &mine);
-    sched_param parameters{};
-    parameters.sched_priority = kPriority;
-    pthread_setschedparam(pthread_self(), SCHED_RR, &parameters);  // where not permitted, nobody else has it either
+void HostProbe::watch(int processor) {
+    auto& watcher = watchers_.emplace_back();
+    watcher.thread = std::thread([this, &watcher, processor] {
+        if (processor != kAny) {
+            cpu_set_t mine;
+            CPU_ZERO(&mine);
+            CPU_SET(processor, &mine);
+            pthread_setaffinity_np(pthread_self(), sizeof mine, &mine);
+            raised();
+        }
+        run(watcher);
+    });
+}
+
+void HostProbe::run(Watcher& watcher) {
     while (!ending_) {
-        const auto begin = nowNs();
-        watcher.asleep_since = begin;
+        const auto due = nowNs() + kSleepNs;
+        watcher.due = due;
         std::this_thread::sleep_for(std::chrono::nanoseconds{kSleepNs});
-        const auto end = nowNs();
-        if (end - begin - kSleepNs < kStallNs) continue;
+        const auto woken = nowNs();
+        if (woken - due < kStallNs) continue;
         const std::lock_guard lock(mutex_);
-        stalls_.push_back({begin, end});
+        stalls_.push_back({due, woken});
     }
 }
 
 std::vector<Stall> HostProbe::stalls() const {
-    auto all = [this] {
-        const std::lock_guard lock(mutex_);
-        return stalls_;
-    }();
+    std::vector<Stall> all;
+    // Those that last first: one that ends meanwhile is then among the others, too.
     for (const auto& watcher : watchers_)
-        if (const Stall now{watcher.asleep_since, nowNs()};
-            now.begin != 0 && now.end - now.begin - kSleepNs >= kStallNs)
-            all.push_back(now);
+        if (const Stall lasting{watcher.due, nowNs()}; lasting.begin != 0 && lasting.end - lasting.begin >= kStallNs)
+            all.push_back(lasting);
+    {
+        const std::lock_guard lock(mutex_);
+        all.insert(all.end(), stalls_.begin(), stalls_.end());
+    }
     std::sort(all.begin(), all.end(), earlier);
     std::vector<Stall> merged;
     for (const auto& stall : all) {

@@ -234,12 +234,12 @@ class Planner {
 
     Result<PickAndPlacePlan> plan() {
         std::optional<PickAndPlacePlan> best;  // of those that tilt the object on the way
-        for (const int postures : {2, 6}) {
+        for (const int postures : {2, 5}) {
             if (auto found = search(postures, best)) return *std::move(found);
             if (!best || (cancelled_ && cancelled_())) break;
         }
-        if (best) return *std::move(best);
         if (cancelled_ && cancelled_()) return refusal("the task was stopped while it was planned");
+        if (best) return *std::move(best);
         return refusal(reason());
     }
 

@@ -54,7 +54,7 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
         session_.receive(std::exchange(inbox_, {}), lab_->now());
         session_.tick(lab_->now());
         lab_->step();
-        if (!seen_at_ && must_end_ && must_end_(lab_->truth(0))) seen_at_ = lab_->age();
+        if (!seen_at_ && !failed_at_ && must_end_ && must_end_(lab_->truth(0))) seen_at_ = lab_->age();
     }
     /// What the application would know.
     arcos::RobotState robot() const {

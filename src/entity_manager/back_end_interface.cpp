@@ -574,8 +574,9 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
     void beatAt(TimePoint due) {
-        beat_timer_.at(due, [self = shared_from_this(), peer = peer_] {
-            if (self->peer_ == peer && !peer->ending) self->onBeatTimer();
+        beat_timer_.at(due, [weak = weak_from_this(), peer = peer_] {
+            const auto self = weak.lock();
+            if (self && self->peer_ == peer && !peer->ending) self->onBeatTimer();
         });
     }
 

@@ -2,6 +2,7 @@
 #pragma once
 #include <asio/any_io_executor.hpp>
 #include <asio/steady_timer.hpp>
+#include <cstdint>
 #include <memory>
 #include <utility>
 
@@ -12,8 +13,8 @@ namespace axon::entity_manager {
 /// A timer of a strand on the injected clock, for one time: the last that was set.
 ///
 /// asio's timer knows the machine's time only, so it is asked again when it rings too early by the clock. States: idle ─ at() ► due ─ rings, or
-/// cancel() ► idle; at() while due replaces time and call. Threads: the strand's alone, where the call is made as well. The
-/// call must hold its owner weakly: it may be under way when the owner ends.
+/// cancel() ► idle; at() while due replaces time and call, also where the old one was under way. Threads: the strand's alone,
+/// where the call is made as well. The call must hold its owner weakly: it may be under way when the owner ends.
 class DueTimer {
   public:
     DueTimer(const asio::any_io_executor& strand, const Clock& clock)
@@ -24,10 +25,11 @@ class DueTimer {
     template <class Call>
     void at(TimePoint due, Call call) {
         state_->due = due;
-        await(state_, std::move(call));
+        await(state_, ++state_->number, std::move(call));
     }
     void cancel() {
         state_->due = TimePoint::max();
+        ++state_->number;
         state_->timer.cancel();
     }
     /// TimePoint::max() while it is idle.
@@ -39,16 +41,17 @@ class DueTimer {
         const Clock& clock;
         asio::steady_timer timer;
         TimePoint due = TimePoint::max();
+        std::uint64_t number = 0;  // of at() and cancel(): asio may have queued the handler of an earlier one
     };
 
     template <class Call>
-    static void await(const std::shared_ptr<State>& state, Call call) {
+    static void await(const std::shared_ptr<State>& state, std::uint64_t number, Call call) {
         state->timer.expires_after(state->clock.realTimeUntil(state->due));
-        state->timer.async_wait([weak = std::weak_ptr(state), call = std::move(call)](const asio::error_code& cancelled) mutable {
+        state->timer.async_wait([weak = std::weak_ptr(state), number,
+                                 call = std::move(call)](const asio::error_code& cancelled) mutable {
             const auto its = weak.lock();
-            if (cancelled || !its || its->due == TimePoint::max()) return;
-            // As it is now: who was under way already when it was set anew must neither ring too early nor put it off.
-            if (its->clock.now() < its->due) return await(its, std::move(call));
+            if (cancelled || !its || its->number != number) return;
+            if (its->clock.now() < its->due) return await(its, number, std::move(call));
             its->due = TimePoint::max();
             call();
         });

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // A laboratory's description: any text is accepted or refused with its line, and what is accepted can be completed,
-// checked and written as a world. Maps that it names are empty here; map_fuzz has those.
+// checked and written as a world. All maps that it names are one small square here; map_fuzz has maps.
 #include <cstdint>
 #include <cstdlib>
 #include <string_view>
@@ -11,7 +11,16 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     using namespace axon::lab;
     const std::string_view text(reinterpret_cast<const char*>(bytes), size);
     try {
-        auto world = parseWorld(text, "f", [](const std::string&) -> std::string { throw BadDescription("f: no such file"); });
+        constexpr const char* kMap = "2D-Map\nLineMinPos: 0 0\nLineMaxPos: 4000 4000\nNumLines: 4\nLINES\n0 0 4000 0\n4000 0 4000 4000\n"
+                                     "4000 4000 0 4000\n0 4000 0 0\n";
+        auto world = [&] {
+            try {
+                return parseWorld(text, "f", [=](const std::string&) { return std::string(kMap); });
+            } catch (const BadDescription& error) {
+                if (!std::string_view(error.what()).starts_with("f:")) std::abort();
+                throw;
+            }
+        }();
         complete(world);
         validate(world);
         if (mjcf(world).empty()) std::abort();
