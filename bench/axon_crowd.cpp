@@ -1,117 +1,119 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "axon_crowd.hpp"
 
-#include <sys/prctl.h>
-#include <sys/wait.h>
-#include <unistd.h>
-
 #include <cstdio>
 #include <fstream>
-#include <sstream>
+#include <functional>
 #include <stdexcept>
-#include <thread>
 
 namespace axon::bench {
 
 namespace fs = std::filesystem;
 using namespace std::chrono_literals;
 
-volatile sig_atomic_t interrupted = 0;
-
-Child::Child(const std::vector<std::string>& words, const fs::path& log) {
-    std::fflush(nullptr);  // or the child would print our buffers again
-    pid_ = ::fork();
-    if (pid_ == 0) {
-        ::setpgid(0, 0);  // Ctrl-C is for the benchmark, which then ends its children itself
-        ::prctl(PR_SET_PDEATHSIG, SIGKILL);
-        std::freopen(log.c_str(), "w", stdout);
-        std::freopen(log.c_str(), "a", stderr);
-        std::vector<char*> arguments;
-        for (const auto& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
-        arguments.push_back(nullptr);
-        ::execvp(arguments[0], arguments.data());
-        std::perror(arguments[0]);
-        ::_exit(127);
-    }
-}
-Child::~Child() {
-    ::kill(pid_, SIGKILL);
-    ::waitpid(pid_, nullptr, 0);
-}
-bool Child::running() const {
-    return ::waitpid(pid_, nullptr, WNOHANG) == 0;
-}
-
 namespace {
 
-std::string waitForLine(const fs::path& log, const std::string& begin, const Child& child) {
-    for (int i = 0; i < 2000 && !interrupted; ++i) {
-        std::ifstream in(log);
-        for (std::string line; std::getline(in, line);)
-            if (line.rfind(begin, 0) == 0) return line;
-        if (!child.running()) break;
-        std::this_thread::sleep_for(5ms);
-    }
-    throw std::runtime_error("a program did not become ready; see " + log.string());
+/// Entities log in 32 at a time; on a busy machine a thousand of them take a while.
+constexpr auto kJoinTime = 120s;
+
+client::Options patient() { return {.timeout = client::Seconds{30}}; }
+
+/// Of users that exist in one run's folder, for as long as it lasts.
+constexpr const char* kPassword = "of a benchmark";
+
+void addUser(const fs::path& users, const std::string& name, const std::string& role) {
+    const auto command = "'" + (programs() / "axon-server").string() + "' --users '" + users.string() + "' --add-user " + name + " --user-role " + role +
+                         " >'" + users.string() + ".log' 2>&1";
+    FILE* pipe = ::popen(command.c_str(), "w");
+    if (pipe != nullptr) std::fprintf(pipe, "%s\n", kPassword);
+    if (pipe == nullptr || ::pclose(pipe) != 0) throw std::runtime_error("axon-server did not add a user; see " + users.string() + ".log");
 }
 
-std::string field(const std::string& ready_line, const std::string& key) {
-    std::istringstream words(ready_line);
-    for (std::string word; words >> word;)
-        if (word.rfind(key + "=", 0) == 0) return word.substr(key.size() + 1);
-    throw std::runtime_error("no " + key + "= in: " + ready_line);
+std::vector<std::string> serverCommand(const fs::path& folder, const Radio* radio) {
+    const std::string host = radio ? Radio::address() : "127.0.0.1";
+    std::vector<std::string> words{(programs() / "axon-server").string(), "--client-endpoint", "127.0.0.1:0", "--client-signal-endpoint", "127.0.0.1:0",
+                                   "--entity-endpoint", host + ":0", "--entity-signal-endpoint", host + ":0"};
+    if (radio) {
+        const auto users = folder / "users.cfg";
+        addUser(users, "bench-client", "operator");
+        addUser(users, "bench-entity", "entity");
+        words.insert(words.end(), {"--users", users.string(), "--plain-tcp"});
+    }
+    return words;
+}
+
+std::string configuration(const fs::path& file, const std::string& server, const std::string& user) {
+    std::ofstream(file) << "Axon.Server=" << server << "\nAxon.User=" << user << "\nAxon.Password=" << kPassword << "\n";
+    fs::permissions(file, fs::perms::owner_read | fs::perms::owner_write);
+    return file.string();
+}
+
+client::Options configured(const fs::path& file) {
+    auto read = client::readConfiguration(file, patient());
+    if (!read) throw std::runtime_error(read.refusal().message);
+    return std::move(read).value();
 }
 
 }  // namespace
 
-AxonCrowd::AxonCrowd(const fs::path& programs, const fs::path& folder, std::size_t n, const Running* running)
-    : board_((folder / "axon.board").string(), n, true) {
-    client::Options options{.timeout = client::Seconds{30}};
-    std::string entity_server;
-    if (running) {
-        auto configured = client::readConfiguration(running->client_config, options);
-        if (!configured) throw std::runtime_error(configured.refusal().message);
-        options = std::move(configured).value();
-        entity_server = running->entity_config;
-    } else {
-        server_ = std::make_unique<Child>(
-            std::vector<std::string>{(programs / "axon-server").string(), "--client-endpoint", "127.0.0.1:0",
-                                     "--client-signal-endpoint", "127.0.0.1:0", "--entity-endpoint", "127.0.0.1:0",
-                                     "--entity-signal-endpoint", "127.0.0.1:0"},
-            folder / "server.log");
-        const auto ready = waitForLine(folder / "server.log", "ready ", *server_);
-        options.server = field(ready, "client");
-        entity_server = field(ready, "entity");
+AxonServer::AxonServer(const fs::path& folder, const Radio* radio)
+    : radio_(radio), child_(serverCommand(folder, radio), folder / "server.log") {
+    const auto ready = child_.waitForLine("ready ");
+    client_ = field(ready, "client");
+    entity_ = field(ready, "entity");
+    if (radio) {
+        client_ = configuration(folder / "client.cfg", client_, "bench-client");
+        entity_ = configuration(folder / "entity.cfg", entity_, "bench-entity");
     }
-    crowd_ = std::make_unique<Child>(
-        std::vector<std::string>{(programs / "axon-bench").string(), "crowd", (folder / "axon.board").string(),
-                                 std::to_string(n), entity_server},
-        folder / "crowd.log");
-    while (board_.ready() < n && !interrupted) {
-        if (!crowd_->running()) throw std::runtime_error("the entities did not start; see " + (folder / "crowd.log").string());
-        std::this_thread::sleep_for(10ms);
-    }
-    auto connected = client::Client::connect(options);
-    if (!connected) throw std::runtime_error(connected.refusal().message);
-    client_ = std::move(connected).value();
-    for (std::size_t i = 0; i < n; ++i) names_.push_back("bench-" + std::to_string(i));
-    for (const auto& name : names_)
-        if (const auto there = client_->waitFor(name, client::Seconds{10}); !there)
-            throw std::runtime_error(there.refusal().message);
-    auto held = client_->checkOut(names_);
-    if (!held) throw std::runtime_error(held.refusal().message);
-    held_ = std::move(held).value();
 }
 
-nlohmann::json machine() {
-    std::string model = "unknown";
-    std::ifstream cpu("/proc/cpuinfo");
-    for (std::string line; std::getline(cpu, line);)
-        if (line.rfind("model name", 0) == 0) {
-            model = line.substr(line.find(':') + 2);
-            break;
-        }
-    return {{"cpu", model}, {"cores", std::thread::hardware_concurrency()}, {"clock", "CLOCK_MONOTONIC"}};
+Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_t n, const std::string& server, const Radio* radio)
+    : board_((folder / (prefix + ".board")).string(), n, true) {
+    const auto start = [&](std::size_t first, std::size_t count, const std::function<void()>& prepare) {
+        if (count == 0) return;
+        children_.push_back(std::make_unique<Child>(
+            std::vector<std::string>{(programs() / "axon-bench").string(), "crowd", (folder / (prefix + ".board")).string(), std::to_string(n),
+                                     std::to_string(first), std::to_string(count), server, prefix},
+            folder / (prefix + "-" + std::to_string(first) + ".log"), std::vector<std::string>{}, prepare));
+    };
+    const auto wired = radio ? firstWireless(n) : n;
+    start(0, wired, {});
+    if (radio) start(wired, n - wired, radio->enterWireless());
+    for (const auto& child : children_)
+        child->waitUntil([this, all = children_.size()] { return board_.ready() >= all; }, "the entities did not start", kJoinTime);
+    for (std::size_t i = 0; i < n; ++i) names_.push_back(prefix + "-" + std::to_string(i));
 }
+
+std::unique_ptr<client::Client> connectClient(client::Options options) {
+    auto connected = client::Client::connect(std::move(options));
+    if (!connected) throw std::runtime_error(connected.refusal().message);
+    return std::move(connected).value();
+}
+
+std::unique_ptr<client::Client> connectClient(const std::string& server) {
+    auto options = fs::exists(server) ? configured(server) : patient();
+    if (!fs::exists(server)) options.server = server;
+    return connectClient(std::move(options));
+}
+
+std::vector<client::CheckOut> holdAll(client::Client& client, const std::vector<std::string>& names) {
+    for (const auto& name : names)
+        if (const auto there = client.waitFor(name, client::Seconds{10}); !there) throw std::runtime_error(there.refusal().message);
+    auto held = client.checkOut(names);
+    if (!held) throw std::runtime_error(held.refusal().message);
+    return std::move(held).value();
+}
+
+AxonCrowd::AxonCrowd(const fs::path& folder, std::size_t n, const Running* running, const Radio* radio) {
+    if (!running) server_ = std::make_unique<AxonServer>(folder, radio);
+    entities_ = std::make_unique<Entities>(folder, "bench", n, running ? running->entity_config : server_->entityAddress(), radio);
+    client_ = connectClient(running ? running->client_config : server_->clientAddress());
+    held_ = holdAll(*client_, names());
+}
+
+AxonCrowd::AxonCrowd(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n)
+    : entities_(std::make_unique<Entities>(folder, prefix, n, server.entityAddress(), server.radio())),
+      client_(connectClient(server.clientAddress())),
+      held_(holdAll(*client_, names())) {}
 
 }  // namespace axon::bench

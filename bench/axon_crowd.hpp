@@ -1,32 +1,33 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <signal.h>
-
 #include <filesystem>
 #include <memory>
-#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
 #include "board.hpp"
+#include "child.hpp"
 #include "client/axon/client.hpp"
+#include "radio.hpp"
 
 namespace axon::bench {
 
-/// Ctrl-C.
-extern volatile sig_atomic_t interrupted;
-
-/// A child process, killed by its own id when this goes out of scope.
-class Child {
+/// axon-server on ports of its own: on loopback, or for Entity Managers on the wired side of a radio link, with users and
+/// passwords then.
+class AxonServer {
   public:
-    Child(const std::vector<std::string>& words, const std::filesystem::path& log);
-    ~Child();
-    Child(const Child&) = delete;
-    Child& operator=(const Child&) = delete;
-    bool running() const;
+    /// Throws std::runtime_error with the log.
+    explicit AxonServer(const std::filesystem::path& folder, const Radio* radio = nullptr);
+    /// For connectClient() and Entities: HOST:PORT, or a configuration file.
+    const std::string& clientAddress() const { return client_; }
+    const std::string& entityAddress() const { return entity_; }
+    const Radio* radio() const { return radio_; }
+    const Child& process() const { return child_; }
 
   private:
-    int pid_ = -1;
+    const Radio* radio_;
+    Child child_;
+    std::string client_, entity_;
 };
 
 /// Servers that run already: the configuration files of a client and of an Entity Manager, as axon-cluster writes them.
@@ -34,26 +35,49 @@ struct Running {
     std::string client_config, entity_config;
 };
 
-/// A server, unless one runs already, N entities in a process of their own (crowd.hpp), and a client that holds all of
-/// them. Throws std::runtime_error with the log where something does not start.
-class AxonCrowd {
+/// N Entity Managers in a process of their own (crowd.hpp), named PREFIX-0 … PREFIX-N-1. With a radio link the second half is in
+/// another process beyond it.
+class Entities {
   public:
-    AxonCrowd(const std::filesystem::path& programs, const std::filesystem::path& folder, std::size_t n,
-              const Running* running = nullptr);
+    /// `server`: HOST:PORT, or the configuration file of an Entity Manager. Throws std::runtime_error with the log.
+    Entities(const std::filesystem::path& folder, const std::string& prefix, std::size_t n, const std::string& server,
+             const Radio* radio = nullptr);
     Board& board() { return board_; }
-    client::Client& client() { return *client_; }
     const std::vector<std::string>& names() const { return names_; }
-    const std::vector<client::CheckOut>& held() const { return held_; }
+    /// The first of those behind the radio link.
+    static std::size_t firstWireless(std::size_t n) { return n / 2; }
+    /// The only one, without a radio link.
+    const Child& process() const { return *children_.front(); }
 
   private:
     Board board_;
-    std::unique_ptr<Child> server_, crowd_;
-    std::unique_ptr<client::Client> client_;
+    std::vector<std::unique_ptr<Child>> children_;
     std::vector<std::string> names_;
-    std::vector<client::CheckOut> held_;
 };
 
-/// For the results: what they were measured on.
-nlohmann::json machine();
+/// Throws std::runtime_error with the refusal.
+std::unique_ptr<client::Client> connectClient(client::Options options);
+/// `server`: HOST:PORT, or the configuration file of a client.
+std::unique_ptr<client::Client> connectClient(const std::string& server);
+/// Waits until they are there, and checks them out. Throws std::runtime_error with the refusal.
+std::vector<client::CheckOut> holdAll(client::Client& client, const std::vector<std::string>& names);
+
+/// A server, unless one runs already, N entities, and a client that holds all of them.
+class AxonCrowd {
+  public:
+    AxonCrowd(const std::filesystem::path& folder, std::size_t n, const Running* running = nullptr, const Radio* radio = nullptr);
+    /// Through this server, which outlives it, with entities of another name than others that it has.
+    AxonCrowd(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n);
+    Board& board() { return entities_->board(); }
+    client::Client& client() { return *client_; }
+    const std::vector<std::string>& names() const { return entities_->names(); }
+    const std::vector<client::CheckOut>& held() const { return held_; }
+
+  private:
+    std::unique_ptr<AxonServer> server_;
+    std::unique_ptr<Entities> entities_;
+    std::unique_ptr<client::Client> client_;
+    std::vector<client::CheckOut> held_;
+};
 
 }  // namespace axon::bench

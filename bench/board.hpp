@@ -3,49 +3,55 @@
 #include <array>
 #include <atomic>
 #include <cstdint>
+#include <optional>
 #include <string>
+
+#include "shared_array.hpp"
 
 namespace axon::bench {
 
-/// So many of its last tasks a receiver remembers.
-inline constexpr int kTaskMarks = 32;
+enum class Kind : std::uint8_t { Stop, Data };
 
-/// What one receiver noted, in memory shared by the processes of a run. Times are CLOCK_MONOTONIC in nanoseconds.
+/// When messages of one kind arrived at one receiver: the last kRemembered of them, by their number. Times are
+/// CLOCK_MONOTONIC in nanoseconds. Written by one thread, read by the sender's process.
+struct Arrivals {
+    static constexpr std::uint32_t kRemembered = 64;
+
+    std::atomic<std::uint32_t> next{0};  ///< the number after the newest one; without gaps, how many there were
+    std::array<std::atomic<std::int64_t>, kRemembered> at{};
+
+    void note(std::uint32_t number, std::int64_t when) {
+        at[number % kRemembered] = when;
+        next = number + 1;
+    }
+    /// Of the message with this number; what is older than its sending is of another one, and it has not arrived.
+    std::int64_t of(std::uint32_t number) const { return at[number % kRemembered]; }
+};
+
+/// What one receiver noted, in memory shared by the processes of a run.
 struct alignas(64) Slot {
-    std::atomic<std::int64_t> stop_at{0};
-    std::atomic<std::int64_t> data_at{0};
-    std::atomic<std::uint32_t> stops{0};
-    std::atomic<std::uint32_t> data{0};
-    std::atomic<std::uint32_t> corrupt{0};
-    std::atomic<std::uint32_t> tasks{0};  ///< ever
-    std::array<std::atomic<std::int64_t>, kTaskMarks> task_at{};
+    Arrivals stops, data;
+    Arrivals tasks;
+    std::atomic<std::uint32_t> corrupt{0};    ///< content that is not what was sent
+    std::atomic<std::uint32_t> misplaced{0};  ///< not the one after the one before: lost, doubled or out of order
 
-    /// When the handler of its task with this number, from 0, was entered.
-    std::int64_t entered(std::uint32_t task) const { return task_at[task % kTaskMarks]; }
+    Arrivals& of(Kind kind) { return kind == Kind::Stop ? stops : data; }
+    /// A message with content, received at `when`. Checks every byte of it and its place in the row.
+    void arrived(Kind kind, std::int64_t when, const char* bytes, std::size_t size);
 };
 
-/// A file of slots, mapped by the sender and by the process of the receivers. Throws std::system_error.
-class Board {
-  public:
-    Board(const std::string& file, std::size_t slots, bool create);
-    ~Board();
-    Board(const Board&) = delete;
-    Board& operator=(const Board&) = delete;
-
-    Slot& operator[](std::size_t i) { return slots_[i]; }
-    std::size_t size() const { return count_; }
-    /// How many receivers are ready.
-    std::atomic<std::uint32_t>& ready() { return slots_[count_].stops; }
-
-  private:
-    std::size_t count_;
-    Slot* slots_;
-};
+using Board = SharedArray<Slot>;
 
 std::int64_t nowNs();
 
-/// 35,137 bytes as chapter 5 sends them, less the header; the content is checked by whoever receives it.
-std::string batch(std::size_t bytes);
-bool batchIntact(const char* begin, std::size_t size);
+/// What is sent as data: a serialized ByteStream of five-character strings, of which 5000 are the 35,000 bytes of chapter 5
+/// (its 35,137 are with the call's arguments), cut off at `bytes`. The first string holds a number below 2^30.
+std::string content(std::size_t bytes);
+void setNumber(std::string& content, std::uint32_t number);
+/// The number, or nothing when any byte is not as content() and setNumber() made it.
+std::optional<std::uint32_t> readContent(const char* begin, std::size_t size);
+
+inline constexpr std::size_t kDataBytes = 35000;
+inline constexpr std::size_t kSmallBytes = 60;
 
 }  // namespace axon::bench

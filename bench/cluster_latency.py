@@ -52,7 +52,7 @@ def drill(lab):
 def batches(programs, lab, count):
     """What axon-bench says of batches to one server and, in turns, to the cluster."""
     status, result = lab.server.status, lab.folder / "data.json"
-    done = subprocess.run([programs / "axon-bench", "--only", "data", "--entities", "1,8", "--batches", str(count), "--beside",
+    done = subprocess.run([programs / "axon-bench", "peers", "--of", "data", "--entities", "1,8", "--batches", str(count), "--beside",
                            status["client_config"], status["entity_config"], "--json", result],
                           stdin=subprocess.DEVNULL, timeout=600, check=False)
     if done.returncode != 0:

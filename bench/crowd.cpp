@@ -39,9 +39,9 @@ class MemoryLink final : public BackEndPort {
         });
     }
 
-    void stop(std::uint32_t generation, StopCause) override {
-        slot_.stop_at = nowNs();
-        ++slot_.stops;
+    void stop(std::uint32_t generation, StopCause cause) override {
+        // What a client asked for by its stop; a drill, a reset or a lost lease is nobody's measurement.
+        if (cause == StopCause::Requested) slot_.stops.note(slot_.stops.next, nowNs());
         asio::post(strand_, [this, generation] {
             proto::EiToEm done;
             done.mutable_stop_done()->set_stop_generation(generation);
@@ -51,8 +51,7 @@ class MemoryLink final : public BackEndPort {
     }
     bool send(const proto::EmToEi& message) override {
         if (message.has_task()) {
-            slot_.task_at[slot_.tasks % kTaskMarks] = nowNs();
-            ++slot_.tasks;
+            slot_.tasks.note(slot_.tasks.next, nowNs());
             asio::post(strand_, [this, id = message.task().task_id()] {
                 proto::EiToEm answer;
                 answer.mutable_task_answer()->set_task_id(id);
@@ -65,11 +64,8 @@ class MemoryLink final : public BackEndPort {
             return true;
         }
         if (!message.has_raw()) return true;
-        slot_.data_at = nowNs();  // before the content is checked, as with the other's receivers
-        for (const auto& block : message.raw().data()) {
-            if (!batchIntact(block.data(), block.size())) ++slot_.corrupt;
-        }
-        ++slot_.data;
+        const auto now = nowNs();  // before the content is checked, as with the others' receivers
+        for (const auto& block : message.raw().data()) slot_.arrived(Kind::Data, now, block.data(), block.size());
         return true;
     }
     void setBusy(bool) override {}
@@ -115,24 +111,28 @@ class MemoryStorage final : public Storage, public ResourceStore {
 
 }  // namespace
 
-int runCrowd(const std::string& board_file, std::size_t entities, const std::string& entity_server) {
+int runCrowd(const CrowdWish& wish) {
     spdlog::set_level(spdlog::level::err);
     transport::lockMemory();  // as the daemon does
-    Board board(board_file, entities, false);
+    Board board(wish.board_file, wish.slots, false);
     SteadyClock clock;
     asio::thread_pool executor(1);
     const auto ice = std::make_shared<ServerCommunicators>(1, 1);
     ServerAddress server;
-    if (std::filesystem::exists(entity_server)) {
-        const auto configured = client::readConfiguration(entity_server);
+    std::string address = wish.server;
+    if (std::filesystem::exists(wish.server)) {
+        const auto configured = client::readConfiguration(wish.server);
         if (!configured) throw std::runtime_error(configured.refusal().message);
-        server.router = configured->server;
+        address = configured->server;
         server.user = configured->user;
         server.password = configured->password;
+    }
+    if (address.find('/') != std::string::npos) {
+        server.router = address;
     } else {
-        const auto colon = entity_server.rfind(':');
-        server.host = entity_server.substr(0, colon);
-        server.port = static_cast<std::uint16_t>(std::stoi(entity_server.substr(colon + 1)));
+        const auto colon = address.rfind(':');
+        server.host = address.substr(0, colon);
+        server.port = static_cast<std::uint16_t>(std::stoi(address.substr(colon + 1)));
     }
 
     struct Member {
@@ -141,14 +141,14 @@ int runCrowd(const std::string& board_file, std::size_t entities, const std::str
         std::shared_ptr<EntityManager> manager;
     };
     std::vector<std::unique_ptr<Member>> members;
-    for (std::size_t i = 0; i < entities; ++i) {
+    for (std::size_t i = 0; i < wish.count; ++i) {
         auto member = std::make_unique<Member>();
         CoreSettings settings;
-        settings.application = "bench-" + std::to_string(i);
+        settings.application = wish.prefix + "-" + std::to_string(wish.first + i);
         member->manager = EntityManager::create(
             executor.get_executor(), ice, settings, server,
             [&](const EntityManager::Strand& strand, const StopGate&, const Clock&, BackEndEvents& events) {
-                auto link = std::make_unique<MemoryLink>(strand, events, settings.application, board[i]);
+                auto link = std::make_unique<MemoryLink>(strand, events, settings.application, board[wish.first + i]);
                 auto* const at = link.get();
                 return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};
             },
@@ -160,7 +160,7 @@ int runCrowd(const std::string& board_file, std::size_t entities, const std::str
     }
     for (const auto& member : members)
         while (member->manager->state() != EntityState::IDLE) std::this_thread::sleep_for(std::chrono::milliseconds{1});
-    board.ready() = static_cast<std::uint32_t>(entities);
+    ++board.ready();
 
     const auto parent = ::getppid();
     while (::getppid() == parent) std::this_thread::sleep_for(std::chrono::milliseconds{200});

@@ -5,9 +5,17 @@
 
 namespace axon::bench {
 
+struct CrowdWish {
+    std::string board_file;
+    std::size_t slots = 0;         ///< of the board
+    std::size_t first = 0, count = 0;  ///< of them, those of this process
+    std::string server;            ///< HOST:PORT, or the configuration file of an Entity Manager
+    std::string prefix;
+};
+
 /// N Entity Managers (the library the daemon is made of, with real sessions over real sockets) in one process, each
-/// with a robot application in memory that notes the arrival of stops and data on the board. Named bench-0 … bench-N-1.
+/// with a robot application in memory that notes the arrival of stops and data on the board. Named PREFIX-FIRST …
 /// Runs until its parent dies or kills it.
-int runCrowd(const std::string& board_file, std::size_t entities, const std::string& entity_server);
+int runCrowd(const CrowdWish& wish);
 
 }  // namespace axon::bench

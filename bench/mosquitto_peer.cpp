@@ -7,10 +7,13 @@
 #include <unistd.h>
 
 #include <array>
+#include <fstream>
 #include <stdexcept>
 #include <vector>
 
 #include "board.hpp"
+#include "child.hpp"
+#include "tcp.hpp"
 
 namespace axon::bench {
 
@@ -18,9 +21,15 @@ namespace {
 
 struct Receiver {
     Board* board = nullptr;
-    std::size_t index = 0;
+    std::size_t index = 0, topic = 0;
+    int qos = 0;
     mosquitto* client = nullptr;
 };
+
+/// Nobody writes a PINGREQ here: the connection must outlast every run.
+constexpr int kKeepAlive_s = 65535;
+/// More than any batch: what bounds a message in flight is the socket.
+constexpr int kUnbounded = 65535;
 
 void check(int code, const char* what) {
     if (code != MOSQ_ERR_SUCCESS) throw std::runtime_error(std::string(what) + ": " + mosquitto_strerror(code));
@@ -30,21 +39,15 @@ void onMessage(mosquitto*, void* object, const mosquitto_message* message) {
     const auto now = nowNs();
     auto& receiver = *static_cast<Receiver*>(object);
     auto& slot = (*receiver.board)[receiver.index];
-    const char kind = message->topic[0];  // "s/17" or "d/17"
-    if (kind == 's') {
-        slot.stop_at = now;
-        ++slot.stops;
-    } else {
-        if (!batchIntact(static_cast<const char*>(message->payload), static_cast<std::size_t>(message->payloadlen))) ++slot.corrupt;
-        slot.data_at = now;
-        ++slot.data;
-    }
+    const auto kind = message->topic[0] == 's' ? Kind::Stop : Kind::Data;  // "s/17" or "d/17"
+    slot.arrived(kind, now, static_cast<const char*>(message->payload), static_cast<std::size_t>(message->payloadlen));
 }
 
 void onConnect(mosquitto* client, void* object, int) {
-    const auto index = std::to_string(static_cast<Receiver*>(object)->index);
-    mosquitto_subscribe(client, nullptr, ("s/" + index).c_str(), 0);
-    mosquitto_subscribe(client, nullptr, ("d/" + index).c_str(), 0);
+    const auto& receiver = *static_cast<Receiver*>(object);
+    const auto topic = std::to_string(receiver.topic);
+    mosquitto_subscribe(client, nullptr, ("s/" + topic).c_str(), receiver.qos);
+    mosquitto_subscribe(client, nullptr, ("d/" + topic).c_str(), receiver.qos);
 }
 
 void onSubscribe(mosquitto*, void* object, int mid, int, const int*) {
@@ -53,7 +56,7 @@ void onSubscribe(mosquitto*, void* object, int mid, int, const int*) {
 
 }  // namespace
 
-int runMosquittoReceivers(const std::string& board_file, std::size_t count, std::uint16_t port) {
+int runMosquittoReceivers(const std::string& board_file, std::size_t count, std::uint16_t port, int qos, std::size_t first) {
     Board board(board_file, count, false);
     mosquitto_lib_init();
     const int epoll = ::epoll_create1(0);
@@ -62,12 +65,14 @@ int runMosquittoReceivers(const std::string& board_file, std::size_t count, std:
         auto& receiver = receivers[i];
         receiver.board = &board;
         receiver.index = i;
+        receiver.topic = first + i;
+        receiver.qos = qos;
         receiver.client = mosquitto_new(nullptr, true, &receiver);
         mosquitto_int_option(receiver.client, MOSQ_OPT_TCP_NODELAY, 1);
         mosquitto_message_callback_set(receiver.client, onMessage);
         mosquitto_connect_callback_set(receiver.client, onConnect);
         mosquitto_subscribe_callback_set(receiver.client, onSubscribe);
-        check(mosquitto_connect(receiver.client, "127.0.0.1", port, 600), "mosquitto_connect");
+        check(mosquitto_connect(receiver.client, "127.0.0.1", port, kKeepAlive_s), "mosquitto_connect");
         epoll_event wish{};
         wish.events = EPOLLIN;
         wish.data.ptr = &receiver;
@@ -86,15 +91,27 @@ int runMosquittoReceivers(const std::string& board_file, std::size_t count, std:
     return 0;
 }
 
+MosquittoBroker::MosquittoBroker(const std::filesystem::path& folder, bool bounded)
+    : port_(freePort()), child_([this, &folder, bounded] {
+          std::ofstream(folder / "mosquitto.conf") << "listener " << port_ << " 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\n"
+                                                   << (bounded ? "" : "max_queued_messages 0\n") << "max_inflight_messages 0\npersistence false\n";
+          return std::vector<std::string>{findProgram("mosquitto"), "-c", (folder / "mosquitto.conf").string()};
+      }(), folder / "mosquitto.log") {
+    child_.waitUntil([this] { return tcp::listens(port_); }, "mosquitto did not start", std::chrono::seconds{10});
+}
+
 struct MosquittoSender::State {
     mosquitto* client = nullptr;
+    int qos = 0;
 };
 
-MosquittoSender::MosquittoSender(std::uint16_t port) : state_(std::make_unique<State>()) {
+MosquittoSender::MosquittoSender(std::uint16_t port, int qos) : state_(std::make_unique<State>()) {
     mosquitto_lib_init();
+    state_->qos = qos;
     state_->client = mosquitto_new(nullptr, true, nullptr);
     mosquitto_int_option(state_->client, MOSQ_OPT_TCP_NODELAY, 1);
-    check(mosquitto_connect(state_->client, "127.0.0.1", port, 600), "mosquitto_connect");
+    mosquitto_int_option(state_->client, MOSQ_OPT_SEND_MAXIMUM, kUnbounded);
+    check(mosquitto_connect(state_->client, "127.0.0.1", port, kKeepAlive_s), "mosquitto_connect");
     check(mosquitto_loop_start(state_->client), "mosquitto_loop_start");
 }
 
@@ -104,10 +121,47 @@ MosquittoSender::~MosquittoSender() {
     mosquitto_destroy(state_->client);
 }
 
-void MosquittoSender::send(std::size_t receiver, bool stop, const std::string& bytes) {
-    const auto topic = (stop ? "s/" : "d/") + std::to_string(receiver);
-    check(mosquitto_publish(state_->client, nullptr, topic.c_str(), static_cast<int>(bytes.size()), bytes.data(), 0, false),
+void MosquittoSender::send(std::size_t receiver, Kind kind, const std::string& bytes) {
+    const auto topic = (kind == Kind::Stop ? "s/" : "d/") + std::to_string(receiver);
+    check(mosquitto_publish(state_->client, nullptr, topic.c_str(), static_cast<int>(bytes.size()), bytes.data(), state_->qos, false),
           "mosquitto_publish");
+}
+
+bool MosquittoSender::busy() const { return mosquitto_want_write(state_->client); }
+
+namespace {
+
+class MosquittoSubject final : public Subject {
+  public:
+    MosquittoSubject(const std::filesystem::path& folder, std::size_t n, int qos)
+        : board_((folder / "board").string(), n, true),
+          broker_(folder, false),
+          receivers_({(programs() / "axon-bench").string(), "mosquitto-receivers", (folder / "board").string(), std::to_string(n),
+                      std::to_string(broker_.port()), std::to_string(qos), "0"},
+                     folder / "receivers.log") {
+        receivers_.waitUntil([this] { return board_.ready() >= board_.size(); }, "mosquitto's receivers did not start",
+                             std::chrono::seconds{60});
+        sender_ = std::make_unique<MosquittoSender>(broker_.port(), qos);
+    }
+    Board& board() override { return board_; }
+    void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
+        for (std::size_t i = 0; i < board_.size(); ++i) {
+            called[i] = nowNs();
+            sender_->send(i, kindOf(message), bytes);
+        }
+    }
+
+  private:
+    Board board_;
+    MosquittoBroker broker_;
+    Child receivers_;
+    std::unique_ptr<MosquittoSender> sender_;
+};
+
+}  // namespace
+
+std::unique_ptr<Subject> startMosquitto(const std::filesystem::path& folder, std::size_t n, int qos) {
+    return std::make_unique<MosquittoSubject>(folder, n, qos);
 }
 
 }  // namespace axon::bench

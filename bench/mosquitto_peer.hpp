@@ -4,23 +4,41 @@
 #include <memory>
 #include <string>
 
+#include "subject.hpp"
+
 namespace axon::bench {
 
-/// N receivers, each with an MQTT connection and a topic of its own, in one process with one epoll loop; notes
-/// arrivals on the board until it is killed or its parent dies.
-int runMosquittoReceivers(const std::string& board_file, std::size_t receivers, std::uint16_t port);
+/// N receivers, each with an MQTT connection and two topics of its own, in one process with one epoll loop; notes
+/// arrivals on the board until it is killed or its parent dies. Numbers from `first` on.
+int runMosquittoReceivers(const std::string& board_file, std::size_t receivers, std::uint16_t port, int qos, std::size_t first = 0);
 
-/// The publishing side: one connection, QoS 0, TCP_NODELAY. Throws std::runtime_error.
+/// A broker on a port of its own, with TCP_NODELAY.
+class MosquittoBroker {
+  public:
+    /// Bounded: it drops what waits for a receiver beyond its default of 1000 messages; otherwise it keeps everything.
+    MosquittoBroker(const std::filesystem::path& folder, bool bounded);
+    std::uint16_t port() const { return port_; }
+
+  private:
+    std::uint16_t port_;
+    Child child_;
+};
+
+/// The publishing side: one connection, TCP_NODELAY. Throws std::runtime_error.
 class MosquittoSender {
   public:
-    explicit MosquittoSender(std::uint16_t port);
+    MosquittoSender(std::uint16_t port, int qos);
     ~MosquittoSender();
     /// To receiver i; the topic says whether it counts as stop or as data.
-    void send(std::size_t receiver, bool stop, const std::string& bytes);
+    void send(std::size_t receiver, Kind kind, const std::string& bytes);
+    /// Whether there is more to be written than the socket takes.
+    bool busy() const;
 
   private:
     struct State;
     std::unique_ptr<State> state_;
 };
+
+std::unique_ptr<Subject> startMosquitto(const std::filesystem::path& folder, std::size_t n, int qos);
 
 }  // namespace axon::bench

@@ -1,21 +1,17 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "runs.hpp"
-
-#include <unistd.h>
-
 #include <algorithm>
 #include <cstdio>
-#include <fstream>
 #include <iostream>
 #include <thread>
 
 #include "axon_crowd.hpp"
+#include "experiment.hpp"
+#include "report.hpp"
 
 namespace axon::bench {
 
 namespace {
 
-namespace fs = std::filesystem;
 using namespace std::chrono_literals;
 constexpr int kWarmUp = 3;
 
@@ -46,12 +42,12 @@ client::GlobalService serviceOf(std::size_t entities, int levels) {
     return service;
 }
 
-}  // namespace
-
-int runRuns(const fs::path& programs, std::size_t entities, int levels, int rounds, const std::string& json_file) {
-    const fs::path folder = fs::temp_directory_path() / ("axon-bench-" + std::to_string(::getpid()));
-    fs::create_directories(folder);
-    AxonCrowd crowd(programs, folder, entities);
+/// Global services over `entities`, each with one step in each of `levels` levels: the time from the end of a level's last step to
+/// the entry of each handler of the next, beside the relayed one-way latency of a client's task in the same run.
+int run(std::size_t entities, int levels, int rounds, const std::string& json_file) {
+    Report results(json_file, "runs", {{"entities", entities}, {"levels", levels}, {"runs", rounds}, {"warm_up", kWarmUp}});
+    const WorkFolder folder;
+    AxonCrowd crowd(folder.sub("axon"), entities);
     auto& board = crowd.board();
     const auto service = serviceOf(entities, levels);
     std::vector<double> single, batch, dispatched, steps, last;
@@ -59,15 +55,15 @@ int runRuns(const fs::path& programs, std::size_t entities, int levels, int roun
     const auto waitForTasks = [&](const std::vector<std::uint32_t>& before, std::size_t of) {
         const auto give_up = nowNs() + 5'000'000'000LL;
         for (std::size_t i = 0; i < of; ++i)
-            while (board[i].tasks == before[i] && nowNs() < give_up) std::this_thread::sleep_for(50us);
+            while (board[i].tasks.next == before[i] && nowNs() < give_up) std::this_thread::sleep_for(50us);
     };
     const auto marks = [&] {
         std::vector<std::uint32_t> all(entities);
-        for (std::size_t i = 0; i < entities; ++i) all[i] = board[i].tasks;
+        for (std::size_t i = 0; i < entities; ++i) all[i] = board[i].tasks.next;
         return all;
     };
     for (int round = -kWarmUp; round < rounds && !interrupted; ++round) {
-        std::fprintf(stderr, "\rround %d of %d ", std::max(round + 1, 0), rounds);
+        progress("runs: round " + std::to_string(std::max(round + 1, 0)) + " of " + std::to_string(rounds));
         // What one relayed message takes: a task of the client, alone and in a batch to all.
         for (const std::size_t count : {std::size_t{1}, entities}) {
             const auto before = marks();
@@ -77,7 +73,7 @@ int runRuns(const fs::path& programs, std::size_t entities, int levels, int roun
             waitForTasks(before, count);
             for (const auto& task : tasks) task.wait(client::Seconds{5});
             for (std::size_t i = 0; i < count && round >= 0; ++i)
-                if (board[i].tasks != before[i]) (count == 1 ? single : batch).push_back(static_cast<double>(board[i].entered(before[i]) - begin) / 1e6);
+                if (board[i].tasks.next != before[i]) (count == 1 ? single : batch).push_back(static_cast<double>(board[i].tasks.of(before[i]) - begin) / 1e6);
         }
         const auto before = marks();
         const auto master = static_cast<std::size_t>(round + kWarmUp) % entities;
@@ -87,14 +83,14 @@ int runRuns(const fs::path& programs, std::size_t entities, int levels, int roun
         for (std::size_t i = 0; i < entities; ++i) bindings[static_cast<int>(i)] = crowd.names()[(master + i) % entities];
         const auto run = crowd.client().runGlobal(service, bindings, crowd.names()[master]);
         if (!run) {
-            std::fprintf(stderr, "\n");
+            progress("");
             std::cerr << run.refusal().message << "\n";
             ++failed;
             break;
         }
         const auto report = run->wait(client::Seconds{30});
         if (report.state != client::RunState::Succeeded) {
-            std::fprintf(stderr, "\n");
+            progress("");
             std::cerr << "a run ended " << client::toString(report.state) << ": " << report.reason.message << "\n";
             ++failed;
             continue;
@@ -104,7 +100,7 @@ int runRuns(const fs::path& programs, std::size_t entities, int levels, int roun
         for (int level = 0; level < levels; ++level) {
             std::int64_t newest = 0;
             const auto enteredBy = [&](std::size_t i) {
-                return board[i].entered(before[i] + static_cast<std::uint32_t>(level));
+                return board[i].tasks.of(before[i] + static_cast<std::uint32_t>(level));
             };
             for (std::size_t i = 0; i < entities; ++i) {
                 const auto at = enteredBy(i);
@@ -116,7 +112,7 @@ int runRuns(const fs::path& programs, std::size_t entities, int levels, int roun
             ended = newest;
         }
     }
-    std::fprintf(stderr, "\r%40s\r", "");
+    progress("");
     const auto one = figures(single), many = figures(batch), order = figures(dispatched), step = figures(steps), level = figures(last);
     std::printf("%zu entities, %d levels, %d runs; ms. One way = client to handler, relayed.\n", entities, levels, rounds);
     std::printf("%-44s %8s %8s %8s %8s %8s\n", "", "n", "mean", "p50", "p99", "max");
@@ -137,14 +133,32 @@ int runRuns(const fs::path& programs, std::size_t entities, int levels, int roun
         std::printf("In one-way latencies of a batch of this size: dispatch to handler %.2f (bound: 3), end of a level to the next %.2f.\n",
                     batches(order), batches(step));
     }
-    if (!json_file.empty())
-        std::ofstream(json_file) << nlohmann::json{{"machine", machine()}, {"entities", entities}, {"levels", levels},
-                                                   {"runs", rounds}, {"failed", failed}, {"partial", interrupted != 0},
-                                                   {"single", one}, {"batch", many}, {"dispatch", order}, {"step", step}, {"level", level},
-                                                   {"ratios", ratios}}.dump(2)
-                                 << "\n";
-    fs::remove_all(folder);
+    results.set("failed", failed);
+    results.set("ratios", ratios);
+    for (const auto& [what, its] : {std::pair{"single", &one}, {"batch", &many}, {"dispatch", &order}, {"step", &step}, {"level", &level}})
+        results.add({{"what", what}, {"ms", *its}});
+    results.finish();
     return failed > 0 || interrupted ? 1 : 0;
+}
+
+}  // namespace
+
+Experiment declareRuns(CLI::App& app) {
+    struct Wish {
+        std::size_t entities = 64;
+        int levels = 10, rounds = 20;
+        std::string json;
+    };
+    const auto wish = std::make_shared<Wish>();
+    auto* command = app.add_subcommand("runs", "How long a step of a global service takes to begin, beside a task of the client");
+    command->footer("Example:\n  axon-bench runs --entities 16 --rounds 50 --json runs.json\n");
+    command->add_option("--entities", wish->entities, "How many take part [64]")->check(CLI::Range(2, 256).description(""))->type_name("N");
+    command->add_option("--levels", wish->levels, "Steps of each, one after the other [10]")
+        ->check(CLI::Range(2, static_cast<int>(Arrivals::kRemembered)).description(""))
+        ->type_name("L");
+    command->add_option("--rounds", wish->rounds, "Runs that are measured [20]")->check(CLI::Range(1, 10000).description(""))->type_name("COUNT");
+    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
+    return {command, [wish] { return run(wish->entities, wish->levels, wish->rounds, wish->json); }};
 }
 
 }  // namespace axon::bench

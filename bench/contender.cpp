@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "contender.hpp"
+
+#include <algorithm>
+#include <deque>
+
+#include "child.hpp"
+
+namespace axon::bench {
+
+Contender::Contender(std::string its_name, std::unique_ptr<Subject> subject)
+    : name(std::move(its_name)), subject_(std::move(subject)), next_counted_(board().size(), 0) {}
+
+Batch Contender::send(Message message, std::string& bytes, std::int64_t begin) {
+    Batch batch{kindOf(message), begin, std::vector<std::int64_t>(board().size()), std::vector<std::uint32_t>(board().size())};
+    if (subject_->numbered(batch.kind)) {
+        const auto number = next_number_[batch.kind == Kind::Stop ? 0 : 1]++;
+        setNumber(bytes, number);
+        std::fill(batch.awaited.begin(), batch.awaited.end(), number);
+    } else {
+        // After a pause nothing is under way: what was lost for good must not shift those that follow.
+        const bool quiet = nowNs() > quiet_after_;
+        for (std::size_t i = 0; i < board().size(); ++i) {
+            if (quiet) next_counted_[i] = board()[i].of(batch.kind).next;
+            batch.awaited[i] = next_counted_[i]++;
+        }
+    }
+    subject_->send(message, bytes, batch.called);
+    quiet_after_ = nowNs() + kPatience_ns;
+    return batch;
+}
+
+std::int64_t Contender::arrivedAt(const Batch& batch, std::size_t i) const {
+    const auto at = subject_->board()[i].of(batch.kind).of(batch.awaited[i]);
+    return at >= batch.called[i] ? at : 0;
+}
+
+std::size_t Contender::firstMissing(const Batch& batch, std::size_t from) const {
+    while (from < batch.awaited.size() && arrivedAt(batch, from) != 0) ++from;
+    return from;
+}
+
+void Contender::collect(const Batch& batch, std::size_t first, std::size_t end, Series& from_begin, Series* from_call) const {
+    for (auto i = first; i < end; ++i) {
+        const auto at = arrivedAt(batch, i);
+        const bool lost = at == 0 || at > batch.begin + kPatience_ns;
+        for (const auto& [to, since] : {std::pair{&from_begin, batch.begin}, std::pair{from_call, batch.called[i]}}) {
+            if (to == nullptr) continue;
+            if (lost) {
+                to->lose();
+            } else {
+                to->add(static_cast<double>(at - since) / 1e6);
+            }
+        }
+    }
+}
+
+std::uint64_t Contender::bad() const {
+    std::uint64_t sum = 0;
+    auto& its = subject_->board();
+    for (std::size_t i = 0; i < its.size(); ++i) sum += its[i].corrupt + its[i].misplaced;
+    return sum;
+}
+
+void measurePaced(Contender& contender, Message message, std::string& bytes, const Pace& pace, std::vector<Figures>& figures) {
+    std::deque<std::pair<Batch, bool>> under_way;
+    const auto settle = [&](bool all) {
+        for (; !under_way.empty() && (all || nowNs() > under_way.front().first.begin + kPatience_ns); under_way.pop_front()) {
+            const auto& [batch, counts] = under_way.front();
+            if (all)  // the last ones have the time that the others had
+                for (std::size_t missing = 0; nowNs() < batch.begin + kPatience_ns;) {
+                    missing = contender.firstMissing(batch, missing);
+                    if (missing == contender.board().size() || !sleepUntil(nowNs() + 1'000'000)) break;
+                }
+            if (!counts || interrupted) continue;
+            for (auto& its : figures) {
+                its.from_batch.beginBatch();
+                its.from_call.beginBatch();
+                contender.collect(batch, its.first, its.end, its.from_batch, &its.from_call);
+            }
+        }
+    };
+    auto due = nowNs() + 10'000'000;
+    for (int i = -pace.warm_up; i < pace.periods; ++i, due += pace.period_ns) {
+        if (!sleepUntil(due)) break;
+        under_way.emplace_back(contender.send(message, bytes, due), i >= 0);
+        settle(false);
+    }
+    settle(true);  // but interrupted: what may still be under way is neither lost nor late
+}
+
+}  // namespace axon::bench

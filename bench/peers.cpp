@@ -1,0 +1,308 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <iostream>
+#include <map>
+#include <memory>
+#include <optional>
+#include <thread>
+
+#include "contender.hpp"
+#include "ddsperf.hpp"
+#include "experiment.hpp"
+#include "picture.hpp"
+#include "report.hpp"
+
+// The same work for Axon and for each peer, in the same run, in turns: one sender, N receivers, a message to each of them back to
+// back, latency of each from the start of the batch. Method: docs/reference/benchmarks.md.
+
+namespace axon::bench {
+
+namespace {
+
+namespace fs = std::filesystem;
+using namespace std::chrono_literals;
+
+/// Not counted: caches, connections and the scheduler settle.
+constexpr int kWarmUp = 3;
+/// Between two batches, so that what the one left behind is not in the other.
+constexpr std::int64_t kPause_ns = 20'000'000;
+
+struct Wish {
+    std::vector<std::size_t> sizes{1, 64, 256, 1024, 2048};
+    int batches = 30;
+    double seconds = 0;
+    std::vector<std::string> only, of;
+    std::vector<std::string> beside;
+    int pair_rounds = 3;
+    std::string json, plot;
+};
+
+/// Axon / peer, batch by batch.
+std::vector<double> ratios(const std::vector<double>& ours, const std::vector<double>& theirs) {
+    std::vector<double> all;
+    for (std::size_t i = 0; i < std::min(ours.size(), theirs.size()); ++i) all.push_back(ours[i] / theirs[i]);
+    return all;
+}
+
+/// Sends one batch, and waits until all of it has arrived or it is too late for the rest.
+void runBatch(Contender& contender, Message message, std::string& bytes, bool counts) {
+    const auto batch = contender.send(message, bytes, nowNs());
+    for (std::size_t missing = 0; !interrupted && nowNs() < batch.begin + kPatience_ns;) {
+        missing = contender.firstMissing(batch, missing);
+        if (missing == contender.board().size()) break;
+        std::this_thread::sleep_for(200us);
+    }
+    if (!counts || interrupted) return;
+    contender.series.beginBatch();
+    contender.collect(batch, contender.series, nullptr);
+}
+
+class Comparison {
+  public:
+    Comparison(const Wish& wish, Report& report) : wish_(wish), report_(report) {}
+
+    /// Throws std::runtime_error where a system does not start.
+    void run() {
+        std::printf("Latency in ms from the start of a batch of one message to each of N; %s for each, in turns, %d to warm up.\n",
+                    wish_.seconds > 0 ? "a while" : (std::to_string(wish_.batches) + " batches").c_str(), kWarmUp);
+        std::printf("%6s %-5s %-15s %9s %9s %9s %9s %9s %9s %6s   Axon / it: mean, last (10 to 90 %% of the batches)\n", "N", "what", "", "mean",
+                    "p50", "p99", "p99.9", "max", "last", "lost");
+        for (const auto n : wish_.sizes) {
+            if (interrupted) return;
+            const auto all = start(n);
+            for (const auto message : {Message::Small, Message::Data, Message::Stop}) {  // a stopped entity refuses data
+                if (interrupted) break;
+                if (!wish_.of.empty() && std::find(wish_.of.begin(), wish_.of.end(), nameOf(message)) == wish_.of.end()) continue;
+                measure(n, message, all);
+            }
+            for (const auto& one : all) bad_[one->name] += one->bad();
+        }
+    }
+
+    /// {peer: {message: {"mean", "last"}}}
+    nlohmann::json geometric() const {
+        nlohmann::json all = nlohmann::json::object();
+        for (const auto& [key, logs] : logs_) {
+            const auto& [peer, message, what] = key;
+            double sum = 0;
+            for (const double value : logs) sum += value;
+            all[peer][message][what] = std::exp(sum / static_cast<double>(logs.size()));
+        }
+        return all;
+    }
+    const std::map<std::string, std::uint64_t>& bad() const { return bad_; }
+    std::size_t axonLost() const { return axon_lost_; }
+
+  private:
+    std::vector<std::unique_ptr<Contender>> start(std::size_t n) {
+        std::vector<std::unique_ptr<Contender>> all;
+        const auto add = [&](const std::string& name, auto&& make) {
+            progress("peers: " + std::to_string(n) + " receivers: starting " + name);
+            all.push_back(std::make_unique<Contender>(name, make(work_.sub(name + "-" + std::to_string(n)))));
+        };
+        for (const auto& peer : peers()) {
+            if (!wish_.beside.empty() && peer.name != "axon") break;
+            if (!peer.missing.empty()) continue;
+            if (!wish_.only.empty() && peer.name != "axon" && std::find(wish_.only.begin(), wish_.only.end(), peer.name) == wish_.only.end()) continue;
+            add(peer.name, [&](const fs::path& folder) { return peer.start(folder, n); });
+        }
+        if (!wish_.beside.empty())
+            add("other", [&](const fs::path& folder) { return axonThrough({wish_.beside[0], wish_.beside[1]}, folder, n); });
+        return all;
+    }
+
+    void measure(std::size_t n, Message message, const std::vector<std::unique_ptr<Contender>>& all) {
+        auto bytes = content(bytesOf(message));
+        for (const auto& one : all) one->series = {};
+        const auto end = wish_.seconds > 0 ? nowNs() + static_cast<std::int64_t>(wish_.seconds * 1e9) : 0;
+        for (int round = -kWarmUp; !interrupted && (round <= 0 || (end != 0 ? nowNs() < end : round < wish_.batches)); ++round) {
+            progress("peers: " + std::to_string(n) + " receivers, " + nameOf(message) + ": batch " + std::to_string(std::max(round + 1, 0)) +
+                     (end != 0 ? "" : " of " + std::to_string(wish_.batches)));
+            // Another one begins each time: nobody is always behind the same one.
+            for (std::size_t k = 0; k < all.size() && !interrupted; ++k) {
+                runBatch(*all[(k + static_cast<std::size_t>(round + kWarmUp)) % all.size()], message, bytes, round >= 0);
+                sleepUntil(nowNs() + kPause_ns);
+            }
+        }
+        progress("");
+        nlohmann::json row{{"n", n}, {"what", nameOf(message)}, {"bytes", bytes.size()}};
+        const auto& axon = *all.front();
+        for (const auto& one : all) {
+            auto its = one->series.json();
+            std::printf("%6zu %-5s %-15s %s %s %s %s %s %s %6zu", n, nameOf(message), one->name.c_str(), figure(its, "mean").c_str(),
+                        figure(its, "p50").c_str(), figure(its, "p99").c_str(), figure(its, "p99.9").c_str(), figure(its, "max").c_str(),
+                        figure(its, "last").c_str(), one->series.lost());
+            if (one->name == "axon") {
+                axon_lost_ += one->series.lost();
+            } else {
+                for (const auto& [what, ours, theirs] : {std::tuple{"mean", &axon.series.means(), &one->series.means()},
+                                                         std::tuple{"last", &axon.series.lasts(), &one->series.lasts()}}) {
+                    const auto ratio = spread(ratios(*ours, *theirs));
+                    its["ratio"][what] = ratio;
+                    if (ratio.contains("median") && ratio["median"].is_number() && ratio["median"] > 0) {
+                        std::printf("   %.2f (%s to %s)", ratio["median"].get<double>(), figure(ratio, "p10", 0).c_str(), figure(ratio, "p90", 0).c_str());
+                        logs_[{one->name, nameOf(message), what}].push_back(std::log(ratio["median"].get<double>()));
+                    }
+                }
+            }
+            std::printf("\n");
+            row[one->name] = std::move(its);
+        }
+        std::fflush(stdout);
+        report_.add(std::move(row));
+    }
+
+    const Wish& wish_;
+    Report& report_;
+    const WorkFolder work_;
+    std::map<std::tuple<std::string, std::string, std::string>, std::vector<double>> logs_;
+    std::map<std::string, std::uint64_t> bad_;
+    std::size_t axon_lost_ = 0;
+};
+
+/// Round trips of one pair: CycloneDDS's ping and pong, and Axon's drill, which goes the whole way of a stop to the robot
+/// application and back, in turns.
+nlohmann::json pairs(int rounds) {
+    const WorkFolder work;
+    AxonCrowd axon(work.sub("axon-pair"), 1);
+    std::vector<double> drills;
+    std::map<std::size_t, std::vector<DdsperfSecond>> dds;
+    std::size_t lost = 0;
+    constexpr int kSeconds = 2, kDrills = 200;
+    for (int round = 0; round < rounds && !interrupted; ++round) {
+        progress("peers: round trips of a pair: round " + std::to_string(round + 1) + " of " + std::to_string(rounds));
+        for (const auto bytes : {kSmallBytes, kDataBytes}) {
+            if (interrupted) break;
+            const auto seconds = pingPong(work.sub("ddsperf"), bytes, kSeconds);
+            dds[bytes].insert(dds[bytes].end(), seconds.begin(), seconds.end());
+        }
+        const auto drill = axon.client().drill(axon.names(), kDrills, client::Seconds{0});
+        if (!drill) throw std::runtime_error(drill.refusal().message);
+        for (const auto& time : drill->front().callback) {
+            if (time) {
+                drills.push_back(time->count() * 1e6);
+            } else {
+                ++lost;
+            }
+        }
+    }
+    progress("");
+    nlohmann::json all;
+    std::sort(drills.begin(), drills.end());
+    const auto axon_p50 = quantile(drills, 0.5);
+    all["axon drill, there and back"] = {{"n", drills.size() + lost}, {"lost", lost}, {"p50_us", axon_p50}, {"p99_us", quantile(drills, 0.99)}};
+    std::printf("Round trip of one pair, us                 p50       p99   Axon / it\n%-36s %9.1f %9.1f\n", "Axon, a drill of the way of a stop", axon_p50,
+                quantile(drills, 0.99));
+    for (const auto& [bytes, seconds] : dds) {
+        std::vector<double> p50, p99;
+        double busy = 0;
+        long count = 0;
+        for (const auto& second : seconds) {
+            p50.push_back(2 * second.p50_us);  // what it prints are halves
+            p99.push_back(2 * second.p99_us);
+            busy += 2 * second.mean_us * static_cast<double>(second.count) / 1e6;
+            count += second.count;
+        }
+        if (p50.empty()) continue;
+        std::sort(p50.begin(), p50.end());
+        std::sort(p99.begin(), p99.end());
+        const auto name = "CycloneDDS, " + std::to_string(bytes) + " bytes";
+        // One round trip after the other: together they take the time that has passed, or these are not round trips.
+        all[name] = {{"n", count}, {"p50_us", quantile(p50, 0.5)}, {"p99_us", quantile(p99, 0.5)}, {"seconds", seconds.size()}, {"busy_seconds", busy}};
+        if (bytes == kSmallBytes) all["axon / cyclonedds"] = axon_p50 / quantile(p50, 0.5);
+        std::printf("%-36s %9.1f %9.1f", name.c_str(), quantile(p50, 0.5), quantile(p99, 0.5));
+        std::printf(bytes == kSmallBytes ? "   %.2f\n" : "\n", axon_p50 / quantile(p50, 0.5));
+    }
+    return all;
+}
+
+int run(const Wish& wish) {
+    Report report(wish.json, "peers", {{"entities", wish.sizes}, {"batches", wish.batches}, {"seconds", wish.seconds}, {"warm_up", kWarmUp}, {"patience_s", 2}});
+    nlohmann::json versions = nlohmann::json::object(), skipped = nlohmann::json::array();
+    const auto skip = [&skipped](const std::string& name, const std::string& package) {
+        std::printf("%s is skipped: its program is not here; mend: apt-get install --no-install-recommends %s\n", name.c_str(), package.c_str());
+        skipped.push_back({{"peer", name}, {"package", package}});
+    };
+    if (wish.beside.empty()) {
+        for (const auto& peer : peers()) {
+            if (!peer.missing.empty()) skip(peer.name, peer.package);
+            if (peer.missing.empty() && !peer.package.empty()) versions[peer.name] = packageVersion(peer.package);
+        }
+    }
+    const bool dds = !findProgram("ddsperf").empty();
+    const bool wants_pairs = wish.beside.empty() && wish.pair_rounds > 0 &&
+                             (wish.only.empty() || std::find(wish.only.begin(), wish.only.end(), "cyclonedds") != wish.only.end());
+    if (wants_pairs && !dds) skip("cyclonedds", "cyclonedds-tools");
+    if (dds) versions["cyclonedds"] = packageVersion("cyclonedds-tools");
+    report.set("versions", versions);
+    report.set("skipped", skipped);
+
+    Comparison comparison(wish, report);
+    std::string ended;
+    try {
+        comparison.run();
+        if (wants_pairs && dds && !interrupted) report.set("pairs", pairs(wish.pair_rounds));
+    } catch (const std::exception& problem) {
+        if (!interrupted) throw;
+    }
+    progress("");
+    const auto geometric = comparison.geometric();
+    report.set("geometric_mean_over_n", geometric);
+    for (const auto& [name, of] : geometric.items())
+        for (const auto& [what, its] : of.items())
+            std::printf("Axon / %-15s %-5s geometric mean over N: mean %s, last %s\n", name.c_str(), what.c_str(), figure(its, "mean", 5).c_str(),
+                        figure(its, "last", 5).c_str());
+    std::uint64_t axon_bad = 0;
+    for (const auto& [name, count] : comparison.bad()) {
+        if (count > 0) std::printf("%s: %llu messages were corrupt, doubled, lost or out of order.\n", name.c_str(), static_cast<unsigned long long>(count));
+        if (name == "axon" || name == "other") axon_bad += count;
+    }
+    report.set("corrupt_or_misplaced", comparison.bad());
+    report.finish();
+    std::printf("Below 1 Axon is faster. %s%s\n", axon_bad == 0 ? "Every byte of what Axon brought was as it was sent." : "SOME CONTENT ARRIVED CORRUPT OR OUT OF ORDER.",
+                interrupted ? " INTERRUPTED: this is a part." : "");
+    if (!wish.plot.empty()) drawPeers(report.all(), wish.plot);
+    return axon_bad > 0 || comparison.axonLost() > 0 || interrupted ? 1 : 0;
+}
+
+}  // namespace
+
+Experiment declarePeers(CLI::App& app) {
+    const auto wish = std::make_shared<Wish>();
+    auto* command = app.add_subcommand("peers", "The same work beside Mosquitto, NATS, CycloneDDS and a raw router, in turns");
+    std::vector<std::string> names{"cyclonedds"};
+    std::string list;
+    for (const auto& peer : peers()) {
+        if (peer.name != "axon") names.push_back(peer.name);
+        list += "  " + peer.name + std::string(16 - std::min<std::size_t>(15, peer.name.size()), ' ') + peer.what + "\n";
+    }
+    command->footer("Systems, each started by the benchmark:\n" + list +
+                    "  cyclonedds       ddsperf's ping and pong: round trips of one pair\n"
+                    "Messages: small (60 bytes), data (35,000 bytes), stop (60 bytes; of Axon one call for all of them).\n\n"
+                    "Examples:\n  axon-bench peers --entities 1,64 --batches 20\n  axon-bench peers --only mosquitto-qos0 --of stop --json stop.json\n"
+                    "  axon-bench peers --entities 1,8 --of data --beside clientgl2.cfg entitygl2client.cfg\n");
+    command->add_option("--entities", wish->sizes, "How many receivers, one after the other [1,64,256,1024,2048]")
+        ->delimiter(',')
+        ->check(CLI::Range(1, 4096).description(""))
+        ->type_name("N,…");
+    command->add_option("--batches", wish->batches, "Batches of each kind for each system [30]")->check(CLI::Range(1, 100000).description(""))->type_name("COUNT");
+    command->add_option("--seconds", wish->seconds, "In place of --batches: so long for each N and kind, all systems together")
+        ->check(CLI::Range(0.1, 1e6).description(""))
+        ->type_name("S");
+    command->add_option("--of", wish->of, "Only these messages: small, data, stop")->delimiter(',')->check(CLI::IsMember({"small", "data", "stop"}).description(""))->type_name("KIND,…");
+    command->add_option("--only", wish->only, "Only these peers")->delimiter(',')->check(CLI::IsMember(names).description(""))->type_name("PEER,…");
+    command->add_option("--pair-rounds", wish->pair_rounds, "Of round trips beside ddsperf; 0 = none [3]")->check(CLI::Range(0, 1000).description(""))->type_name("COUNT");
+    command->add_option("--beside", wish->beside,
+                        "In place of the peers: Axon through servers that run already, by the configuration files of a client and of an Entity "
+                        "Manager, as axon-cluster status names them")
+        ->expected(2)
+        ->check(CLI::ExistingFile.description(""))
+        ->type_name("FILE FILE");
+    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
+    command->add_option("--plot", wish->plot, "Draw them (PNG, by gnuplot)")->type_name("FILE");
+    return {command, [wish] { return run(*wish); }};
+}
+
+}  // namespace axon::bench

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <memory>
+
+#include "crowd.hpp"
+#include "experiment.hpp"
+#include "mosquitto_peer.hpp"
+#include "nats_peer.hpp"
+#include "raw_router.hpp"
+
+namespace axon::bench {
+
+namespace {
+
+struct Arguments {
+    std::string board, server, prefix;
+    std::size_t count = 0, first = 0, other = 0;
+    std::uint16_t port = 0;
+    int qos = 0;
+};
+
+CLI::App* hidden(CLI::App& app, const char* name, const char* what) { return app.add_subcommand(name, what)->group(""); }
+
+}  // namespace
+
+std::vector<Experiment> declareProcesses(CLI::App& app) {
+    const auto its = std::make_shared<Arguments>();
+    std::vector<Experiment> all;
+    const auto begin = [&](const char* name, const char* what) {
+        auto* command = hidden(app, name, what);
+        command->add_option("board", its->board)->required();
+        return command;
+    };
+    auto* crowd = begin("crowd", "Entity Managers that receive");
+    crowd->add_option("slots", its->other)->required();
+    crowd->add_option("first", its->first)->required();
+    crowd->add_option("count", its->count)->required();
+    crowd->add_option("server", its->server)->required();
+    crowd->add_option("prefix", its->prefix)->required();
+    all.push_back({crowd, [its] { return runCrowd({its->board, its->other, its->first, its->count, its->server, its->prefix}); }});
+
+    auto* mosquitto = begin("mosquitto-receivers", "MQTT clients that receive");
+    mosquitto->add_option("count", its->count)->required();
+    mosquitto->add_option("port", its->port)->required();
+    mosquitto->add_option("qos", its->qos)->required();
+    mosquitto->add_option("first", its->first)->required();
+    all.push_back({mosquitto, [its] { return runMosquittoReceivers(its->board, its->count, its->port, its->qos, its->first); }});
+
+    auto* nats = begin("nats-receivers", "clients of NATS that receive");
+    nats->add_option("count", its->count)->required();
+    nats->add_option("port", its->port)->required();
+    all.push_back({nats, [its] { return runTcpReceivers(NatsReceiver(), its->board, its->count, its->port); }});
+
+    auto* raw = begin("raw-receivers", "clients of the raw router that receive");
+    raw->add_option("count", its->count)->required();
+    raw->add_option("port", its->port)->required();
+    all.push_back({raw, [its] { return runTcpReceivers(RawReceiver(), its->board, its->count, its->port); }});
+
+    all.push_back({hidden(app, "raw-router", "the raw router"), runRawRouter});
+    return all;
+}
+
+}  // namespace axon::bench

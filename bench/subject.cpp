@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "subject.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <iostream>
+
+#include "mosquitto_peer.hpp"
+#include "nats_peer.hpp"
+#include "raw_router.hpp"
+
+namespace axon::bench {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+class AxonSubject final : public Subject {
+  public:
+    template <class... Of>
+    explicit AxonSubject(Of&&... of) : crowd_(std::forward<Of>(of)...) {
+        crowd_.client().onEntity([left = left_](Presence presence, const client::Entity&) {
+            if (presence == Presence::Left) ++*left;
+        });
+    }
+    Board& board() override { return crowd_.board(); }
+    bool numbered(Kind kind) const override { return kind == Kind::Data; }
+    void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
+        if (message == Message::Stop) {
+            std::fill(called.begin(), called.end(), nowNs());
+            // Sends one stop for all of them and then waits for the receipts; the arrivals are on the board by then.
+            if (const auto receipts = crowd_.client().stop(crowd_.names(), client::Seconds{5}); !receipts)
+                std::cerr << "stop: " << receipts.refusal().message << "\n";
+            return;
+        }
+        for (std::size_t i = 0; const auto& entity : crowd_.held()) {
+            called[i++] = nowNs();
+            // The batch may be larger than what may wait for the server.
+            if (const auto sent = entity.sendRaw(bytes, client::Seconds{2}); !sent) std::cerr << "data: " << sent.refusal().message << "\n";
+        }
+    }
+
+    std::size_t disconnected() const override { return *left_; }
+
+  private:
+    // Shared with the callback, which the client may still call while it closes.
+    const std::shared_ptr<std::atomic<std::size_t>> left_ = std::make_shared<std::atomic<std::size_t>>(0);
+    AxonCrowd crowd_;
+};
+
+std::unique_ptr<Subject> startAxon(const fs::path& folder, std::size_t n) { return std::make_unique<AxonSubject>(folder, n); }
+
+Peer packaged(const char* name, const char* package, const char* program, decltype(Peer::start) start, const char* what) {
+    return {name, package, findProgram(program).empty() ? program : "", start, what};
+}
+
+}  // namespace
+
+const char* nameOf(Message message) {
+    return message == Message::Stop ? "stop" : message == Message::Small ? "small" : "data";
+}
+
+const std::vector<Peer>& peers() {
+    static const std::vector<Peer> all{
+        {"axon", "", "", startAxon, "Axon relayed: client, axon-server, Entity Managers"},
+        {"raw", "", "", startRawRouter, "the project's own epoll router: what a relay costs this machine at least"},
+        packaged("mosquitto-qos0", "mosquitto", "mosquitto", [](const fs::path& folder, std::size_t n) { return startMosquitto(folder, n, 0); },
+                 "Mosquitto, at most once"),
+        packaged("mosquitto-qos1", "mosquitto", "mosquitto", [](const fs::path& folder, std::size_t n) { return startMosquitto(folder, n, 1); },
+                 "Mosquitto, at least once"),
+        packaged("nats", "nats-server", "nats-server", startNats, "NATS core"),
+    };
+    return all;
+}
+
+std::unique_ptr<Subject> axonThrough(const Running& running, const fs::path& folder, std::size_t n) {
+    return std::make_unique<AxonSubject>(folder, n, &running);
+}
+
+std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const fs::path& folder, std::size_t n) {
+    return std::make_unique<AxonSubject>(folder, n, nullptr, &radio);
+}
+
+std::unique_ptr<Subject> axonOf(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n) {
+    return std::make_unique<AxonSubject>(server, folder, prefix, n);
+}
+
+}  // namespace axon::bench

@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "axon_crowd.hpp"
+#include "board.hpp"
+
+namespace axon::bench {
+
+/// What is sent to each receiver of a batch.
+enum class Message : std::uint8_t {
+    Stop,   ///< 60 bytes where a peer sends it; of Axon the call
+    Small,  ///< 60 bytes of data
+    Data,   ///< chapter 5's 35,000 bytes of data
+};
+inline constexpr Kind kindOf(Message message) { return message == Message::Stop ? Kind::Stop : Kind::Data; }
+inline constexpr std::size_t bytesOf(Message message) { return message == Message::Data ? kDataBytes : kSmallBytes; }
+const char* nameOf(Message message);
+
+/// One system under test, started by its constructor with N receivers. Each implementation has one process with all receivers.
+class Subject {
+  public:
+    virtual ~Subject() = default;
+    virtual Board& board() = 0;
+    /// A message to each receiver, back to back. `bytes` is content(bytesOf(message)) with its number set. called[i] becomes
+    /// the time at which the call for receiver i began.
+    virtual void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) = 0;
+    /// Whether what arrives carries that number. If not, arrivals are counted.
+    virtual bool numbered(Kind) const { return true; }
+    /// How many receivers have lost their connection since the start, as far as the system tells.
+    virtual std::size_t disconnected() const { return 0; }
+};
+
+/// A system by its name: how to start it, or why it is skipped here.
+struct Peer {
+    std::string name, package;
+    std::string missing;  ///< the program that is not there; empty when it can be started
+    std::unique_ptr<Subject> (*start)(const std::filesystem::path& folder, std::size_t n);
+    std::string what;  ///< for people
+};
+/// In the order in which they are measured; the first is Axon.
+const std::vector<Peer>& peers();
+
+/// Axon through servers that run already.
+std::unique_ptr<Subject> axonThrough(const Running& running, const std::filesystem::path& folder, std::size_t n);
+
+/// Axon with the second half of its entities behind a radio link.
+std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const std::filesystem::path& folder, std::size_t n);
+/// Axon through a server of this run (and its radio link, likewise), with entities PREFIX-0 … besides others.
+std::unique_ptr<Subject> axonOf(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n);
+
+}  // namespace axon::bench

@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "tcp.hpp"
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <system_error>
+
+namespace axon::bench::tcp {
+
+namespace {
+
+[[noreturn]] void fail(const char* what) { throw std::system_error(errno, std::generic_category(), what); }
+
+sockaddr_in loopback(std::uint16_t port) {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(port);
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    return address;
+}
+
+int connectTo(std::uint16_t port) {
+    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    if (fd < 0) return -1;
+    const auto address = loopback(port);
+    if (::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0) return fd;
+    const int error = errno;
+    ::close(fd);
+    errno = error;
+    return -1;
+}
+
+}  // namespace
+
+Connection::Connection(std::uint16_t port) : fd_(connectTo(port)) {
+    if (fd_ < 0) fail("connect");
+    prepare();
+}
+void Connection::prepare() const {
+    const int on = 1;
+    ::setsockopt(fd_, IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
+}
+Connection::~Connection() {
+    if (fd_ >= 0) ::close(fd_);
+}
+
+void Connection::write(std::initializer_list<std::string_view> parts) const {
+    std::array<iovec, 4> vectors{};
+    std::size_t count = 0;
+    for (const auto part : parts) vectors.at(count++) = {const_cast<char*>(part.data()), part.size()};
+    std::size_t first = 0;
+    while (first < count) {
+        msghdr message{};
+        message.msg_iov = &vectors[first];
+        message.msg_iovlen = count - first;
+        auto written = ::sendmsg(fd_, &message, MSG_NOSIGNAL);
+        if (written < 0 && errno == EINTR) continue;
+        if (written < 0) fail("send");
+        for (; first < count && static_cast<std::size_t>(written) >= vectors[first].iov_len; ++first)
+            written -= static_cast<ssize_t>(vectors[first].iov_len);
+        if (first < count) {
+            vectors[first].iov_base = static_cast<char*>(vectors[first].iov_base) + written;
+            vectors[first].iov_len -= static_cast<std::size_t>(written);
+        }
+    }
+}
+
+std::size_t Connection::read(char* to, std::size_t most, bool wait) const {
+    for (;;) {
+        const auto size = ::recv(fd_, to, most, wait ? 0 : MSG_DONTWAIT);
+        if (size > 0) return static_cast<std::size_t>(size);
+        if (size == 0) {
+            errno = ECONNRESET;
+            fail("the connection was closed");
+        }
+        if (errno == EAGAIN && !wait) return 0;
+        if (errno != EINTR) fail("recv");
+    }
+}
+
+bool listens(std::uint16_t port) {
+    const int fd = connectTo(port);
+    if (fd >= 0) ::close(fd);
+    return fd >= 0;
+}
+
+int listen(std::uint16_t& port) {
+    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    auto address = loopback(0);
+    socklen_t size = sizeof(address);
+    if (fd < 0 || ::bind(fd, reinterpret_cast<sockaddr*>(&address), size) != 0 || ::listen(fd, SOMAXCONN) != 0 ||
+        ::getsockname(fd, reinterpret_cast<sockaddr*>(&address), &size) != 0)
+        fail("listen");
+    port = ntohs(address.sin_port);
+    return fd;
+}
+
+void Inbox::take(const Connection& from, std::vector<char>& buffer, const Consume& consume) {
+    const auto size = from.read(buffer.data(), buffer.size(), false);
+    if (size == 0) return;
+    std::string_view all(buffer.data(), size);
+    if (!rest_.empty()) {
+        rest_.append(all);
+        all = rest_;
+    }
+    const auto used = consume(all);
+    if (!rest_.empty()) {
+        rest_.erase(0, used);
+    } else {
+        rest_.assign(all.substr(used));
+    }
+}
+
+}  // namespace axon::bench::tcp
