@@ -3,6 +3,7 @@
 
 #include "crowd.hpp"
 #include "experiment.hpp"
+#include "herd.hpp"
 #include "mosquitto_peer.hpp"
 #include "nats_peer.hpp"
 #include "raw_router.hpp"
@@ -14,6 +15,7 @@ namespace {
 struct Arguments {
     std::string board, server, prefix;
     std::size_t count = 0, first = 0, other = 0;
+    std::uint64_t seed = 1;
     std::uint16_t port = 0;
     int qos = 0;
 };
@@ -37,6 +39,14 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     crowd->add_option("server", its->server)->required();
     crowd->add_option("prefix", its->prefix)->required();
     all.push_back({crowd, [its] { return runCrowd({its->board, its->other, its->first, its->count, its->server, its->prefix}); }});
+
+    auto* herd = begin("herd", "standard clients");
+    herd->add_option("count", its->count)->required();
+    herd->add_option("server", its->server)->required();
+    herd->add_option("prefix", its->prefix)->required();
+    herd->add_option("entities", its->other)->required();
+    herd->add_option("seed", its->seed)->required();
+    all.push_back({herd, [its] { return runHerd(its->board, its->count, its->server, its->prefix, its->other, its->seed); }});
 
     auto* mosquitto = begin("mosquitto-receivers", "MQTT clients that receive");
     mosquitto->add_option("count", its->count)->required();

@@ -1,0 +1,248 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <algorithm>
+#include <cstdio>
+#include <memory>
+#include <optional>
+
+#include "contender.hpp"
+#include "experiment.hpp"
+#include "herd.hpp"
+#include "picture.hpp"
+#include "report.hpp"
+#include "thesis_tables.hpp"
+
+// The experiments of the thesis' chapter 5, its figures beside those of this machine. Method: docs/reference/benchmarks.md.
+
+namespace axon::bench {
+
+namespace {
+
+constexpr std::int64_t kPeriod_ns = 500'000'000;
+/// Not counted: caches, connections and the scheduler settle.
+constexpr int kWarmUp = 3;
+/// The systems take turns: so many turns for each.
+constexpr int kTurns = 2;
+
+struct Wish {
+    std::vector<std::string> tables{"5.1", "5.2", "5.3", "5.4"};
+    std::vector<std::size_t> entities, clients;
+    std::vector<std::string> with{"mosquitto-qos0", "raw"};
+    double seconds = 20;
+    std::size_t standard = kStandardEntities;
+    std::string channel = "lan";
+    std::string json, plot;
+};
+
+void printHead(const ThesisTable& table) {
+    std::printf("\nTable %s. %s. Latency in ms; from the start of each batch, every 500 ms.\n", std::string(table.number).c_str(),
+                std::string(table.title).c_str());
+    std::printf("%8s %10s %9s  %-15s %9s %9s %9s %9s %9s %5s %5s | %9s %9s\n", table.many_clients ? "clients" : "entities", "thesis LAN", "WLAN", "",
+                "mean", "p50", "p99", "p99.9", "max", "lost", "disc.", "from call", "p99");
+}
+
+void printRow(const ThesisTable& table, std::size_t count, const std::string& name, const nlohmann::json& its) {
+    const auto thesis = table.row(count);
+    const auto& batch = its.at("from_batch");
+    const auto& call = its.at("from_call");
+    const auto old = [](bool there, double value) {
+        char text[20] = "-";
+        if (there) std::snprintf(text, sizeof(text), "%.1f", value);
+        return std::string(text);
+    };
+    std::printf("%8zu %10s %9s  %-15s %s %s %s %s %s %5zu %5zu | %s %s\n", count, old(thesis.has_value(), thesis ? thesis->lan_ms : 0).c_str(),
+                old(thesis.has_value(), thesis ? thesis->wlan_ms : 0).c_str(), name.c_str(), figure(batch, "mean").c_str(), figure(batch, "p50").c_str(),
+                figure(batch, "p99").c_str(), figure(batch, "p99.9").c_str(), figure(batch, "max").c_str(), batch.value("lost", std::size_t{0}),
+                its.value("disconnected", std::size_t{0}), figure(call, "mean").c_str(), figure(call, "p99").c_str());
+    std::fflush(stdout);
+}
+
+nlohmann::json rowOf(const ThesisTable& table, std::size_t count) {
+    nlohmann::json row{{"table", table.number}, {table.many_clients ? "clients" : "entities", count}};
+    if (const auto thesis = table.row(count)) row["thesis"] = {{"lan_mean", thesis->lan_ms}, {"wlan_mean", thesis->wlan_ms}};
+    return row;
+}
+
+class Chapter5 {
+  public:
+    Chapter5(const Wish& wish, Report& report, const Radio* radio)
+        : wish_(wish), report_(report), radio_(radio), periods_(std::max(1, static_cast<int>(wish.seconds * 1e9 / kPeriod_ns))) {}
+
+    void run() {
+        for (const auto& table : kThesisTables) {
+            if (interrupted) return;
+            if (std::find(wish_.tables.begin(), wish_.tables.end(), table.number) == wish_.tables.end()) continue;
+            printHead(table);
+            auto counts = table.many_clients ? wish_.clients : wish_.entities;
+            if (counts.empty())
+                for (const auto& row : table.rows) counts.push_back(row.count);
+            for (const auto count : counts) {
+                if (interrupted) return;
+                table.many_clients ? manyClients(table, count) : oneClient(table, count);
+            }
+        }
+    }
+    bool sound() const { return sound_; }
+
+  private:
+    /// Tables 5.1 and 5.2. The peers do the same work in the same way, in turns.
+    void oneClient(const ThesisTable& table, std::size_t n) {
+        const auto message = table.stop ? Message::Stop : Message::Data;
+        auto bytes = content(bytesOf(message));
+        std::vector<std::unique_ptr<Contender>> all;
+        for (const auto& peer : peers()) {
+            if (peer.name != "axon" && (radio_ || !peer.missing.empty() || std::find(wish_.with.begin(), wish_.with.end(), peer.name) == wish_.with.end())) continue;
+            progress("chapter5: table " + std::string(table.number) + ", " + std::to_string(n) + " entities: starting " + peer.name);
+            const auto folder = work_.sub(peer.name + "-" + std::string(table.number) + "-" + std::to_string(n));
+            all.push_back(std::make_unique<Contender>(
+                peer.name, radio_ ? axonWithRadio(*radio_, folder, n) : peer.start(folder, n)));
+        }
+        std::vector<std::vector<Figures>> figures;
+        for (const auto& one : all) figures.push_back(parts(*one));
+        for (int turn = 0; turn < kTurns && !interrupted; ++turn)
+            for (std::size_t k = 0; k < all.size() && !interrupted; ++k) {
+                progress("chapter5: table " + std::string(table.number) + ", " + std::to_string(n) + " entities: " + all[k]->name + ", turn " +
+                         std::to_string(turn + 1) + " of " + std::to_string(kTurns));
+                measurePaced(*all[k], message, bytes, {kPeriod_ns, std::max(1, periods_ / kTurns), kWarmUp}, figures[k]);
+            }
+        progress("");
+        auto row = rowOf(table, n);
+        for (std::size_t k = 0; k < all.size(); ++k) {
+            auto its = figures[k].front().json();
+            its["disconnected"] = all[k]->subject().disconnected();
+            its["corrupt_or_misplaced"] = all[k]->bad();
+            row[all[k]->name] = std::move(its);
+            say(table, n, all[k]->name, figures[k], row);
+        }
+        judge(*all.front(), figures.front().front());
+        report_.add(std::move(row));
+    }
+
+    /// Tables 5.3 and 5.4, with the entities partitioned among the clients under exclusive leases, as in normal operation.
+    void manyClients(const ThesisTable& table, std::size_t clients) {
+        const auto folder = work_.sub("clients-" + std::string(table.number) + "-" + std::to_string(clients));
+        progress("chapter5: table " + std::string(table.number) + ", " + std::to_string(clients) + " clients: starting");
+        AxonServer server(folder, radio_);
+        Entities standard(folder, "standard", wish_.standard, server.entityAddress(), radio_);
+        std::optional<Herd> herd;
+        if (clients > 1) herd.emplace(folder, clients - 1, server, "standard", wish_.standard);
+        Contender testing("axon", axonOf(server, folder, "testing", kTestingEntities));
+        if (herd) herd->go();
+        progress("chapter5: table " + std::string(table.number) + ", " + std::to_string(clients) + " clients");
+        const auto message = table.stop ? Message::Stop : Message::Data;
+        auto bytes = content(bytesOf(message));
+        auto figures = parts(testing);
+        measurePaced(testing, message, bytes, {kPeriod_ns, periods_, kWarmUp}, figures);
+        progress("");
+        auto row = rowOf(table, clients);
+        row["entities"] = wish_.standard + kTestingEntities;
+        row["mode"] = "partitioned";
+        auto its = figures.front().json();
+        its["disconnected"] = testing.subject().disconnected();
+        std::uint64_t bad = testing.bad();
+        for (std::size_t i = 0; i < wish_.standard; ++i) bad += standard.board()[i].corrupt;
+        its["corrupt_or_misplaced"] = bad;
+        if (herd) {
+            const auto sums = herd->sums();
+            its["standard_clients"] = {{"data", sums.data}, {"signals", sums.signals}, {"refused", sums.refused}, {"disconnected", sums.disconnected}, {"leases_lost", sums.leases_lost},
+                                       {"without_entities", clients - 1 > wish_.standard ? clients - 1 - wish_.standard : 0}};
+            its["disconnected"] = its["disconnected"].get<std::size_t>() + sums.disconnected;
+            if (sums.disconnected > 0 || sums.leases_lost > 0 || !herd->running()) sound_ = false;
+        }
+        row["axon"] = its;
+        say(table, clients, "axon", figures, row);
+        if (its["disconnected"].get<std::size_t>() > 0 || bad > 0) sound_ = false;
+        judge(testing, figures.front());
+        report_.add(std::move(row));
+    }
+
+    void judge(const Contender& axon, const Figures& figures) {
+        // Behind a radio link two seconds may pass; what is lost for good leaves a gap, which is misplaced.
+        if (axon.bad() > 0 || (!radio_ && figures.from_batch.lost() > 0)) sound_ = false;
+    }
+
+    /// All of them, and with a radio link the two halves.
+    std::vector<Figures> parts(Contender& of) const {
+        const auto n = of.board().size();
+        std::vector<Figures> all{{0, n, {}, {}}};
+        if (radio_) {
+            all.push_back({0, Entities::firstWireless(n), {}, {}});
+            all.push_back({Entities::firstWireless(n), n, {}, {}});
+        }
+        return all;
+    }
+
+    static void say(const ThesisTable& table, std::size_t count, const std::string& name, std::vector<Figures>& figures, nlohmann::json& row) {
+        printRow(table, count, name, row[name]);
+        for (std::size_t i = 1; i < figures.size(); ++i) {
+            if (figures[i].from_batch.sent() == 0) continue;
+            const auto half = name + (i == 1 ? " wired" : " wireless");
+            row[half] = figures[i].json();
+            printRow(table, count, half, row[half]);
+        }
+    }
+
+    const Wish& wish_;
+    Report& report_;
+    const Radio* const radio_;
+    const int periods_;
+    const WorkFolder work_;
+    bool sound_ = true;
+};
+
+int run(const Wish& wish) {
+    // Before any thread.
+    const auto radio = wish.channel == "wlan" ? std::make_unique<Radio>() : nullptr;
+    Report report(wish.json, "chapter5",
+                  {{"tables", wish.tables}, {"seconds", wish.seconds}, {"period_ms", 500}, {"warm_up", kWarmUp}, {"patience_s", 2}, {"channel", radio ? Radio::settings() : nlohmann::json("loopback")},
+                   {"standard_entities", wish.standard}, {"testing_entities", kTestingEntities}, {"with", wish.with}});
+    for (const auto& peer : peers())
+        if (!peer.missing.empty() && std::find(wish.with.begin(), wish.with.end(), peer.name) != wish.with.end())
+            std::printf("%s is skipped: its program is not here; mend: apt-get install --no-install-recommends %s\n", peer.name.c_str(), peer.package.c_str());
+    std::printf("LAN and WLAN: average latency as the thesis printed it (a server of four cores at 2.66 GHz, real networks).\n"
+                "The others: this machine, %s.\n", radio ? "half of the entities behind a channel that loses 2.2 % of the packets and takes 2 ms" : "all over loopback");
+    Chapter5 chapter(wish, report, radio.get());
+    try {
+        chapter.run();
+    } catch (const std::exception&) {
+        if (!interrupted) throw;
+    }
+    progress("");
+    report.finish();
+    if (interrupted) std::printf("INTERRUPTED: this is a part.\n");
+    if (!chapter.sound()) std::printf("SOMETHING OF AXON'S WAS LOST, DISCONNECTED OR CORRUPT.\n");
+    if (!wish.plot.empty()) drawChapter5(report.all(), wish.plot);
+    return interrupted || !chapter.sound() ? 1 : 0;
+}
+
+}  // namespace
+
+Experiment declareChapter5(CLI::App& app) {
+    const auto wish = std::make_shared<Wish>();
+    auto* command = app.add_subcommand("chapter5", "The four experiments of the thesis, its figures beside this machine's");
+    command->footer("Tables:\n  5.1  one client, data to each of N entities every 500 ms      5.2  likewise a stop\n"
+                    "  5.3  M clients and 256 entities, of which ten are measured: data     5.4  likewise a stop\n\n"
+                    "Examples:\n  axon-bench chapter5 --table 5.2 --entities 1,64,256 --seconds 10\n"
+                    "  axon-bench chapter5 --table 5.4 --clients 1,16 --json clients.json --plot figure.png\n"
+                    "All of it takes about an hour and a half.\n");
+    command->add_option("--table", wish->tables, "5.1, 5.2, 5.3 or 5.4 [all]")->delimiter(',')->check(CLI::IsMember({"5.1", "5.2", "5.3", "5.4"}).description(""))->type_name("TABLE,…");
+    command->add_option("--entities", wish->entities, "Of 5.1 and 5.2 [1,2,4,…,2048]")->delimiter(',')->check(CLI::Range(1, 4096).description(""))->type_name("N,…");
+    command->add_option("--clients", wish->clients, "Of 5.3 and 5.4 [1,2,4,…,256]")->delimiter(',')->check(CLI::Range(1, 1024).description(""))->type_name("M,…");
+    command->add_option("--channel", wish->channel, "lan: all over loopback; wlan: half of the entities behind an emulated radio link, without peers (needs root) [lan]")
+        ->check(CLI::IsMember({"lan", "wlan"}).description(""))
+        ->type_name("CHANNEL");
+    command->add_option("--seconds", wish->seconds, "For each row and system [20]")->check(CLI::Range(0.5, 1e6).description(""))->type_name("S");
+    std::vector<std::string> names;
+    for (const auto& peer : peers())
+        if (peer.name != "axon") names.push_back(peer.name);
+    names.emplace_back("none");
+    command->add_option("--with", wish->with, "Peers that do the same in 5.1 and 5.2: raw, mosquitto-qos0, mosquitto-qos1, nats, or none [mosquitto-qos0,raw]")
+        ->delimiter(',')
+        ->check(CLI::IsMember(names).description(""))
+        ->type_name("PEER,…");
+    command->add_option("--standard", wish->standard, "Entities of 5.3 and 5.4 besides the ten that are measured [246]")->check(CLI::Range(1, 4096).description(""))->type_name("N");
+    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
+    command->add_option("--plot", wish->plot, "Draw figures 5.1 to 5.4 (PNG, by gnuplot); of several tables their numbers are put into the name")->type_name("FILE");
+    return {command, [wish] { return run(*wish); }};
+}
+
+}  // namespace axon::bench
