@@ -7,6 +7,7 @@
 #include "mosquitto_peer.hpp"
 #include "nats_peer.hpp"
 #include "raw_router.hpp"
+#include "streams.hpp"
 
 namespace axon::bench {
 
@@ -47,6 +48,17 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     herd->add_option("entities", its->other)->required();
     herd->add_option("seed", its->seed)->required();
     all.push_back({herd, [its] { return runHerd(its->board, its->count, its->server, its->prefix, its->other, its->seed); }});
+
+    auto* axon_stream = begin("axon-stream", "a client that sends data as fast as it can");
+    axon_stream->add_option("server", its->server)->required();
+    axon_stream->add_option("readers", its->count)->required();
+    axon_stream->add_option("stalled", its->other)->required();
+    all.push_back({axon_stream, [its] { return runAxonStream(its->board, its->server, its->count, its->other); }});
+
+    auto* mosquitto_stream = begin("mosquitto-stream", "a publisher that sends data as fast as it can");
+    mosquitto_stream->add_option("port", its->port)->required();
+    mosquitto_stream->add_option("count", its->count)->required();
+    all.push_back({mosquitto_stream, [its] { return runMosquittoStream(its->board, its->port, its->count); }});
 
     auto* mosquitto = begin("mosquitto-receivers", "MQTT clients that receive");
     mosquitto->add_option("count", its->count)->required();

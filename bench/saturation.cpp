@@ -1,0 +1,241 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <memory>
+#include <optional>
+#include <thread>
+
+#include "contender.hpp"
+#include "experiment.hpp"
+#include "mosquitto_peer.hpp"
+#include "report.hpp"
+#include "streams.hpp"
+
+// How long a stop takes while others take data as fast as they can and a tenth of them has stopped reading. Method:
+// docs/reference/benchmarks.md.
+
+namespace axon::bench {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::int64_t kPeriod_ns = 50'000'000;
+constexpr int kWarmUp = 20;
+
+struct Wish {
+    std::size_t entities = 20;
+    double seconds = 10;
+    int rounds = 2;
+    std::string json;
+};
+
+/// The load and the target, of one system.
+class Scene {
+  public:
+    virtual ~Scene() = default;
+    virtual Contender& target() = 0;
+    /// Those that read, those that are to stop reading.
+    virtual Board& readers() = 0;
+    virtual Board& stalled() = 0;
+    virtual const Child& stalledProcess() = 0;
+    virtual StreamBoard& stream() = 0;
+
+    std::uint64_t received() {
+        std::uint64_t sum = 0;
+        for (auto* board : {&readers(), &stalled()})
+            for (std::size_t i = 0; i < board->size(); ++i) sum += (*board)[i].data.next;
+        return sum;
+    }
+    std::uint64_t corrupt() {
+        std::uint64_t sum = 0;
+        for (auto* board : {&readers(), &stalled()})
+            for (std::size_t i = 0; i < board->size(); ++i) sum += (*board)[i].corrupt;
+        return sum + target().bad();
+    }
+};
+
+class AxonScene final : public Scene {
+  public:
+    AxonScene(const fs::path& folder, std::size_t readers, std::size_t stalled)
+        : server_(folder),
+          readers_(folder, "reader", readers, server_.entityAddress()),
+          stalled_(folder, "stalled", stalled, server_.entityAddress()),
+          target_("axon", axonOf(server_, folder, "target", 1)),
+          stream_((folder / "stream.board").string(), 1, true),
+          streamer_({(programs() / "axon-bench").string(), "axon-stream", (folder / "stream.board").string(), server_.clientAddress(),
+                     std::to_string(readers), std::to_string(stalled)},
+                    folder / "stream.log") {
+        streamer_.waitUntil([this] { return stream_.ready() > 0; }, "the sender of data did not start", std::chrono::seconds{60});
+    }
+    Contender& target() override { return target_; }
+    Board& readers() override { return readers_.board(); }
+    Board& stalled() override { return stalled_.board(); }
+    const Child& stalledProcess() override { return stalled_.process(); }
+    StreamBoard& stream() override { return stream_; }
+
+  private:
+    AxonServer server_;
+    Entities readers_, stalled_;
+    Contender target_;
+    StreamBoard stream_;
+    Child streamer_;
+};
+
+/// One receiver of a broker that has others.
+class MosquittoTarget final : public Subject {
+  public:
+    MosquittoTarget(const fs::path& folder, const MosquittoBroker& broker, std::size_t topic)
+        : topic_(topic),
+          board_((folder / "target.board").string(), 1, true),
+          receiver_({(programs() / "axon-bench").string(), "mosquitto-receivers", (folder / "target.board").string(), "1", std::to_string(broker.port()),
+                     "0", std::to_string(topic)},
+                    folder / "target.log") {
+        receiver_.waitUntil([this] { return board_.ready() > 0; }, "mosquitto's receiver did not start", std::chrono::seconds{60});
+        sender_ = std::make_unique<MosquittoSender>(broker.port(), 0);
+    }
+    Board& board() override { return board_; }
+    void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
+        called[0] = nowNs();
+        sender_->send(topic_, kindOf(message), bytes);
+    }
+
+  private:
+    std::size_t topic_;
+    Board board_;
+    Child receiver_;
+    std::unique_ptr<MosquittoSender> sender_;
+};
+
+class MosquittoScene final : public Scene {
+  public:
+    MosquittoScene(const fs::path& folder, std::size_t readers, std::size_t stalled)
+        : broker_(folder, true),
+          readers_((folder / "readers.board").string(), readers, true),
+          stalled_((folder / "stalled.board").string(), stalled, true),
+          readers_process_(receivers(folder, "readers", readers, 0)),
+          stalled_process_(receivers(folder, "stalled", stalled, readers)),
+          target_("mosquitto-qos0", std::make_unique<MosquittoTarget>(folder, broker_, readers + stalled)),
+          stream_((folder / "stream.board").string(), 1, true),
+          streamer_({(programs() / "axon-bench").string(), "mosquitto-stream", (folder / "stream.board").string(), std::to_string(broker_.port()),
+                     std::to_string(readers + stalled)},
+                    folder / "stream.log") {
+        streamer_.waitUntil([this] { return stream_.ready() > 0 && readers_.ready() >= readers_.size() && stalled_.ready() >= stalled_.size(); },
+                            "mosquitto's clients did not start", std::chrono::seconds{60});
+    }
+    Contender& target() override { return target_; }
+    Board& readers() override { return readers_; }
+    Board& stalled() override { return stalled_; }
+    const Child& stalledProcess() override { return stalled_process_; }
+    StreamBoard& stream() override { return stream_; }
+
+  private:
+    Child receivers(const fs::path& folder, const std::string& name, std::size_t n, std::size_t first) {
+        return {{(programs() / "axon-bench").string(), "mosquitto-receivers", (folder / (name + ".board")).string(), std::to_string(n),
+                 std::to_string(broker_.port()), "0", std::to_string(first)},
+                folder / (name + ".log")};
+    }
+
+    MosquittoBroker broker_;
+    Board readers_, stalled_;
+    Child readers_process_, stalled_process_;
+    Contender target_;
+    StreamBoard stream_;
+    Child streamer_;
+};
+
+struct Measured {
+    std::vector<Figures> idle{{0, 1, {}, {}}}, loaded{{0, 1, {}, {}}};
+    double loaded_seconds = 0;
+    std::uint64_t received = 0;
+};
+
+void measure(Scene& scene, const Wish& wish, int round, Measured& to) {
+    auto bytes = content(bytesOf(Message::Stop));
+    const Pace pace{kPeriod_ns, std::max(1, static_cast<int>(wish.seconds * 1e9 / kPeriod_ns)), kWarmUp};
+    const auto say = [&](const char* what) {
+        progress("saturation: " + scene.target().name + ": " + what + ", round " + std::to_string(round + 1) + " of " + std::to_string(wish.rounds));
+    };
+    say("idle");
+    measurePaced(scene.target(), Message::Stop, bytes, pace, to.idle);
+    if (interrupted) return;
+    say("loaded");
+    scene.stream().go() = 1;
+    if (round == 0) ::kill(scene.stalledProcess().pid(), SIGSTOP);
+    const auto begin = nowNs();
+    const auto before = scene.received();
+    measurePaced(scene.target(), Message::Stop, bytes, pace, to.loaded);
+    to.received += scene.received() - before;
+    to.loaded_seconds += static_cast<double>(nowNs() - begin) / 1e9;
+    scene.stream().go() = 0;
+    sleepUntil(nowNs() + 500'000'000);  // what waits for the readers reaches them
+}
+
+int run(const Wish& wish) {
+    Report report(wish.json, "saturation",
+                  {{"entities", wish.entities}, {"seconds", wish.seconds}, {"rounds", wish.rounds}, {"period_ms", kPeriod_ns / 1e6}, {"warm_up", kWarmUp},
+                   {"bytes", kDataBytes}});
+    const auto stalled = std::max<std::size_t>(1, wish.entities / 10);
+    const auto readers = wish.entities > stalled ? wish.entities - stalled : 1;
+    const WorkFolder work;
+    std::vector<std::unique_ptr<Scene>> scenes;
+    std::vector<Measured> measured(2);
+    try {
+        progress("saturation: starting");
+        scenes.push_back(std::make_unique<AxonScene>(work.sub("axon"), readers, stalled));
+        if (findProgram("mosquitto").empty()) {
+            std::printf("mosquitto is skipped: its program is not here; mend: apt-get install --no-install-recommends mosquitto\n");
+        } else {
+            scenes.push_back(std::make_unique<MosquittoScene>(work.sub("mosquitto"), readers, stalled));
+        }
+        for (int round = 0; round < wish.rounds && !interrupted; ++round)
+            for (std::size_t i = 0; i < scenes.size() && !interrupted; ++i) measure(*scenes[i], wish, round, measured[i]);
+    } catch (const std::exception&) {
+        if (!interrupted) throw;
+    }
+    progress("");
+    std::printf("A stop each 50 ms to one entity, while %zu others take data as fast as they can and %zu more have stopped reading; ms from when it was due.\n",
+                readers, stalled);
+    std::printf("%-15s %-7s %7s %9s %9s %9s %9s %6s %9s\n", "", "", "n", "mean", "p50", "p99", "max", "lost", "MB/s");
+    bool sound = true;
+    for (std::size_t i = 0; i < scenes.size(); ++i) {
+        auto& its = measured[i];
+        const double rate = its.loaded_seconds > 0 ? static_cast<double>(its.received) * kDataBytes / its.loaded_seconds / 1e6 : 0;
+        const auto idle = its.idle[0].from_batch.json(), loaded = its.loaded[0].from_batch.json();
+        for (const auto& [what, figures] : {std::pair{"idle", &idle}, std::pair{"loaded", &loaded}})
+            std::printf("%-15s %-7s %7zu %s %s %s %s %6zu %9.1f\n", scenes[i]->target().name.c_str(), what, (*figures)["n"].get<std::size_t>(),
+                        figure(*figures, "mean").c_str(), figure(*figures, "p50").c_str(), figure(*figures, "p99").c_str(), figure(*figures, "max").c_str(),
+                        (*figures)["lost"].get<std::size_t>(), figures == &loaded ? rate : 0.0);
+        nlohmann::json row{{"system", scenes[i]->target().name}, {"idle", idle}, {"loaded", loaded}, {"mb_per_s", rate},
+                           {"sent", scenes[i]->stream()[0].sent.load()}, {"refused", scenes[i]->stream()[0].refused.load()}, {"corrupt", scenes[i]->corrupt()}};
+        if (idle.contains("p99") && loaded.contains("p99") && idle["p99"].is_number() && loaded["p99"].is_number()) {
+            row["p99_loaded_by_idle"] = loaded["p99"].get<double>() / idle["p99"].get<double>();
+            std::printf("%-15s p99 loaded / idle: %.2f\n", "", row["p99_loaded_by_idle"].get<double>());
+        }
+        if (i == 0) sound = scenes[i]->corrupt() == 0 && idle["lost"] == 0 && loaded["lost"] == 0;
+        report.add(std::move(row));
+    }
+    report.finish();
+    if (interrupted) std::printf("INTERRUPTED: this is a part.\n");
+    if (!sound) std::printf("SOMETHING OF AXON'S WAS LOST OR CORRUPT.\n");
+    return sound && !interrupted ? 0 : 1;
+}
+
+}  // namespace
+
+Experiment declareSaturation(CLI::App& app) {
+    const auto wish = std::make_shared<Wish>();
+    auto* command = app.add_subcommand("saturation", "Latency of a stop, idle and while others take data as fast as they can");
+    command->footer("Of the entities a tenth (one at least) has stopped reading: its process stands still. Data and stops come from two processes, and the\n"
+                    "entity that is stopped has one of its own, as a robot has a computer of its own.\n\n"
+                    "Example:\n  axon-bench saturation --entities 20 --seconds 30 --json saturation.json\n");
+    command->add_option("--entities", wish->entities, "That take data [20]")->check(CLI::Range(2, 1024).description(""))->type_name("S");
+    command->add_option("--seconds", wish->seconds, "Idle, and again loaded [10]")->check(CLI::Range(0.2, 1e5).description(""))->type_name("S");
+    command->add_option("--rounds", wish->rounds, "Of both, the systems in turns [2]")->check(CLI::Range(1, 1000).description(""))->type_name("COUNT");
+    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
+    return {command, [wish] { return run(*wish); }};
+}
+
+}  // namespace axon::bench
