@@ -15,6 +15,7 @@ struct Experiment {
 Experiment declarePeers(CLI::App& app);
 Experiment declareChapter5(CLI::App& app);
 Experiment declareSaturation(CLI::App& app);
+Experiment declareGrowth(CLI::App& app);
 Experiment declareRuns(CLI::App& app);
 
 /// Processes that an experiment starts: the receiving side of each system, and the like. Not shown in the help.

@@ -19,7 +19,7 @@ int main(int argc, char** argv) {
         "Exit status: 0 done, 1 something of Axon's was lost, corrupt or disconnected, or it was interrupted, 2 wrongly called.");
     app.get_formatter()->column_width(16);
     app.require_subcommand(1, 1);
-    const std::vector<Experiment> experiments{declarePeers(app), declareChapter5(app), declareSaturation(app), declareRuns(app)};
+    const std::vector<Experiment> experiments{declarePeers(app), declareChapter5(app), declareSaturation(app), declareGrowth(app), declareRuns(app)};
     const auto processes = declareProcesses(app);
     try {
         app.parse(argc, argv);
