@@ -188,6 +188,15 @@ TEST(CommandLine, SaysWhatIsWrongAndHowToMendIt) {
     }
 }
 
+TEST(CommandLine, WhatFollowsBenchIsAnotherProgramsBusiness) {
+    const auto parsed = parse({"bench", "peers", "--json", "peers.json", "--help", "--", "--server"});
+    ASSERT_TRUE(parsed.line);
+    EXPECT_STREQ(parsed.line->verb->name, "bench");
+    EXPECT_EQ(parsed.line->args["words"], (Json{"peers", "--json", "peers.json", "--help", "--", "--server"}));
+    EXPECT_FALSE(parsed.line->settings.json);
+    EXPECT_EQ(parse({"bench"}).line->args["words"], Json::array());
+}
+
 TEST(CommandLine, HelpTeachesByExamples) {
     const auto root = parse({"--help"});
     EXPECT_EQ(root.exit, kDone);

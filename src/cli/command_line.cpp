@@ -277,6 +277,15 @@ Parsed parseCommandLine(std::vector<std::string> words,
         return parsed;
     }
 
+    // Another program's words, likewise, but for the help that says so.
+    if (!words.empty() && words.front() == "bench" &&
+        !(words.size() == 2 && (words[1] == "--help" || words[1] == "-h"))) {
+        line.verb = findVerb("bench");
+        line.args["words"] = std::vector<std::string>(words.begin() + 1, words.end());
+        parsed.line = std::move(line);
+        return parsed;
+    }
+
     line.command = takeCommand(words);
     CLI::App app("Use the robots of an Axon laboratory.", "axon");
     app.require_subcommand(1, 1);

@@ -7,7 +7,7 @@ namespace axon::cli {
 
 extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, kWatch, kTasks, kPause,
     kResume, kCancel, kStop, kDrill, kHandover, kRearm, kReset, kClear, kProfile, kDoctor, kAgent,
-    kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
+    kBench, kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
     kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory;
 
 const std::vector<const Verb*>& verbs() {
@@ -42,6 +42,7 @@ const std::vector<const Verb*>& verbs() {
         &kProfile,     //
         &kDrill,       //
         &kDoctor,      //
+        &kBench,       //
         &kCerts,       //
         &kAgent,       //
         &kCompletion,  //
