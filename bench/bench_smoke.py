@@ -1,0 +1,163 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""axon-bench end to end, small: every experiment runs, its JSON is complete and plausible, a picture is drawn, Ctrl-C leaves a
+part that can be used. No time is judged: how fast this machine is, is nobody's mistake.
+
+    python3 bench/bench_smoke.py --bin build/dev/bin [unittest options]
+"""
+import json
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import unittest
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "tools"))
+sys.dont_write_bytecode = True
+from laboratory import programs, wait_until  # noqa: E402
+
+BIN = programs()
+SECONDS_AT_MOST = 240
+
+
+class BenchSmoke(unittest.TestCase):
+    def setUp(self):
+        self.folder = pathlib.Path(tempfile.mkdtemp(prefix="axon-bench-smoke-"))
+        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
+        self.json = self.folder / "result.json"
+
+    def bench(self, *words, program=(BIN / "axon-bench",), status=0):
+        done = subprocess.run([*map(str, program), *words], capture_output=True, text=True, timeout=SECONDS_AT_MOST, check=False)
+        self.assertEqual(done.returncode, status, f"{words}\n{done.stdout}\n{done.stderr}")
+        return done
+
+    def result(self, *words):
+        self.bench(*words, "--json", str(self.json))
+        result = json.loads(self.json.read_text())
+        self.assertIs(result["partial"], False)
+        self.assertEqual(result["experiment"], words[0])
+        self.assertGreater(result["machine"]["cores"], 0)
+        self.assertTrue(result["results"])
+        return result
+
+    def plausible(self, series, n):
+        """Latencies of n messages that have all arrived."""
+        self.assertEqual((series["n"], series["lost"]), (n, 0), series)
+        self.assertGreater(series["mean"], 0)
+        self.assertLessEqual(series["p50"], series["p99"])
+        self.assertLessEqual(series["p99"], series["max"])
+        self.assertEqual("p99.9" in series, n >= 1000)
+
+    def test_peers(self):
+        picture = self.folder / "peers.png"
+        result = self.result("peers", "--entities", "1,4", "--batches", "3", "--pair-rounds", "1", "--plot", str(picture))
+        skipped = {one["peer"] for one in result["skipped"]}
+        systems = {"axon", "raw", "mosquitto-qos0", "mosquitto-qos1", "nats"} - skipped
+        self.assertEqual([(row["n"], row["what"]) for row in result["results"]],
+                         [(n, what) for n in (1, 4) for what in ("small", "data", "stop")])
+        for row in result["results"]:
+            self.assertEqual(row["bytes"], 35000 if row["what"] == "data" else 60)
+            for system in systems:
+                self.plausible(row[system], row["n"] * 3)
+                if system != "axon":
+                    self.assertEqual(row[system]["ratio"]["mean"]["n"], 3)
+        for system in systems - {"axon"}:
+            self.assertEqual(set(result["geometric_mean_over_n"][system]), {"small", "data", "stop"})
+        self.assertEqual(set(result["corrupt_or_misplaced"].values()), {0})
+        if "cyclonedds" not in skipped:
+            self.assertGreater(result["pairs"]["axon / cyclonedds"], 0)
+            self.assertEqual(result["pairs"]["axon drill, there and back"]["lost"], 0)
+        if shutil.which("gnuplot"):
+            self.assertEqual(picture.read_bytes()[:4], b"\x89PNG")
+
+    def test_chapter5(self):
+        picture = self.folder / "figure.png"
+        result = self.result("chapter5", "--entities", "2", "--clients", "3", "--standard", "6", "--seconds", "2", "--with", "raw",
+                             "--plot", str(picture))
+        self.assertEqual([row["table"] for row in result["results"]], ["5.1", "5.2", "5.3", "5.4"])
+        for row in result["results"]:
+            messages = 4 * (2 if "raw" in row else 10)
+            for system in ("axon", "raw"):
+                if system in row:
+                    self.plausible(row[system]["from_batch"], messages)
+                    self.plausible(row[system]["from_call"], messages)
+                    self.assertLessEqual(row[system]["from_call"]["mean"], row[system]["from_batch"]["mean"])
+                    self.assertEqual(row[system]["corrupt_or_misplaced"], 0)
+            self.assertEqual(row["axon"]["disconnected"], 0)
+        self.assertEqual(result["results"][0]["thesis"], {"lan_mean": 1.7, "wlan_mean": 57.7})
+        standard = result["results"][2]["axon"]["standard_clients"]
+        self.assertGreater(standard["data"], 0)
+        self.assertGreater(standard["signals"], 0)
+        self.assertEqual((standard["refused"], standard["leases_lost"]), (0, 0))
+        if shutil.which("gnuplot"):
+            self.assertEqual(len(list(self.folder.glob("figure-5.*.png"))), 4)
+
+    def test_chapter5_behind_a_radio_link(self):
+        done = subprocess.run([BIN / "axon-bench", "chapter5", "--channel", "wlan", "--table", "5.2,5.3", "--entities", "4", "--clients", "2",
+                               "--standard", "4", "--seconds", "2", "--json", str(self.json)], capture_output=True, text=True,
+                              timeout=SECONDS_AT_MOST, check=False)
+        if "does not permit a radio link" in done.stderr:
+            self.skipTest(done.stderr.strip())
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        result = json.loads(self.json.read_text())
+        self.assertEqual(result["settings"]["channel"]["loss"], 0.022)
+        for row, entities in zip(result["results"], (4, 10)):
+            for half in ("axon wired", "axon wireless"):
+                self.assertEqual(row[half]["from_batch"]["n"], 4 * entities / 2)
+            self.assertEqual(row["axon"]["from_batch"]["n"], 4 * entities)
+            self.assertEqual(row["axon"]["corrupt_or_misplaced"], 0)
+            # Two milliseconds one way, whatever the machine.
+            self.assertGreater(row["axon wireless"]["from_call"]["p50"], 2)
+
+    def test_saturation(self):
+        result = self.result("saturation", "--entities", "4", "--seconds", "1", "--rounds", "1")
+        self.assertEqual(result["results"][0]["system"], "axon")
+        for row in result["results"]:
+            self.assertEqual(row["corrupt"], 0)
+            self.assertGreater(row["mb_per_s"], 0)
+            self.assertEqual((row["idle"]["n"], row["loaded"]["n"]), (20, 20))
+            self.assertEqual((row["idle"]["lost"], row["loaded"]["lost"]), (0, 0))
+
+    def test_growth(self):
+        result = self.result("growth", "--entities", "4", "--clients", "3", "--seconds", "1")
+        self.assertEqual([(row["what"], row["n"]) for row in result["results"]], [("entities", 4), ("clients", 3)])
+        for row in result["results"]:
+            self.assertGreater(row["own_kb"], 0)
+            self.assertGreaterEqual(row["cpu_share"], 0)
+            self.assertGreater(row["server_ready_s"], 0)
+
+    def test_runs(self):
+        result = self.result("runs", "--entities", "3", "--levels", "2", "--rounds", "2")
+        self.assertEqual(result["failed"], 0)
+        self.assertEqual({row["what"] for row in result["results"]}, {"single", "batch", "dispatch", "step", "level"})
+        for row in result["results"]:
+            self.assertGreater(row["ms"]["n"], 0)
+
+    def test_ctrl_c_leaves_a_part_that_can_be_used(self):
+        bench = subprocess.Popen([BIN / "axon-bench", "peers", "--entities", "1,2", "--batches", "100000", "--seconds", "1", "--only", "raw",
+                                  "--pair-rounds", "0", "--json", str(self.json)], stdout=subprocess.PIPE, text=True)
+        self.addCleanup(bench.kill)
+        wait_until(lambda: self.json.exists() and json.loads(self.json.read_text())["results"], "a first row", 60)
+        bench.send_signal(signal.SIGINT)
+        output, _ = bench.communicate(timeout=30)
+        self.assertEqual(bench.returncode, 1)
+        self.assertIn("INTERRUPTED", output)
+        result = json.loads(self.json.read_text())
+        self.assertIs(result["partial"], True)
+        self.assertGreater(result["results"][0]["axon"]["n"], 0)
+
+    def test_help_teaches(self):
+        for words, status in (((), 2), (("--help",), 0), (("peers", "--help"), 0), (("chapter5", "--help"), 0)):
+            self.assertIn("axon-bench peers" if words[:1] != ("chapter5",) else "axon-bench chapter5", self.bench(*words, status=status).stdout)
+        self.assertIn("5.1", self.bench("chapter5", "--table", "5.9", status=2).stderr)
+
+    def test_the_command_runs_it(self):
+        text = self.bench("bench", "growth", "--help", program=(BIN / "axon",)).stdout
+        self.assertEqual(text, self.bench("growth", "--help").stdout)
+
+
+if __name__ == "__main__":
+    unittest.main()
