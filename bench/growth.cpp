@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <fstream>
 #include <memory>
@@ -18,7 +19,7 @@ namespace axon::bench {
 namespace {
 
 struct Wish {
-    std::vector<std::size_t> entities{64, 512, 2048}, clients{64, 256};
+    std::vector<std::size_t> entities{64, 512, 2048}, clients{64, 512};
     double seconds = 10;
     std::string json;
 };
@@ -89,7 +90,7 @@ class Growth {
         const auto join_begin = nowNs();
         const auto joined = join(server, folder);
         const double there = static_cast<double>(nowNs() - join_begin) / 1e9;
-        sleepUntil(nowNs() + 3'000'000'000);  // what joining has stirred up settles
+        sleepUntil(nowNs() + static_cast<std::int64_t>(std::min(wish_.seconds, 3.0) * 1e9));  // what joining has stirred up settles
         const double share = cpuShare(server.process().pid(), wish_.seconds);
         if (interrupted) return;
         const auto full = useOf(server.process().pid());
@@ -127,7 +128,7 @@ Experiment declareGrowth(CLI::App& app) {
     auto* command = app.add_subcommand("growth", "Memory and processor of the server for each idle entity and client");
     command->footer("Examples:\n  axon-bench growth --json growth.json\n  axon-bench growth --entities 5000 --clients 0\n");
     command->add_option("--entities", wish->entities, "One server for each number [64,512,2048]; 0 = none")->delimiter(',')->check(CLI::Range(0, 16384).description(""))->type_name("N,…");
-    command->add_option("--clients", wish->clients, "Likewise [64,256]; 0 = none")->delimiter(',')->check(CLI::Range(0, 1024).description(""))->type_name("M,…");
+    command->add_option("--clients", wish->clients, "Likewise [64,512]; 0 = none")->delimiter(',')->check(CLI::Range(0, 4096).description(""))->type_name("M,…");
     command->add_option("--seconds", wish->seconds, "For which the processor's time is taken [10]")->check(CLI::Range(0.5, 1e5).description(""))->type_name("S");
     command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
     return {command, [wish] {

@@ -3,7 +3,8 @@
 
 #include <unistd.h>
 
-#include <iostream>
+#include <atomic>
+#include <future>
 #include <random>
 #include <thread>
 
@@ -13,6 +14,8 @@ namespace {
 
 using namespace std::chrono_literals;
 constexpr std::int64_t kPeriod_ns = 500'000'000;
+/// A login is mostly waiting for round trips.
+constexpr int kLoginsAtOnce = 16;
 
 /// A standard client: its thread.
 class StandardClient {
@@ -75,13 +78,19 @@ int runHerd(const std::string& board_file, std::size_t clients, const std::strin
             std::uint64_t seed) {
     HerdBoard board(board_file, clients, false);
     const auto parent = ::getppid();
-    std::vector<std::unique_ptr<StandardClient>> all;
-    for (std::size_t i = 0; i < clients; ++i) {
-        std::vector<std::string> names;
-        for (std::size_t k = i; k < entities; k += clients) names.push_back(prefix + "-" + std::to_string(k));
-        all.push_back(std::make_unique<StandardClient>(server, std::move(names), board[i], seed + i));
-        ++board.ready();
-    }
+    std::vector<std::unique_ptr<StandardClient>> all(clients);
+    std::atomic<std::size_t> next{0};
+    std::vector<std::future<void>> logins;
+    for (int k = 0; k < kLoginsAtOnce; ++k)
+        logins.push_back(std::async(std::launch::async, [&] {
+            for (std::size_t i = next++; i < clients; i = next++) {
+                std::vector<std::string> names;
+                for (std::size_t its = i; its < entities; its += clients) names.push_back(prefix + "-" + std::to_string(its));
+                all[i] = std::make_unique<StandardClient>(server, std::move(names), board[i], seed + i);
+                ++board.ready();
+            }
+        }));
+    for (auto& login : logins) login.get();
     while (board.go() == 0 && ::getppid() == parent) std::this_thread::sleep_for(5ms);
     std::vector<std::thread> threads;
     for (const auto& client : all)
