@@ -75,11 +75,11 @@ class BenchSmoke(unittest.TestCase):
 
     def test_chapter5(self):
         picture = self.folder / "figure.png"
-        result = self.result("chapter5", "--entities", "2", "--clients", "3", "--standard", "6", "--seconds", "2", "--with", "raw",
+        result = self.result("chapter5", "--entities", "2", "--clients", "3", "--standard", "6", "--seconds", "1", "--with", "raw",
                              "--plot", str(picture))
         self.assertEqual([row["table"] for row in result["results"]], ["5.1", "5.2", "5.3", "5.4"])
         for row in result["results"]:
-            messages = 4 * (2 if "raw" in row else 10)
+            messages = 2 * (2 if "raw" in row else 10)
             for system in ("axon", "raw"):
                 if system in row:
                     self.plausible(row[system]["from_batch"], messages)
@@ -97,7 +97,7 @@ class BenchSmoke(unittest.TestCase):
 
     def test_chapter5_behind_a_radio_link(self):
         done = subprocess.run([BIN / "axon-bench", "chapter5", "--channel", "wlan", "--table", "5.2,5.3", "--entities", "4", "--clients", "2",
-                               "--standard", "4", "--seconds", "2", "--json", str(self.json)], capture_output=True, text=True,
+                               "--standard", "4", "--seconds", "1", "--json", str(self.json)], capture_output=True, text=True,
                               timeout=SECONDS_AT_MOST, check=False)
         if "does not permit a radio link" in done.stderr:
             self.skipTest(done.stderr.strip())
@@ -106,8 +106,8 @@ class BenchSmoke(unittest.TestCase):
         self.assertEqual(result["settings"]["channel"]["loss"], 0.022)
         for row, entities in zip(result["results"], (4, 10)):
             for half in ("axon wired", "axon wireless"):
-                self.assertEqual(row[half]["from_batch"]["n"], 4 * entities / 2)
-            self.assertEqual(row["axon"]["from_batch"]["n"], 4 * entities)
+                self.assertEqual(row[half]["from_batch"]["n"], 2 * entities / 2)
+            self.assertEqual(row["axon"]["from_batch"]["n"], 2 * entities)
             self.assertEqual(row["axon"]["corrupt_or_misplaced"], 0)
             # Two milliseconds one way, whatever the machine.
             self.assertGreater(row["axon wireless"]["from_call"]["p50"], 2)
