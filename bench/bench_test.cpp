@@ -45,6 +45,7 @@ TEST(BenchSlot, ALostMessageIsMisplacedAndACorruptOneHasNotArrived) {
     slot.arrived(Kind::Data, 40, bytes.data(), bytes.size());
     EXPECT_EQ(slot.corrupt, 1U);
     EXPECT_EQ(slot.data.next, 4U);
+    EXPECT_EQ(slot.intact, 3U) << "not the last number";
 }
 
 TEST(BenchSeries, WhatNeverArrivedIsInfinitelyLate) {
@@ -56,7 +57,7 @@ TEST(BenchSeries, WhatNeverArrivedIsInfinitelyLate) {
     const auto json = series.json();
     EXPECT_EQ(json["n"], 100);
     EXPECT_EQ(json["lost"], 2);
-    EXPECT_DOUBLE_EQ(json["p50"], 50);
+    EXPECT_DOUBLE_EQ(json["p50"], 50.5);
     EXPECT_TRUE(json["p99"].is_null());
     EXPECT_TRUE(json["max"].is_null());
     EXPECT_TRUE(json["last"].is_null());
@@ -75,6 +76,21 @@ TEST(BenchSeries, BatchesHaveTheirOwnMeanAndLast) {
     EXPECT_EQ(series.means(), (std::vector<double>{3, 4, 5}));
     EXPECT_EQ(series.lasts(), (std::vector<double>{4, 6, 8}));
     EXPECT_DOUBLE_EQ(spread({0.5, 2, 1})["median"], 1);
+}
+
+TEST(BenchSeries, QuantilesAreOfTheNearestRank) {
+    std::vector<double> values;
+    for (int i = 1; i <= 100; ++i) values.push_back(i);
+    EXPECT_DOUBLE_EQ(quantile(values, 0.5), 50.5);
+    EXPECT_DOUBLE_EQ(quantile(values, 0.07), 7);
+    EXPECT_DOUBLE_EQ(quantile(values, 0.99), 99);
+    EXPECT_DOUBLE_EQ(quantile(values, 0.999), 100);
+    EXPECT_DOUBLE_EQ(quantile({1, 2, 3}, 0.5), 2);
+    EXPECT_DOUBLE_EQ(quantile({1, 2, 3}, 0.99), 3);
+    EXPECT_DOUBLE_EQ(quantile({1, 2, 3}, 0.1), 1);
+    EXPECT_DOUBLE_EQ(quantile({1, 2}, 1), 2);
+    EXPECT_DOUBLE_EQ(quantile({7}, 0), 7);
+    EXPECT_DOUBLE_EQ(quantile({}, 0.5), 0);
 }
 
 TEST(BenchNats, TakesWholeMessagesAndLeavesTheRest) {

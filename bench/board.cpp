@@ -41,6 +41,7 @@ void Slot::arrived(Kind kind, std::int64_t when, const char* bytes, std::size_t 
     }
     if (*number != row.next) ++misplaced;
     row.note(*number, when);
+    ++intact;
 }
 
 std::int64_t nowNs() {

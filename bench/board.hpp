@@ -32,6 +32,7 @@ struct Arrivals {
 struct alignas(64) Slot {
     Arrivals stops, data;
     Arrivals tasks;
+    std::atomic<std::uint32_t> intact{0};     ///< messages with content that have arrived as they were sent
     std::atomic<std::uint32_t> corrupt{0};    ///< content that is not what was sent
     std::atomic<std::uint32_t> misplaced{0};  ///< not the one after the one before: lost, doubled or out of order
 

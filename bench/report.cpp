@@ -61,7 +61,12 @@ bool realTimePermitted() {
 }  // namespace
 
 double quantile(const std::vector<double>& ordered, double q) {
-    return ordered.empty() ? 0 : ordered[static_cast<std::size_t>(q * static_cast<double>(ordered.size() - 1))];
+    const auto n = ordered.size();
+    if (n == 0) return 0;
+    if (q == 0.5 && n % 2 == 0) return (ordered[n / 2 - 1] + ordered[n / 2]) / 2;
+    constexpr double kRounding = 1e-9;  // 0.07 * 100 is a little more than 7
+    const auto rank = static_cast<std::size_t>(std::max(1.0, std::ceil(q * static_cast<double>(n) - kRounding)));
+    return ordered[std::min(rank, n) - 1];
 }
 
 nlohmann::json spread(std::vector<double> values) {

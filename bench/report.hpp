@@ -7,7 +7,7 @@
 
 namespace axon::bench {
 
-/// Quantile q of values in order, 0 for none.
+/// Quantile q of values in order by the nearest rank, and the median of an even number the mean of the two in the middle; 0 for none.
 double quantile(const std::vector<double>& ordered, double q);
 /// {"median", "p10", "p90", "n"} of values in any order; infinite ones are null.
 nlohmann::json spread(std::vector<double> values);
