@@ -84,6 +84,12 @@ Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_
     for (std::size_t i = 0; i < n; ++i) names_.push_back(prefix + "-" + std::to_string(i));
 }
 
+std::string Entities::ended() const {
+    for (const auto& child : children_)
+        if (auto its = whichHasEnded({{"a process of entities", child.get()}}); !its.empty()) return its;
+    return {};
+}
+
 std::unique_ptr<client::Client> connectClient(client::Options options) {
     auto connected = client::Client::connect(std::move(options));
     if (!connected) throw std::runtime_error(connected.refusal().message);
@@ -109,6 +115,11 @@ AxonCrowd::AxonCrowd(const fs::path& folder, std::size_t n, const Running* runni
     entities_ = std::make_unique<Entities>(folder, "bench", n, running ? running->entity_config : server_->entityAddress(), radio);
     client_ = connectClient(running ? running->client_config : server_->clientAddress());
     held_ = holdAll(*client_, names());
+}
+
+std::string AxonCrowd::ended() const {
+    const auto server = whichHasEnded({{"axon-server", server_ ? &server_->process() : nullptr}});
+    return server.empty() ? entities_->ended() : server;
 }
 
 AxonCrowd::AxonCrowd(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n)

@@ -48,6 +48,8 @@ class Entities {
     static std::size_t firstWireless(std::size_t n) { return n / 2; }
     /// The only one, without a radio link.
     const Child& process() const { return *children_.front(); }
+    /// As Subject::ended().
+    std::string ended() const;
 
   private:
     Board board_;
@@ -72,6 +74,8 @@ class AxonCrowd {
     client::Client& client() { return *client_; }
     const std::vector<std::string>& names() const { return entities_->names(); }
     const std::vector<client::CheckOut>& held() const { return held_; }
+    /// As Subject::ended(); of the server only where it is this one's own.
+    std::string ended() const;
 
   private:
     std::unique_ptr<AxonServer> server_;

@@ -111,6 +111,12 @@ void Child::waitUntil(const std::function<bool()>& condition, const std::string&
     }
 }
 
+std::string whichHasEnded(std::initializer_list<std::pair<const char*, const Child*>> all) {
+    for (const auto& [name, child] : all)
+        if (child != nullptr && !child->running()) return child->complaint(std::string(name) + " has ended");
+    return {};
+}
+
 std::string field(const std::string& ready_line, const std::string& key) {
     std::istringstream words(ready_line);
     for (std::string word; words >> word;)

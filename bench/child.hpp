@@ -6,8 +6,10 @@
 #include <chrono>
 #include <filesystem>
 #include <functional>
+#include <initializer_list>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace axon::bench {
@@ -43,6 +45,9 @@ class Child {
     mutable std::optional<int> status_;
     std::filesystem::path log_;
 };
+
+/// "NAME has ended; see LOG" of the first of these that has; empty while all run. One that is null has not begun.
+std::string whichHasEnded(std::initializer_list<std::pair<const char*, const Child*>> all);
 
 /// VALUE of "ready … KEY=VALUE …".
 std::string field(const std::string& ready_line, const std::string& key);

@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <deque>
+#include <exception>
+#include <limits>
 
 #include "child.hpp"
 
@@ -25,7 +27,13 @@ Batch Contender::send(Message message, std::string& bytes, std::int64_t begin) {
             batch.awaited[i] = next_counted_[i]++;
         }
     }
-    subject_->send(message, bytes, batch.called);
+    try {
+        subject_->send(message, bytes, batch.called);
+    } catch (const std::exception& problem) {
+        if (ended().empty()) ended_ = problem.what();
+        for (auto& called : batch.called)
+            if (called == 0) called = std::numeric_limits<std::int64_t>::max();  // nothing has arrived after that
+    }
     quiet_after_ = nowNs() + kPatience_ns;
     return batch;
 }
@@ -60,6 +68,18 @@ std::uint64_t Contender::bad() const {
     auto& its = subject_->board();
     for (std::size_t i = 0; i < its.size(); ++i) sum += its[i].corrupt + its[i].misplaced;
     return sum;
+}
+
+std::uint64_t Contender::corrupt() const {
+    std::uint64_t sum = 0;
+    auto& its = subject_->board();
+    for (std::size_t i = 0; i < its.size(); ++i) sum += its[i].corrupt;
+    return sum;
+}
+
+const std::string& Contender::ended() {
+    if (ended_.empty()) ended_ = subject_->ended();
+    return ended_;
 }
 
 void measurePaced(Contender& contender, Message message, std::string& bytes, const Pace& pace, std::vector<Figures>& figures) {

@@ -40,8 +40,13 @@ class Contender {
     void collect(const Batch& batch, Series& from_begin, Series* from_call) const { collect(batch, 0, batch.awaited.size(), from_begin, from_call); }
     /// Likewise, of the receivers from `first` to before `end`.
     void collect(const Batch& batch, std::size_t first, std::size_t end, Series& from_begin, Series* from_call) const;
-    /// What was not as it was sent, at all receivers.
+    /// What was not as it was sent, or not in its place, at all receivers.
     std::uint64_t bad() const;
+    /// Of these, what was not as it was sent.
+    std::uint64_t corrupt() const;
+    /// Why it takes part no more: its server or its receivers have ended, or it can be sent nothing. Empty while it does. What is sent
+    /// from then on is lost.
+    const std::string& ended();
 
   private:
     /// 0 = not yet, or never.
@@ -51,6 +56,7 @@ class Contender {
     std::uint32_t next_number_[2] = {0, 0};
     std::vector<std::uint32_t> next_counted_;
     std::int64_t quiet_after_ = 0;
+    std::string ended_;
 };
 
 /// Of the receivers from `first` to before `end`.

@@ -31,6 +31,8 @@ class Herd {
     Herd(const std::filesystem::path& folder, std::size_t clients, const AxonServer& server, const std::string& prefix, std::size_t entities);
     void go() { board_.go() = 1; }
     bool running() const { return child_.running(); }
+    /// As Subject::ended().
+    std::string ended() const { return whichHasEnded({{"the clients' process", &child_}}); }
     struct Sums {
         std::uint64_t data = 0, signals = 0, refused = 0, disconnected = 0, leases_lost = 0;
     };

@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include <array>
+#include <atomic>
 #include <fstream>
 #include <stdexcept>
 #include <vector>
@@ -94,6 +95,8 @@ int runMosquittoReceivers(const std::string& board_file, std::size_t count, std:
 MosquittoBroker::MosquittoBroker(const std::filesystem::path& folder, bool bounded)
     : port_(freePort()), child_([this, &folder, bounded] {
           std::ofstream(folder / "mosquitto.conf") << "listener " << port_ << " 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\n"
+                                                   // As another user it would outlive us: who changes it is no longer told that its parent dies.
+                                                   << (::geteuid() == 0 ? "user root\n" : "")
                                                    << (bounded ? "" : "max_queued_messages 0\n") << "max_inflight_messages 0\npersistence false\n";
           return std::vector<std::string>{findProgram("mosquitto"), "-c", (folder / "mosquitto.conf").string()};
       }(), folder / "mosquitto.log") {
@@ -103,12 +106,14 @@ MosquittoBroker::MosquittoBroker(const std::filesystem::path& folder, bool bound
 struct MosquittoSender::State {
     mosquitto* client = nullptr;
     int qos = 0;
+    std::atomic<std::size_t> outstanding{0};
 };
 
 MosquittoSender::MosquittoSender(std::uint16_t port, int qos) : state_(std::make_unique<State>()) {
     mosquitto_lib_init();
     state_->qos = qos;
-    state_->client = mosquitto_new(nullptr, true, nullptr);
+    state_->client = mosquitto_new(nullptr, true, state_.get());
+    mosquitto_publish_callback_set(state_->client, [](mosquitto*, void* state, int) { --static_cast<State*>(state)->outstanding; });
     mosquitto_int_option(state_->client, MOSQ_OPT_TCP_NODELAY, 1);
     mosquitto_int_option(state_->client, MOSQ_OPT_SEND_MAXIMUM, kUnbounded);
     check(mosquitto_connect(state_->client, "127.0.0.1", port, kKeepAlive_s), "mosquitto_connect");
@@ -123,11 +128,12 @@ MosquittoSender::~MosquittoSender() {
 
 void MosquittoSender::send(std::size_t receiver, Kind kind, const std::string& bytes) {
     const auto topic = (kind == Kind::Stop ? "s/" : "d/") + std::to_string(receiver);
+    ++state_->outstanding;
     check(mosquitto_publish(state_->client, nullptr, topic.c_str(), static_cast<int>(bytes.size()), bytes.data(), state_->qos, false),
           "mosquitto_publish");
 }
 
-bool MosquittoSender::busy() const { return mosquitto_want_write(state_->client); }
+std::size_t MosquittoSender::outstanding() const { return state_->outstanding; }
 
 namespace {
 
@@ -144,6 +150,7 @@ class MosquittoSubject final : public Subject {
         sender_ = std::make_unique<MosquittoSender>(broker_.port(), qos);
     }
     Board& board() override { return board_; }
+    std::string ended() const override { return whichHasEnded({{"mosquitto", &broker_.process()}, {"its receivers' process", &receivers_}}); }
     void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
         for (std::size_t i = 0; i < board_.size(); ++i) {
             called[i] = nowNs();

@@ -18,6 +18,7 @@ class MosquittoBroker {
     /// Bounded: it drops what waits for a receiver beyond its default of 1000 messages; otherwise it keeps everything.
     MosquittoBroker(const std::filesystem::path& folder, bool bounded);
     std::uint16_t port() const { return port_; }
+    const Child& process() const { return child_; }
 
   private:
     std::uint16_t port_;
@@ -31,8 +32,8 @@ class MosquittoSender {
     ~MosquittoSender();
     /// To receiver i; the topic says whether it counts as stop or as data.
     void send(std::size_t receiver, Kind kind, const std::string& bytes);
-    /// Whether there is more to be written than the socket takes.
-    bool busy() const;
+    /// Messages that the library has and the socket has not taken (QoS 1: that are not acknowledged).
+    std::size_t outstanding() const;
 
   private:
     struct State;

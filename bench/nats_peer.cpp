@@ -76,6 +76,7 @@ class NatsSubject final : public Subject {
         sender_->write({kConnect});
     }
     Board& board() override { return board_; }
+    std::string ended() const override { return whichHasEnded({{"nats-server", &server_}, {"its receivers' process", receivers_.get()}}); }
     void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
         inbox_.take(*sender_, buffer_, [this](std::string_view received) {
             std::size_t used = 0;

@@ -141,6 +141,7 @@ class RawSubject final : public Subject {
         sender_->read(welcome.data(), welcome.size(), true);
     }
     Board& board() override { return board_; }
+    std::string ended() const override { return whichHasEnded({{"the router", &router_}, {"its receivers' process", receivers_.get()}}); }
     void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
         Frame frame{0, message == Message::Stop ? kStop : kData, static_cast<std::uint32_t>(bytes.size())};
         for (; frame.receiver < board_.size(); ++frame.receiver) {

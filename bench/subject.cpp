@@ -3,11 +3,13 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cstdio>
 #include <iostream>
 
 #include "mosquitto_peer.hpp"
 #include "nats_peer.hpp"
 #include "raw_router.hpp"
+#include "report.hpp"
 
 namespace axon::bench {
 
@@ -41,6 +43,7 @@ class AxonSubject final : public Subject {
     }
 
     std::size_t disconnected() const override { return *left_; }
+    std::string ended() const override { return crowd_.ended(); }
 
   private:
     // Shared with the callback, which the client may still call while it closes.
@@ -63,7 +66,7 @@ const char* nameOf(Message message) {
 const std::vector<Peer>& peers() {
     static const std::vector<Peer> all{
         {"axon", "", "", startAxon, "Axon relayed: client, axon-server, Entity Managers"},
-        {"raw", "", "", startRawRouter, "the project's own epoll router: what a relay costs this machine at least"},
+        {"raw", "", "", startRawRouter, "the project's own epoll router, a system call for each message, no batching: what a simple relay costs this machine"},
         packaged("mosquitto-qos0", "mosquitto", "mosquitto", [](const fs::path& folder, std::size_t n) { return startMosquitto(folder, n, 0); },
                  "Mosquitto, at most once"),
         packaged("mosquitto-qos1", "mosquitto", "mosquitto", [](const fs::path& folder, std::size_t n) { return startMosquitto(folder, n, 1); },
@@ -71,6 +74,30 @@ const std::vector<Peer>& peers() {
         packaged("nats", "nats-server", "nats-server", startNats, "NATS core"),
     };
     return all;
+}
+
+void reportSkipped(Report& report, const std::string& peer, const std::string& package, const std::string& reason) {
+    progress("");
+    std::printf("%s is skipped: %s\n", peer.c_str(), reason.c_str());
+    auto skipped = report.all().at("skipped");
+    skipped.push_back({{"peer", peer}, {"package", package}, {"reason", reason}});
+    report.set("skipped", skipped);
+}
+
+void reportPeers(Report& report, const std::vector<std::string>& wanted) {
+    report.set("skipped", nlohmann::json::array());
+    nlohmann::json versions = nlohmann::json::object();
+    const auto look = [&](const std::string& name, const std::string& package, bool missing) {
+        if (package.empty() || std::find(wanted.begin(), wanted.end(), name) == wanted.end()) return;
+        if (missing) {
+            reportSkipped(report, name, package, "its program is not here; mend: apt-get install --no-install-recommends " + package);
+        } else {
+            versions[name] = packageVersion(package);
+        }
+    };
+    for (const auto& peer : peers()) look(peer.name, peer.package, !peer.missing.empty());
+    look("cyclonedds", "cyclonedds-tools", findProgram("ddsperf").empty());
+    report.set("versions", versions);
 }
 
 std::unique_ptr<Subject> axonThrough(const Running& running, const fs::path& folder, std::size_t n) {

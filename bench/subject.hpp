@@ -32,6 +32,8 @@ class Subject {
     virtual bool numbered(Kind) const { return true; }
     /// How many receivers have lost their connection since the start, as far as the system tells.
     virtual std::size_t disconnected() const { return 0; }
+    /// What of it has ended by itself and why; empty while its server and its receivers run.
+    virtual std::string ended() const { return {}; }
 };
 
 /// A system by its name: how to start it, or why it is skipped here.
@@ -43,6 +45,13 @@ struct Peer {
 };
 /// In the order in which they are measured; the first is Axon.
 const std::vector<Peer>& peers();
+
+class Report;
+/// "versions" and "skipped" of a report, of the peers (and cyclonedds) that an experiment is to have; says which are skipped and what
+/// mends it. Every experiment calls it, with none too.
+void reportPeers(Report& report, const std::vector<std::string>& wanted);
+/// One more in "skipped", which was to be there and gave nothing.
+void reportSkipped(Report& report, const std::string& peer, const std::string& package, const std::string& reason);
 
 /// Axon through servers that run already.
 std::unique_ptr<Subject> axonThrough(const Running& running, const std::filesystem::path& folder, std::size_t n);
