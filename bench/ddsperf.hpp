@@ -17,8 +17,8 @@ struct DdsperfSecond {
 /// "[PID] TIME HOST:PID size N mean …us min …us 50% …us 90% …us 99% …us max …us cnt N"; nothing for another line.
 std::optional<DdsperfSecond> readDdsperf(const std::string& line);
 
-/// `ddsperf ping` and `ddsperf pong`, two processes on loopback, tightly one round trip after the other. The seconds but the
-/// first, in which they find each other. Throws std::runtime_error with the log when there are none.
+/// `ddsperf ping` and `ddsperf pong`, two processes on loopback, tightly one round trip after the other. So many seconds after
+/// the first one with round trips, in which they find each other; fewer when it ends. Throws std::runtime_error with the log when there are none.
 std::vector<DdsperfSecond> pingPong(const std::filesystem::path& folder, std::size_t bytes, int seconds);
 
 }  // namespace axon::bench

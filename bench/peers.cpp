@@ -5,7 +5,9 @@
 #include <iostream>
 #include <map>
 #include <memory>
+#include <numeric>
 #include <optional>
+#include <random>
 #include <thread>
 
 #include "contender.hpp"
@@ -28,6 +30,8 @@ using namespace std::chrono_literals;
 constexpr int kWarmUp = 3;
 /// Between two batches, so that what the one left behind is not in the other.
 constexpr std::int64_t kPause_ns = 20'000'000;
+/// Of the order within the rounds.
+constexpr std::uint64_t kSeed = 1;
 
 struct Wish {
     std::vector<std::size_t> sizes{1, 64, 256, 1024, 2048};
@@ -46,8 +50,14 @@ std::vector<double> ratios(const std::vector<double>& ours, const std::vector<do
     return all;
 }
 
-/// Sends one batch, and waits until all of it has arrived or it is too late for the rest.
+/// Sends one batch, and waits until all of it has arrived or it is too late for the rest. Of a system that has ended it is lost.
 void runBatch(Contender& contender, Message message, std::string& bytes, bool counts) {
+    if (!contender.ended().empty()) {
+        if (!counts) return;
+        contender.series.beginBatch();
+        for (std::size_t i = 0; i < contender.board().size(); ++i) contender.series.lose();
+        return;
+    }
     const auto batch = contender.send(message, bytes, nowNs());
     for (std::size_t missing = 0; !interrupted && nowNs() < batch.begin + kPatience_ns;) {
         missing = contender.firstMissing(batch, missing);
@@ -77,22 +87,32 @@ class Comparison {
                 if (!wish_.of.empty() && std::find(wish_.of.begin(), wish_.of.end(), nameOf(message)) == wish_.of.end()) continue;
                 measure(n, message, all);
             }
-            for (const auto& one : all) bad_[one->name] += one->bad();
+            for (const auto& one : all) {
+                bad_[one->name] += one->bad();
+                corrupt_[one->name] += one->corrupt();
+                if (one->ended().empty()) continue;
+                ended_.push_back({{"system", one->name}, {"n", n}, {"reason", one->ended()}});
+                if (one->name == "axon" || one->name == "other") axon_ended_ = true;
+                std::printf("%6zu %s: %s. What was sent to it from then on is lost.\n", n, one->name.c_str(), one->ended().c_str());
+            }
         }
     }
 
-    /// {peer: {message: {"mean", "last"}}}
+    /// {peer: {message: {"mean", "last", "n": {"mean": […], "last": […]}}}}: over which N. Null where one of them has no finite ratio.
     nlohmann::json geometric() const {
         nlohmann::json all = nlohmann::json::object();
-        for (const auto& [key, logs] : logs_) {
+        for (const auto& [key, its] : ratios_) {
             const auto& [peer, message, what] = key;
-            double sum = 0;
-            for (const double value : logs) sum += value;
-            all[peer][message][what] = std::exp(sum / static_cast<double>(logs.size()));
+            auto& to = all[peer][message];
+            to["n"][what] = its.n;
+            to[what] = its.never ? nlohmann::json() : nlohmann::json(std::exp(its.logs / static_cast<double>(its.n.size())));
         }
         return all;
     }
     const std::map<std::string, std::uint64_t>& bad() const { return bad_; }
+    const std::map<std::string, std::uint64_t>& corrupt() const { return corrupt_; }
+    const nlohmann::json& ended() const { return ended_; }
+    bool axonEnded() const { return axon_ended_; }
     std::size_t axonLost() const { return axon_lost_; }
 
   private:
@@ -116,13 +136,16 @@ class Comparison {
     void measure(std::size_t n, Message message, const std::vector<std::unique_ptr<Contender>>& all) {
         auto bytes = content(bytesOf(message));
         for (const auto& one : all) one->series = {};
+        std::vector<std::size_t> order(all.size());
+        std::iota(order.begin(), order.end(), std::size_t{0});
         const auto end = wish_.seconds > 0 ? nowNs() + static_cast<std::int64_t>(wish_.seconds * 1e9) : 0;
         for (int round = -kWarmUp; !interrupted && (round <= 0 || (end != 0 ? nowNs() < end : round < wish_.batches)); ++round) {
             progress("peers: " + std::to_string(n) + " receivers, " + nameOf(message) + ": batch " + std::to_string(std::max(round + 1, 0)) +
                      (end != 0 ? "" : " of " + std::to_string(wish_.batches)));
-            // Another one begins each time: nobody is always behind the same one.
-            for (std::size_t k = 0; k < all.size() && !interrupted; ++k) {
-                runBatch(*all[(k + static_cast<std::size_t>(round + kWarmUp)) % all.size()], message, bytes, round >= 0);
+            // In another order each time: nobody is always behind the same one.
+            std::shuffle(order.begin(), order.end(), random_);
+            for (std::size_t k = 0; k < order.size() && !interrupted; ++k) {
+                runBatch(*all[order[k]], message, bytes, round >= 0);
                 sleepUntil(nowNs() + kPause_ns);
             }
         }
@@ -141,9 +164,15 @@ class Comparison {
                                                          std::tuple{"last", &axon.series.lasts(), &one->series.lasts()}}) {
                     const auto ratio = spread(ratios(*ours, *theirs));
                     its["ratio"][what] = ratio;
+                    if (ours->empty() || theirs->empty()) continue;  // interrupted before
+                    auto& over = ratios_[{one->name, nameOf(message), what}];
                     if (ratio.contains("median") && ratio["median"].is_number() && ratio["median"] > 0) {
                         std::printf("   %.2f (%s to %s)", ratio["median"].get<double>(), figure(ratio, "p10", 0).c_str(), figure(ratio, "p90", 0).c_str());
-                        logs_[{one->name, nameOf(message), what}].push_back(std::log(ratio["median"].get<double>()));
+                        over.logs += std::log(ratio["median"].get<double>());
+                        over.n.push_back(n);
+                    } else {
+                        std::printf("   never");
+                        over.never = true;
                     }
                 }
             }
@@ -157,29 +186,55 @@ class Comparison {
     const Wish& wish_;
     Report& report_;
     const WorkFolder work_;
-    std::map<std::tuple<std::string, std::string, std::string>, std::vector<double>> logs_;
-    std::map<std::string, std::uint64_t> bad_;
+    /// Over N, of those with a finite ratio.
+    struct Over {
+        double logs = 0;
+        std::vector<std::size_t> n;
+        bool never = false;  ///< some had none
+    };
+    std::map<std::tuple<std::string, std::string, std::string>, Over> ratios_;
+    std::map<std::string, std::uint64_t> bad_, corrupt_;
+    nlohmann::json ended_ = nlohmann::json::array();
+    bool axon_ended_ = false;
+    std::mt19937_64 random_{kSeed};
     std::size_t axon_lost_ = 0;
 };
 
 /// Round trips of one pair: CycloneDDS's ping and pong, and Axon's drill, which goes the whole way of a stop to the robot
 /// application and back, in turns.
-nlohmann::json pairs(int rounds) {
+struct Pairs {
+    nlohmann::json figures;
+    std::size_t lost = 0;     ///< drills
+    std::string no_dds, bad;  ///< why CycloneDDS's are not there, or not all; what Axon refused
+};
+
+Pairs pairs(int rounds, bool with_dds) {
+    Pairs out;
     const WorkFolder work;
     AxonCrowd axon(work.sub("axon-pair"), 1);
     std::vector<double> drills;
     std::map<std::size_t, std::vector<DdsperfSecond>> dds;
-    std::size_t lost = 0;
+    auto& lost = out.lost;
     constexpr int kSeconds = 2, kDrills = 200;
     for (int round = 0; round < rounds && !interrupted; ++round) {
         progress("peers: round trips of a pair: round " + std::to_string(round + 1) + " of " + std::to_string(rounds));
         for (const auto bytes : {kSmallBytes, kDataBytes}) {
-            if (interrupted) break;
-            const auto seconds = pingPong(work.sub("ddsperf"), bytes, kSeconds);
-            dds[bytes].insert(dds[bytes].end(), seconds.begin(), seconds.end());
+            if (interrupted || !with_dds || !out.no_dds.empty()) break;
+            try {
+                const auto seconds = pingPong(work.sub("ddsperf"), bytes, kSeconds);
+                dds[bytes].insert(dds[bytes].end(), seconds.begin(), seconds.end());
+            } catch (const std::exception& problem) {
+                out.no_dds = problem.what();
+            }
         }
+        if (interrupted) break;
         const auto drill = axon.client().drill(axon.names(), kDrills, client::Seconds{0});
-        if (!drill) throw std::runtime_error(drill.refusal().message);
+        if (!drill) {
+            if (interrupted) break;
+            out.bad = drill.refusal().message;
+            lost += kDrills;
+            break;
+        }
         for (const auto& time : drill->front().callback) {
             if (time) {
                 drills.push_back(time->count() * 1e6);
@@ -189,7 +244,7 @@ nlohmann::json pairs(int rounds) {
         }
     }
     progress("");
-    nlohmann::json all;
+    auto& all = out.figures;
     std::sort(drills.begin(), drills.end());
     const auto axon_p50 = quantile(drills, 0.5);
     all["axon drill, there and back"] = {{"n", drills.size() + lost}, {"lost", lost}, {"p50_us", axon_p50}, {"p99_us", quantile(drills, 0.99)}};
@@ -211,60 +266,68 @@ nlohmann::json pairs(int rounds) {
         const auto name = "CycloneDDS, " + std::to_string(bytes) + " bytes";
         // One round trip after the other: together they take the time that has passed, or these are not round trips.
         all[name] = {{"n", count}, {"p50_us", quantile(p50, 0.5)}, {"p99_us", quantile(p99, 0.5)}, {"seconds", seconds.size()}, {"busy_seconds", busy}};
-        if (bytes == kSmallBytes) all["axon / cyclonedds"] = axon_p50 / quantile(p50, 0.5);
+        if (bytes == kSmallBytes && !drills.empty()) all["axon / cyclonedds"] = axon_p50 / quantile(p50, 0.5);
         std::printf("%-36s %9.1f %9.1f", name.c_str(), quantile(p50, 0.5), quantile(p99, 0.5));
-        std::printf(bytes == kSmallBytes ? "   %.2f\n" : "\n", axon_p50 / quantile(p50, 0.5));
+        if (bytes == kSmallBytes && !drills.empty()) std::printf("   %.2f", axon_p50 / quantile(p50, 0.5));
+        std::printf("\n");
     }
-    return all;
+    return out;
 }
 
 int run(const Wish& wish) {
-    Report report(wish.json, "peers", {{"entities", wish.sizes}, {"batches", wish.batches}, {"seconds", wish.seconds}, {"warm_up", kWarmUp}, {"patience_s", 2}});
-    nlohmann::json versions = nlohmann::json::object(), skipped = nlohmann::json::array();
-    const auto skip = [&skipped](const std::string& name, const std::string& package) {
-        std::printf("%s is skipped: its program is not here; mend: apt-get install --no-install-recommends %s\n", name.c_str(), package.c_str());
-        skipped.push_back({{"peer", name}, {"package", package}});
+    Report report(wish.json, "peers", {{"entities", wish.sizes}, {"batches", wish.batches}, {"seconds", wish.seconds}, {"warm_up", kWarmUp}, {"patience_s", 2}, {"seed", kSeed}});
+    const auto wants = [&wish](const std::string& name) {
+        return wish.beside.empty() && (wish.only.empty() || std::find(wish.only.begin(), wish.only.end(), name) != wish.only.end());
     };
-    if (wish.beside.empty()) {
-        for (const auto& peer : peers()) {
-            if (!peer.missing.empty()) skip(peer.name, peer.package);
-            if (peer.missing.empty() && !peer.package.empty()) versions[peer.name] = packageVersion(peer.package);
-        }
-    }
-    const bool dds = !findProgram("ddsperf").empty();
-    const bool wants_pairs = wish.beside.empty() && wish.pair_rounds > 0 &&
-                             (wish.only.empty() || std::find(wish.only.begin(), wish.only.end(), "cyclonedds") != wish.only.end());
-    if (wants_pairs && !dds) skip("cyclonedds", "cyclonedds-tools");
-    if (dds) versions["cyclonedds"] = packageVersion("cyclonedds-tools");
-    report.set("versions", versions);
-    report.set("skipped", skipped);
+    std::vector<std::string> wanted;
+    for (const auto& peer : peers())
+        if (wants(peer.name)) wanted.push_back(peer.name);
+    const bool wants_pairs = wish.pair_rounds > 0 && wants("cyclonedds");
+    if (wants_pairs) wanted.emplace_back("cyclonedds");
+    reportPeers(report, wanted);
 
     Comparison comparison(wish, report);
-    std::string ended;
+    bool sound = true;
     try {
         comparison.run();
-        if (wants_pairs && dds && !interrupted) report.set("pairs", pairs(wish.pair_rounds));
-    } catch (const std::exception& problem) {
+    } catch (const std::exception&) {
         if (!interrupted) throw;
+    }
+    if (wants_pairs && !interrupted) {
+        try {
+            const auto its = pairs(wish.pair_rounds, report.all().at("versions").contains("cyclonedds"));
+            report.set("pairs", its.figures);
+            if (!its.no_dds.empty()) reportSkipped(report, "cyclonedds", "cyclonedds-tools", its.no_dds);
+            if (!its.bad.empty()) std::cerr << "drills: " << its.bad << "\n";
+            if (its.lost > 0) std::printf("%zu DRILLS OF AXON'S WERE LOST.\n", its.lost);
+            if (its.lost > 0) sound = false;
+        } catch (const std::exception& problem) {
+            if (!interrupted) {
+                std::cerr << "round trips of a pair: " << problem.what() << "\n";
+                sound = false;
+            }
+        }
     }
     progress("");
     const auto geometric = comparison.geometric();
     report.set("geometric_mean_over_n", geometric);
     for (const auto& [name, of] : geometric.items())
         for (const auto& [what, its] : of.items())
-            std::printf("Axon / %-15s %-5s geometric mean over N: mean %s, last %s\n", name.c_str(), what.c_str(), figure(its, "mean", 5).c_str(),
-                        figure(its, "last", 5).c_str());
+            std::printf("Axon / %-15s %-5s geometric mean over N: mean %s, last %s; of N in %s\n", name.c_str(), what.c_str(), figure(its, "mean", 5).c_str(),
+                        figure(its, "last", 5).c_str(), its["n"]["last"].dump().c_str());
     std::uint64_t axon_bad = 0;
     for (const auto& [name, count] : comparison.bad()) {
         if (count > 0) std::printf("%s: %llu messages were corrupt, doubled, lost or out of order.\n", name.c_str(), static_cast<unsigned long long>(count));
         if (name == "axon" || name == "other") axon_bad += count;
     }
     report.set("corrupt_or_misplaced", comparison.bad());
+    report.set("corrupt", comparison.corrupt());
+    report.set("ended", comparison.ended());
     report.finish();
     std::printf("Below 1 Axon is faster. %s%s\n", axon_bad == 0 ? "Every byte of what Axon brought was as it was sent." : "SOME CONTENT ARRIVED CORRUPT OR OUT OF ORDER.",
                 interrupted ? " INTERRUPTED: this is a part." : "");
     if (!wish.plot.empty()) drawPeers(report.all(), wish.plot);
-    return axon_bad > 0 || comparison.axonLost() > 0 || interrupted ? 1 : 0;
+    return axon_bad > 0 || comparison.axonLost() > 0 || comparison.axonEnded() || !sound || interrupted ? 1 : 0;
 }
 
 }  // namespace
