@@ -98,8 +98,9 @@ class Chapter5 {
         }
         std::vector<std::vector<Figures>> figures;
         for (const auto& one : all) figures.push_back(parts(*one));
-        for (int turn = 0; turn < kTurns && !interrupted; ++turn)
-            for (std::size_t k = 0; k < all.size() && !interrupted; ++k) {
+        for (int turn = 0; turn < kTurns && !interrupted; ++turn, ++begins_)
+            for (std::size_t i = 0; i < all.size() && !interrupted; ++i) {
+                const auto k = (i + begins_) % all.size();  // another one begins each time
                 progress("chapter5: table " + std::string(table.number) + ", " + std::to_string(n) + " entities: " + all[k]->name + ", turn " +
                          std::to_string(turn + 1) + " of " + std::to_string(kTurns));
                 measurePaced(*all[k], message, bytes, {kPeriod_ns, std::max(1, periods_ / kTurns), kWarmUp}, figures[k]);
@@ -110,9 +111,12 @@ class Chapter5 {
             auto its = figures[k].front().json();
             its["disconnected"] = all[k]->subject().disconnected();
             its["corrupt_or_misplaced"] = all[k]->bad();
+            if (!all[k]->ended().empty()) its["ended"] = all[k]->ended();
             row[all[k]->name] = std::move(its);
             say(table, n, all[k]->name, figures[k], row);
+            if (!all[k]->ended().empty()) std::printf("%8zu %s: %s. What was sent to it from then on is lost.\n", n, all[k]->name.c_str(), all[k]->ended().c_str());
         }
+        if (all.front()->subject().disconnected() > 0) sound_ = false;
         judge(*all.front(), figures.front().front());
         report_.add(std::move(row));
     }
@@ -138,9 +142,18 @@ class Chapter5 {
         row["mode"] = "partitioned";
         auto its = figures.front().json();
         its["disconnected"] = testing.subject().disconnected();
-        std::uint64_t bad = testing.bad();
-        for (std::size_t i = 0; i < wish_.standard; ++i) bad += standard.board()[i].corrupt;
-        its["corrupt_or_misplaced"] = bad;
+        its["corrupt_or_misplaced"] = testing.bad();
+        // Of the others the content only: each client numbers what was taken, and what it was refused may have arrived.
+        std::uint64_t corrupt = 0;
+        for (std::size_t i = 0; i < wish_.standard; ++i) corrupt += standard.board()[i].corrupt;
+        its["corrupt_at_standard_entities"] = corrupt;
+        const auto server_ended = whichHasEnded({{"axon-server", &server.process()}});
+        for (const auto& ended : {server_ended, standard.ended(), testing.ended()}) {
+            if (ended.empty()) continue;
+            std::printf("%8zu axon: %s\n", clients, ended.c_str());
+            its["ended"] = ended;
+            sound_ = false;
+        }
         if (herd) {
             const auto sums = herd->sums();
             its["standard_clients"] = {{"data", sums.data}, {"signals", sums.signals}, {"refused", sums.refused}, {"disconnected", sums.disconnected}, {"leases_lost", sums.leases_lost},
@@ -150,12 +163,13 @@ class Chapter5 {
         }
         row["axon"] = its;
         say(table, clients, "axon", figures, row);
-        if (its["disconnected"].get<std::size_t>() > 0 || bad > 0) sound_ = false;
+        if (its["disconnected"].get<std::size_t>() > 0 || corrupt > 0) sound_ = false;
         judge(testing, figures.front());
         report_.add(std::move(row));
     }
 
-    void judge(const Contender& axon, const Figures& figures) {
+    void judge(Contender& axon, const Figures& figures) {
+        if (!axon.ended().empty()) sound_ = false;
         // Behind a radio link two seconds may pass; what is lost for good leaves a gap, which is misplaced.
         if (axon.bad() > 0 || (!radio_ && figures.from_batch.lost() > 0)) sound_ = false;
     }
@@ -186,6 +200,7 @@ class Chapter5 {
     const Radio* const radio_;
     const int periods_;
     const WorkFolder work_;
+    std::size_t begins_ = 0;
     bool sound_ = true;
 };
 
@@ -195,9 +210,8 @@ int run(const Wish& wish) {
     Report report(wish.json, "chapter5",
                   {{"tables", wish.tables}, {"seconds", wish.seconds}, {"period_ms", 500}, {"warm_up", kWarmUp}, {"patience_s", 2}, {"channel", radio ? Radio::settings() : nlohmann::json("loopback")},
                    {"standard_entities", wish.standard}, {"testing_entities", kTestingEntities}, {"with", wish.with}});
-    for (const auto& peer : peers())
-        if (!peer.missing.empty() && std::find(wish.with.begin(), wish.with.end(), peer.name) != wish.with.end())
-            std::printf("%s is skipped: its program is not here; mend: apt-get install --no-install-recommends %s\n", peer.name.c_str(), peer.package.c_str());
+    const auto compared = [&wish](const char* table) { return std::find(wish.tables.begin(), wish.tables.end(), table) != wish.tables.end(); };
+    reportPeers(report, !radio && (compared("5.1") || compared("5.2")) ? wish.with : std::vector<std::string>{});
     std::printf("LAN and WLAN: average latency as the thesis printed it (a server of four cores at 2.66 GHz, real networks).\n"
                 "The others: this machine, %s.\n", radio ? "half of the entities behind a channel that loses 2.2 % of the packets and takes 2 ms" : "all over loopback");
     Chapter5 chapter(wish, report, radio.get());
@@ -227,7 +241,7 @@ Experiment declareChapter5(CLI::App& app) {
     command->add_option("--table", wish->tables, "5.1, 5.2, 5.3 or 5.4 [all]")->delimiter(',')->check(CLI::IsMember({"5.1", "5.2", "5.3", "5.4"}).description(""))->type_name("TABLE,…");
     command->add_option("--entities", wish->entities, "Of 5.1 and 5.2 [1,2,4,…,2048]")->delimiter(',')->check(CLI::Range(1, 4096).description(""))->type_name("N,…");
     command->add_option("--clients", wish->clients, "Of 5.3 and 5.4 [1,2,4,…,256]")->delimiter(',')->check(CLI::Range(1, 1024).description(""))->type_name("M,…");
-    command->add_option("--channel", wish->channel, "lan: all over loopback; wlan: half of the entities behind an emulated radio link, without peers (needs root) [lan]")
+    command->add_option("--channel", wish->channel, "lan: all over loopback; wlan: half of the entities behind an emulated radio link, without peers; needs root or user namespaces, and /dev/net/tun [lan]")
         ->check(CLI::IsMember({"lan", "wlan"}).description(""))
         ->type_name("CHANNEL");
     command->add_option("--seconds", wish->seconds, "For each row and system [20]")->check(CLI::Range(0.5, 1e6).description(""))->type_name("S");

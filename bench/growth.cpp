@@ -11,6 +11,7 @@
 #include "experiment.hpp"
 #include "herd.hpp"
 #include "report.hpp"
+#include "subject.hpp"
 
 // What idle entities and clients cost the server. Method: docs/reference/benchmarks.md.
 
@@ -60,6 +61,10 @@ double cpuShare(pid_t pid, double seconds) {
     return (after.cpu_s - before.cpu_s) / (static_cast<double>(after.at - before.at) / 1e9);
 }
 
+/// Entities do not tell here.
+std::uint64_t disconnectedOf(Entities&) { return 0; }
+std::uint64_t disconnectedOf(Herd& clients) { return clients.sums().disconnected; }
+
 class Growth {
   public:
     Growth(const Wish& wish, Report& report) : wish_(wish), report_(report) {}
@@ -76,6 +81,8 @@ class Growth {
                 return std::make_shared<Herd>(folder, n, server, "nobody", 0);
             });
     }
+
+    bool sound() const { return sound_; }
 
   private:
     template <class Join>
@@ -94,31 +101,41 @@ class Growth {
         const double share = cpuShare(server.process().pid(), wish_.seconds);
         if (interrupted) return;
         const auto full = useOf(server.process().pid());
+        const auto disconnected = disconnectedOf(*joined);
+        const auto server_ended = whichHasEnded({{"axon-server", &server.process()}});
+        const auto ended = server_ended.empty() ? joined->ended() : server_ended;
+        if (disconnected > 0 || !ended.empty()) sound_ = false;
         const double each = static_cast<double>(full.own_kb - empty.own_kb) / static_cast<double>(n);
         progress("");
         std::printf("%9s %9zu %12.3f %14.3f %12.1f %12.1f %10.2f %9ld\n", what, n, ready, there, static_cast<double>(full.own_kb - empty.own_kb) / 1024, each, share * 100,
                     full.threads);
+        if (disconnected > 0) std::printf("%9s %9zu: %llu TIMES A CLIENT LOST ITS CONNECTION.\n", what, n, static_cast<unsigned long long>(disconnected));
+        if (!ended.empty()) std::printf("%9s %9zu: %s\n", what, n, ended.c_str());
         std::fflush(stdout);
         report_.add({{"what", what}, {"n", n}, {"server_ready_s", ready}, {"all_there_s", there}, {"empty_own_kb", empty.own_kb}, {"own_kb", full.own_kb},
-                     {"resident_kb", full.resident_kb}, {"kb_each", each}, {"cpu_share", share}, {"threads", full.threads}});
+                     {"resident_kb", full.resident_kb}, {"kb_each", each}, {"cpu_share", share}, {"threads", full.threads}, {"disconnected", disconnected}, {"ended", ended}});
     }
 
     const Wish& wish_;
     Report& report_;
     const WorkFolder work_;
+    bool sound_ = true;
 };
 
 int run(const Wish& wish) {
     Report report(wish.json, "growth", {{"entities", wish.entities}, {"clients", wish.clients}, {"seconds", wish.seconds}});
+    reportPeers(report, {});
+    Growth growth(wish, report);
     try {
-        Growth(wish, report).run();
+        growth.run();
     } catch (const std::exception&) {
         if (!interrupted) throw;
     }
     progress("");
     report.finish();
     if (interrupted) std::printf("INTERRUPTED: this is a part.\n");
-    return interrupted ? 1 : 0;
+    if (!growth.sound()) std::printf("SOMETHING OF AXON'S WAS DISCONNECTED OR HAS ENDED.\n");
+    return interrupted || !growth.sound() ? 1 : 0;
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include "axon_crowd.hpp"
 #include "experiment.hpp"
 #include "report.hpp"
+#include "subject.hpp"
 
 namespace axon::bench {
 
@@ -14,17 +15,6 @@ namespace {
 
 using namespace std::chrono_literals;
 constexpr int kWarmUp = 3;
-
-nlohmann::json figures(std::vector<double> all) {
-    nlohmann::json out{{"n", all.size()}};
-    if (all.empty()) return out;
-    std::sort(all.begin(), all.end());
-    const auto at = [&all](double q) { return all[static_cast<std::size_t>(q * static_cast<double>(all.size() - 1))]; };
-    double sum = 0;
-    for (const auto value : all) sum += value;
-    out.update({{"mean", sum / static_cast<double>(all.size())}, {"p50", at(0.5)}, {"p99", at(0.99)}, {"max", all.back()}});
-    return out;
-}
 
 client::GlobalService serviceOf(std::size_t entities, int levels) {
     client::GlobalService service;
@@ -50,7 +40,8 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
     AxonCrowd crowd(folder.sub("axon"), entities);
     auto& board = crowd.board();
     const auto service = serviceOf(entities, levels);
-    std::vector<double> single, batch, dispatched, steps, last;
+    reportPeers(results, {});
+    Series single, batch, dispatched, steps, last;
     int failed = 0;
     const auto waitForTasks = [&](const std::vector<std::uint32_t>& before, std::size_t of) {
         const auto give_up = nowNs() + 5'000'000'000LL;
@@ -72,8 +63,14 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
             for (std::size_t i = 0; i < count; ++i) tasks.push_back(crowd.held()[i].run("nothing"));
             waitForTasks(before, count);
             for (const auto& task : tasks) task.wait(client::Seconds{5});
-            for (std::size_t i = 0; i < count && round >= 0; ++i)
-                if (board[i].tasks.next != before[i]) (count == 1 ? single : batch).push_back(static_cast<double>(board[i].tasks.of(before[i]) - begin) / 1e6);
+            for (std::size_t i = 0; i < count && round >= 0 && !interrupted; ++i) {
+                auto& to = count == 1 ? single : batch;
+                if (board[i].tasks.next != before[i]) {
+                    to.add(static_cast<double>(board[i].tasks.of(before[i]) - begin) / 1e6);
+                } else {
+                    to.lose();
+                }
+            }
         }
         const auto before = marks();
         const auto master = static_cast<std::size_t>(round + kWarmUp) % entities;
@@ -105,21 +102,21 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
             for (std::size_t i = 0; i < entities; ++i) {
                 const auto at = enteredBy(i);
                 newest = std::max(newest, at);
-                if (i != master) dispatched.push_back(static_cast<double>(at - enteredBy(master)) / 1e6);
-                if (level > 0) steps.push_back(static_cast<double>(at - ended) / 1e6);
+                if (i != master) dispatched.add(static_cast<double>(at - enteredBy(master)) / 1e6);
+                if (level > 0) steps.add(static_cast<double>(at - ended) / 1e6);
             }
-            if (level > 0) last.push_back(static_cast<double>(newest - ended) / 1e6);
+            if (level > 0) last.add(static_cast<double>(newest - ended) / 1e6);
             ended = newest;
         }
     }
     progress("");
-    const auto one = figures(single), many = figures(batch), order = figures(dispatched), step = figures(steps), level = figures(last);
+    const auto one = single.json(), many = batch.json(), order = dispatched.json(), step = steps.json(), level = last.json();
     std::printf("%zu entities, %d levels, %d runs; ms. One way = client to handler, relayed.\n", entities, levels, rounds);
-    std::printf("%-44s %8s %8s %8s %8s %8s\n", "", "n", "mean", "p50", "p99", "max");
+    std::printf("%-44s %8s %6s %8s %8s %8s %8s\n", "", "n", "lost", "mean", "p50", "p99", "max");
     const auto row = [](const char* what, const nlohmann::json& of) {
         if (!of.contains("mean")) return;
-        std::printf("%-44s %8zu %8.3f %8.3f %8.3f %8.3f\n", what, of["n"].get<std::size_t>(), of["mean"].get<double>(),
-                    of["p50"].get<double>(), of["p99"].get<double>(), of["max"].get<double>());
+        std::printf("%-44s %8zu %6zu %s %s %s %s\n", what, of["n"].get<std::size_t>(), of["lost"].get<std::size_t>(), figure(of, "mean", 8).c_str(),
+                    figure(of, "p50", 8).c_str(), figure(of, "p99", 8).c_str(), figure(of, "max", 8).c_str());
     };
     row("one way, a single task", one);
     row("one way, a batch of one to each", many);
@@ -127,7 +124,8 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
     row("end of a level to a handler of the next", step);
     row("end of a level to the last of the next", level);
     nlohmann::json ratios;
-    if (step.contains("mean") && many.contains("mean")) {
+    const auto known = [](const nlohmann::json& of) { return of.contains("mean") && of["mean"].is_number(); };
+    if (known(step) && known(order) && known(many)) {
         const auto batches = [&](const nlohmann::json& of) { return of["mean"].get<double>() / many["mean"].get<double>(); };
         ratios = {{"dispatch / one way of a batch", batches(order)}, {"step / one way of a batch", batches(step)}};
         std::printf("In one-way latencies of a batch of this size: dispatch to handler %.2f (bound: 3), end of a level to the next %.2f.\n",
@@ -138,7 +136,9 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
     for (const auto& [what, its] : {std::pair{"single", &one}, {"batch", &many}, {"dispatch", &order}, {"step", &step}, {"level", &level}})
         results.add({{"what", what}, {"ms", *its}});
     results.finish();
-    return failed > 0 || interrupted ? 1 : 0;
+    const auto lost = single.lost() + batch.lost();
+    if (lost > 0) std::printf("%zu TASKS NEVER ARRIVED.\n", lost);
+    return failed > 0 || lost > 0 || interrupted ? 1 : 0;
 }
 
 }  // namespace
