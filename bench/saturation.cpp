@@ -24,11 +24,14 @@ namespace fs = std::filesystem;
 
 constexpr std::int64_t kPeriod_ns = 50'000'000;
 constexpr int kWarmUp = 20;
+/// With the warm-up, and the patience for the last ones, less than the ten seconds in which the watchdog of an idle entity lets the server
+/// be silent: those that are halted are there all the time.
+constexpr double kSecondsAtMost = 6;
 
 struct Wish {
     std::size_t entities = 20;
-    double seconds = 10;
-    int rounds = 2;
+    double seconds = 6;
+    int rounds = 3;
     std::string json;
 };
 
@@ -42,18 +45,26 @@ class Scene {
     virtual Board& stalled() = 0;
     virtual const Child& stalledProcess() = 0;
     virtual StreamBoard& stream() = 0;
+    /// As Subject::ended(), of all but the target.
+    virtual std::string ended() = 0;
 
     std::uint64_t received() {
         std::uint64_t sum = 0;
         for (auto* board : {&readers(), &stalled()})
-            for (std::size_t i = 0; i < board->size(); ++i) sum += (*board)[i].data.next;
+            for (std::size_t i = 0; i < board->size(); ++i) sum += (*board)[i].intact;
+        return sum;
+    }
+    /// At those that read.
+    std::uint64_t gaps() {
+        std::uint64_t sum = 0;
+        for (std::size_t i = 0; i < readers().size(); ++i) sum += readers()[i].misplaced;
         return sum;
     }
     std::uint64_t corrupt() {
         std::uint64_t sum = 0;
         for (auto* board : {&readers(), &stalled()})
             for (std::size_t i = 0; i < board->size(); ++i) sum += (*board)[i].corrupt;
-        return sum + target().bad();
+        return sum + target().corrupt();
     }
 };
 
@@ -75,6 +86,9 @@ class AxonScene final : public Scene {
     Board& stalled() override { return stalled_.board(); }
     const Child& stalledProcess() override { return stalled_.process(); }
     StreamBoard& stream() override { return stream_; }
+    std::string ended() override {
+        return whichHasEnded({{"axon-server", &server_.process()}, {"the readers' process", &readers_.process()}, {"the sender of data", &streamer_}});
+    }
 
   private:
     AxonServer server_;
@@ -101,6 +115,7 @@ class MosquittoTarget final : public Subject {
         called[0] = nowNs();
         sender_->send(topic_, kindOf(message), bytes);
     }
+    std::string ended() const override { return whichHasEnded({{"the receiver's process", &receiver_}}); }
 
   private:
     std::size_t topic_;
@@ -130,6 +145,9 @@ class MosquittoScene final : public Scene {
     Board& stalled() override { return stalled_; }
     const Child& stalledProcess() override { return stalled_process_; }
     StreamBoard& stream() override { return stream_; }
+    std::string ended() override {
+        return whichHasEnded({{"mosquitto", &broker_.process()}, {"the readers' process", &readers_process_}, {"the sender of data", &streamer_}});
+    }
 
   private:
     Child receivers(const fs::path& folder, const std::string& name, std::size_t n, std::size_t first) {
@@ -149,7 +167,8 @@ class MosquittoScene final : public Scene {
 struct Measured {
     std::vector<Figures> idle{{0, 1, {}, {}}}, loaded{{0, 1, {}, {}}};
     double loaded_seconds = 0;
-    std::uint64_t received = 0;
+    std::uint64_t received = 0, sent = 0, refused = 0, gaps = 0, corrupt = 0;
+    std::string ended;
 };
 
 void measure(Scene& scene, const Wish& wish, int round, Measured& to) {
@@ -162,8 +181,8 @@ void measure(Scene& scene, const Wish& wish, int round, Measured& to) {
     measurePaced(scene.target(), Message::Stop, bytes, pace, to.idle);
     if (interrupted) return;
     say("loaded");
+    ::kill(scene.stalledProcess().pid(), SIGSTOP);
     scene.stream().go() = 1;
-    if (round == 0) ::kill(scene.stalledProcess().pid(), SIGSTOP);
     const auto begin = nowNs();
     const auto before = scene.received();
     measurePaced(scene.target(), Message::Stop, bytes, pace, to.loaded);
@@ -171,6 +190,12 @@ void measure(Scene& scene, const Wish& wish, int round, Measured& to) {
     to.loaded_seconds += static_cast<double>(nowNs() - begin) / 1e9;
     scene.stream().go() = 0;
     sleepUntil(nowNs() + 500'000'000);  // what waits for the readers reaches them
+    to.sent += scene.stream()[0].sent;
+    to.refused += scene.stream()[0].refused;
+    to.gaps += scene.gaps();
+    to.corrupt += scene.corrupt();
+    if (to.ended.empty()) to.ended = scene.ended();
+    if (to.ended.empty()) to.ended = scene.target().ended();
 }
 
 int run(const Wish& wish) {
@@ -180,41 +205,54 @@ int run(const Wish& wish) {
     const auto stalled = std::max<std::size_t>(1, wish.entities / 10);
     const auto readers = wish.entities > stalled ? wish.entities - stalled : 1;
     const WorkFolder work;
-    std::vector<std::unique_ptr<Scene>> scenes;
-    std::vector<Measured> measured(2);
+    const bool mosquitto = !findProgram("mosquitto").empty();
+    std::vector<std::pair<std::string, Measured>> systems;
+    systems.emplace_back("axon", Measured{});
+    if (mosquitto) systems.emplace_back("mosquitto-qos0", Measured{});
+    reportPeers(report, {"mosquitto-qos0"});
     try {
-        progress("saturation: starting");
-        scenes.push_back(std::make_unique<AxonScene>(work.sub("axon"), readers, stalled));
-        if (findProgram("mosquitto").empty()) {
-            std::printf("mosquitto is skipped: its program is not here; mend: apt-get install --no-install-recommends mosquitto\n");
-        } else {
-            scenes.push_back(std::make_unique<MosquittoScene>(work.sub("mosquitto"), readers, stalled));
-        }
+        // A scene of its own for each round: those that are halted were there when it began. One at a time, the systems in turns.
         for (int round = 0; round < wish.rounds && !interrupted; ++round)
-            for (std::size_t i = 0; i < scenes.size() && !interrupted; ++i) measure(*scenes[i], wish, round, measured[i]);
+            for (std::size_t k = 0; k < systems.size() && !interrupted; ++k) {
+                auto& [name, its] = systems[(k + static_cast<std::size_t>(round)) % systems.size()];
+                progress("saturation: starting " + name);
+                const auto folder = work.sub(name + "-" + std::to_string(round));
+                std::unique_ptr<Scene> scene;
+                if (name == "axon") {
+                    scene = std::make_unique<AxonScene>(folder, readers, stalled);
+                } else {
+                    scene = std::make_unique<MosquittoScene>(folder, readers, stalled);
+                }
+                measure(*scene, wish, round, its);
+            }
     } catch (const std::exception&) {
         if (!interrupted) throw;
     }
     progress("");
     std::printf("A stop each 50 ms to one entity, while %zu others take data as fast as they can and %zu more have stopped reading; ms from when it was due.\n",
                 readers, stalled);
-    std::printf("%-15s %-7s %7s %9s %9s %9s %9s %6s %9s\n", "", "", "n", "mean", "p50", "p99", "max", "lost", "MB/s");
+    std::printf("%-15s %-7s %7s %9s %9s %9s %9s %6s %9s %6s\n", "", "", "n", "mean", "p50", "p99", "max", "lost", "MB/s", "gaps");
     bool sound = true;
-    for (std::size_t i = 0; i < scenes.size(); ++i) {
-        auto& its = measured[i];
+    for (auto& [name, its] : systems) {
         const double rate = its.loaded_seconds > 0 ? static_cast<double>(its.received) * kDataBytes / its.loaded_seconds / 1e6 : 0;
         const auto idle = its.idle[0].from_batch.json(), loaded = its.loaded[0].from_batch.json();
-        for (const auto& [what, figures] : {std::pair{"idle", &idle}, std::pair{"loaded", &loaded}})
-            std::printf("%-15s %-7s %7zu %s %s %s %s %6zu %9.1f\n", scenes[i]->target().name.c_str(), what, (*figures)["n"].get<std::size_t>(),
-                        figure(*figures, "mean").c_str(), figure(*figures, "p50").c_str(), figure(*figures, "p99").c_str(), figure(*figures, "max").c_str(),
-                        (*figures)["lost"].get<std::size_t>(), figures == &loaded ? rate : 0.0);
-        nlohmann::json row{{"system", scenes[i]->target().name}, {"idle", idle}, {"loaded", loaded}, {"mb_per_s", rate},
-                           {"sent", scenes[i]->stream()[0].sent.load()}, {"refused", scenes[i]->stream()[0].refused.load()}, {"corrupt", scenes[i]->corrupt()}};
+        for (const auto& [what, figures] : {std::pair{"idle", &idle}, std::pair{"loaded", &loaded}}) {
+            std::printf("%-15s %-7s %7zu %s %s %s %s %6zu", name.c_str(), what, (*figures)["n"].get<std::size_t>(), figure(*figures, "mean").c_str(),
+                        figure(*figures, "p50").c_str(), figure(*figures, "p99").c_str(), figure(*figures, "max").c_str(), (*figures)["lost"].get<std::size_t>());
+            if (figures == &loaded) std::printf(" %9.1f %6llu", rate, static_cast<unsigned long long>(its.gaps));
+            std::printf("\n");
+        }
+        nlohmann::json row{{"system", name}, {"idle", idle}, {"loaded", loaded}, {"mb_per_s", rate}, {"loaded_seconds", its.loaded_seconds},
+                           {"sent", its.sent}, {"arrived", its.received}, {"refused", its.refused}, {"gaps_of_readers", its.gaps}, {"corrupt", its.corrupt}};
         if (idle.contains("p99") && loaded.contains("p99") && idle["p99"].is_number() && loaded["p99"].is_number()) {
             row["p99_loaded_by_idle"] = loaded["p99"].get<double>() / idle["p99"].get<double>();
             std::printf("%-15s p99 loaded / idle: %.2f\n", "", row["p99_loaded_by_idle"].get<double>());
         }
-        if (i == 0) sound = scenes[i]->corrupt() == 0 && idle["lost"] == 0 && loaded["lost"] == 0;
+        if (!its.ended.empty()) {
+            row["ended"] = its.ended;
+            std::printf("%-15s %s. What was sent to it from then on is lost.\n", name.c_str(), its.ended.c_str());
+        }
+        if (name == "axon") sound = its.corrupt == 0 && its.ended.empty() && idle["lost"] == 0 && loaded["lost"] == 0;
         report.add(std::move(row));
     }
     report.finish();
@@ -230,10 +268,10 @@ Experiment declareSaturation(CLI::App& app) {
     auto* command = app.add_subcommand("saturation", "Latency of a stop, idle and while others take data as fast as they can");
     command->footer("Of the entities a tenth (one at least) has stopped reading: its process stands still. Data and stops come from two processes, and the\n"
                     "entity that is stopped has one of its own, as a robot has a computer of its own.\n\n"
-                    "Example:\n  axon-bench saturation --entities 20 --seconds 30 --json saturation.json\n");
+                    "Example:\n  axon-bench saturation --entities 20 --rounds 10 --json saturation.json\n");
     command->add_option("--entities", wish->entities, "That take data [20]")->check(CLI::Range(2, 1024).description(""))->type_name("S");
-    command->add_option("--seconds", wish->seconds, "Idle, and again loaded [10]")->check(CLI::Range(0.2, 1e5).description(""))->type_name("S");
-    command->add_option("--rounds", wish->rounds, "Of both, the systems in turns [2]")->check(CLI::Range(1, 1000).description(""))->type_name("COUNT");
+    command->add_option("--seconds", wish->seconds, "Idle, and again loaded, in each round; at most 6, so that nobody is given up meanwhile [6]")->check(CLI::Range(0.2, kSecondsAtMost).description(""))->type_name("S");
+    command->add_option("--rounds", wish->rounds, "Of both, the systems in turns, each round with a new start [3]")->check(CLI::Range(1, 1000).description(""))->type_name("COUNT");
     command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
     return {command, [wish] { return run(*wish); }};
 }
