@@ -49,6 +49,7 @@ CORES = (
     "src/radio/stop_*",
     "faults/channel/channel.*",
     "src/radio/endpoint.*",
+    "src/direct/*",
     "src/*/state_table.*",
     "src/*/service_profiler.*",
     "src/*/task_queue.*",
@@ -57,7 +58,7 @@ CORES = (
 # In common/ids.cpp random bytes enter (getrandom), in the other two time; common/port_range.cpp reads ports.cfg.
 CORE_EXCEPTIONS = ("src/common/ids.cpp", "src/common/clock.hpp", "src/common/shared_clock.cpp", "src/common/port_range.cpp")
 
-ICE_HEADER = re.compile(r"^(Ice|IceUtil|IceSSL|IceBox|IceGrid|IceStorm|Glacier2)/|^axon/(commutil|entitycomm|frontendcomm)\.h$")
+ICE_HEADER = re.compile(r"^(Ice|IceUtil|IceSSL|IceBox|IceGrid|IceStorm|Glacier2)/|^axon/(commutil|directcomm|entitycomm|frontendcomm)\.h$")
 PROTOBUF_HEADER = re.compile(r"^google/protobuf/|\.pb\.h$")
 IO_HEADER = re.compile(
     r"^(sys/(socket|un|epoll|eventfd|timerfd|uio)|netinet/.*|arpa/.*|netdb|poll|iostream|fstream|asio.*|asio/.*|boost/asio.*|spdlog/.*)(\.h|\.hpp)?$"

@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <algorithm>
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <utility>
+
+#include "common/clock.hpp"
+
+// Times of a direct path. The client beats on its signal connection at the pace of its beats to the server (each 50 ms
+// while a task runs, each 2 s otherwise), and the Entity Manager answers each beat: so both know of either direction,
+// and there is one pace, which the client names.
+namespace axon::direct {
+
+/// Silence of so long ends a path: while a task runs, and otherwise. Those of the hop to the server (safety.md).
+inline constexpr Duration kWatchdogBusy = std::chrono::milliseconds{250};
+inline constexpr Duration kWatchdogIdle = std::chrono::seconds{10};
+/// What is held back waits so long for its mark. The relayed way is slow then, or has lost it.
+inline constexpr Duration kMarkWithin = kWatchdogBusy;
+/// After so many bytes of messages their receiver acknowledges at once, and not with the next beat.
+inline constexpr std::size_t kAcknowledgeAfter = 64 * 1024;
+
+/// How long the other end of a path has been silent. Threads: any; no lock, so that a beat never waits.
+class Silence {
+  public:
+    explicit Silence(TimePoint now) : last_(count(now)) {}
+
+    void heard(TimePoint now) { last_.store(count(now), std::memory_order_relaxed); }
+    /// Whether a task runs. Becoming busy counts as a sign of life: the other end could not have known.
+    void setBusy(bool busy, TimePoint now) {
+        if (busy && !busy_.load(std::memory_order_relaxed)) heard(now);
+        busy_.store(busy, std::memory_order_relaxed);
+    }
+    bool busy() const { return busy_.load(std::memory_order_relaxed); }
+    /// When it will have been silent for too long.
+    TimePoint deadline() const {
+        return TimePoint{Duration{last_.load(std::memory_order_relaxed)}} + (busy() ? kWatchdogBusy : kWatchdogIdle);
+    }
+
+  private:
+    static Duration::rep count(TimePoint at) { return at.time_since_epoch().count(); }
+    std::atomic<Duration::rep> last_;
+    std::atomic<bool> busy_{false};
+};
+
+/// When a path is tried again: after 1 s, each time twice as long, up to 30 s; from the beginning after one that stood
+/// for 30 s. Not thread-safe.
+class Retry {
+  public:
+    static constexpr Duration kFirst = std::chrono::seconds{1};
+    static constexpr Duration kLast = std::chrono::seconds{30};
+
+    /// `stood`: how long the path was there; zero for an attempt that failed.
+    Duration after(Duration stood) {
+        if (stood >= kLast) next_ = kFirst;
+        return std::exchange(next_, std::min(next_ * 2, kLast));
+    }
+
+  private:
+    Duration next_ = kFirst;
+};
+
+/// Counts what has come since it was last acknowledged. Not thread-safe.
+class Unacknowledged {
+  public:
+    /// Whether it is time to acknowledge.
+    bool add(std::size_t bytes) {
+        bytes_ += bytes;
+        if (bytes_ < kAcknowledgeAfter) return false;
+        bytes_ = 0;
+        return true;
+    }
+
+  private:
+    std::size_t bytes_ = 0;
+};
+
+}  // namespace axon::direct

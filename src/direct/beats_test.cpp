@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "direct/beats.hpp"
+
+#include <gtest/gtest.h>
+
+namespace axon::direct {
+namespace {
+
+using namespace std::chrono_literals;
+
+TEST(Silence, IsShortWhileATaskRunsAndLongOtherwise) {
+    ManualClock clock;
+    Silence silence(clock.now());
+    EXPECT_EQ(silence.deadline(), clock.now() + 10s);
+    clock.advance(9s);
+    silence.setBusy(true, clock.now());  // counts as a sign of life: nobody could have known
+    EXPECT_EQ(silence.deadline(), clock.now() + 250ms);
+    clock.advance(200ms);
+    silence.setBusy(true, clock.now());
+    EXPECT_EQ(silence.deadline(), clock.now() + 50ms);
+    silence.heard(clock.now());
+    EXPECT_EQ(silence.deadline(), clock.now() + 250ms);
+    silence.setBusy(false, clock.now());
+    EXPECT_EQ(silence.deadline(), clock.now() + 10s);
+}
+
+TEST(Retry, DoublesFromOneSecondToThirty) {
+    Retry retry;
+    for (const auto expected : {1s, 2s, 4s, 8s, 16s, 30s, 30s}) EXPECT_EQ(retry.after(0s), expected);
+}
+
+TEST(Retry, BeginsAnewAfterAPathThatStoodAndOnlyThen) {
+    Retry retry;
+    retry.after(0s);
+    EXPECT_EQ(retry.after(29s), 2s);
+    EXPECT_EQ(retry.after(30s), 1s);
+    EXPECT_EQ(retry.after(0s), 2s);
+}
+
+TEST(Unacknowledged, AsksForAnAcknowledgementAfterEach64KiB) {
+    Unacknowledged bytes;
+    EXPECT_FALSE(bytes.add(65535));
+    EXPECT_TRUE(bytes.add(1));
+    EXPECT_FALSE(bytes.add(65535));
+    EXPECT_TRUE(bytes.add(100000));
+}
+
+}  // namespace
+}  // namespace axon::direct
