@@ -412,8 +412,8 @@ Result<Entity> SessionCore::entity(const std::string& id) const {
 
 // ---- messages of entities
 
-void SessionCore::onEntityMsg(const Header& head, std::string_view bytes) {
-    server_.feed(clock_.now());
+void SessionCore::onEntityMsg(const Header& head, std::string_view bytes, bool of_server) {
+    if (of_server) server_.feed(clock_.now());
     proto::ToClient message;
     if (!parse(message, bytes)) {
         ++malformed_;
@@ -504,6 +504,8 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes) {
             take(found).global_services_done(fromProto(message.global_services()));
             break;
         }
+        case proto::ToClient::kWay:
+            break;  // of the direct path, which the core does not know
         case proto::ToClient::BODY_NOT_SET:
             ++malformed_;  // or a message of a newer version: nothing this one could do with it
             break;
@@ -681,6 +683,7 @@ void SessionCore::endLease(std::string entity, const Refusal& why, bool tell) {
     const Held held{entity, found->second.number};
     leases_.erase(found);
     observer_.onDatagrams(held, {}, {});
+    observer_.onDirect(held, {}, {}, {});
     countMoving(entity);
     for (const auto& [ask, id] : pendingOf(entity)) {
         if (ask == Ask::Release || ask == Ask::Task || ask == Ask::Run || ask == Ask::CheckOut) continue;

@@ -133,6 +133,7 @@ inline constexpr const char* kMsgRearm = "REARM";
 inline constexpr const char* kMsgStatus = "STATUS";
 inline constexpr const char* kMsgWatch = "WATCH";
 inline constexpr const char* kMsgHandOver = "HAND_OVER";
+inline constexpr const char* kMsgWay = "WAY";  ///< either way: what follows comes by the direct path
 inline constexpr const char* kMsgRun = "RUN";  ///< a global service: its request, its events, its history
 // … and towards a client, besides the above:
 inline constexpr const char* kMsgReply = "REPLY";

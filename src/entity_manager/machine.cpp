@@ -106,6 +106,7 @@ Event eventOf(const proto::ToEntity& message) {
             break;  // the others are no requests: hearPeer()
         case proto::ToEntity::kFromSlave:
         case proto::ToEntity::kGlobalServices:  // of a front-end server
+        case proto::ToEntity::kWay:             // of the direct path, which the core does not know
         case proto::ToEntity::BODY_NOT_SET:
             break;
     }

@@ -38,15 +38,10 @@ Sender fromIce(ice::Sender&& sender) {
     return {std::move(sender.id), std::move(sender.name), static_cast<Role>(sender.role)};
 }
 
-namespace {
-
-// A double from a peer may be anything; converting what does not fit would be undefined.
 std::int64_t whole(double value) {
     constexpr double kLargest = 9007199254740992.0;  // 2^53
     return value >= 0 && value <= kLargest ? static_cast<std::int64_t>(value) : std::int64_t{0};
 }
-
-}  // namespace
 
 Header fromIce(ice::Header&& head) {
     Header out;

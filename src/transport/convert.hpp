@@ -35,6 +35,9 @@ bool isProper(const Header& head);
 /// Of a head that is not proper: cuts its strings. What was cut names no entity.
 void cutStrings(Header& head);
 
+/// A number that a peer sent as a double, which may be anything: what is no whole number below 2^53 is 0.
+std::int64_t whole(double value);
+
 Sender fromIce(ice::Sender&& sender);
 Header fromIce(ice::Header&& head);
 Registration fromIce(ice::Registration&& registration);
