@@ -16,6 +16,14 @@ enum class Keeping : std::uint8_t {
     Droppable  ///< bulk data: at most once, in order
 };
 
+/// What becomes of a message that has come.
+enum class Verdict : std::uint8_t {
+    Pass,
+    HeldBack,
+    LeftOut,  ///< it has come by the other way, or by a path that is over
+    Overflow  ///< too much is held back: the path is over, and its owner ends its connections
+};
+
 /// How much a receiver holds back of what came by the direct way before its mark. Beyond it the path is given up; what
 /// is forgotten then comes by the relayed way.
 struct HeldBounds {
@@ -41,14 +49,8 @@ struct HeldBounds {
 template <class Message>
 class IncomingWay {
   public:
-    enum class Verdict : std::uint8_t {
-        Pass,
-        HeldBack,
-        LeftOut,  ///< it has come by the other way, or by a path that is over
-        Overflow  ///< too much is held back: the path is over, and its owner ends its connections
-    };
-
-    explicit IncomingWay(HeldBounds bounds = {}) : bounds_(bounds) {}
+    IncomingWay() = default;
+    explicit IncomingWay(HeldBounds bounds) : bounds_(bounds) {}
 
     /// A path is there, beside or instead of an earlier one, of which nothing counts any more.
     void open(const Id128& path) {
@@ -89,6 +91,8 @@ class IncomingWay {
 
     /// What may be acknowledged: this message that may not be lost has passed, and all before it.
     std::int64_t passed() const { return kept_passed_; }
+    /// What comes by the path now is held back.
+    bool waits() const { return !path_.isZero() && !marked_; }
     /// Something waits for a mark.
     bool holdsBack() const { return !held_.empty(); }
 

@@ -104,7 +104,7 @@ class World {
             return;
         }
         if (item.message.keeping == Keeping::Droppable && below(5) == 0) return;  // a server had too much of it
-        if (in_.relayed(item.message.keeping, item.message.sequence) == IncomingWay<Message>::Verdict::Pass)
+        if (in_.relayed(item.message.keeping, item.message.sequence) == Verdict::Pass)
             pass(item.message, false);
         else
             ++left_out;
@@ -114,7 +114,6 @@ class World {
         auto item = std::move(direct_.front());
         direct_.pop_front();
         auto message = item.message;
-        using Verdict = IncomingWay<Message>::Verdict;
         switch (in_.direct(item.path, item.message.keeping, item.message.sequence, 100, message)) {
             case Verdict::Pass: return pass(item.message, true);
             case Verdict::HeldBack: ++held_back; return;

@@ -12,7 +12,6 @@ namespace {
 
 using Out = OutgoingWay<std::string>;
 using In = IncomingWay<std::string>;
-using Verdict = In::Verdict;
 
 const Id128 kPath = *Id128::parse("22222222-2222-4222-8222-222222222222");
 const Id128 kOther = *Id128::parse("33333333-3333-4333-8333-333333333333");
