@@ -24,7 +24,7 @@ namespace fs = std::filesystem;
 const std::set<std::string> kKeys{"Axon.Application", "Axon.Instance", "Axon.Server", "Axon.User",
                                   "Axon.Password", "Axon.Ports", "Axon.PortsFile", "Axon.State",
                                   "Axon.LogLevel", "Axon.WatchdogBusyMs", "Axon.WatchdogIdleMs", "Axon.Address",
-                                  "Axon.Datagrams", "Axon.LockMemory", "Axon.LeaseGrace", "Axon.LinkWatchdogBusyMs",
+                                  "Axon.Datagrams", "Axon.Direct", "Axon.LockMemory", "Axon.LeaseGrace", "Axon.LinkWatchdogBusyMs",
                                   "Axon.LinkWatchdogIdleMs", "Axon.AnswerWithinMs"};
 
 fs::path defaultStateFolder(const std::string& application, const std::string& instance) {
@@ -85,6 +85,36 @@ DatagramSettings datagramsOf(const std::string& text) {
         throw std::runtime_error("Axon.Datagrams: expected on, off, an address of four numbers, a port, or ADDRESS:PORT, as "
                                  "192.168.0.7:10420, not '" + text + "'");
     }
+    return settings;
+}
+
+/// "on", "off", an address, a range of ports, or both.
+DirectSettings directOf(const std::string& text) {
+    DirectSettings settings;
+    if (text == "off") return settings;
+    settings.offered = true;
+    if (text == "on") return settings;
+    const auto fail = [&] {
+        throw std::runtime_error("Axon.Direct: expected on, off, an address of four numbers, at least two ports from 1024 to 65535, or "
+                                 "ADDRESS:FIRST-LAST, as 192.168.0.7:10430-10439, not '" + text + "'");
+    };
+    const auto colon = text.find(':');
+    auto ports = colon == std::string::npos ? text : text.substr(colon + 1);
+    if (colon != std::string::npos) settings.address = text.substr(0, colon);
+    if (colon == std::string::npos && radio::parseAddress(text)) {
+        settings.address = text;
+        return settings;
+    }
+    if (!settings.address.empty() && !radio::parseAddress(settings.address)) fail();
+    const auto dash = ports.find('-');
+    if (dash == std::string::npos) fail();
+    const auto port = [&](const std::string& digits) {
+        const auto number = radio::Endpoint::parse("0.0.0.0:" + digits);
+        if (!number || number->port < 1024) fail();
+        return number->port;
+    };
+    settings.ports = {port(ports.substr(0, dash)), port(ports.substr(dash + 1))};
+    if (settings.ports.last <= settings.ports.first || (colon != std::string::npos && settings.address.empty())) fail();
     return settings;
 }
 
@@ -189,6 +219,7 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     options.core.server_watchdog_idle =
         std::chrono::milliseconds(integerBetween("Axon.WatchdogIdleMs", chosen("", "Axon.WatchdogIdleMs", "10000"), 250, 60000));
     options.datagrams = datagramsOf(chosen("", "Axon.Datagrams", "on"));
+    options.direct = directOf(chosen("", "Axon.Direct", "on"));
     options.lock_memory = integerBetween("Axon.LockMemory", chosen("", "Axon.LockMemory", "1"), 0, 1) != 0;
     options.core.lease_grace = secondsBetween("Axon.LeaseGrace", chosen("", "Axon.LeaseGrace", "5"), 0, 600);
     options.back_end.watchdog_busy = std::chrono::milliseconds(

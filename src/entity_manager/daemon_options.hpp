@@ -7,6 +7,7 @@
 
 #include "entity_manager/back_end_interface.hpp"
 #include "entity_manager/datagram_desk.hpp"
+#include "entity_manager/direct_desk.hpp"
 #include "entity_manager/entity_communicator.hpp"
 #include "entity_manager/entity_manager_core.hpp"
 
@@ -19,6 +20,7 @@ struct DaemonOptions {
     ServerAddress server;
     BackEndSettings back_end;
     DatagramSettings datagrams;
+    DirectSettings direct;
     std::filesystem::path state_folder;
     std::string log_level = "info";
     bool lock_memory = true;  ///< where permitted

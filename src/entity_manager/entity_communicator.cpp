@@ -138,7 +138,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         if (std::exchange(busy_, busy) != busy) keepAlive();
     }
 
-    void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
+    void sendToClientBytes(Lane lane, const Header& head, const std::string& message) {
         sendControl(lane, message, [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
             proxy.sendToClientAsync(transport::toIce(head), toRange(bytes), back...);
         });
@@ -150,7 +150,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
             ++dropped_;
             return;
         }
-        sendControl(lane, message, [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
+        sendControl(lane, message.SerializeAsString(), [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
             proxy.sendToPeerAsync(transport::toIce(head), toRange(bytes), back...);
         });
     }
@@ -176,10 +176,9 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
   private:
     /// `call(proxy, bytes, answered, failed, sent)`.
-    template <class Message, class Call>
-    void sendControl(Lane lane, const Message& message, Call call) {
+    template <class Call>
+    void sendControl(Lane lane, const std::string& bytes, Call call) {
         if (!up_) return;
-        const auto bytes = message.SerializeAsString();
         if (*in_flight_ > kControlInFlight) {
             // Posted, because the core is waiting for this call to return.
             post([attempt = attempt_](Connection& self) {
@@ -526,7 +525,10 @@ void EntityCommunicator::sendBasicPrfl(const Registration& registration, const p
 }
 void EntityCommunicator::sendStatus(const EntityStatus& status) { connection_->sendStatus(status); }
 void EntityCommunicator::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
-    connection_->sendToClient(lane, head, message);
+    connection_->sendToClientBytes(lane, head, message.SerializeAsString());
+}
+void EntityCommunicator::sendToClientBytes(Lane lane, const Header& head, const std::string& message) {
+    connection_->sendToClientBytes(lane, head, message);
 }
 void EntityCommunicator::sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
     connection_->sendToPeer(lane, head, message);

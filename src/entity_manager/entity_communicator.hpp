@@ -72,6 +72,9 @@ class EntityCommunicator final : public ServerPort {
     void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) override;
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override;
 
+    /// An axon.proto.ToClient that has been written already; otherwise as sendToClient.
+    void sendToClientBytes(Lane lane, const Header& head, const std::string& message);
+
     /// The address of this machine at which the way to the server begins; empty while there is no session. On the
     /// strand.
     std::string localAddress() const;

@@ -17,10 +17,13 @@ namespace {
 constexpr int kEventsPerTurn = 128;  // then other strands of the executor get a turn
 }
 
-EntityManager::EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock)
+EntityManager::EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock,
+                             std::shared_ptr<ServerCommunicators> ice, bool plain_way)
     : strand_(asio::make_strand(asio::any_io_executor(CallerFirst::over(std::move(executor))))),
       name_(std::move(name)),
       clock_(clock),
+      ice_(std::move(ice)),
+      plain_way_(plain_way),
       timer_(strand_, clock_) {}
 
 std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor executor,
@@ -30,11 +33,12 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
                                                      RandomSource& random, Storage& storage,
                                                      ResourceStore& resources, Journal* journal) {
     const std::shared_ptr<EntityManager> self(
-        new EntityManager(std::move(executor), settings.application, clock));
+        new EntityManager(std::move(executor), settings.application, clock, ice, !server.tls && server.router.empty()));
     self->back_end_ = back_end(self->strand_, self->gate_, clock, *self);
     self->server_ =
         std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), std::move(server), clock, self);
-    self->core_ = std::make_unique<EntityManagerCore>(std::move(settings), clock, random, *self->back_end_.port, *self->server_,
+    self->ways_ = std::make_unique<DirectDesk>(self->strand_, clock, *self->server_);
+    self->core_ = std::make_unique<EntityManagerCore>(std::move(settings), clock, random, *self->back_end_.port, *self->ways_,
                                                       storage, resources, self->gate_, journal);
     // The store's thread must not be the one that drops the last reference.
     self->resources_ = &resources;
@@ -69,6 +73,11 @@ void EntityManager::receiveDatagrams(const DatagramSettings& settings, const Clo
     });
 }
 
+void EntityManager::offerDirect(const DirectSettings& settings) {
+    // What is TLS to the server is not plain to a client, and who comes through a router reaches no endpoint behind it.
+    if (plain_way_) ways_->offer(settings, ice_, uuid(), weak_from_this());
+}
+
 void EntityManager::start() {
     asio::post(strand_, [self = shared_from_this()] {
         self->back_end_.start();
@@ -84,12 +93,14 @@ void EntityManager::stop() {
             core_->shutDown();
             server_->wantConnection(false);
             if (datagrams_) datagrams_->close();
+            ways_->close();
             back_end_.close();
             timer_.cancel();
         }
         done.set_value();
     });
     done.get_future().wait();
+    ways_->join();
 }
 
 // -- from the server ------------------------------------------------------------------------------------------------
@@ -125,11 +136,15 @@ Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
 }
 
 void EntityManager::resetSignal(Header head) {
-    wake(inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onResetSignal(head); }));
+    wake(inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head)] {
+        if (ways_->passes(head)) core_->onResetSignal(head);
+    }));
 }
 
 void EntityManager::clearSignal(Header head) {
-    wake(inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onClearSignal(head); }));
+    wake(inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head)] {
+        if (ways_->passes(head)) core_->onClearSignal(head);
+    }));
 }
 
 void EntityManager::clientUpdate(Header head, ClientChange change) {
@@ -144,15 +159,22 @@ void EntityManager::serverHeartbeat() {
 
 void EntityManager::clientMsg(Lane lane, Header head, std::string bytes) {
     const auto size = bytes.size();
-    auto event = [this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); };
-    if (lane == Lane::Signal) return wake(inbox_.pushSignal(Inbox::Signal::Peer, std::move(event)));
+    if (lane == Lane::Signal)
+        return wake(inbox_.pushSignal(Inbox::Signal::Peer, [this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }));
+    auto event = [this, head = std::move(head), bytes = std::move(bytes)] { handleRelayed(direct::Keeping::Kept, head, bytes); };
     wake(inbox_.pushControl(std::move(event), size), Turn::Here);
 }
 
 void EntityManager::clientMsgDataSeq(Header head, std::string bytes) {
     const auto size = bytes.size();
-    wake(inbox_.pushData([this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }, size),
+    wake(inbox_.pushData([this, head = std::move(head),
+                          bytes = std::move(bytes)] { handleRelayed(direct::Keeping::Droppable, head, bytes); }, size),
          Turn::Here);
+}
+
+void EntityManager::handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes) {
+    const auto deliver = [this](const Header& its_head, const std::string& its) { core_->onClientMsg(its_head, its); };
+    if (ways_->relayed(keeping, head, bytes, deliver)) core_->onClientMsg(head, bytes);
 }
 
 void EntityManager::undeliverable(Lane lane, Header head, const Refusal& refusal) {
@@ -168,13 +190,63 @@ void EntityManager::undeliverable(Lane lane, Header head, const Refusal& refusal
 
 void EntityManager::serverUp() {
     if (datagrams_) core_->offerDatagrams(datagrams_->open(server_->localAddress()));
+    auto [data, signal] = ways_->listen(server_->localAddress());
+    core_->offerDirect(std::move(data), std::move(signal));
     core_->onServerUp();
     afterEvents();
 }
 
 void EntityManager::serverDown(const std::string& reason) {
+    ways_->serverDown();
     core_->onServerDown(reason);
     afterEvents();
+}
+
+// -- by the direct path ---------------------------------------------------------------------------------------------
+
+template <class Use>
+void EntityManager::onStrand(Use use) {
+    asio::post(strand_, [weak = weak_from_this(), use = std::move(use)]() mutable {
+        const auto self = weak.lock();
+        if (!self) return;
+        use(*self);
+        self->afterEvents();
+    });
+}
+
+void EntityManager::directOpening(DirectOpening opening) {
+    onStrand([opening = std::move(opening)](EntityManager& self) {
+        self.ways_->onOpening(opening, self.stopped_ ? nullptr : self.core_->held());
+    });
+}
+
+void EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) {
+    const auto size = bytes.size();
+    auto event = [this, path, keeping, head = std::move(head), bytes = std::move(bytes)]() mutable {
+        if (ways_->arrived(path, keeping, head, bytes)) core_->onClientMsg(head, bytes);
+    };
+    wake(keeping == direct::Keeping::Kept ? inbox_.pushControl(std::move(event), size) : inbox_.pushData(std::move(event), size),
+         Turn::Here);
+}
+
+void EntityManager::directStop(Header head, StopCause cause) {
+    stopSignal(std::move(head), cause);
+}
+
+void EntityManager::directReset(Header head) {
+    resetSignal(std::move(head));
+}
+
+void EntityManager::directClear(Header head) {
+    clearSignal(std::move(head));
+}
+
+void EntityManager::directPace(const Id128& path) {
+    onStrand([path](EntityManager& self) { self.ways_->onPace(path); });
+}
+
+void EntityManager::directClosed(const Id128& path, const std::string& why) {
+    onStrand([path, why](EntityManager& self) { self.ways_->onClosed(path, why); });
 }
 
 // -- from the robot application -------------------------------------------------------------------------------------
@@ -260,7 +332,10 @@ void EntityManager::hearServer() {
 }
 
 void EntityManager::afterEvents() {
-    if (datagrams_) datagrams_->hold(core_->held());  // first: who sees the state below may rely on it
+    // First: who sees the state below may rely on it.
+    if (datagrams_) datagrams_->hold(core_->held());
+    ways_->hold(core_->held());
+    direct_ = ways_->direct();
     const auto state = core_->state();
     if (const auto before = state_.exchange(state); before != state) {
         const auto reason = core_->status().reason;

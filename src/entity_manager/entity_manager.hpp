@@ -12,6 +12,7 @@
 #include "common/ids.hpp"
 #include "entity_manager/back_end_interface.hpp"
 #include "entity_manager/datagram_desk.hpp"
+#include "entity_manager/direct_desk.hpp"
 #include "entity_manager/due_timer.hpp"
 #include "entity_manager/entity_communicator.hpp"
 #include "entity_manager/entity_manager_core.hpp"
@@ -29,7 +30,7 @@ namespace axon::entity_manager {
 /// server pushes on the signal lane takes a lock that data holds.
 /// Ownership: a shared object, because pushes of the server may be under way while it ends. stop() before the last
 /// reference is dropped.
-class EntityManager final : public ServerEvents, private BackEndEvents, public std::enable_shared_from_this<EntityManager> {
+class EntityManager final : public ServerEvents, public DirectEvents, private BackEndEvents, public std::enable_shared_from_this<EntityManager> {
   public:
     using Strand = asio::strand<asio::any_io_executor>;
     /// The link to the robot application, and what begins it; a benchmark puts one in memory here.
@@ -56,6 +57,12 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     /// Null when they are not received.
     const DatagramDesk* datagrams() const { return datagrams_.get(); }
 
+    /// Before start(): the holder may talk to it without the servers in between (docs/reference/direct.md). Costs two threads. Without
+    /// effect where the way to the server is TLS or leads through a router.
+    void offerDirect(const DirectSettings& settings);
+    /// Whether the holder does; any thread, as of the last event.
+    bool direct() const { return direct_.load(); }
+
     void start();
     /// Stops the robot, leaves the server, closes the link. Blocks until the strand has done so (below a second).
     void stop();
@@ -76,8 +83,18 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
     void serverHeartbeat() override;
     void undeliverable(Lane lane, Header head, const Refusal& refusal) override;
 
+    // DirectEvents, on Ice's threads.
+    void directOpening(DirectOpening opening) override;
+    void directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) override;
+    void directStop(Header head, StopCause cause) override;
+    void directReset(Header head) override;
+    void directClear(Header head) override;
+    void directPace(const Id128& path) override;
+    void directClosed(const Id128& path, const std::string& why) override;
+
   private:
-    EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock);
+    EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock,
+                  std::shared_ptr<ServerCommunicators> ice, bool plain_way);
 
     // BackEndEvents, on the strand.
     void onLinkUp() override;
@@ -88,6 +105,10 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
 
     /// To the robot, and into the inbox. The executor, whose lock everything takes, is woken after it.
     Inbox::Verdict passStop(Header head, StopCause cause);
+    /// On the strand, of one that came by the servers.
+    void handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes);
+    template <class Use>
+    void onStrand(Use use);
     /// Where the strand's turn is taken: at once in this thread if the strand is free, or by the executor. Signal
     /// threads never do the strand's work.
     enum class Turn : std::uint8_t { Here, Executor };
@@ -106,11 +127,15 @@ class EntityManager final : public ServerEvents, private BackEndEvents, public s
                              // generations
     StopGate gate_;
     BackEnd back_end_;
+    const std::shared_ptr<ServerCommunicators> ice_;
+    const bool plain_way_;  // to the server: neither TLS nor a router
     std::unique_ptr<EntityCommunicator> server_;
+    std::unique_ptr<DirectDesk> ways_;  // between it and the core
     ResourceStore* resources_ = nullptr;
     std::unique_ptr<EntityManagerCore> core_;
     DueTimer timer_;
     std::atomic<EntityState> state_{EntityState::UNAV};
+    std::atomic<bool> direct_{false};
     std::atomic<bool> server_heard_{false};  // a heartbeat that the strand has not counted yet
     std::atomic<bool> leaving_{false};       // a control overflow on its way to the strand
     bool latched_ = false;

@@ -70,6 +70,9 @@ TimePoint EntityManagerCore::nextDeadline() const {
 void EntityManagerCore::offerDatagrams(std::string endpoint) {
     machine_->offerDatagrams(std::move(endpoint));
 }
+void EntityManagerCore::offerDirect(std::string data, std::string signal) {
+    machine_->offerDirect(std::move(data), std::move(signal));
+}
 void EntityManagerCore::shutDown() {
     machine_->shutDown();
 }

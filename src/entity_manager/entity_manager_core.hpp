@@ -98,6 +98,9 @@ class EntityManagerCore {
 
     /// Where the holder may send stops as datagrams (docs/reference/datagrams.md); told with each grant from now on.
     void offerDatagrams(std::string endpoint);
+    /// Where the holder may open a direct path (docs/reference/direct.md): "host:port" of each lane, both empty = nowhere;
+    /// told with each grant from now on.
+    void offerDirect(std::string data, std::string signal);
 
     /// The operator of the daemon wants it to end: stop, tell the server, leave.
     void shutDown();

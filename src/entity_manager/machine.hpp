@@ -62,6 +62,10 @@ class EntityManagerCore::Machine {
     bool serverUp() const { return server_up_; }
     const std::string& uuid() const { return uuid_; }
     void offerDatagrams(std::string endpoint) { datagram_endpoint_ = std::move(endpoint); }
+    void offerDirect(std::string data, std::string signal) {
+        direct_endpoint_ = std::move(data);
+        direct_signal_endpoint_ = std::move(signal);
+    }
     const LeaseBook::Held* held() const { return lease_.held() ? &*lease_.held() : nullptr; }
     EntityStatus status() const;
     const CoreCounters& counters() const { return counters_; }
@@ -402,6 +406,7 @@ class EntityManagerCore::Machine {
 
     LeaseBook lease_;
     std::string datagram_endpoint_;  ///< told with a grant
+    std::string direct_endpoint_, direct_signal_endpoint_;  ///< likewise
     std::optional<WaitingGrant> waiting_grant_;
     Refusal orphan_reason_;  ///< why the lease is orphaned
     TimePoint lost_at_{};    ///< when it became so

@@ -597,6 +597,8 @@ void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
     reply.set_latched(latched_);
     *reply.mutable_services() = profiler_.profile();
     reply.set_datagram_endpoint(datagram_endpoint_);
+    reply.set_direct_endpoint(direct_endpoint_);
+    reply.set_direct_signal_endpoint(direct_signal_endpoint_);
     tell(held.holder, kMsgCheckOut, message);
     if (streams_off_) switchStreams({{"", true}});
 }

@@ -52,6 +52,7 @@ int main(int argc, char** argv) {
             if (!once.test_and_set()) ended.set_value();
         });
         manager->receiveDatagrams(options.datagrams, clock);
+        manager->offerDirect(options.direct);
         manager->start();
         std::cout << "ready application=" << options.core.application << " entity=" << manager->uuid()
                   << " server=" << options.server.text() << std::endl;

@@ -1,0 +1,249 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/direct_desk.hpp"
+
+#include <axon/messages.pb.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "direct/always_relayed.hpp"
+
+namespace axon::entity_manager {
+
+namespace {
+
+using direct::Keeping;
+using direct::Verdict;
+
+constexpr std::size_t kHeadBytes = 200;  // that a message costs here besides its own
+constexpr auto kWarnAgain = std::chrono::minutes{1};
+
+}  // namespace
+
+DirectDesk::DirectDesk(asio::any_io_executor strand, const Clock& clock, EntityCommunicator& server)
+    : strand_(std::move(strand)), clock_(clock), server_(server), silence_(strand_, clock_) {}
+
+DirectDesk::~DirectDesk() = default;
+
+void DirectDesk::offer(DirectSettings settings, std::shared_ptr<ServerCommunicators> ice, std::string entity,
+                       std::weak_ptr<DirectEvents> events) {
+    settings_ = std::move(settings);
+    ice_ = std::move(ice);
+    entity_ = std::move(entity);
+    events_ = std::move(events);
+}
+
+std::pair<std::string, std::string> DirectDesk::listen(const std::string& way_to_server) {
+    if (!settings_.offered) return {};
+    const auto& address = settings_.address.empty() ? way_to_server : settings_.address;
+    if (address.empty()) return {};
+    if (listens_at_ != address) {
+        if (!listens_at_.empty()) doors_.back()->shut();
+        listens_at_.clear();
+        try {
+            doors_.push_back(std::make_unique<DirectDoor>(*ice_, address, settings_.ports, entity_, clock_, events_));
+        } catch (const std::runtime_error& error) {
+            spdlog::warn("clients are not offered a direct path: {} (expected an address of this machine and two free ports; see Axon.Direct)",
+                         error.what());
+            return {};
+        }
+        listens_at_ = address;
+    }
+    const auto& door = *doors_.back();
+    if (settings_.named) return {settings_.named(door.dataEndpoint()), settings_.named(door.signalEndpoint())};
+    return {door.dataEndpoint(), door.signalEndpoint()};
+}
+
+// -- the path ---------------------------------------------------------------------------------------------------------
+
+void DirectDesk::onOpening(const DirectOpening& opening, const LeaseBook::Held* held) {
+    const auto& claim = opening.claim;
+    // One answer for all of it: a stranger learns nothing of the lease.
+    if (held == nullptr || held->grace_until || held->number != claim.lease || Id128::parse(uuidOf(held->holder.id)) != claim.client ||
+        !direct::proves(opening.proof, claim, direct::Prover::Client, held->key.bytes())) {
+        if (const auto now = clock_.now(); now >= warn_from_) {
+            warn_from_ = now + kWarnAgain;
+            spdlog::warn("a direct path was refused: expected the proof of the present lease's holder (told once a minute)");
+        }
+        return opening.refuse({RefusalCode::PermissionDenied,
+                               "A direct path is opened by the present holder, with the key of its lease. Check the entity out first.",
+                               {}});
+    }
+    const bool first = claim.lane == Lane::Data;
+    if (!first && (!path_ || path_->number != claim.path || path_->signal))
+        return opening.refuse({RefusalCode::WrongState, "The signal lane of a direct path is opened after its data lane, once.", {}});
+    if (first) {
+        end("the holder opens another one", Rest::SendAgain);
+        if (client_ != held->holder.id) {
+            client_ = held->holder.id;
+            in_ = direct::IncomingWay<Came>();
+            signals_passed_ = 0;
+        }
+        path_ = std::make_unique<Path>();
+        path_->number = claim.path;
+        path_->lease = held->number;
+        path_->holder = held->holder;
+        path_->signs = std::make_shared<DirectSigns>(clock_.now());
+        path_->signs->passed = in_.passed();
+        in_.open(claim.path);
+    }
+    auto& lane = first ? path_->data : path_->signal;
+    lane = opening.admit(path_->holder, path_->signs, direct::proofOf(claim, direct::Prover::EntityManager, held->key.bytes()));
+    if (!first) begin();
+    watch();
+}
+
+void DirectDesk::begin() {
+    proto::ToClient mark;
+    mark.mutable_way()->set_path(path_->number.bytes());
+    Header head;
+    head.sender = path_->holder;
+    head.entity = entity_;
+    head.msg_type = kMsgWay;
+    head.held = path_->lease;
+    head.sent_at_us = toMicroseconds(clock_.now());
+    server_.sendToClient(Lane::Data, head, mark);
+    out_.begin();
+    spdlog::info("direct path to {} ({})", named(path_->holder), path_->data->peer());
+}
+
+void DirectDesk::end(const std::string& why, Rest rest) {
+    if (!path_) return;
+    const auto ended = std::move(path_);
+    silence_.cancel();
+    for (const auto& lane : {ended->data, ended->signal})
+        if (lane) lane->close(why);
+    in_.close(ended->number);
+    if (out_.direct()) spdlog::info("the direct path to {} has ended: {}", named(ended->holder), why);
+    out_.acknowledged(ended->signs->acknowledged.load(std::memory_order_relaxed));
+    auto left = out_.end();
+    if (rest == Rest::Forget) return;
+    for (const auto& kept : left) server_.sendToClientBytes(Lane::Data, kept.message.head, *kept.message.message);
+}
+
+void DirectDesk::hold(const LeaseBook::Held* held) {
+    if (!path_) return;
+    if (held != nullptr && held->number == path_->lease && held->holder.id == path_->holder.id) {
+        // Its session has ended, and with it what the servers had under way to it.
+        if (held->grace_until) end("the servers have lost the holder", Rest::Forget);
+        return;
+    }
+    end("the lease has ended", Rest::SendAgain);
+}
+
+void DirectDesk::serverDown() {
+    end("the session with the server is lost", Rest::Forget);
+}
+
+void DirectDesk::close() {
+    end("the Entity Manager ends", Rest::Forget);
+    if (!listens_at_.empty()) doors_.back()->shut();
+    listens_at_.clear();
+}
+
+void DirectDesk::onClosed(const Id128& path, const std::string& why) {
+    if (path_ && path_->number == path) end(why, Rest::SendAgain);
+}
+
+void DirectDesk::onPace(const Id128& path) {
+    if (path_ && path_->number == path) watch();
+}
+
+/// Rings when the client has been silent for too long, or the mark has not come in time.
+void DirectDesk::watch() {
+    if (!path_) return;
+    const auto due = std::min(path_->signs->silence.deadline(), path_->mark_due);
+    if (due == silence_.due()) return;
+    silence_.at(due, [this, weak = std::weak_ptr(alive_)] {
+        if (weak.expired() || !path_) return;
+        const auto now = clock_.now();
+        if (now >= path_->signs->silence.deadline()) return end("nothing was heard of the client", Rest::SendAgain);
+        if (now >= path_->mark_due) {
+            if (in_.holdsBack()) return end("the servers have not brought its beginning in time", Rest::SendAgain);
+            path_->mark_due = TimePoint::max();
+        }
+        watch();
+    });
+}
+
+// -- what comes -------------------------------------------------------------------------------------------------------
+
+bool DirectDesk::relayed(Keeping keeping, const Header& head, const std::string& bytes, const Deliver& deliver) {
+    if (client_.empty() || head.sender.id != client_ || direct::alwaysRelayed(head.msg_type)) return true;
+    if (head.msg_type == kMsgWay) {
+        proto::ToEntity mark;
+        const auto path = mark.ParseFromString(bytes) ? Id128::fromBytes(mark.way().path()) : std::nullopt;
+        if (path) in_.mark(*path, [&](Came came) { deliver(came.head, came.bytes); });
+        acknowledge();
+        return false;
+    }
+    const bool pass = in_.relayed(keeping, head.sequence) == Verdict::Pass;
+    acknowledge();
+    return pass;
+}
+
+bool DirectDesk::arrived(const Id128& path, Keeping keeping, Header& head, std::string& bytes) {
+    if (!path_ || path_->number != path) return false;  // what counts of it comes by the servers
+    const auto size = bytes.size() + kHeadBytes;
+    // Only what is held back is needed as one.
+    Came came;
+    const auto sequence = head.sequence;
+    if (in_.waits()) came = {std::move(head), std::move(bytes)};
+    switch (in_.direct(path, keeping, sequence, size, came)) {
+        case Verdict::Pass:
+            acknowledge();
+            if (keeping == Keeping::Kept && unacknowledged_.add(size) && path_->signal) path_->signal->beat(in_.passed());
+            return true;
+        case Verdict::HeldBack:
+            if (path_->mark_due == TimePoint::max()) {
+                path_->mark_due = clock_.now() + direct::kMarkWithin;
+                watch();
+            }
+            return false;
+        case Verdict::Overflow:
+            end("too much came before its beginning by the servers", Rest::SendAgain);
+            return false;
+        case Verdict::LeftOut: return false;
+    }
+    return false;
+}
+
+void DirectDesk::acknowledge() {
+    if (path_) path_->signs->passed.store(in_.passed(), std::memory_order_release);
+}
+
+bool DirectDesk::passes(const Header& signal) {
+    if (client_.empty() || signal.sender.id != client_ || signal.sequence <= 0) return true;
+    if (signal.sequence <= signals_passed_) return false;
+    signals_passed_ = signal.sequence;
+    return true;
+}
+
+// -- what goes --------------------------------------------------------------------------------------------------------
+
+void DirectDesk::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
+    if (!path_ || head.sender.id != path_->holder.id || !out_.direct() || direct::alwaysRelayed(head.msg_type))
+        return server_.sendToClient(lane, head, message);
+    auto bytes = std::make_shared<const std::string>(message.SerializeAsString());
+    if (lane == Lane::Signal) {
+        // Receipts go by all ways; whoever waits for them takes the first. All else of this lane is an answer, and comes once.
+        if (head.msg_type == kMsgReceipt) path_->signal->send(Keeping::Kept, head, bytes);
+        return server_.sendToClientBytes(lane, head, *bytes);
+    }
+    const auto size = bytes->size() + kHeadBytes;
+    out_.acknowledged(path_->signs->acknowledged.load(std::memory_order_relaxed));
+    if (!out_.hasRoom(size)) {
+        end("the client acknowledges too little", Rest::SendAgain);
+        return server_.sendToClientBytes(lane, head, *bytes);
+    }
+    path_->data->send(Keeping::Kept, head, bytes);
+    out_.keep(head.sequence, size, {head, std::move(bytes)});
+}
+
+void DirectDesk::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
+    if (!path_ || head.sender.id != path_->holder.id || !out_.direct()) return server_.sendToClientDataSeq(head, message);
+    path_->data->send(Keeping::Droppable, head, std::make_shared<const std::string>(message.SerializeAsString()));
+}
+
+}  // namespace axon::entity_manager

@@ -1,0 +1,311 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/direct_door.hpp"
+
+#include <Ice/Ice.h>
+#include <axon/directcomm.h>
+
+#include <deque>
+#include <mutex>
+#include <stdexcept>
+#include <utility>
+
+#include "entity_manager/server_communicators.hpp"
+#include "transport/adapter.hpp"
+#include "transport/communicator.hpp"
+#include "transport/direct_head.hpp"
+#include "transport/lane_socket.hpp"
+#include "transport/outbox.hpp"
+#include "transport/peer_connection.hpp"
+
+namespace axon::entity_manager {
+namespace {
+
+namespace slice = ::Axon::DirectComm;
+using direct::Keeping;
+using transport::ByteRange;
+using transport::SendCallbacks;
+using transport::Traffic;
+
+constexpr const char* kGate = "DirectGate";
+constexpr std::size_t kHeadBytes = 64;
+/// Connections with a nonce that has not been used yet; more are strangers, and the oldest are forgotten.
+constexpr std::size_t kChallenges = 64;
+
+class IceLane final : public DirectLane {
+  public:
+    IceLane(std::shared_ptr<Ice::Connection> connection, const std::shared_ptr<slice::DirectCallbackPrx>& callback)
+        : connection_(std::make_shared<transport::DirectConnection>(std::move(connection))),
+          callback_(callback),
+          outbox_(std::make_shared<transport::Outbox>(
+              transport::OutboxLimits{},
+              [connection = connection_](bool, const std::string& why) { connection->disconnect({false, why}, false); })) {}
+
+    void send(Keeping keeping, const Header& head, std::shared_ptr<const std::string> message) override {
+        const auto bytes = kHeadBytes + message->size();
+        const bool data = keeping == Keeping::Droppable;
+        const auto call = [data](slice::DirectCallbackPrx& to, const Header& its_head, const std::string& its,
+                                 SendCallbacks&& back) {
+            const auto range = transport::toRange(its);
+            if (data)
+                to.newEntityMsgDataSeqAsync(transport::toDirectHead(its_head), range, nullptr, std::move(back.failed), std::move(back.sent));
+            else
+                to.newEntityMsgAsync(transport::toDirectHead(its_head), range, nullptr, std::move(back.failed), std::move(back.sent));
+        };
+        outbox_->post(
+            data ? Traffic::Data : Traffic::Control, bytes,
+            [&](SendCallbacks&& back) { call(*callback_, head, *message, std::move(back)); },
+            [&] {
+                return transport::Outbox::Parcel([callback = callback_, call, head, message](SendCallbacks&& back) {
+                    call(*callback, head, *message, std::move(back));
+                });
+            });
+    }
+    void beat(std::int64_t passed) override {
+        const auto send = [callback = callback_, passed](SendCallbacks&& back) {
+            callback->newHeartbeatAsync(static_cast<double>(passed), nullptr, std::move(back.failed), std::move(back.sent));
+        };
+        outbox_->post(Traffic::Heartbeat, kHeadBytes, send, [send] { return transport::Outbox::Parcel(send); });
+    }
+    void close(const std::string& why) override {
+        outbox_->close();
+        connection_->disconnect({false, why}, false);
+    }
+    std::string peer() const override { return connection_->peer(); }
+    transport::DirectConnection& connection() { return *connection_; }
+
+  private:
+    const std::shared_ptr<transport::DirectConnection> connection_;
+    const std::shared_ptr<slice::DirectCallbackPrx> callback_;  // oneway
+    const std::shared_ptr<transport::Outbox> outbox_;
+};
+
+/// One lane of one path. Who sends is what the opening proved, never an argument.
+class SessionServant final : public slice::DirectSession {
+  public:
+    SessionServant(Id128 path, Lane lane, Sender sender, std::string entity, std::shared_ptr<DirectSigns> signs,
+                   std::shared_ptr<IceLane> back, const Clock& clock, std::weak_ptr<DirectEvents> events)
+        : path_(path),
+          lane_(lane),
+          sender_(std::move(sender)),
+          entity_(std::move(entity)),
+          signs_(std::move(signs)),
+          back_(std::move(back)),
+          clock_(clock),
+          events_(std::move(events)) {}
+
+    void sendToEntity(slice::Head head, ByteRange msg, const Ice::Current& current) override {
+        pass(std::move(head), msg, Keeping::Kept, current);
+    }
+    void sendToEntityDataSeq(slice::Head head, ByteRange data, const Ice::Current& current) override {
+        pass(std::move(head), data, Keeping::Droppable, current);
+    }
+    void sendStopSignal(slice::Head head, Axon::CommUtil::StopCause ice_cause, const Ice::Current& current) override {
+        auto its = signal(std::move(head), current);
+        // What only servers may say is not taken from a client.
+        auto cause = transport::fromIce(ice_cause);
+        if (cause != StopCause::Drill) cause = StopCause::Requested;
+        if (its.sequence >= kServerSequences) its.sequence = 0;
+        if (const auto events = events_.lock()) events->directStop(std::move(its), cause);
+    }
+    void sendResetSignal(slice::Head head, const Ice::Current& current) override {
+        auto its = signal(std::move(head), current);
+        if (const auto events = events_.lock()) events->directReset(std::move(its));
+    }
+    void sendClearSignal(slice::Head head, const Ice::Current& current) override {
+        auto its = signal(std::move(head), current);
+        if (const auto events = events_.lock()) events->directClear(std::move(its));
+    }
+    void keepAlive(double received, bool busy, const Ice::Current& current) override {
+        require(Lane::Signal, current);
+        const auto now = clock_.now();
+        signs_->silence.heard(now);
+        signs_->acknowledged.store(transport::whole(received), std::memory_order_relaxed);
+        const bool faster = busy && !signs_->silence.busy();
+        signs_->silence.setBusy(busy, now);
+        back_->beat(signs_->passed.load(std::memory_order_acquire));
+        if (const auto events = faster ? events_.lock() : nullptr) events->directPace(path_);
+    }
+
+  private:
+    void require(Lane lane, const Ice::Current& current) {
+        back_->connection().require(current);
+        if (lane != lane_) throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
+    }
+    Header proper(slice::Head&& head, const Ice::Current& current) {
+        if (head.msgType.size() > transport::kHeadStringMax) {
+            back_->connection().disconnect({true, std::string(transport::kImproperHead)}, false);
+            throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
+        }
+        auto its = transport::fromDirectHead(std::move(head));
+        its.sender = sender_;
+        its.entity = entity_;
+        return its;
+    }
+    Header signal(slice::Head&& head, const Ice::Current& current) {
+        require(Lane::Signal, current);
+        return proper(std::move(head), current);
+    }
+    void pass(slice::Head&& head, const ByteRange& bytes, Keeping keeping, const Ice::Current& current) {
+        require(Lane::Data, current);
+        auto its = proper(std::move(head), current);
+        if (const auto events = events_.lock())
+            events->directMsg(path_, keeping, std::move(its), std::string(transport::toView(bytes)));
+    }
+
+    const Id128 path_;
+    const Lane lane_;
+    const Sender sender_;
+    const std::string entity_;
+    const std::shared_ptr<DirectSigns> signs_;
+    const std::shared_ptr<IceLane> back_;
+    const Clock& clock_;
+    const std::weak_ptr<DirectEvents> events_;
+};
+
+std::string toBytes(const Axon::CommUtil::Bytes& bytes) {
+    return {bytes.begin(), bytes.end()};
+}
+Axon::CommUtil::Bytes toIceBytes(const std::string& bytes) {
+    return {bytes.begin(), bytes.end()};
+}
+Refusal wrongState(const char* what) {
+    return {RefusalCode::WrongState, std::string("direct path: ") + what, {}};
+}
+
+/// Strangers come here: it gives nonces, reads what they say, and leaves the judgement to the strand.
+class GateServant final : public slice::DirectGate {
+  public:
+    GateServant(Lane lane, std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
+        : lane_(lane), entity_(std::move(entity)), clock_(clock), events_(std::move(events)) {}
+
+    Axon::CommUtil::Bytes challenge(const Ice::Current& current) override {
+        const auto nonce = Id128::random(random_);
+        const std::lock_guard lock(mutex_);
+        std::erase_if(challenges_, [&](const Challenge& one) { return one.connection.lock() == current.con || one.connection.expired(); });
+        if (challenges_.size() >= kChallenges) challenges_.pop_front();
+        challenges_.push_back({current.con, nonce});
+        return toIceBytes(nonce.bytes());
+    }
+
+    void openAsync(slice::Opening opening, std::shared_ptr<slice::DirectCallbackPrx> callback,
+                   std::function<void(const slice::Opened&)> response, std::function<void(std::exception_ptr)> exception,
+                   const Ice::Current& current) override {
+        const auto refuse = [exception](const Refusal& refusal) { exception(std::make_exception_ptr(transport::toIce(refusal))); };
+        DirectOpening its;
+        its.claim.lane = transport::fromIce(opening.lane);
+        its.claim.lease = {opening.held.epoch, opening.held.number};
+        const auto client = Id128::parse(opening.client);
+        const auto path = Id128::fromBytes(toBytes(opening.path));
+        if (!client || !path || path->isZero() || !callback || its.claim.lane != lane_)
+            return refuse({RefusalCode::Malformed,
+                           "direct path: expected the session UUID of the holder, a path of 16 bytes, a callback, and the lane of this port",
+                           {}});
+        const auto nonce = takeNonce(current.con);
+        if (!nonce) return refuse(wrongState("expected challenge() over the same connection before each open()"));
+        its.claim.client = *client;
+        its.claim.path = *path;
+        its.claim.nonce = *nonce;
+        its.proof = toBytes(opening.proof);
+        its.refuse = refuse;
+        its.admit = [lane = lane_, path = *path, entity = entity_, &clock = clock_, events = events_, response, current,
+                     callback = transport::callbackProxy(callback, current)](
+                        const Sender& sender, std::shared_ptr<DirectSigns> signs, std::string proof) -> std::shared_ptr<DirectLane> {
+            auto back = std::make_shared<IceLane>(current.con, callback);
+            if (lane == Lane::Signal) transport::prepareSignalLane(*current.con);
+            const auto session = current.adapter->addWithUUID(
+                std::make_shared<SessionServant>(path, lane, sender, entity, std::move(signs), back, clock, events));
+            back->connection().onClosed([adapter = current.adapter, identity = session->ice_getIdentity(), path,
+                                         events](const transport::CloseReason& reason) {
+                try {
+                    adapter->remove(identity);
+                } catch (const Ice::Exception&) {  // the adapter is being destroyed, and the servant with it
+                }
+                if (const auto its_events = events.lock()) its_events->directClosed(path, reason.text);
+            });
+            slice::Opened opened;
+            opened.session = Ice::uncheckedCast<slice::DirectSessionPrx>(session);
+            opened.proof = toIceBytes(proof);
+            response(opened);
+            return back;
+        };
+        if (const auto events = events_.lock()) return events->directOpening(std::move(its));
+        refuse(wrongState("the Entity Manager is ending"));
+    }
+
+  private:
+    struct Challenge {
+        std::weak_ptr<Ice::Connection> connection;
+        Id128 nonce;
+    };
+    std::optional<Id128> takeNonce(const std::shared_ptr<Ice::Connection>& connection) {
+        const std::lock_guard lock(mutex_);
+        for (auto at = challenges_.begin(); at != challenges_.end(); ++at) {
+            if (at->connection.lock() != connection) continue;
+            const auto nonce = at->nonce;
+            challenges_.erase(at);
+            return nonce;
+        }
+        return std::nullopt;
+    }
+
+    const Lane lane_;
+    const std::string entity_;
+    const Clock& clock_;
+    const std::weak_ptr<DirectEvents> events_;
+    SystemRandom random_;
+    std::mutex mutex_;
+    std::deque<Challenge> challenges_;  // guarded by mutex_
+};
+
+}  // namespace
+
+struct DirectDoor::Adapters {
+    std::shared_ptr<Ice::ObjectAdapter> data, signal;
+
+    ~Adapters() {
+        for (const auto& adapter : {data, signal})
+            if (adapter) adapter->destroy();
+    }
+    /// At the first free port of the range that is not `taken`.
+    static std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, const std::string& name,
+                                                      const std::string& address, DirectPorts ports, std::uint16_t taken) {
+        for (std::uint32_t port = ports.first; port <= ports.last; ++port) {
+            if (port != 0 && port == taken) continue;
+            try {
+                return transport::listen(communicator, name, "tcp -h " + address + " -p " + std::to_string(port));
+            } catch (const std::runtime_error&) {
+                if (port == 0) break;
+            }
+        }
+        throw std::runtime_error("no port to listen on at " + address +
+                                 (ports.first == 0 ? std::string() : ", from " + std::to_string(ports.first) + " to " + std::to_string(ports.last)));
+    }
+};
+
+DirectDoor::DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports, std::string entity, const Clock& clock,
+                       std::weak_ptr<DirectEvents> events)
+    : adapters_(std::make_unique<Adapters>()) {
+    // A name of its own: many Entity Managers share the communicators, and this one listens anew at another address.
+    const auto name = "Direct-" + Ice::generateUUID();
+    std::uint16_t taken = 0;
+    const auto open = [&](Lane lane, Ice::Communicator& communicator, std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+        adapter = Adapters::listen(communicator, name + (lane == Lane::Data ? "-data" : "-signal"), address, ports, taken);
+        adapter->add(std::make_shared<GateServant>(lane, entity, clock, events), Ice::stringToIdentity(kGate));
+        const auto at = transport::publishedEndpoints(*adapter).front();
+        taken = at.port;
+        return address + ":" + std::to_string(at.port);
+    };
+    data_ = open(Lane::Data, *ice.data(), adapters_->data);
+    signal_ = open(Lane::Signal, *ice.signal(), adapters_->signal);
+    adapters_->data->activate();
+    adapters_->signal->activate();
+}
+
+DirectDoor::~DirectDoor() = default;
+
+void DirectDoor::shut() {
+    adapters_->data->deactivate();
+    adapters_->signal->deactivate();
+}
+
+}  // namespace axon::entity_manager
