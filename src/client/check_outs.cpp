@@ -449,6 +449,7 @@ void SessionCore::grant(const std::string& entity, const proto::CheckOutReply& r
     lease.grace = std::chrono::milliseconds(reply.grace_ms());
     lease.policy = policy;
     observer_.onDatagrams({entity, lease.number}, reply.datagram_endpoint(), lease.key);
+    observer_.onDirect({entity, lease.number}, reply.direct_endpoint(), reply.direct_signal_endpoint(), lease.key);
     leases_[entity] = std::move(lease);
     auto& facts = entities_[entity].facts;
     facts.stop_generation = static_cast<std::int32_t>(reply.stop_generation());

@@ -47,8 +47,8 @@ transport::OutboxLimits signalLimits() {
 /// Pushes of the server, for one lane of one attempt.
 class CallbackServant final : public slice::ClientCallback {
   public:
-    CallbackServant(std::weak_ptr<ConnectionEvents> events, std::uint64_t attempt)
-        : events_(std::move(events)), attempt_(attempt) {}
+    CallbackServant(std::weak_ptr<ConnectionEvents> events, std::uint64_t attempt, Lane lane)
+        : events_(std::move(events)), attempt_(attempt), lane_(lane) {}
 
     void newBasicPrflMsg(Axon::CommUtil::Presence presence, Axon::CommUtil::Registration registration,
                          ByteRange profile, const Ice::Current&) override {
@@ -68,12 +68,15 @@ class CallbackServant final : public slice::ClientCallback {
     }
     void newEntityMsg(Axon::CommUtil::Header head, ByteRange message, const Ice::Current&) override {
         tell([&](auto& events) {
-            events.newEntityMsg(attempt_, transport::fromIce(std::move(head)), transport::toView(message));
+            events.newEntityMsg(attempt_, lane_, direct::Keeping::Kept, transport::fromIce(std::move(head)),
+                                transport::toView(message));
         });
     }
-    void newEntityMsgDataSeq(Axon::CommUtil::Header head, ByteRange message,
-                             const Ice::Current& current) override {
-        newEntityMsg(std::move(head), message, current);
+    void newEntityMsgDataSeq(Axon::CommUtil::Header head, ByteRange message, const Ice::Current&) override {
+        tell([&](auto& events) {
+            events.newEntityMsg(attempt_, lane_, direct::Keeping::Droppable, transport::fromIce(std::move(head)),
+                                transport::toView(message));
+        });
     }
     void newRefusalMsg(Axon::CommUtil::Header head, int code, std::string reason,
                        const Ice::Current&) override {
@@ -101,6 +104,7 @@ class CallbackServant final : public slice::ClientCallback {
     }
     const std::weak_ptr<ConnectionEvents> events_;
     const std::uint64_t attempt_;
+    const Lane lane_;
 };
 
 enum Operation : int { kToEntity, kToEntityDataSeq, kRequest };
@@ -130,37 +134,6 @@ void post(transport::Outbox& outbox, Traffic traffic, Send send) {
 }
 
 }  // namespace
-
-void ServerConnection::Backlog::add(std::size_t its_bytes) {
-    ++messages;
-    bytes += its_bytes;
-}
-
-// Who waits counts itself before it looks, and who removes counts down before it looks for one: one of the
-// two sees the other. At half, not at each message, so that sender and socket do not wake each other by
-// turns.
-void ServerConnection::Backlog::remove(std::size_t its_bytes) {
-    --messages;
-    bytes -= its_bytes;
-    if (waiting_ == 0 || !little(2)) return;
-    { const std::lock_guard lock(mutex_); }
-    changed_.notify_all();
-}
-
-/// Enough to keep the socket full; more would only fill memory, which comes back cold.
-bool ServerConnection::Backlog::little(std::size_t parts) const {
-    constexpr std::size_t kMessages = 32;
-    constexpr std::size_t kBytes = 2 * 1024 * 1024;
-    return messages <= kMessages / parts && bytes <= kBytes / parts;
-}
-
-void ServerConnection::Backlog::awaitLittle(Duration wait) {
-    if (little(1)) return;
-    std::unique_lock lock(mutex_);
-    ++waiting_;
-    changed_.wait_for(lock, std::chrono::nanoseconds(wait), [this] { return little(2); });
-    --waiting_;
-}
 
 namespace {
 
@@ -213,7 +186,8 @@ ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, trans
                                                      const std::shared_ptr<ConnectionEvents>& events) {
     const auto timeout =
         static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(login.timeout).count());
-    const auto servant = std::make_shared<CallbackServant>(events, login.attempt);
+    // The first has no token.
+    const auto servant = std::make_shared<CallbackServant>(events, login.attempt, token.empty() ? Lane::Data : Lane::Signal);
     const auto opened = home.router ? openThroughRouter(home, token, login, timeout, servant)
                                     : openAtGate(home, endpoint, login, timeout, servant);
     opened.connection->setAdapter(home.adapter);

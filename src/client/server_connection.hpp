@@ -4,17 +4,17 @@
 #include <axon/frontendcomm.h>
 
 #include <atomic>
-#include <condition_variable>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "client/backlog.hpp"
 #include "common/clock.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
+#include "direct/incoming_way.hpp"
 #include "transport/endpoint.hpp"
 #include "transport/outbox.hpp"
 #include "transport/peer_connection.hpp"
@@ -30,7 +30,9 @@ class ConnectionEvents {
                             std::string_view profile) = 0;
     virtual void newStatus(std::uint64_t attempt, const EntityStatus& status) = 0;
     virtual void newServiceRecord(std::uint64_t attempt, const Header& head, std::string_view record) = 0;
-    virtual void newEntityMsg(std::uint64_t attempt, const Header& head, std::string_view message) = 0;
+    /// `lane`: where it came, and `keeping` of what was sent on the data lane.
+    virtual void newEntityMsg(std::uint64_t attempt, Lane lane, direct::Keeping keeping, const Header& head,
+                              std::string_view message) = 0;
     virtual void newRefusal(std::uint64_t attempt, const Header& head, const Refusal& refusal) = 0;
     virtual void newStopAccepted(std::uint64_t attempt, const Header& head, int entities) = 0;
     virtual void newServerText(std::uint64_t attempt, int code, const std::string& text) = 0;
@@ -82,9 +84,11 @@ class ServerConnection {
     void sendClearSignal(const Header& head) const;
     void keepAlive(std::int64_t sequence) const;
     /// Messages of the data lane that wait for the server to read, and their bytes.
-    std::size_t waiting() const { return data_.outbox->counts().waiting; }
-    std::size_t waitingBytes() const { return backlog_->bytes; }
+    std::size_t waiting() const { return backlog_->messages(); }
+    std::size_t waitingBytes() const { return backlog_->bytes(); }
     void awaitRoom(Duration wait) const { backlog_->awaitLittle(wait); }
+    /// Also for what goes by the direct paths of this session.
+    const std::shared_ptr<Backlog>& backlog() const { return backlog_; }
 
     /// Orderly: the server releases what is held. Waits for its answer, at most a second.
     void leave() const;
@@ -108,19 +112,6 @@ class ServerConnection {
               int operation) const;
 
     LaneEnd data_, signal_;
-    /// What waits for the server on the data lane, and the threads that wait for it to become less.
-    struct Backlog {
-        std::atomic<std::size_t> messages{0}, bytes{0};
-        void add(std::size_t its_bytes);
-        void remove(std::size_t its_bytes);
-        bool little(std::size_t parts) const;
-        void awaitLittle(Duration wait);
-
-      private:
-        std::atomic<int> waiting_{0};
-        std::mutex mutex_;
-        std::condition_variable changed_;
-    };
     // Shared with the messages that wait: each takes itself off, sent or dropped.
     const std::shared_ptr<Backlog> backlog_ = std::make_shared<Backlog>();
     Sender me_;

@@ -13,6 +13,7 @@
 #include "client/log.hpp"
 #include "common/shared_clock.hpp"
 #include "common/waiting.hpp"
+#include "direct/always_relayed.hpp"
 #include "transport/communicator.hpp"
 #include "transport/routed_session.hpp"
 #include "transport/tls.hpp"
@@ -58,6 +59,13 @@ Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
     : options_(std::move(options)),
       time_(std::move(clock)),
       core_(settingsOf(options_), clock_, random_, *this, *this, marks_),
+      direct_(clock_,
+              [this](const DirectOffer& offer) {
+                  const auto connection = connection_.load();
+                  return std::make_shared<DirectPath>(data_, signal_, offer, Id128::random(random_),
+                                                      connection ? connection->backlog() : std::make_shared<Backlog>(), clock_,
+                                                      weak_from_this());
+              }),
       desk_(clock_, *this, marks_) {}
 
 Client::Session::~Session() {
@@ -118,6 +126,10 @@ auto Client::Session::withDesk(Use&& use) {
             const auto stops = std::exchange(session.stops_, {});
             lock.unlock();
             if (!stops.empty()) {
+                const auto paths = session.direct_.paths();
+                if (!paths->empty()) {
+                    for (const auto& stop : stops) session.stopDirectly(*paths, stop);
+                }
                 if (const auto connection = session.signal_connection_.load()) {
                     for (const auto& stop : stops) {
                         if (stop.entities.empty()) {
@@ -156,12 +168,84 @@ Answer Client::Session::ask(Ask&& ask) {
     return future.get();
 }
 
+/// Straight to the Entity Managers that have a path; the servers' way is taken too, and the first to arrive counts.
+void Client::Session::stopDirectly(const DirectLinks::Paths& paths, const OutgoingStop& stop) {
+    if (stop.lane != Lane::Signal) return;
+    if (stop.entities.empty() && stop.head.entity.empty()) {
+        for (const auto& [entity, path] : paths) path->sendStopSignal(stop.head, stop.cause);
+    } else if (stop.entities.empty()) {
+        if (const auto path = paths.find(stop.head.entity); path != paths.end()) path->second->sendStopSignal(stop.head, stop.cause);
+    } else {
+        for (const auto& entity : stop.entities)
+            if (const auto path = paths.find(entity); path != paths.end()) path->second->sendStopSignal(stop.head, stop.cause);
+    }
+}
+
+/// Whether it has gone by the direct path.
+bool Client::Session::sendDirect(Outgoing& message) {
+    if (!message.link) return false;
+    auto& link = *message.link;
+    if (message.kind == Kind::Mark) {
+        if (message.path->ended() || link.forget) return true;
+        if (const auto connection = connection_.load()) connection->sendToEntity(message.head, std::move(message.bytes));
+        link.by = message.path;
+        link.out.begin();
+        by_path_.push_back(message.link);
+        return true;
+    }
+    if (!link.out.direct()) return false;
+    if (link.by->ended()) {
+        fallBack(link);
+        return false;
+    }
+    switch (message.kind) {
+        // Those come by all ways, and count once.
+        case Kind::Reset: link.by->sendResetSignal(message.head); return false;
+        case Kind::Clear: link.by->sendClearSignal(message.head); return false;
+        case Kind::ToEntityDataSeq:
+            link.by->send(direct::Keeping::Droppable, message.head, std::make_shared<const std::string>(std::move(message.bytes)));
+            return true;
+        case Kind::ToEntity: break;
+        default: return false;
+    }
+    if (direct::alwaysRelayed(message.head.msg_type)) return false;
+    const auto size = message.bytes.size() + kMessageOverhead;
+    link.out.acknowledged(link.by->acknowledged.load(std::memory_order_relaxed));
+    if (!link.out.hasRoom(size)) {
+        link.by->close("the Entity Manager acknowledges too little");
+        fallBack(link);
+        return false;
+    }
+    const auto bytes = std::make_shared<const std::string>(std::move(message.bytes));
+    link.by->send(direct::Keeping::Kept, message.head, bytes);
+    link.out.keep(message.head.sequence, size, {message.head, bytes});
+    return true;
+}
+
+/// The path is over: what the Entity Manager may not have goes by the servers, before anything else does.
+void Client::Session::fallBack(DirectLink& link) {
+    std::erase_if(by_path_, [&](const auto& one) { return one.get() == &link; });
+    link.out.acknowledged(link.by->acknowledged.load(std::memory_order_relaxed));
+    link.by = nullptr;
+    const auto left = link.out.end();
+    const auto connection = connection_.load();
+    if (link.forget || !connection) return;
+    for (const auto& kept : left) connection->sendToEntity(kept.message.head, *kept.message.message);
+}
+
+void Client::Session::fallBackFromEnded() {
+    const auto by_path = by_path_;  // each takes itself off
+    for (const auto& link : by_path)
+        if (link->by->ended()) fallBack(*link);
+}
+
 /// Up to the message `ticket`; one thread at a time, so the order of the core is the order on the wire.
 void Client::Session::flush(std::uint64_t ticket) {
     const std::lock_guard sending(send_mutex_);
     while (auto item = outgoing_.take(ticket)) {
         auto& message = item->message;
-        if (const auto connection = connection_.load()) {
+        const bool gone = sendDirect(message);
+        if (const auto connection = connection_.load(); connection && !gone) {
             switch (message.kind) {
                 case Kind::ToEntity:
                     connection->sendToEntity(message.head, std::move(message.bytes));
@@ -178,6 +262,8 @@ void Client::Session::flush(std::uint64_t ticket) {
                 case Kind::Clear:
                     connection->sendClearSignal(message.head);
                     break;
+                case Kind::Mark:
+                    break;
             }
         }
         outgoing_.sent(item->bytes);
@@ -186,7 +272,7 @@ void Client::Session::flush(std::uint64_t ticket) {
 
 void Client::Session::put(Kind kind, const Header& head, std::string bytes) {
     const auto size = bytes.size() + kMessageOverhead;
-    outgoing_.put({kind, head, std::move(bytes)}, size);
+    outgoing_.put({kind, head, std::move(bytes), direct_.linkOf(head.entity)}, size);
 }
 void Client::Session::sendToEntity(const Header& head, std::string bytes) {
     put(Kind::ToEntity, head, std::move(bytes));
@@ -293,6 +379,10 @@ Result<void> Client::Session::connect() {
         return Refusal{RefusalCode::Internal, error.what(), {}};
     }
     sender_.start("axon-sender", Lane::Data, clock_, [this] {
+        {
+            const std::lock_guard sending(send_mutex_);
+            fallBackFromEnded();
+        }
         flush(outgoing_.last());
         return clock_.now() + kLongestSleep;
     });
@@ -380,6 +470,7 @@ void Client::Session::closed(std::uint64_t attempt, const std::string& reason) {
 
 void Client::Session::lost(std::uint64_t attempt, const std::string& reason) {
     bool counts = false;
+    DirectLinks::Closing closing;
     withCore(
         [&](SessionCore& core) {
             if (attempt != listening_) return;
@@ -389,8 +480,10 @@ void Client::Session::lost(std::uint64_t attempt, const std::string& reason) {
             up_ = false;
             outgoing_.clear();
             core.onDisconnected(reason);
+            closing = direct_.clear();
         },
         Sends::Sender);
+    close(closing, "the session with the server is lost");
     if (!counts) return;
     withDesk([](StopDesk& desk) { desk.onDisconnected(); });
     const auto connection = connection_.load();
@@ -442,11 +535,14 @@ void Client::Session::close() {
 
         const auto connection = connection_.load();
         bool was_up = false;
+        DirectLinks::Closing closing;
         withCore([&](SessionCore& core) {
             listening_ = 0;
             was_up = std::exchange(up_, false);
             core.onDisconnected("this client was closed", true);
+            closing = direct_.clear();
         });
+        close(closing, "this client was closed");
         withDesk([](StopDesk& desk) {
             desk.onDisconnected();
             desk.endOrders();
@@ -480,6 +576,7 @@ TimePoint Client::Session::onTimer() {
         },
         Sends::Sender);
     if (silent != 0) lost(silent, "the server has been silent for too long");
+    const auto direct_at = directTurn();
     if (give_up_.exchange(false)) lost(listening_, "this program does not return from its callbacks");
 
     if (retry_.exchange(false)) {
@@ -498,8 +595,40 @@ TimePoint Client::Session::onTimer() {
     }
     const std::lock_guard lock(core_mutex_);
     timer_at_ =
-        std::min({core_.nextDeadline(), core_.serverDeadline(), retry_at_, clock_.now() + kLongestSleep});
+        std::min({core_.nextDeadline(), core_.serverDeadline(), retry_at_, direct_at, clock_.now() + kLongestSleep});
     return timer_at_;
+}
+
+TimePoint Client::Session::directTurn() {
+    DirectLinks::Turn turn;
+    withCore(
+        [&](SessionCore& core) {
+            turn = direct_.turn();
+            for (const auto& [link, path] : turn.begun) {
+                proto::ToEntity mark;
+                mark.mutable_way()->set_path(path->number().bytes());
+                Header head;
+                head.sender = core.self();
+                head.entity = path->entity();
+                head.msg_type = kMsgWay;
+                head.sequence = marks_.nextSequence();
+                head.sent_at_us = toMicroseconds(clock_.now());
+                auto bytes = mark.SerializeAsString();
+                const auto size = bytes.size() + kMessageOverhead;
+                outgoing_.put({Kind::Mark, head, std::move(bytes), link, path}, size);
+            }
+        },
+        Sends::Sender);
+    if (turn.ended) sender_.wake();
+    for (const auto& path : turn.begun) path.second->beat();
+    for (const auto& path : turn.open) path->open(settingsOf(options_).timeout);
+    if (turn.close.empty()) return turn.next;
+    for (const auto& [path, why] : turn.close) path->close(why);
+    return clock_.now();  // another turn, in which they have ended
+}
+
+void Client::Session::close(const DirectLinks::Closing& closing, const std::string& why) {
+    for (const auto& path : closing) path->close(why);
 }
 
 TimePoint Client::Session::onHeartbeat() {
@@ -523,6 +652,15 @@ TimePoint Client::Session::onHeartbeat() {
         }
         const auto connection = signal_connection_.load();
         if (alive && connection) connection->keepAlive(beat->first);
+        if (alive) {
+            bool faster = false;
+            for (const auto& [entity, path] : *direct_.paths()) {
+                faster = faster || (beat->second && !path->silence.busy());
+                path->silence.setBusy(beat->second, clock_.now());
+                path->beat();
+            }
+            if (faster) timer_.wake();  // which watches for silence
+        }
     }
     const std::lock_guard lock(core_mutex_);
     heartbeat_at_ = std::min(core_.nextHeartbeat(), clock_.now() + kLongestSleep);
@@ -546,7 +684,12 @@ void Client::Session::newProfile(std::uint64_t attempt, Presence presence, const
     withDesk([&](StopDesk& desk) {
         if (attempt == listening_) desk.onEntity(presence, registration.entity, registration.name);
     });
-    onCore(attempt, [&](SessionCore& core) { core.onProfile(presence, registration, profile); });
+    DirectLinks::Closing closing;
+    onCore(attempt, [&](SessionCore& core) {
+        core.onProfile(presence, registration, profile);
+        if (presence == Presence::Left) closing = direct_.leave(registration.entity);
+    });
+    close(closing, "the entity has left");
     entities_changed_.notify_all();
 }
 
@@ -559,18 +702,56 @@ void Client::Session::newServiceRecord(std::uint64_t attempt, const Header& head
     onCore(attempt, [&](SessionCore& core) { core.onServiceRecord(head, record); });
 }
 
-void Client::Session::newEntityMsg(std::uint64_t attempt, const Header& head, std::string_view message) {
-    if (head.msg_type == kMsgReceipt) {
-        proto::ToClient body;
-        if (body.ParseFromArray(message.data(), static_cast<int>(message.size())) && body.has_receipt()) {
-            withDesk([&](StopDesk& desk) { desk.onReceipt(head.entity, body.receipt()); });
-            return;
-        }
-    }
-    onCore(attempt, [&](SessionCore& core) { core.onEntityMsg(head, message); });
+bool Client::Session::receipt(const Header& head, std::string_view message) {
+    if (head.msg_type != kMsgReceipt) return false;
+    proto::ToClient body;
+    if (!body.ParseFromArray(message.data(), static_cast<int>(message.size())) || !body.has_receipt()) return false;
+    withDesk([&](StopDesk& desk) { desk.onReceipt(head.entity, body.receipt()); });
+    return true;
+}
+
+void Client::Session::newEntityMsg(std::uint64_t attempt, Lane lane, direct::Keeping keeping, const Header& head,
+                                   std::string_view message) {
+    if (receipt(head, message)) return;
+    onCore(attempt, [&](SessionCore& core) {
+        const auto deliver = [&](const Header& its_head, std::string_view its) { core.onEntityMsg(its_head, its, false); };
+        if (lane == Lane::Signal || direct_.relayed(keeping, head, message, deliver)) core.onEntityMsg(head, message);
+    });
+}
+
+void Client::Session::newDirectMsg(const DirectPath& path, direct::Keeping keeping, Header head, std::string_view message) {
+    DirectLinks::Arrival arrival;
+    withCore(
+        [&](SessionCore& core) {
+            head.sender = core.self();
+            arrival = direct_.arrived(path, keeping, head, message);
+            if (arrival.pass) core.onEntityMsg(head, message, false);
+        },
+        Sends::Sender);
+    if (arrival.close) arrival.close->close("too much came before its beginning by the servers");
+    if (arrival.acknowledge) path.beat();
+}
+
+void Client::Session::newDirectReceipt(const DirectPath&, const Header& head, std::string_view message) {
+    receipt(head, message);
+}
+
+void Client::Session::directChanged() {
+    timer_.wake();
+    sender_.wake();
+}
+
+bool Client::Session::direct(const Held& held) const {
+    const std::lock_guard lock(core_mutex_);
+    return core_.holds(held) && direct_.direct(held.entity);
 }
 
 void Client::Session::newRefusal(std::uint64_t attempt, const Header& head, const Refusal& refusal) {
+    if (head.msg_type == kMsgWay) {
+        DirectLinks::Closing closing;
+        onCore(attempt, [&](SessionCore&) { closing = direct_.markRefused(head.entity); });
+        return close(closing, "the servers refuse its beginning: " + refusal.message);
+    }
     if (head.msg_type == kMsgStop) {
         withDesk([&](StopDesk& desk) { desk.onRefusal(head.sequence, head.entity, refusal); });
         return;
@@ -687,6 +868,16 @@ void Client::Session::onLost(const Held& held, const Refusal& why) {
 
 void Client::Session::onDatagrams(const Held& held, const std::string& endpoint, const std::string& key) {
     datagrams_.admit(held.entity, held.lease, endpoint, key, core_.self().id);
+}
+
+void Client::Session::onDirect(const Held& held, const std::string& data_endpoint, const std::string& signal_endpoint,
+                               const std::string& key) {
+    // Nothing plain where the way to the server is TLS, and no way to an endpoint behind a router.
+    if (data_endpoint.empty() || signal_endpoint.empty() || !options_.direct || data_.router ||
+        transport::parseEndpoint(options_.server).tls)
+        return direct_.withdraw(held);
+    direct_.offer({held.entity, held.lease, key, core_.self().id, data_endpoint, signal_endpoint});
+    timer_.wake();
 }
 
 void Client::Session::onOrphaned(const Held& held, const std::string& reason) {
@@ -1521,6 +1712,11 @@ Result<void> CheckOut::setHandOverPolicy(const HandOverPolicy& policy) const {
     if (!session) return gone();
     return session->withCore(
         [&](SessionCore& core) { return core.setHandOverPolicy(shared_->held, policy); });
+}
+
+bool CheckOut::direct() const {
+    const auto session = shared_->session.lock();
+    return session && session->direct(shared_->held);
 }
 
 std::string CheckOut::ticket() const {

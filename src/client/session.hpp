@@ -18,6 +18,7 @@
 #include "axon/client.hpp"
 #include "client/callback_queue.hpp"
 #include "client/datagram_sender.hpp"
+#include "client/direct_links.hpp"
 #include "client/send_queue.hpp"
 #include "client/server_connection.hpp"
 #include "client/session_core.hpp"
@@ -91,6 +92,7 @@ class Client::Session final : public SessionObserver,
                               public ServerLink,
                               public StopLink,
                               public ConnectionEvents,
+                              public DirectPathEvents,
                               public std::enable_shared_from_this<Client::Session> {
   public:
     Session(Options options, std::shared_ptr<const Clock> clock);
@@ -161,6 +163,8 @@ class Client::Session final : public SessionObserver,
     void onService(const Held& held, const Service& service) override;
     void onLost(const Held& held, const Refusal& why) override;
     void onDatagrams(const Held& held, const std::string& endpoint, const std::string& key) override;
+    void onDirect(const Held& held, const std::string& data_endpoint, const std::string& signal_endpoint,
+                  const std::string& key) override;
     void onOrphaned(const Held& held, const std::string& reason) override;
     void onResumed(const Held& held) override;
     void onHandOver(const Held& held, const HandOverRequest& request) override;
@@ -186,12 +190,22 @@ class Client::Session final : public SessionObserver,
                     std::string_view profile) override;
     void newStatus(std::uint64_t attempt, const EntityStatus& status) override;
     void newServiceRecord(std::uint64_t attempt, const Header& head, std::string_view record) override;
-    void newEntityMsg(std::uint64_t attempt, const Header& head, std::string_view message) override;
+    void newEntityMsg(std::uint64_t attempt, Lane lane, direct::Keeping keeping, const Header& head,
+                      std::string_view message) override;
     void newRefusal(std::uint64_t attempt, const Header& head, const Refusal& refusal) override;
     void newStopAccepted(std::uint64_t attempt, const Header& head, int entities) override;
     void newServerText(std::uint64_t attempt, int code, const std::string& text) override;
     void newServerHeartbeat(std::uint64_t attempt) override;
     void closed(std::uint64_t attempt, const std::string& reason) override;
+
+    // DirectPathEvents: threads of Ice.
+    void newDirectMsg(const DirectPath& path, direct::Keeping keeping, Header head,
+                      std::string_view message) override;
+    void newDirectReceipt(const DirectPath& path, const Header& head, std::string_view message) override;
+    void directChanged() override;
+
+    /// Messages to this entity go by a direct path.
+    bool direct(const Held& held) const;
 
   private:
     /// A timer thread that other threads may wake while it is being ended.
@@ -205,11 +219,14 @@ class Client::Session final : public SessionObserver,
         std::mutex mutex_;
         std::unique_ptr<transport::TimerThread> thread_;  // guarded by mutex_
     };
-    enum class Kind : std::uint8_t { ToEntity, ToEntityDataSeq, Request, Reset, Clear };
+    /// Mark: the last on the relayed way, before `path` is taken.
+    enum class Kind : std::uint8_t { ToEntity, ToEntityDataSeq, Request, Reset, Clear, Mark };
     struct Outgoing {
         Kind kind;
         Header head;
         std::string bytes;
+        std::shared_ptr<DirectLink> link;  // of the entity, where it offers one
+        std::shared_ptr<DirectPath> path = {};
     };
     struct OutgoingStop {
         Lane lane;
@@ -231,6 +248,16 @@ class Client::Session final : public SessionObserver,
 
     void put(Kind kind, const Header& head, std::string bytes);
     void flush(std::uint64_t ticket);
+    // Under send_mutex_.
+    bool sendDirect(Outgoing& message);
+    void fallBack(DirectLink& link);
+    void fallBackFromEnded();
+    void stopDirectly(const DirectLinks::Paths& paths, const OutgoingStop& stop);
+    /// Whether it was a receipt.
+    bool receipt(const Header& head, std::string_view message);
+    /// What is due of the direct paths; when next.
+    TimePoint directTurn();
+    static void close(const DirectLinks::Closing& closing, const std::string& why);
     Result<void> establish();
     void lost(std::uint64_t attempt, const std::string& reason);
     void acknowledgedByDatagram(const radio::StopRepeater::Acknowledged& acknowledged);
@@ -263,6 +290,7 @@ class Client::Session final : public SessionObserver,
     std::map<Held, std::shared_ptr<CheckOut::Shared>> check_outs_;
     std::unordered_map<Id128, std::shared_ptr<UploadWindow>> uploads_;
     std::map<std::uint64_t, Watching> watches_;
+    DirectLinks direct_;  // but paths()
     std::uint64_t next_watch_ = 0;
 
     std::mutex desk_mutex_;
@@ -273,6 +301,7 @@ class Client::Session final : public SessionObserver,
 
     SendQueue<Outgoing> outgoing_;  // put into under core_mutex_
     std::mutex send_mutex_;         // the order of outgoing_ is that on the wire
+    std::vector<std::shared_ptr<DirectLink>> by_path_;  // guarded by send_mutex_: links whose messages go by a path
 
     std::mutex callbacks_mutex_;
     // Guarded by callbacks_mutex_:

@@ -61,6 +61,9 @@ class SessionObserver {
     /// Stops of this lease may be sent to `endpoint` as datagrams, keyed by `key`; empty = not (any more).
     virtual void onDatagrams(const Held& /*held*/, const std::string& /*endpoint*/,
                              const std::string& /*key*/) {}
+    /// A direct path of this lease may be opened at these endpoints ("host:port"), by its key; empty = not (any more).
+    virtual void onDirect(const Held& /*held*/, const std::string& /*data_endpoint*/,
+                          const std::string& /*signal_endpoint*/, const std::string& /*key*/) {}
     /// The connection is lost, or the entity has left, and the lease is not (yet): onResumed or onLost will
     /// follow.
     virtual void onOrphaned(const Held&, const std::string& /*reason*/) {}
@@ -152,8 +155,9 @@ class SessionCore {
     void onStatus(const EntityStatus& status);
     /// A record of a services profile, to be kept for a lease that is held.
     void onServiceRecord(const Header& head, std::string_view record);
-    /// `bytes` is an axon.proto.ToClient; receipts in it are not for this object.
-    void onEntityMsg(const Header& head, std::string_view bytes);
+    /// `bytes` is an axon.proto.ToClient; receipts in it are not for this object. `of_server`: the server has brought
+    /// it, and lives.
+    void onEntityMsg(const Header& head, std::string_view bytes, bool of_server = true);
     /// newRefusalMsg: `head` repeats the sequence and entity of what this client sent.
     void onRefusal(const Header& head, const Refusal& refusal);
     void onServerText(int code, const std::string& text);

@@ -328,6 +328,10 @@ struct Options {
     /// connect() returns when this client has been told of every entity there is, or the timeout has passed;
     /// false = as soon as both lanes stand, which is all that a stop of everything needs.
     bool await_entities = true;
+    /// Talk to the Entity Managers of what is held without the servers in between, where they offer it and can be reached;
+    /// false = by the servers only. Lease, refusals and order are the same either way. Where the server is called by TLS or
+    /// through a router nothing but the servers' way is taken (docs/reference/direct.md).
+    bool direct = true;
     /// When set, it is asked before each heartbeat while a task runs; false = do not send it (a live socket
     /// is not a live operator). Called on the library's heartbeat thread.
     std::function<bool()> keep_running;
@@ -424,6 +428,9 @@ class CheckOut {
     /// meanwhile are told as they ended, and are Unknown only where nobody knows.
     void onResumed(std::function<void()> callback) const;
     bool orphaned() const;
+    /// Messages go straight to the Entity Manager and come from there (Options::direct); otherwise by the servers. It may
+    /// change at any moment, and changes nothing else.
+    bool direct() const;
 
     /// Somebody asks for this entity, or has withdrawn. An open request is told at once. Without an answer
     /// the policy decides.
