@@ -19,7 +19,7 @@
 
 namespace axon::test {
 
-/// A relay between a test's peers, which cuts their connections when it is told to.
+/// A relay between a test's peers, which cuts their connections, or falls silent, when it is told to.
 ///
 /// Threads: one of its own; the rest any. Ownership: of its sockets. Failure: throws where there is no
 /// socket.
@@ -62,7 +62,17 @@ class TcpGate {
         cut_ = true;
         wake();
     }
-    void open() { cut_ = false; }
+    void open() {
+        cut_ = stalled_ = false;
+        wake();
+    }
+    /// Passes nothing on any more, and tells nobody, until open().
+    void stall() {
+        stalled_ = true;
+        wake();
+    }
+    /// That it has passed on.
+    std::uint64_t bytes() const { return bytes_; }
 
   private:
     void wake() const {
@@ -103,6 +113,7 @@ class TcpGate {
         if (found == peers_.end()) return;
         const auto count = ::recv(from, bytes, sizeof bytes, 0);
         if (count <= 0) return drop(from);
+        bytes_ += static_cast<std::uint64_t>(count);
         for (ssize_t sent = 0; sent < count;) {
             const auto part =
                 ::send(found->second, bytes + sent, static_cast<std::size_t>(count - sent), MSG_NOSIGNAL);
@@ -113,7 +124,8 @@ class TcpGate {
     void run() {
         while (!ending_) {
             std::vector<pollfd> watched{{wake_, POLLIN, 0}, {listening_, POLLIN, 0}};
-            for (const auto& [fd, other] : peers_) watched.push_back({fd, POLLIN, 0});
+            if (!stalled_)
+                for (const auto& [fd, other] : peers_) watched.push_back({fd, POLLIN, 0});
             if (::poll(watched.data(), watched.size(), -1) <= 0) continue;
             if (watched[0].revents != 0) {
                 std::uint64_t count = 0;
@@ -134,7 +146,8 @@ class TcpGate {
     std::string host_;
     sockaddr_in target_{};
     int listening_ = -1, wake_ = -1;
-    std::atomic<bool> cut_{false}, ending_{false};
+    std::atomic<bool> cut_{false}, stalled_{false}, ending_{false};
+    std::atomic<std::uint64_t> bytes_{0};
     std::map<int, int> peers_;  // confined to relay_
     std::thread relay_;
 };

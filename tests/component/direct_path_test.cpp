@@ -1,0 +1,528 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// The direct path: the client library, the servers and the real Entity Manager over loopback, and relays in the direct
+// path's two connections that cut them or fall silent. And somebody who knocks at the Entity Manager's door without a right to.
+#include <axon/directcomm.h>
+#include <axon/link.pb.h>
+#include <axon/messages.pb.h>
+#include <gtest/gtest.h>
+
+#include <asio/post.hpp>
+#include <asio/thread_pool.hpp>
+#include <axon/client.hpp>
+#include <map>
+#include <set>
+
+#include "component/raw_peers.hpp"
+#include "direct/proof.hpp"
+#include "entity_manager/entity_manager.hpp"
+#include "entity_manager/server_communicators.hpp"
+#include "server/server.hpp"
+#include "support/loopback.hpp"
+#include "support/tcp_gate.hpp"
+
+namespace axon {
+namespace {
+
+using namespace std::chrono_literals;
+using client::CheckOut;
+using client::Client;
+using entity_manager::BackEndEvents;
+using entity_manager::EntityManager;
+using test::RawClient;
+using test::TcpGate;
+using test::waitUntil;
+
+class MemoryStorage final : public entity_manager::Storage, public entity_manager::ResourceStore {
+  public:
+    std::optional<std::string> load(std::string_view key) override {
+        const auto found = values_.find(std::string(key));
+        return found == values_.end() ? std::nullopt : std::optional(found->second);
+    }
+    void save(std::string_view key, std::string_view value) override { values_[std::string(key)] = value; }
+    void forget(std::string_view key) override { values_.erase(std::string(key)); }
+    Result<std::uint64_t> begin(const proto::ResourceOffer&) override { return std::uint64_t{0}; }
+    Result<void> write(std::string_view, std::uint64_t, std::string_view) override { return {}; }
+    Result<std::string> finish(std::string_view) override { return std::string(); }
+    void suspend(std::string_view) override {}
+    void dropSuspended() override {}
+    void remove(std::string_view, std::string_view) override {}
+    std::optional<std::string> find(std::string_view, std::string_view) override { return std::nullopt; }
+
+  private:
+    std::map<std::string, std::string> values_;
+};
+
+/// A robot application in memory: stands still at once, lets tasks run until they are stopped, and keeps what it is told.
+class Application final : public entity_manager::BackEndPort {
+  public:
+    struct Seen {
+        std::mutex mutex;
+        std::vector<std::string> texts;  // guarded by mutex
+        std::string task;                // guarded by mutex: that runs
+        std::atomic<int> stops{0}, tasks{0};
+        std::size_t count() {
+            const std::lock_guard lock(mutex);
+            return texts.size();
+        }
+    };
+    Application(EntityManager::Strand strand, BackEndEvents& events, Seen& seen)
+        : strand_(std::move(strand)), events_(events), seen_(seen) {}
+    void start() {
+        events_.onLinkUp();
+        profile(false, R"(<BasicProfile name="PeopleBot" category="ROBOT" type="MOBILE" descr="a robot"/>)");
+        profile(true, R"(<ServiceProfile count="1"><Service name="Drive" global_id="drive" type="SMPL"/></ServiceProfile>)");
+    }
+    bool send(const proto::EmToEi& message) override {
+        if (message.has_text()) {
+            const std::lock_guard lock(seen_.mutex);
+            seen_.texts.push_back(message.text().text());
+        } else if (message.has_task()) {
+            ++seen_.tasks;
+            {
+                const std::lock_guard lock(seen_.mutex);
+                seen_.task = message.task().task_id();
+            }
+            proto::EiToEm granted;
+            granted.mutable_task_answer()->set_task_id(message.task().task_id());
+            answer(std::move(granted));
+        }
+        return true;
+    }
+    void stop(std::uint32_t generation, StopCause cause) override {
+        if (cause == StopCause::Requested) ++seen_.stops;
+        proto::EiToEm done;
+        done.mutable_stop_done()->set_stop_generation(generation);
+        done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+        answer(std::move(done));
+        proto::EiToEm ended;
+        {
+            const std::lock_guard lock(seen_.mutex);
+            ended.mutable_task()->mutable_event()->set_task_id(std::exchange(seen_.task, {}));
+        }
+        ended.mutable_task()->mutable_event()->set_state(proto::TASK_STOPPED);
+        if (!ended.task().event().task_id().empty()) answer(std::move(ended));
+    }
+    void setBusy(bool) override {}
+    void text(std::string text) {
+        proto::EiToEm message;
+        message.mutable_text()->set_text(std::move(text));
+        answer(std::move(message));
+    }
+
+  private:
+    void answer(proto::EiToEm message) {
+        asio::post(strand_, [this, message = std::move(message)] { events_.onLinkMessage(message); });
+    }
+    void profile(bool services, const std::string& xml) {
+        proto::EiToEm message;
+        message.mutable_profile()->set_services(services);
+        message.mutable_profile()->set_file_name("profile.xml");
+        message.mutable_profile()->set_xml(xml);
+        events_.onLinkMessage(message);
+    }
+    EntityManager::Strand strand_;
+    BackEndEvents& events_;
+    Seen& seen_;
+};
+
+class DirectPathTest : public ::testing::Test {
+  protected:
+    void SetUp() override {
+        const auto any_port = test::loopbackAddress() + ":0";
+        server::ServerSettings settings;
+        settings.client_endpoint = settings.client_signal_endpoint = any_port;
+        settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
+        server_ = std::make_unique<server::Server>(settings);
+    }
+    /// Clients are told of relays where the Entity Manager listens: first that of data, then that of signals.
+    void startManager(bool offered = true, bool with_gates = true) {
+        const auto at = server_->entityAddress(Lane::Data);
+        entity_manager::CoreSettings core;
+        core.application = "peoplebot";
+        manager_ = EntityManager::create(
+            executor_.get_executor(), ice_, core,
+            {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))), "", ""},
+            [&](const EntityManager::Strand& strand, const entity_manager::StopGate&, const Clock&, BackEndEvents& events) {
+                auto application = std::make_unique<Application>(strand, events, seen_);
+                application_ = application.get();
+                return EntityManager::BackEnd{std::move(application), [its = application_] { its->start(); }, [] {}};
+            },
+            clock_, random_, storage_, storage_);
+        entity_manager::DirectSettings direct;
+        direct.offered = offered;
+        if (with_gates) {
+            direct.named = [this](const std::string& endpoint) {
+                gates_.push_back(std::make_unique<TcpGate>(endpoint));
+                return gates_.back()->address();
+            };
+        }
+        manager_->offerDirect(direct);
+        manager_->start();
+        ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::IDLE; }));
+    }
+    void TearDown() override {
+        client_.reset();
+        if (manager_) manager_->stop();
+        ice_->destroy();
+        executor_.join();
+        manager_.reset();
+    }
+    std::unique_ptr<Client> connect(bool direct = true) {
+        client::Options options;
+        options.server = server_->clientAddress(Lane::Data);
+        options.display_name = "client1@lab";
+        options.direct = direct;
+        auto connected = Client::connect(options);
+        EXPECT_TRUE(connected.ok()) << connected.refusal().message;
+        EXPECT_TRUE(connected.value()->waitFor("PeopleBot", client::Seconds{5}).ok());
+        return std::move(connected).value();
+    }
+    CheckOut take() {
+        if (!client_) client_ = connect();
+        auto held = client_->checkOut("PeopleBot");
+        EXPECT_TRUE(held.ok()) << held.refusal().message;
+        return held.value();
+    }
+    /// Both directions.
+    bool direct(const CheckOut& held) const { return held.direct() && manager_->direct(); }
+    std::uint64_t directBytes() const { return gates_.at(0)->bytes(); }
+    void send(const CheckOut& held, const std::string& text) {
+        ASSERT_TRUE(waitUntil([&] { return held.sendText(text).ok(); }));
+    }
+    /// The proof of a check-out by a client without our library.
+    proto::CheckOutReply takeRaw(RawClient& client) {
+        proto::ToEntity body;
+        body.mutable_check_out()->set_request_id(Id128::random(random_).bytes());
+        body.mutable_check_out()->set_phase(proto::TAKE);
+        auto head = client.headTo(manager_->uuid());
+        head.msg_type = kMsgCheckOut;
+        const auto bytes = body.SerializeAsString();
+        client.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
+        const auto beginning = "data msg " + manager_->uuid() + " ";
+        proto::ToClient message;
+        EXPECT_TRUE(waitUntil([&] {
+            for (const auto& line : client.log.lines())
+                if (line.starts_with(beginning) && message.ParseFromString(line.substr(beginning.size())) && message.has_check_out() &&
+                    message.check_out().has_lease())
+                    return true;
+            return false;
+        }));
+        return message.check_out();
+    }
+
+    SteadyClock clock_;
+    SystemRandom random_;
+    MemoryStorage storage_;
+    Application::Seen seen_;
+    Application* application_ = nullptr;
+    std::unique_ptr<server::Server> server_;
+    std::vector<std::unique_ptr<TcpGate>> gates_;
+    asio::thread_pool executor_{1};
+    const std::shared_ptr<entity_manager::ServerCommunicators> ice_ = std::make_shared<entity_manager::ServerCommunicators>(1, 1);
+    std::shared_ptr<EntityManager> manager_;
+    std::unique_ptr<Client> client_;
+};
+
+TEST_F(DirectPathTest, AfterTheCheckOutMessagesOfBothDirectionsGoStraight) {
+    startManager();
+    const auto held = take();
+    std::atomic<int> heard{0};
+    held.onText([&](const std::string&) { ++heard; });
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    const auto before = directBytes();
+    const std::string text(10000, 'x');
+    send(held, text);
+    ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
+    EXPECT_GT(directBytes(), before + 10000);
+    application_->text(text);
+    ASSERT_TRUE(waitUntil([&] { return heard == 1; }));
+    EXPECT_GT(directBytes(), before + 20000);
+    EXPECT_EQ(seen_.texts.front(), text);
+}
+
+TEST_F(DirectPathTest, TasksAndTheirRefusalsAreTheSameByEitherWay) {
+    startManager();
+    for (const bool direct_way : {true, false}) {
+        client_ = connect(direct_way);
+        const auto held = take();
+        if (direct_way) {
+            ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+        }
+        const auto before = directBytes();
+        const auto task = held.run("Drive");
+        ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::BUSY; }));
+        EXPECT_EQ(directBytes() > before, direct_way);
+        EXPECT_EQ(held.run("Fly").report().reason.code, RefusalCode::UnknownService);
+        ASSERT_TRUE(client_->stop({"PeopleBot"}).ok());
+        EXPECT_EQ(task.wait(client::Seconds{5}).state, client::TaskState::Stopped);
+        EXPECT_EQ(held.run("Drive").wait(client::Seconds{5}).reason.code, RefusalCode::Latched);
+        ASSERT_TRUE(client_->rearm("PeopleBot").ok());
+        const auto again = held.run("Drive");
+        ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::BUSY; })) << again.report().reason.message;
+        ASSERT_TRUE(held.clear().ok());
+        EXPECT_EQ(again.wait(client::Seconds{5}).state, client::TaskState::Stopped);
+        ASSERT_TRUE(held.release().ok());
+        EXPECT_EQ(held.sendText("?").refusal().code, RefusalCode::NotHolder);
+        ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::IDLE; }));
+        EXPECT_TRUE(waitUntil([&] { return !manager_->direct(); }));
+    }
+    EXPECT_EQ(seen_.tasks, 4);
+}
+
+TEST_F(DirectPathTest, EveryMessageComesOnceAndInOrderWhileThePathIsCutAndComesBack) {
+    startManager();
+    const auto held = take();
+    std::mutex mutex;
+    std::vector<std::string> heard;
+    held.onText([&](const std::string& text) {
+        const std::lock_guard lock(mutex);
+        heard.push_back(text);
+    });
+    const auto heardCount = [&] {
+        const std::lock_guard lock(mutex);
+        return heard.size();
+    };
+    // From before the path is there, so that its beginning is among them.
+    int sent = 0;
+    const auto content = [](int number) { return std::to_string(number) + std::string(static_cast<std::size_t>(number % 700), '.'); };
+    const auto some = [&](int count) {
+        for (int i = 0; i < count; ++i, ++sent) {
+            send(held, content(sent));
+            application_->text(content(sent));
+            if (sent % 256 == 0) {
+                ASSERT_TRUE(waitUntil([&] { return heardCount() + 1000 > static_cast<std::size_t>(sent); }));  // callbacks are bounded
+            }
+        }
+    };
+    some(500);
+    for (int round = 0; round < 2; ++round) {
+        ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+        const auto before = directBytes();
+        some(400);
+        EXPECT_GT(directBytes(), before);
+        for (const auto& gate : gates_) gate->cut();  // in the middle of what is under way
+        some(400);
+        for (const auto& gate : gates_) gate->open();
+    }
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    some(100);
+    ASSERT_TRUE(waitUntil([&] { return seen_.count() >= static_cast<std::size_t>(sent) && heardCount() >= static_cast<std::size_t>(sent); }))
+        << seen_.count() << " and " << heardCount() << " of " << sent;
+    for (int i = 0; i < sent; ++i) {
+        ASSERT_EQ(seen_.texts.at(static_cast<std::size_t>(i)), content(i));
+        ASSERT_EQ(heard.at(static_cast<std::size_t>(i)), content(i));
+    }
+    EXPECT_EQ(seen_.count(), static_cast<std::size_t>(sent));
+    EXPECT_EQ(heardCount(), static_cast<std::size_t>(sent));
+    EXPECT_EQ(held.entity().state, EntityState::REG) << "the lease has not noticed";
+}
+
+TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
+    startManager();
+    const auto held = take();
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    const auto task = held.run("Drive");
+    ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::BUSY; }));
+    for (const auto& gate : gates_) gate->stall();  // no end of a connection is told
+    const auto begun = clock_.now();
+    send(held, "client to robot");
+    application_->text("robot to client");
+    std::atomic<bool> heard{false};
+    held.onText([&](const std::string&) { heard = true; });
+    ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1 && !held.direct() && !manager_->direct(); }));
+    EXPECT_GE(clock_.now() - begun, 100ms) << "by the direct path after all?";
+    EXPECT_EQ(manager_->state(), EntityState::BUSY);
+    EXPECT_EQ(seen_.stops, 0);
+    EXPECT_EQ(task.report().state, client::TaskState::Running);
+    // And back again.
+    for (const auto& gate : gates_) gate->open();
+    EXPECT_TRUE(waitUntil([&] { return direct(held); }));
+    EXPECT_EQ(seen_.count(), 1U);
+}
+
+TEST_F(DirectPathTest, AStopGoesByAllWaysAndIsExecutedOnce) {
+    startManager();
+    const auto held = take();
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    for (int i = 1; i <= 20; ++i) {
+        const auto before = gates_.at(1)->bytes();
+        const auto receipts = i % 2 == 0 ? client_->stop({"PeopleBot"}) : client_->stop({});
+        ASSERT_TRUE(receipts.ok()) << receipts.refusal().message;
+        ASSERT_EQ(receipts.value().size(), 1U);
+        EXPECT_TRUE(receipts.value().front().confirmed());
+        EXPECT_TRUE(waitUntil([&] { return gates_.at(1)->bytes() > before + 100; })) << "by the direct signal lane too";
+        EXPECT_EQ(seen_.stops, i);
+    }
+}
+
+TEST_F(DirectPathTest, TheEndOfTheLeaseEndsThePathAndTheNextHolderHasItsOwn) {
+    startManager();
+    const auto held = take();
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    auto other = connect();
+    ASSERT_TRUE(held.release().ok());
+    EXPECT_FALSE(held.direct());
+    auto theirs = other->checkOut("PeopleBot");
+    ASSERT_TRUE(theirs.ok()) << theirs.refusal().message;
+    ASSERT_TRUE(waitUntil([&] { return direct(theirs.value()); }));
+    EXPECT_FALSE(held.direct());
+    ASSERT_TRUE(theirs->sendText("mine").ok());
+    ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
+}
+
+TEST_F(DirectPathTest, TheEndOfTheSessionWithTheServerEndsThePath) {
+    startManager();
+    const auto held = take();
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    server_.reset();
+    EXPECT_TRUE(waitUntil([&] { return !held.direct() && !manager_->direct(); }));
+    EXPECT_EQ(held.sendText("?").refusal().code, RefusalCode::NotConnected);
+    EXPECT_EQ(seen_.count(), 0U);
+}
+
+TEST_F(DirectPathTest, ThereIsNoneWhereEitherSideHasItSwitchedOff) {
+    startManager();
+    client_ = connect(false);
+    {
+        const auto held = take();
+        send(held, "relayed");
+        ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
+        EXPECT_FALSE(held.direct() || manager_->direct());
+        EXPECT_EQ(directBytes(), 0U);
+    }
+    client_.reset();
+    manager_->stop();
+    manager_.reset();
+    startManager(false);
+    const auto held = take();
+    send(held, "relayed");
+    ASSERT_TRUE(waitUntil([&] { return seen_.count() == 2; }));
+    EXPECT_FALSE(held.direct() || manager_->direct());
+}
+
+// -- strangers
+
+namespace slice = ::Axon::DirectComm;
+
+class Stranger {
+  public:
+    explicit Stranger(const std::string& endpoint)
+        : communicator_(transport::makeCommunicator({"stranger", Lane::Data, 1, 1, {}})),
+          gate_(Ice::uncheckedCast<slice::DirectGatePrx>(
+              communicator_->stringToProxy("DirectGate:" + transport::tcpEndpoint(endpoint)))) {
+        const auto adapter = communicator_->createObjectAdapter("");
+        adapter->activate();
+        callback_ = Ice::uncheckedCast<slice::DirectCallbackPrx>(adapter->addWithUUID(std::make_shared<Deaf>()));
+        gate_->ice_ping();
+        gate_->ice_getCachedConnection()->setAdapter(adapter);
+    }
+    void challenge() {
+        const auto nonce = gate_->challenge();
+        claim.nonce = Id128::fromBytes({reinterpret_cast<const char*>(nonce.data()), nonce.size()}).value();
+    }
+    /// How it is refused; Ok when it is not.
+    RefusalCode open(const std::string& key) {
+        const auto proof = direct::proofOf(claim, direct::Prover::Client, key);
+        slice::Opening opening;
+        opening.lane = transport::toIce(claim.lane);
+        opening.held = {claim.lease.epoch, claim.lease.number};
+        opening.client = claim.client.toString();
+        const auto path = claim.path.bytes();
+        opening.path.assign(path.begin(), path.end());
+        opening.proof.assign(proof.begin(), proof.end());
+        try {
+            opened = gate_->open(opening, callback_);
+            return RefusalCode::Ok;
+        } catch (const Axon::CommUtil::RequestRefused& refused) {
+            return static_cast<RefusalCode>(refused.code);
+        }
+    }
+    direct::Claim claim;
+    slice::Opened opened;
+
+  private:
+    class Deaf final : public slice::DirectCallback {
+        void newEntityMsg(slice::Head, transport::ByteRange, const Ice::Current&) override {}
+        void newEntityMsgDataSeq(slice::Head, transport::ByteRange, const Ice::Current&) override {}
+        void newHeartbeat(double, const Ice::Current&) override {}
+    };
+    Ice::CommunicatorHolder communicator_;
+    std::shared_ptr<slice::DirectGatePrx> gate_;
+    std::shared_ptr<slice::DirectCallbackPrx> callback_;
+};
+
+TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
+    startManager(true, false);
+    RawClient raw(server_->clientAddress(Lane::Data));
+    const auto granted = takeRaw(raw);
+    ASSERT_FALSE(granted.direct_endpoint().empty());
+    ASSERT_NE(granted.direct_endpoint(), granted.direct_signal_endpoint());
+    const auto key = granted.lease().key();
+    const LeaseNumber lease{static_cast<std::int32_t>(granted.lease().epoch()), static_cast<std::int32_t>(granted.lease().number())};
+
+    Stranger knocks(granted.direct_endpoint());
+    const auto right = [&] {
+        knocks.claim.lane = Lane::Data;
+        knocks.claim.lease = lease;
+        knocks.claim.client = Id128::parse(raw.facts.me.id).value();
+        knocks.claim.path = Id128::random(random_);
+    };
+    right();
+    EXPECT_EQ(knocks.open(key), RefusalCode::WrongState) << "without a challenge";
+    knocks.challenge();
+    EXPECT_EQ(knocks.open(Id128::random(random_).bytes()), RefusalCode::PermissionDenied);
+    EXPECT_EQ(knocks.open(key), RefusalCode::WrongState) << "a nonce is for one try";
+    knocks.challenge();
+    ++knocks.claim.lease.number;
+    EXPECT_EQ(knocks.open(key), RefusalCode::PermissionDenied);
+    right();
+    knocks.challenge();
+    knocks.claim.client = Id128::uuid(random_);
+    EXPECT_EQ(knocks.open(key), RefusalCode::PermissionDenied);
+    right();
+    knocks.challenge();
+    knocks.claim.lane = Lane::Signal;
+    EXPECT_EQ(knocks.open(key), RefusalCode::Malformed) << "the other port is for that";
+    right();
+    knocks.challenge();
+    knocks.claim.path = Id128{};
+    EXPECT_EQ(knocks.open(key), RefusalCode::Malformed);
+    {
+        Stranger signals(granted.direct_signal_endpoint());
+        signals.claim = knocks.claim;
+        signals.claim.lane = Lane::Signal;
+        signals.claim.path = Id128::random(random_);
+        signals.challenge();
+        EXPECT_EQ(signals.open(key), RefusalCode::WrongState) << "a signal lane alone";
+    }
+    EXPECT_FALSE(manager_->direct());
+
+    right();
+    knocks.challenge();
+    ASSERT_EQ(knocks.open(key), RefusalCode::Ok);
+    EXPECT_TRUE(direct::proves({reinterpret_cast<const char*>(knocks.opened.proof.data()), knocks.opened.proof.size()}, knocks.claim,
+                               direct::Prover::EntityManager, key));
+    // Half a path is none: what goes by it waits for ever.
+    EXPECT_FALSE(manager_->direct());
+    // A session is its connection's alone.
+    Stranger thief(granted.direct_endpoint());
+    const auto stolen = Ice::uncheckedCast<slice::DirectSessionPrx>(knocks.opened.session->ice_connectionId("thief"));
+    EXPECT_THROW(stolen->sendToEntity({}, transport::toRange("x")), Ice::Exception);
+
+    // After the end of the lease the key opens nothing.
+    proto::ToEntity body;
+    body.mutable_release();
+    auto head = raw.headTo(manager_->uuid(), 2);
+    head.msg_type = kMsgRelease;
+    head.held = lease;
+    const auto bytes = body.SerializeAsString();
+    raw.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
+    ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::IDLE; }));
+    Stranger late(granted.direct_endpoint());
+    late.claim = knocks.claim;
+    late.challenge();
+    EXPECT_EQ(late.open(key), RefusalCode::PermissionDenied);
+}
+
+}  // namespace
+}  // namespace axon
