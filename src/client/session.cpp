@@ -27,6 +27,12 @@ constexpr Duration kLastBackoff = 2s;
 /// No thread sleeps longer than this; a time far away is a wait_until that may overflow.
 constexpr Duration kLongestSleep = 1h;
 constexpr std::size_t kChunkBytes = 64 * 1024;
+/// Larger messages gain nothing by a common system call. With the overhead that admission counts.
+constexpr std::size_t kTogetherBytes = 4 * 1024 + kMessageOverhead;
+/// Messages that follow each other sooner than this are a burst: sending one takes 10 to 20 us.
+constexpr Duration kFast = 100us;
+/// About thirty small messages.
+constexpr std::size_t kLeftToSender = 32 * 1024;
 constexpr std::size_t kMessageBytesMax = (transport::kMessageSizeMaxKib - 64) * 1024ULL;
 constexpr Duration kReleaseTime = 1s;
 /// A drill that has not come back by then never arrived.
@@ -81,9 +87,10 @@ auto Client::Session::withCore(Use&& use, Sends sends) {
             const bool wake_heartbeat = heartbeat < session.heartbeat_at_;
             if (wake_timer) session.timer_at_ = deadline;
             if (wake_heartbeat) session.heartbeat_at_ = heartbeat;
+            const bool here = last != before && sends == Sends::Here && !session.leavesToSender();
             lock.unlock();
             if (last != before) {
-                if (sends == Sends::Here) {
+                if (here) {
                     session.flush(last);
                 } else {
                     session.sender_.wake();
@@ -102,6 +109,7 @@ void Client::Session::onCore(std::uint64_t attempt, Use&& use) {
     withCore(
         [&](SessionCore& core) {
             if (attempt == listening_) use(core);
+            sent_at_ = {};
         },
         Sends::Sender);
 }
@@ -157,30 +165,31 @@ Answer Client::Session::ask(Ask&& ask) {
 }
 
 /// Up to the message `ticket`; one thread at a time, so the order of the core is the order on the wire.
+/// Who sends fast, without waiting for answers, leaves little messages to the sender's thread, which writes those together
+/// that came while it wrote. When that one does not keep up, the caller writes them all.
+bool Client::Session::leavesToSender() {
+    const auto now = clock_.now();
+    const bool fast = now - std::exchange(sent_at_, now) < kFast;
+    return fast && outgoing_.waiting().bytes < kLeftToSender;
+}
+
 void Client::Session::flush(std::uint64_t ticket) {
     const std::lock_guard sending(send_mutex_);
-    while (auto item = outgoing_.take(ticket)) {
+    std::optional<ServerConnection::Part> part;
+    for (auto item = outgoing_.take(ticket); item;) {
+        auto next = outgoing_.take(ticket);
         auto& message = item->message;
-        if (const auto connection = connection_.load()) {
-            switch (message.kind) {
-                case Kind::ToEntity:
-                    connection->sendToEntity(message.head, std::move(message.bytes));
-                    break;
-                case Kind::ToEntityDataSeq:
-                    connection->sendToEntityDataSeq(message.head, std::move(message.bytes));
-                    break;
-                case Kind::Request:
-                    connection->sendRequest(message.head, std::move(message.bytes));
-                    break;
-                case Kind::Reset:
-                    connection->sendResetSignal(message.head);
-                    break;
-                case Kind::Clear:
-                    connection->sendClearSignal(message.head);
-                    break;
-            }
+        const auto connection = connection_.load();
+        const bool joins = item->bytes <= kTogetherBytes && message.kind != Kind::Reset && message.kind != Kind::Clear;
+        if (part && (!joins || part->of() != connection.get())) part.reset();
+        if (connection && joins && (part || next)) {
+            if (!part) part.emplace(connection);
+            part->add(message.kind, message.head, std::move(message.bytes));
+        } else if (connection) {
+            connection->send(message.kind, message.head, std::move(message.bytes));
         }
         outgoing_.sent(item->bytes);
+        item = std::move(next);
     }
 }
 

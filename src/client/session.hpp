@@ -205,7 +205,7 @@ class Client::Session final : public SessionObserver,
         std::mutex mutex_;
         std::unique_ptr<transport::TimerThread> thread_;  // guarded by mutex_
     };
-    enum class Kind : std::uint8_t { ToEntity, ToEntityDataSeq, Request, Reset, Clear };
+    using Kind = ServerConnection::Operation;
     struct Outgoing {
         Kind kind;
         Header head;
@@ -231,6 +231,7 @@ class Client::Session final : public SessionObserver,
 
     void put(Kind kind, const Header& head, std::string bytes);
     void flush(std::uint64_t ticket);
+    bool leavesToSender();
     Result<void> establish();
     void lost(std::uint64_t attempt, const std::string& reason);
     void acknowledgedByDatagram(const radio::StopRepeater::Acknowledged& acknowledged);
@@ -257,6 +258,7 @@ class Client::Session final : public SessionObserver,
     std::uint64_t attempt_ = 0;
     bool up_ = false;
     std::optional<std::pair<std::int64_t, bool>> beat_;
+    TimePoint sent_at_{};  // the last message, if none came from the servers since
     TimePoint timer_at_ = TimePoint::max(), heartbeat_at_ = TimePoint::max();
     std::unordered_map<std::string, std::weak_ptr<Task::Shared>> tasks_;
     std::unordered_map<std::string, std::weak_ptr<Run::Shared>> runs_;

@@ -63,6 +63,11 @@ class TcpGate {
         wake();
     }
     void open() { cut_ = false; }
+    /// Reads nothing, so that whoever sends meets full buffers, until it is told to go on.
+    void hold(bool held) {
+        held_ = held;
+        wake();
+    }
 
   private:
     void wake() const {
@@ -113,7 +118,8 @@ class TcpGate {
     void run() {
         while (!ending_) {
             std::vector<pollfd> watched{{wake_, POLLIN, 0}, {listening_, POLLIN, 0}};
-            for (const auto& [fd, other] : peers_) watched.push_back({fd, POLLIN, 0});
+            if (!held_)
+                for (const auto& [fd, other] : peers_) watched.push_back({fd, POLLIN, 0});
             if (::poll(watched.data(), watched.size(), -1) <= 0) continue;
             if (watched[0].revents != 0) {
                 std::uint64_t count = 0;
@@ -134,7 +140,7 @@ class TcpGate {
     std::string host_;
     sockaddr_in target_{};
     int listening_ = -1, wake_ = -1;
-    std::atomic<bool> cut_{false}, ending_{false};
+    std::atomic<bool> cut_{false}, held_{false}, ending_{false};
     std::map<int, int> peers_;  // confined to relay_
     std::thread relay_;
 };
