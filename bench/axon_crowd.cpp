@@ -72,8 +72,7 @@ Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_
     const auto start = [&](std::size_t first, std::size_t count, const std::function<void()>& prepare) {
         if (count == 0) return;
         children_.push_back(std::make_unique<Child>(
-            std::vector<std::string>{(programs() / "axon-bench").string(), "crowd", (folder / (prefix + ".board")).string(), std::to_string(n),
-                                     std::to_string(first), std::to_string(count), server, prefix},
+            ourselves("crowd", {(folder / (prefix + ".board")).string(), std::to_string(n), std::to_string(first), std::to_string(count), server, prefix}),
             folder / (prefix + "-" + std::to_string(first) + ".log"), std::vector<std::string>{}, prepare));
     };
     const auto wired = radio ? firstWireless(n) : n;

@@ -215,17 +215,10 @@ int run(const Wish& wish) {
     std::printf("LAN and WLAN: average latency as the thesis printed it (a server of four cores at 2.66 GHz, real networks).\n"
                 "The others: this machine, %s.\n", radio ? "half of the entities behind a channel that loses 2.2 % of the packets and takes 2 ms" : "all over loopback");
     Chapter5 chapter(wish, report, radio.get());
-    try {
-        chapter.run();
-    } catch (const std::exception&) {
-        if (!interrupted) throw;
-    }
-    progress("");
-    report.finish();
-    if (interrupted) std::printf("INTERRUPTED: this is a part.\n");
-    if (!chapter.sound()) std::printf("SOMETHING OF AXON'S WAS LOST, DISCONNECTED OR CORRUPT.\n");
+    carryOut([&] { chapter.run(); });
+    const int status = conclude(report, chapter.sound() ? "" : "SOMETHING OF AXON'S WAS LOST, DISCONNECTED OR CORRUPT.");
     if (!wish.plot.empty()) drawChapter5(report.all(), wish.plot);
-    return interrupted || !chapter.sound() ? 1 : 0;
+    return status;
 }
 
 }  // namespace

@@ -137,6 +137,12 @@ std::string findProgram(const std::string& name) {
 
 fs::path programs() { return fs::canonical("/proc/self/exe").parent_path(); }
 
+std::vector<std::string> ourselves(const std::string& process, const std::vector<std::string>& arguments) {
+    std::vector<std::string> command{(programs() / "axon-bench").string(), process};
+    command.insert(command.end(), arguments.begin(), arguments.end());
+    return command;
+}
+
 std::uint16_t freePort() {
     const int fd = ::socket(AF_INET, SOCK_STREAM, 0);
     sockaddr_in address{};

@@ -53,6 +53,8 @@ std::string whichHasEnded(std::initializer_list<std::pair<const char*, const Chi
 std::string field(const std::string& ready_line, const std::string& key);
 /// The program's path, or empty when no package has brought it.
 std::string findProgram(const std::string& name);
+/// The command that starts this program once more, as one of declareProcesses() (experiment.hpp).
+std::vector<std::string> ourselves(const std::string& process, const std::vector<std::string>& arguments = {});
 /// The folder of this program, where Axon's others lie too.
 std::filesystem::path programs();
 /// A TCP port of 127.0.0.1 that is free now.

@@ -4,7 +4,7 @@
 #include <functional>
 
 /// One file for each experiment. It declares its subcommand, with examples, and gives what runs it and returns the exit
-/// status: 0 done, 1 something of Axon's was lost or corrupt, or it was interrupted.
+/// status as conclude() gives it: 0 done, 1 something of Axon's was lost, corrupt, disconnected or has ended, or it was interrupted.
 namespace axon::bench {
 
 struct Experiment {

@@ -126,16 +126,8 @@ int run(const Wish& wish) {
     Report report(wish.json, "growth", {{"entities", wish.entities}, {"clients", wish.clients}, {"seconds", wish.seconds}});
     reportPeers(report, {});
     Growth growth(wish, report);
-    try {
-        growth.run();
-    } catch (const std::exception&) {
-        if (!interrupted) throw;
-    }
-    progress("");
-    report.finish();
-    if (interrupted) std::printf("INTERRUPTED: this is a part.\n");
-    if (!growth.sound()) std::printf("SOMETHING OF AXON'S WAS DISCONNECTED OR HAS ENDED.\n");
-    return interrupted || !growth.sound() ? 1 : 0;
+    carryOut([&] { growth.run(); });
+    return conclude(report, growth.sound() ? "" : "SOMETHING OF AXON'S WAS DISCONNECTED OR HAS ENDED.");
 }
 
 }  // namespace

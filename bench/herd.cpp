@@ -106,8 +106,7 @@ int runHerd(const std::string& board_file, std::size_t clients, const std::strin
 
 Herd::Herd(const std::filesystem::path& folder, std::size_t clients, const AxonServer& server, const std::string& prefix, std::size_t entities)
     : board_((folder / "herd.board").string(), clients, true),
-      child_({(programs() / "axon-bench").string(), "herd", (folder / "herd.board").string(), std::to_string(clients), server.clientAddress(),
-              prefix, std::to_string(entities), "1"},
+      child_(ourselves("herd", {(folder / "herd.board").string(), std::to_string(clients), server.clientAddress(), prefix, std::to_string(entities), "1"}),
              folder / "herd.log") {
     child_.waitUntil([this] { return board_.ready() >= board_.size(); }, "the standard clients did not start", std::chrono::seconds{300});
 }

@@ -142,8 +142,7 @@ class MosquittoSubject final : public Subject {
     MosquittoSubject(const std::filesystem::path& folder, std::size_t n, int qos)
         : board_((folder / "board").string(), n, true),
           broker_(folder, false),
-          receivers_({(programs() / "axon-bench").string(), "mosquitto-receivers", (folder / "board").string(), std::to_string(n),
-                      std::to_string(broker_.port()), std::to_string(qos), "0"},
+          receivers_(ourselves("mosquitto-receivers", {(folder / "board").string(), std::to_string(n), std::to_string(broker_.port()), std::to_string(qos), "0"}),
                      folder / "receivers.log") {
         receivers_.waitUntil([this] { return board_.ready() >= board_.size(); }, "mosquitto's receivers did not start",
                              std::chrono::seconds{60});

@@ -67,9 +67,7 @@ class NatsSubject final : public Subject {
           port_(freePort()),
           server_({findProgram("nats-server"), "-a", "127.0.0.1", "-p", std::to_string(port_)}, folder / "nats.log") {
         server_.waitUntil([this] { return tcp::listens(port_); }, "nats-server did not start", std::chrono::seconds{10});
-        receivers_ = std::make_unique<Child>(std::vector<std::string>{(programs() / "axon-bench").string(), "nats-receivers",
-                                                                      (folder / "board").string(), std::to_string(n), std::to_string(port_)},
-                                             folder / "receivers.log");
+        receivers_ = std::make_unique<Child>(ourselves("nats-receivers", {(folder / "board").string(), std::to_string(n), std::to_string(port_)}), folder / "receivers.log");
         receivers_->waitUntil([this] { return board_.ready() >= board_.size(); }, "the receivers of NATS did not start",
                               std::chrono::seconds{60});
         sender_ = std::make_unique<tcp::Connection>(port_);

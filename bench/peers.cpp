@@ -288,11 +288,7 @@ int run(const Wish& wish) {
 
     Comparison comparison(wish, report);
     bool sound = true;
-    try {
-        comparison.run();
-    } catch (const std::exception&) {
-        if (!interrupted) throw;
-    }
+    carryOut([&] { comparison.run(); });
     if (wants_pairs && !interrupted) {
         try {
             const auto its = pairs(wish.pair_rounds, report.all().at("versions").contains("cyclonedds"));
@@ -323,11 +319,11 @@ int run(const Wish& wish) {
     report.set("corrupt_or_misplaced", comparison.bad());
     report.set("corrupt", comparison.corrupt());
     report.set("ended", comparison.ended());
-    report.finish();
-    std::printf("Below 1 Axon is faster. %s%s\n", axon_bad == 0 ? "Every byte of what Axon brought was as it was sent." : "SOME CONTENT ARRIVED CORRUPT OR OUT OF ORDER.",
-                interrupted ? " INTERRUPTED: this is a part." : "");
+    std::printf("Below 1 Axon is faster. %s\n", axon_bad == 0 ? "Every byte of what Axon brought was as it was sent." : "SOME CONTENT ARRIVED CORRUPT OR OUT OF ORDER.");
+    if (axon_bad > 0 || comparison.axonLost() > 0 || comparison.axonEnded()) sound = false;
+    const int status = conclude(report, sound ? "" : "SOMETHING OF AXON'S WAS LOST OR CORRUPT, OR HAS ENDED.");
     if (!wish.plot.empty()) drawPeers(report.all(), wish.plot);
-    return axon_bad > 0 || comparison.axonLost() > 0 || comparison.axonEnded() || !sound || interrupted ? 1 : 0;
+    return status;
 }
 
 }  // namespace

@@ -128,11 +128,9 @@ class Router {
 class RawSubject final : public Subject {
   public:
     RawSubject(const std::filesystem::path& folder, std::size_t n)
-        : board_((folder / "board").string(), n, true), router_({(programs() / "axon-bench").string(), "raw-router"}, folder / "router.log") {
+        : board_((folder / "board").string(), n, true), router_(ourselves("raw-router"), folder / "router.log") {
         const auto port = field(router_.waitForLine("ready "), "port");
-        receivers_ = std::make_unique<Child>(
-            std::vector<std::string>{(programs() / "axon-bench").string(), "raw-receivers", (folder / "board").string(), std::to_string(n), port},
-            folder / "receivers.log");
+        receivers_ = std::make_unique<Child>(ourselves("raw-receivers", {(folder / "board").string(), std::to_string(n), port}), folder / "receivers.log");
         receivers_->waitUntil([this] { return board_.ready() >= board_.size(); }, "the receivers of the raw router did not start",
                               std::chrono::seconds{60});
         sender_ = std::make_unique<tcp::Connection>(static_cast<std::uint16_t>(std::stoi(port)));

@@ -172,6 +172,22 @@ void Report::write() const {
     if (!out || failed) throw std::runtime_error("cannot write " + file_ + "; mend: --json with a file in a folder that you may write to");
 }
 
+void carryOut(const std::function<void()>& work) {
+    try {
+        work();
+    } catch (const std::exception&) {
+        if (!interrupted) throw;
+    }
+    progress("");
+}
+
+int conclude(Report& report, const std::string& wrong) {
+    report.finish();
+    if (interrupted) std::printf("INTERRUPTED: this is a part.\n");
+    if (!wrong.empty()) std::printf("%s\n", wrong.c_str());
+    return interrupted || !wrong.empty() ? 1 : 0;
+}
+
 void progress(const std::string& text) {
     static const bool terminal = ::isatty(STDERR_FILENO) == 1;
     if (terminal) std::fprintf(stderr, "\r\033[K%s", text.c_str());

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <cstdint>
+#include <functional>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -58,6 +59,12 @@ class Report {
     std::string file_;
     nlohmann::json all_;
 };
+
+/// An experiment's work. What fails because it was interrupted is no failure.
+void carryOut(const std::function<void()>& work);
+/// The end of every experiment: finishes the report, prints what was wrong of Axon's (empty: nothing) and whether this is a part
+/// only, and gives the exit status.
+int conclude(Report& report, const std::string& wrong);
 
 /// One line on a terminal that the next one replaces; nothing where standard error is none. An empty text clears it.
 void progress(const std::string& text);

@@ -42,7 +42,7 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
     const auto service = serviceOf(entities, levels);
     reportPeers(results, {});
     Series single, batch, dispatched, steps, last;
-    int failed = 0;
+    std::size_t failed = 0;
     const auto waitForTasks = [&](const std::vector<std::uint32_t>& before, std::size_t of) {
         const auto give_up = nowNs() + 5'000'000'000LL;
         for (std::size_t i = 0; i < of; ++i)
@@ -135,10 +135,8 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
     results.set("ratios", ratios);
     for (const auto& [what, its] : {std::pair{"single", &one}, {"batch", &many}, {"dispatch", &order}, {"step", &step}, {"level", &level}})
         results.add({{"what", what}, {"ms", *its}});
-    results.finish();
     const auto lost = single.lost() + batch.lost();
-    if (lost > 0) std::printf("%zu TASKS NEVER ARRIVED.\n", lost);
-    return failed > 0 || lost > 0 || interrupted ? 1 : 0;
+    return conclude(results, failed + lost == 0 ? "" : std::to_string(failed) + " RUNS FAILED, " + std::to_string(lost) + " TASKS NEVER ARRIVED.");
 }
 
 }  // namespace

@@ -76,8 +76,7 @@ class AxonScene final : public Scene {
           stalled_(folder, "stalled", stalled, server_.entityAddress()),
           target_("axon", axonOf(server_, folder, "target", 1)),
           stream_((folder / "stream.board").string(), 1, true),
-          streamer_({(programs() / "axon-bench").string(), "axon-stream", (folder / "stream.board").string(), server_.clientAddress(),
-                     std::to_string(readers), std::to_string(stalled)},
+          streamer_(ourselves("axon-stream", {(folder / "stream.board").string(), server_.clientAddress(), std::to_string(readers), std::to_string(stalled)}),
                     folder / "stream.log") {
         streamer_.waitUntil([this] { return stream_.ready() > 0; }, "the sender of data did not start", std::chrono::seconds{60});
     }
@@ -104,8 +103,7 @@ class MosquittoTarget final : public Subject {
     MosquittoTarget(const fs::path& folder, const MosquittoBroker& broker, std::size_t topic)
         : topic_(topic),
           board_((folder / "target.board").string(), 1, true),
-          receiver_({(programs() / "axon-bench").string(), "mosquitto-receivers", (folder / "target.board").string(), "1", std::to_string(broker.port()),
-                     "0", std::to_string(topic)},
+          receiver_(ourselves("mosquitto-receivers", {(folder / "target.board").string(), "1", std::to_string(broker.port()), "0", std::to_string(topic)}),
                     folder / "target.log") {
         receiver_.waitUntil([this] { return board_.ready() > 0; }, "mosquitto's receiver did not start", std::chrono::seconds{60});
         sender_ = std::make_unique<MosquittoSender>(broker.port(), 0);
@@ -134,8 +132,7 @@ class MosquittoScene final : public Scene {
           stalled_process_(receivers(folder, "stalled", stalled, readers)),
           target_("mosquitto-qos0", std::make_unique<MosquittoTarget>(folder, broker_, readers + stalled)),
           stream_((folder / "stream.board").string(), 1, true),
-          streamer_({(programs() / "axon-bench").string(), "mosquitto-stream", (folder / "stream.board").string(), std::to_string(broker_.port()),
-                     std::to_string(readers + stalled)},
+          streamer_(ourselves("mosquitto-stream", {(folder / "stream.board").string(), std::to_string(broker_.port()), std::to_string(readers + stalled)}),
                     folder / "stream.log") {
         streamer_.waitUntil([this] { return stream_.ready() > 0 && readers_.ready() >= readers_.size() && stalled_.ready() >= stalled_.size(); },
                             "mosquitto's clients did not start", std::chrono::seconds{60});
@@ -151,9 +148,7 @@ class MosquittoScene final : public Scene {
 
   private:
     Child receivers(const fs::path& folder, const std::string& name, std::size_t n, std::size_t first) {
-        return {{(programs() / "axon-bench").string(), "mosquitto-receivers", (folder / (name + ".board")).string(), std::to_string(n),
-                 std::to_string(broker_.port()), "0", std::to_string(first)},
-                folder / (name + ".log")};
+        return {ourselves("mosquitto-receivers", {(folder / (name + ".board")).string(), std::to_string(n), std::to_string(broker_.port()), "0", std::to_string(first)}), folder / (name + ".log")};
     }
 
     MosquittoBroker broker_;
@@ -210,7 +205,7 @@ int run(const Wish& wish) {
     systems.emplace_back("axon", Measured{});
     if (mosquitto) systems.emplace_back("mosquitto-qos0", Measured{});
     reportPeers(report, {"mosquitto-qos0"});
-    try {
+    carryOut([&] {
         // A scene of its own for each round: those that are halted were there when it began. One at a time, the systems in turns.
         for (int round = 0; round < wish.rounds && !interrupted; ++round)
             for (std::size_t k = 0; k < systems.size() && !interrupted; ++k) {
@@ -225,10 +220,7 @@ int run(const Wish& wish) {
                 }
                 measure(*scene, wish, round, its);
             }
-    } catch (const std::exception&) {
-        if (!interrupted) throw;
-    }
-    progress("");
+    });
     std::printf("A stop each 50 ms to one entity, while %zu others take data as fast as they can and %zu more have stopped reading; ms from when it was due.\n",
                 readers, stalled);
     std::printf("%-15s %-7s %7s %9s %9s %9s %9s %6s %9s %6s\n", "", "", "n", "mean", "p50", "p99", "max", "lost", "MB/s", "gaps");
@@ -255,10 +247,7 @@ int run(const Wish& wish) {
         if (name == "axon") sound = its.corrupt == 0 && its.ended.empty() && idle["lost"] == 0 && loaded["lost"] == 0;
         report.add(std::move(row));
     }
-    report.finish();
-    if (interrupted) std::printf("INTERRUPTED: this is a part.\n");
-    if (!sound) std::printf("SOMETHING OF AXON'S WAS LOST OR CORRUPT.\n");
-    return sound && !interrupted ? 0 : 1;
+    return conclude(report, sound ? "" : "SOMETHING OF AXON'S WAS LOST OR CORRUPT.");
 }
 
 }  // namespace

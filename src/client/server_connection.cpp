@@ -107,23 +107,27 @@ class CallbackServant final : public slice::ClientCallback {
     const Lane lane_;
 };
 
-enum Operation : int { kToEntity, kToEntityDataSeq, kRequest };
+using Operation = ServerConnection::Operation;
 
-void call(slice::ClientSessionPrx& session, int operation, const Header& head, std::string_view bytes,
+Traffic trafficOf(Operation operation) { return operation == Operation::ToEntityDataSeq ? Traffic::Data : Traffic::Control; }
+
+void call(slice::ClientSessionPrx& session, Operation operation, const Header& head, std::string_view bytes,
           SendCallbacks&& callbacks) {
     auto answered = std::move(callbacks.answered);
     auto failed = std::move(callbacks.failed);
     auto sent = std::move(callbacks.sent);
     switch (operation) {
-        case kToEntity:
+        case Operation::ToEntity:
             session.sendToEntityAsync(toIce(head), toRange(bytes), answered, failed, sent);
             break;
-        case kToEntityDataSeq:
+        case Operation::ToEntityDataSeq:
             session.sendToEntityDataSeqAsync(toIce(head), toRange(bytes), answered, failed, sent);
             break;
-        default:
+        case Operation::Request:
             session.sendRequestAsync(toIce(head), toRange(bytes), answered, failed, sent);
             break;
+        case Operation::Reset:
+        case Operation::Clear: break;  // of the other lane: send()
     }
 }
 
@@ -196,6 +200,7 @@ ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, trans
     lane.callback = opened.callback;
     lane.session = opened.session;
     lane.oneway = lane.session->ice_oneway()->ice_invocationTimeout(-1);
+    lane.batch = lane.session->ice_batchOneway()->ice_invocationTimeout(-1);
     lane.paced = lane.session->ice_invocationTimeout(-1);
     lane.outbox = std::make_shared<transport::Outbox>(
         limits,
@@ -243,22 +248,20 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
     return std::shared_ptr<const ServerConnection>(std::move(connection));
 }
 
-void ServerConnection::send(const LaneEnd& lane, Traffic traffic, const Header& head, std::string bytes,
-                            int operation) const {
-    const auto way = [ oneway = lane.oneway, paced = lane.paced ](const SendCallbacks& callbacks) -> auto& {
+void ServerConnection::send(Operation operation, const Header& head, std::string bytes) const {
+    if (operation == Operation::Reset) return sendResetSignal(head);
+    if (operation == Operation::Clear) return sendClearSignal(head);
+    const auto way = [ oneway = data_.oneway, paced = data_.paced ](const SendCallbacks& callbacks) -> auto& {
         return callbacks.answered ? *paced : *oneway;
     };
+    const auto size = bytes.size() + kHeaderBytes;
     // The copy for the queue is made only when the message has to wait.
-    lane.outbox->post(
-        traffic, bytes.size() + kHeaderBytes,
-        [&](SendCallbacks&& callbacks) {
-            call(way(callbacks), operation, head, bytes, std::move(callbacks));
-        },
+    data_.outbox->post(
+        trafficOf(operation), size,
+        [&](SendCallbacks&& callbacks) { call(way(callbacks), operation, head, bytes, std::move(callbacks)); },
         [&] {
-            const auto size = bytes.size() + kHeaderBytes;
             backlog_->add(size);
-            std::shared_ptr<void> waits(nullptr,
-                                        [backlog = backlog_, size](void*) { backlog->remove(size); });
+            std::shared_ptr<void> waits(nullptr, [backlog = backlog_, size](void*) { backlog->remove(size); });
             return transport::Outbox::Parcel([way, operation, head, owned = std::move(bytes),
                                               waits = std::move(waits)](SendCallbacks&& callbacks) {
                 call(way(callbacks), operation, head, owned, std::move(callbacks));
@@ -266,16 +269,35 @@ void ServerConnection::send(const LaneEnd& lane, Traffic traffic, const Header& 
         });
 }
 
-void ServerConnection::sendToEntity(const Header& head, std::string bytes) const {
-    send(data_, Traffic::Control, head, std::move(bytes), kToEntity);
+void ServerConnection::Part::add(Operation operation, const Header& head, std::string bytes) {
+    const auto& lane = connection_->data_;
+    // What has to wait may be taken out of the queue at any moment, and must not overtake what was added before it.
+    if (connection_->routed_ || !lane.outbox->sendsAtOnce()) {
+        write();
+        return connection_->send(operation, head, std::move(bytes));
+    }
+    lane.outbox->post(
+        trafficOf(operation), bytes.size() + kHeaderBytes,
+        [&](SendCallbacks&& callbacks) {
+            call(*lane.batch, operation, head, bytes, {});
+            added_.push_back(std::move(callbacks));
+        },
+        [] { return transport::Outbox::Parcel(); });
 }
 
-void ServerConnection::sendToEntityDataSeq(const Header& head, std::string bytes) const {
-    send(data_, Traffic::Data, head, std::move(bytes), kToEntityDataSeq);
-}
-
-void ServerConnection::sendRequest(const Header& head, std::string bytes) const {
-    send(data_, Traffic::Control, head, std::move(bytes), kRequest);
+void ServerConnection::Part::write() {
+    if (added_.empty()) return;
+    const auto added = std::make_shared<const std::vector<SendCallbacks>>(std::exchange(added_, {}));
+    const auto fail = [added](const std::exception_ptr& error) {
+        for (const auto& message : *added) message.failed(error);
+    };
+    try {
+        connection_->data_.batch->ice_flushBatchRequestsAsync(fail, [added](bool at_once) {
+            for (const auto& message : *added) message.sent(at_once);
+        });
+    } catch (const std::exception&) {  // the connection or the communicator is gone
+        fail(std::current_exception());
+    }
 }
 
 void ServerConnection::sendStopSignal(Lane lane, const Header& head, StopCause cause) const {

@@ -74,14 +74,32 @@ class ServerConnection {
     int entities() const { return entities_; }
     std::uint64_t attempt() const { return attempt_; }
 
-    void sendToEntity(const Header& head, std::string bytes) const;
-    void sendToEntityDataSeq(const Header& head, std::string bytes) const;
-    void sendRequest(const Header& head, std::string bytes) const;
+    /// Reset and Clear travel on the signal lane, all else on the data lane.
+    enum class Operation : std::uint8_t { ToEntity, ToEntityDataSeq, Request, Reset, Clear };
+    void send(Operation operation, const Header& head, std::string bytes) const;
+
+    /// Small messages that go to the socket together: one system call for all of them here, and one turn of a thread
+    /// at the server. They are on their way when write() or the destructor returns. Only one part at a time, and what
+    /// else is sent to entities meanwhile waits for it (Session's send mutex).
+    class Part {
+      public:
+        explicit Part(std::shared_ptr<const ServerConnection> connection) : connection_(std::move(connection)) {}
+        ~Part() { write(); }
+        Part(const Part&) = delete;
+        Part& operator=(const Part&) = delete;
+        const ServerConnection* of() const { return connection_.get(); }
+        /// Of the data lane.
+        void add(Operation operation, const Header& head, std::string bytes);
+        void write();
+
+      private:
+        const std::shared_ptr<const ServerConnection> connection_;
+        std::vector<transport::SendCallbacks> added_;  // and not yet written
+    };
+
     void sendStopSignal(Lane lane, const Header& head, StopCause cause) const;
     void sendStopSignals(Lane lane, const Header& head, const std::vector<std::string>& entities,
                          StopCause cause) const;
-    void sendResetSignal(const Header& head) const;
-    void sendClearSignal(const Header& head) const;
     void keepAlive(std::int64_t sequence) const;
     /// Messages of the data lane that wait for the server to read, and their bytes.
     std::size_t waiting() const { return backlog_->messages(); }
@@ -100,6 +118,7 @@ class ServerConnection {
         std::shared_ptr<transport::DirectConnection> connection;        // to the server, or to the router
         std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> session;  // twoway
         std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> oneway;
+        std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> batch;  // oneway; Part writes them
         std::shared_ptr<Axon::FrontEndComm::ClientSessionPrx> paced;  // twoway, without a time limit
         std::shared_ptr<Axon::FrontEndComm::ClientCallbackPrx> callback;
         std::shared_ptr<transport::Outbox> outbox;
@@ -108,8 +127,8 @@ class ServerConnection {
     static LaneEnd openLane(const LaneHome& home, transport::OutboxLimits limits, const std::string& endpoint,
                             const std::string& token, const Login& login,
                             const std::shared_ptr<ConnectionEvents>& events);
-    void send(const LaneEnd& lane, transport::Traffic traffic, const Header& head, std::string bytes,
-              int operation) const;
+    void sendResetSignal(const Header& head) const;
+    void sendClearSignal(const Header& head) const;
 
     LaneEnd data_, signal_;
     // Shared with the messages that wait: each takes itself off, sent or dropped.

@@ -28,6 +28,12 @@ constexpr Duration kLastBackoff = 2s;
 /// No thread sleeps longer than this; a time far away is a wait_until that may overflow.
 constexpr Duration kLongestSleep = 1h;
 constexpr std::size_t kChunkBytes = 64 * 1024;
+/// Larger messages gain nothing by a common system call. With the overhead that admission counts.
+constexpr std::size_t kTogetherBytes = 4 * 1024 + kMessageOverhead;
+/// Messages that follow each other sooner than this are a burst: sending one takes 10 to 20 us.
+constexpr Duration kFast = 100us;
+/// About thirty small messages.
+constexpr std::size_t kLeftToSender = 32 * 1024;
 constexpr std::size_t kMessageBytesMax = (transport::kMessageSizeMaxKib - 64) * 1024ULL;
 constexpr Duration kReleaseTime = 1s;
 /// A drill that has not come back by then never arrived.
@@ -89,9 +95,10 @@ auto Client::Session::withCore(Use&& use, Sends sends) {
             const bool wake_heartbeat = heartbeat < session.heartbeat_at_;
             if (wake_timer) session.timer_at_ = deadline;
             if (wake_heartbeat) session.heartbeat_at_ = heartbeat;
+            const bool here = last != before && sends == Sends::Here && !session.leavesToSender();
             lock.unlock();
             if (last != before) {
-                if (sends == Sends::Here) {
+                if (here) {
                     session.flush(last);
                 } else {
                     session.sender_.wake();
@@ -110,6 +117,7 @@ void Client::Session::onCore(std::uint64_t attempt, Use&& use) {
     withCore(
         [&](SessionCore& core) {
             if (attempt == listening_) use(core);
+            sent_at_ = {};
         },
         Sends::Sender);
 }
@@ -183,17 +191,15 @@ void Client::Session::stopDirectly(const DirectLinks::Paths& paths, const Outgoi
 
 /// Whether it has gone by the direct path.
 bool Client::Session::sendDirect(Outgoing& message) {
-    if (!message.link) return false;
     auto& link = *message.link;
-    if (message.kind == Kind::Mark) {
+    if (message.path) {
         if (message.path->ended() || link.forget) return true;
-        if (const auto connection = connection_.load()) connection->sendToEntity(message.head, std::move(message.bytes));
+        if (const auto connection = connection_.load()) connection->send(message.kind, message.head, std::move(message.bytes));
         link.by = message.path;
         link.out.begin();
         by_path_.push_back(message.link);
         return true;
     }
-    if (!link.out.direct()) return false;
     if (link.by->ended()) {
         fallBack(link);
         return false;
@@ -206,7 +212,7 @@ bool Client::Session::sendDirect(Outgoing& message) {
             link.by->send(direct::Keeping::Droppable, message.head, std::make_shared<const std::string>(std::move(message.bytes)));
             return true;
         case Kind::ToEntity: break;
-        default: return false;
+        case Kind::Request: return false;
     }
     if (direct::alwaysRelayed(message.head.msg_type)) return false;
     const auto size = message.bytes.size() + kMessageOverhead;
@@ -230,7 +236,7 @@ void Client::Session::fallBack(DirectLink& link) {
     const auto left = link.out.end();
     const auto connection = connection_.load();
     if (link.forget || !connection) return;
-    for (const auto& kept : left) connection->sendToEntity(kept.message.head, *kept.message.message);
+    for (const auto& kept : left) connection->send(Kind::ToEntity, kept.message.head, *kept.message.message);
 }
 
 void Client::Session::fallBackFromEnded() {
@@ -239,34 +245,39 @@ void Client::Session::fallBackFromEnded() {
         if (link->by->ended()) fallBack(*link);
 }
 
+/// Who sends fast, without waiting for answers, leaves little messages to the sender's thread, which writes those together
+/// that came while it wrote. When that one does not keep up, the caller writes them all.
+bool Client::Session::leavesToSender() {
+    const auto now = clock_.now();
+    const bool fast = now - std::exchange(sent_at_, now) < kFast;
+    return fast && outgoing_.waiting().bytes < kLeftToSender;
+}
+
 /// Up to the message `ticket`; one thread at a time, so the order of the core is the order on the wire.
 void Client::Session::flush(std::uint64_t ticket) {
     const std::lock_guard sending(send_mutex_);
-    while (auto item = outgoing_.take(ticket)) {
+    std::optional<ServerConnection::Part> part;
+    for (auto item = outgoing_.take(ticket); item;) {
+        auto next = outgoing_.take(ticket);
         auto& message = item->message;
-        const bool gone = sendDirect(message);
-        if (const auto connection = connection_.load(); connection && !gone) {
-            switch (message.kind) {
-                case Kind::ToEntity:
-                    connection->sendToEntity(message.head, std::move(message.bytes));
-                    break;
-                case Kind::ToEntityDataSeq:
-                    connection->sendToEntityDataSeq(message.head, std::move(message.bytes));
-                    break;
-                case Kind::Request:
-                    connection->sendRequest(message.head, std::move(message.bytes));
-                    break;
-                case Kind::Reset:
-                    connection->sendResetSignal(message.head);
-                    break;
-                case Kind::Clear:
-                    connection->sendClearSignal(message.head);
-                    break;
-                case Kind::Mark:
-                    break;
-            }
+        const bool by_path = message.link && (message.path || message.link->out.direct());
+        if (by_path) part.reset();  // what it may send by the servers comes behind what was added
+        if (by_path && sendDirect(message)) {
+            outgoing_.sent(item->bytes);
+            item = std::move(next);
+            continue;
+        }
+        const auto connection = connection_.load();
+        const bool joins = item->bytes <= kTogetherBytes && message.kind != Kind::Reset && message.kind != Kind::Clear;
+        if (part && (!joins || part->of() != connection.get())) part.reset();
+        if (connection && joins && (part || next)) {
+            if (!part) part.emplace(connection);
+            part->add(message.kind, message.head, std::move(message.bytes));
+        } else if (connection) {
+            connection->send(message.kind, message.head, std::move(message.bytes));
         }
         outgoing_.sent(item->bytes);
+        item = std::move(next);
     }
 }
 
@@ -615,7 +626,7 @@ TimePoint Client::Session::directTurn() {
                 head.sent_at_us = toMicroseconds(clock_.now());
                 auto bytes = mark.SerializeAsString();
                 const auto size = bytes.size() + kMessageOverhead;
-                outgoing_.put({Kind::Mark, head, std::move(bytes), link, path}, size);
+                outgoing_.put({Kind::ToEntity, head, std::move(bytes), link, path}, size);
             }
         },
         Sends::Sender);
@@ -723,6 +734,7 @@ void Client::Session::newDirectMsg(const DirectPath& path, direct::Keeping keepi
     DirectLinks::Arrival arrival;
     withCore(
         [&](SessionCore& core) {
+            sent_at_ = {};  // as in onCore
             head.sender = core.self();
             arrival = direct_.arrived(path, keeping, head, message);
             if (arrival.pass) core.onEntityMsg(head, message, false);

@@ -219,14 +219,13 @@ class Client::Session final : public SessionObserver,
         std::mutex mutex_;
         std::unique_ptr<transport::TimerThread> thread_;  // guarded by mutex_
     };
-    /// Mark: the last on the relayed way, before `path` is taken.
-    enum class Kind : std::uint8_t { ToEntity, ToEntityDataSeq, Request, Reset, Clear, Mark };
+    using Kind = ServerConnection::Operation;
     struct Outgoing {
         Kind kind;
         Header head;
         std::string bytes;
         std::shared_ptr<DirectLink> link;  // of the entity, where it offers one
-        std::shared_ptr<DirectPath> path = {};
+        std::shared_ptr<DirectPath> path = {};  // of a mark: taken when it has been sent
     };
     struct OutgoingStop {
         Lane lane;
@@ -258,6 +257,7 @@ class Client::Session final : public SessionObserver,
     /// What is due of the direct paths; when next.
     TimePoint directTurn();
     static void close(const DirectLinks::Closing& closing, const std::string& why);
+    bool leavesToSender();
     Result<void> establish();
     void lost(std::uint64_t attempt, const std::string& reason);
     void acknowledgedByDatagram(const radio::StopRepeater::Acknowledged& acknowledged);
@@ -284,6 +284,7 @@ class Client::Session final : public SessionObserver,
     std::uint64_t attempt_ = 0;
     bool up_ = false;
     std::optional<std::pair<std::int64_t, bool>> beat_;
+    TimePoint sent_at_{};  // the last message, if none came from the servers since
     TimePoint timer_at_ = TimePoint::max(), heartbeat_at_ = TimePoint::max();
     std::unordered_map<std::string, std::weak_ptr<Task::Shared>> tasks_;
     std::unordered_map<std::string, std::weak_ptr<Run::Shared>> runs_;

@@ -684,6 +684,33 @@ class OwnershipTest : public ClientTest {
     }
 };
 
+/// Bursts are written together, large messages alone, and what meets a full socket waits: by turns.
+TEST_F(OwnershipTest, WhatWasAcceptedArrivesOnceWholeAndInOrderHoweverItIsWritten) {
+    const auto robots = robot();
+    TcpGate gate(server->clientAddress(Lane::Data));
+    const auto me = gated(gate);
+    const auto held = take(*me);
+    std::vector<std::string> accepted;
+    const auto next = [&] {
+        const auto number = accepted.size();
+        return std::to_string(number) + std::string(number % 7 == 0 ? 20'000 : number % 50, '.');
+    };
+    for (const int turn : {1, 2, 3}) {
+        gate.hold(true);
+        auto sent = held.sendText(next());
+        for (; sent.ok() && accepted.size() < 100'000; sent = held.sendText(next())) accepted.push_back(next());
+        EXPECT_EQ(sent.refusal().code, RefusalCode::Overloaded) << "turn " << turn;
+        gate.hold(false);
+        for (int burst = 0; burst < 500;)  // while the others are under way
+            if (held.sendText(next()).ok()) {
+                accepted.push_back(next());
+                ++burst;
+            }
+        EXPECT_TRUE(waitUntil([&] { return robots->texts().size() >= accepted.size(); }));
+    }
+    EXPECT_TRUE(robots->texts() == accepted) << accepted.size() << " accepted, " << robots->texts().size() << " arrived";
+}
+
 TEST_F(OwnershipTest, ALostConnectionIsResumedUnderTheSameLease) {
     const auto robots = robot();
     TcpGate gate(server->clientAddress(Lane::Data));

@@ -64,6 +64,8 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
         }
     }
 
+    /// Whether control and data would go to Ice at once. Stays true until somebody posts.
+    bool sendsAtOnce() const;
     void close();
     bool closed() const;
     OutboxCounts counts() const;

@@ -164,8 +164,10 @@ class OutboxCore {
         return counts;
     }
 
-  private:
+    /// Whether control and data need not wait.
     bool mayPass() const { return !pumping_ && queue_.empty() && unsent_bytes_ < limits_.window_bytes; }
+
+  private:
     Verdict launch(std::size_t bytes) {
         unsent_bytes_ += bytes;
         return Verdict::Send;

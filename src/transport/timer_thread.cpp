@@ -47,7 +47,7 @@ void TimerThread::run() {
         const auto due = tick_();
         std::unique_lock lock(mutex_);
         // The pause spares the processor, so it is one of the machine's time, whatever the clock counts.
-        changed_.wait_for(lock, pause_, [this] { return stopping_; });
+        if (pause_ > Duration{}) changed_.wait_for(lock, pause_, [this] { return stopping_; });
         waitUntil(changed_, lock, clock_, due, [this] { return woken_ || stopping_; });
         if (stopping_) return;
         woken_ = false;

@@ -323,7 +323,7 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
     const auto task = held.run("Drive");
     ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::BUSY; }));
-    for (const auto& gate : gates_) gate->stall();  // no end of a connection is told
+    for (const auto& gate : gates_) gate->hold(true);  // no end of a connection is told
     const auto begun = clock_.now();
     send(held, "client to robot");
     application_->text("robot to client");
@@ -335,7 +335,7 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
     EXPECT_EQ(seen_.stops, 0);
     EXPECT_EQ(task.report().state, client::TaskState::Running);
     // And back again.
-    for (const auto& gate : gates_) gate->open();
+    for (const auto& gate : gates_) gate->hold(false);
     EXPECT_TRUE(waitUntil([&] { return direct(held); }));
     EXPECT_EQ(seen_.count(), 1U);
 }

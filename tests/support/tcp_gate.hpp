@@ -62,13 +62,10 @@ class TcpGate {
         cut_ = true;
         wake();
     }
-    void open() {
-        cut_ = stalled_ = false;
-        wake();
-    }
-    /// Passes nothing on any more, and tells nobody, until open().
-    void stall() {
-        stalled_ = true;
+    void open() { cut_ = false; }
+    /// Reads nothing, so that whoever sends meets full buffers, until it is told to go on.
+    void hold(bool held) {
+        held_ = held;
         wake();
     }
     /// That it has passed on.
@@ -124,7 +121,7 @@ class TcpGate {
     void run() {
         while (!ending_) {
             std::vector<pollfd> watched{{wake_, POLLIN, 0}, {listening_, POLLIN, 0}};
-            if (!stalled_)
+            if (!held_)
                 for (const auto& [fd, other] : peers_) watched.push_back({fd, POLLIN, 0});
             if (::poll(watched.data(), watched.size(), -1) <= 0) continue;
             if (watched[0].revents != 0) {
@@ -146,7 +143,7 @@ class TcpGate {
     std::string host_;
     sockaddr_in target_{};
     int listening_ = -1, wake_ = -1;
-    std::atomic<bool> cut_{false}, stalled_{false}, ending_{false};
+    std::atomic<bool> cut_{false}, held_{false}, ending_{false};
     std::atomic<std::uint64_t> bytes_{0};
     std::map<int, int> peers_;  // confined to relay_
     std::thread relay_;
