@@ -55,12 +55,17 @@ TEST(Proof, HasTheBytesOfTheReference) {
     known.client = *Id128::parse("11111111-1111-4111-8111-111111111111");
     known.path = *Id128::parse("22222222-2222-4222-8222-222222222222");
     known.nonce = *Id128::parse("33333333-3333-4333-8333-333333333333");
-    std::string hex;
-    for (const unsigned char byte : proofOf(known, Prover::Client, kKey)) {
-        constexpr const char* kDigits = "0123456789abcdef";
-        hex += {kDigits[byte >> 4U], kDigits[byte & 15U]};
-    }
-    EXPECT_EQ(hex, "a4ff567b0d5d782815e30068ebbd49f018ac519502750feb17b71c1afea7d18d");
+    const auto hexOf = [&](Prover prover) {
+        std::string hex;
+        for (const unsigned char byte : proofOf(known, prover, kKey)) {
+            constexpr const char* kDigits = "0123456789abcdef";
+            hex += {kDigits[byte >> 4U], kDigits[byte & 15U]};
+        }
+        return hex;
+    };
+    EXPECT_EQ(hexOf(Prover::Client), "a4ff567b0d5d782815e30068ebbd49f018ac519502750feb17b71c1afea7d18d");
+    EXPECT_EQ(hexOf(Prover::EntityManager),
+              "bfd164931ce0130c02ac3b82bffa4dde74e22b99bc6f91996ed3e216582b504b");
 }
 
 }  // namespace
