@@ -139,6 +139,11 @@ TEST(CommandLine, ReadsAVerbWithGlobalOptionsAfterIt) {
     EXPECT_EQ(parsed.line->settings.server, "lab:4000");
 }
 
+TEST(CommandLine, TakesTheDirectPathUnlessItIsToldNotTo) {
+    EXPECT_TRUE(parse({"checkout", "A"}).line->settings.direct);
+    EXPECT_FALSE(parse({"checkout", "A", "--no-direct"}).line->settings.direct);
+}
+
 TEST(CommandLine, TakesAnOperandThatIsCalledLikeAVerb) {
     const auto parsed = parse({"run", "reset", "stop"});
     ASSERT_TRUE(parsed.line) << parsed.err;

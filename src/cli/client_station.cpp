@@ -85,6 +85,10 @@ class ClientStation final : public Station {
         const auto held = heldBy(entity);
         return held && held->orphaned();
     }
+    bool direct(const std::string& entity) const override {
+        const auto held = heldBy(entity);
+        return held && held->direct();
+    }
 
     Result<void> release(const std::string& entity) override {
         return with(entity, [](const CheckOut& held) { return held.release(); });
@@ -324,6 +328,7 @@ Result<std::shared_ptr<Station>> connectStation(const Settings& settings) {
     options.password = settings.password;
     options.display_name = settings.name;
     options.timeout = Seconds(settings.timeout_s);
+    options.direct = settings.direct;
     options.await_entities = settings.await_entities;
     auto connected = Client::connect(std::move(options));
     if (!connected) return connected.refusal();

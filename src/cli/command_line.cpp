@@ -314,6 +314,9 @@ Parsed parseCommandLine(std::vector<std::string> words,
         ->type_name("FILE");
     app.add_option("--name", line.settings.name, "What others see as the holder (user@host)")
         ->type_name("NAME");
+    bool no_direct = false;
+    app.add_flag("--no-direct", no_direct,
+                 "Everything by the servers, nothing straight to the Entity Managers");
     app.set_version_flag("--version", std::string("axon ") + AXON_VERSION);
     // A plain list of verbs, not each one's whole help.
     std::map<std::string, CLI::App*> groups;
@@ -360,6 +363,7 @@ Parsed parseCommandLine(std::vector<std::string> words,
         parsed.exit = kUsage;
         return parsed;
     }
+    line.settings.direct = !no_direct;
     const auto* sub = app.get_subcommands().front();
     while (!sub->get_subcommands().empty()) sub = sub->get_subcommands().front();
     line.verb = findVerb(nameOf(*sub));

@@ -168,6 +168,7 @@ class FakeStation : public Station {
         return {};
     }
     bool orphaned(const std::string&) const override { return !is_connected; }
+    bool direct(const std::string& id) const override { return id == direct_id; }
     Result<void> release(const std::string& id) override {
         const std::lock_guard lock(mutex_);
         held_.erase(std::remove(held_.begin(), held_.end(), id), held_.end());
@@ -371,7 +372,7 @@ class FakeStation : public Station {
     std::vector<Step> script;
     std::vector<std::pair<std::uint64_t, std::string>> samples;
     Refusal check_out_refusal;
-    std::string lost_id, says;
+    std::string lost_id, direct_id, says;
     std::string asks;  ///< who wants the arm
     std::vector<client::WatchdogMargin> watchdogs;
     bool waits_for_ever = false;

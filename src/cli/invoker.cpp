@@ -164,6 +164,7 @@ std::optional<Json> spawnAgent(const Settings& settings, const AgentPlace& place
     if (!settings.config.empty()) words.insert(words.end(), {"--config", settings.config});
     if (!settings.user.empty()) words.insert(words.end(), {"--user", settings.user});
     if (!settings.name.empty()) words.insert(words.end(), {"--name", settings.name});
+    if (!settings.direct) words.emplace_back("--no-direct");
     auto pointers = pointersTo(words);
     posix_spawn_file_actions_t actions;
     ::posix_spawn_file_actions_init(&actions);

@@ -81,7 +81,8 @@ struct Settings {
     std::map<std::string, std::string> properties;  ///< client::Options has them
     double timeout_s = 5;
     bool json = false;
-    bool await_entities = true;  ///< client::Options has it
+    bool direct = true;  ///< this and the next: client::Options has them
+    bool await_entities = true;
 };
 
 using Connect = std::function<Result<std::shared_ptr<Station>>(const Settings&)>;

@@ -98,6 +98,8 @@ class Station {
                                         const std::string& reason) = 0;
     /// Held, and waiting for the connection to come back.
     virtual bool orphaned(const std::string& entity) const = 0;
+    /// Held, and messages go straight to its Entity Manager.
+    virtual bool direct(const std::string& entity) const = 0;
 
     // Of a held entity; NOT_HOLDER otherwise.
     virtual Result<void> reset(const std::string& entity) = 0;

@@ -332,6 +332,12 @@ void PersonView::showEntity(const Json& event) {
     out_ << paint(call, Tint::Bold) << "  " << textOf(entity, "category") << ' ' << textOf(entity, "type")
          << "  " << paint(state, stateTint(state)) << "  " << (holder.empty() ? "free" : "held by " + holder)
          << '\n';
+    if (entity.value("yours", false))
+        out_ << "  "
+             << paint(entity.value("direct", false) ? "messages go straight to its Entity Manager"
+                                                    : "messages go by the servers",
+                      Tint::Dim)
+             << '\n';
     if (entity.value("latched", false)) {
         out_ << "  " << paint("stopped: refuses tasks until axon rearm " + shellWord(call), Tint::Yellow)
              << '\n';
@@ -681,6 +687,7 @@ void PersonView::showAgent(const Json& event) {
     for (const auto& entity : event.at("held"))
         say("  holds " + textOf(entity, "call") + "  " +
             paint(textOf(entity, "state"), stateTint(textOf(entity, "state"))) +
+            (entity.value("direct", false) ? paint("  direct", Tint::Dim) : "") +
             (entity.value("orphaned", false) ? paint("  until the connection is back", Tint::Yellow) : ""));
     for (const auto& entity : event.at("lost"))
         say(paint("  LOST " + textOf(entity, "name") + ": " + textOf(entity, "message"), Tint::Red));

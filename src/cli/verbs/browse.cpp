@@ -24,6 +24,7 @@ int ls(Session& session) {
     for (const auto& entity : all) {
         auto json = toJson(entity, isHeld(held, entity));
         json["call"] = callName(entity, all);
+        json["direct"] = session.station->direct(entity.id);
         list.push_back(std::move(json));
     }
     session.events.emit({{"event", "entities"},
@@ -41,6 +42,7 @@ int info(Session& session) {
     Json json{{"event", "entity"},
               {"entity", toJson(entity.value(), isHeld(session.station->held(), entity.value()))}};
     json["entity"]["call"] = callName(entity.value(), session.station->entities());
+    json["entity"]["direct"] = session.station->direct(entity->id);
     const auto details = session.station->details(entity->id);
     auto list = Json::array();
     auto margins = Json::array();

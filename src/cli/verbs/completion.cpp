@@ -183,8 +183,8 @@ class Completer {
     }
 
     static std::vector<std::string> options(const Verb* verb) {
-        std::vector<std::string> names{"--help",   "--json",    "--name", "--password-file",
-                                       "--server", "--timeout", "--user"};
+        std::vector<std::string> names{"--help",          "--json",   "--name",    "--no-direct",
+                                       "--password-file", "--server", "--timeout", "--user"};
         if (verb != nullptr) {
             for (const auto& option : verb->options)
                 names.insert(names.begin(), std::string("--") + option.name);

@@ -25,6 +25,7 @@ int agent(Session& session) {
         held.push_back(toJson(entity, true));
         held.back()["call"] = callOf(session, entity);
         held.back()["orphaned"] = session.station->orphaned(entity.id);
+        held.back()["direct"] = session.station->direct(entity.id);
     }
     for (const auto& one : session.station->lost()) {
         lost.push_back({{"id", one.entity.id},

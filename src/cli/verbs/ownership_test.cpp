@@ -180,6 +180,24 @@ TEST_F(Ownership, LsAndInfoShowWhatIsOwnedAndHowNearTheDeadMenAre) {
                 HasSubstr("dead-man client: stops after 250 ms, longest gap of the last minute 200 ms"));
 }
 
+TEST_F(Ownership, WhichWayMessagesGoIsShownOfWhatIsHeld) {
+    EXPECT_EQ(perform("info", {{"entity", "Cyton"}}), kDone);
+    EXPECT_THAT(shown(), Not(HasSubstr("messages go")));
+    ASSERT_EQ(perform("checkout", {{"entity", {"Cyton"}}}), kDone);
+    EXPECT_EQ(perform("info", {{"entity", "Cyton"}}), kDone);
+    EXPECT_EQ(seen.last("entity")->at("entity").at("direct"), false);
+    EXPECT_THAT(shown(), HasSubstr("messages go by the servers"));
+    station->direct_id = station->entities_[2].id;
+    EXPECT_EQ(perform("info", {{"entity", "Cyton"}}), kDone);
+    EXPECT_EQ(seen.last("entity")->at("entity").at("direct"), true);
+    EXPECT_THAT(shown(), HasSubstr("messages go straight to its Entity Manager"));
+    EXPECT_EQ(perform("ls", Json::object()), kDone);
+    for (const auto& entity : seen.last("entities")->at("entities"))
+        EXPECT_EQ(entity.at("direct"), entity.at("id") == station->direct_id);
+    EXPECT_EQ(perform("agent", {{"action", "status"}}), kDone);
+    EXPECT_THAT(shown(), HasSubstr("direct"));
+}
+
 TEST_F(Ownership, ADrillShowsADistribution) {
     EXPECT_EQ(perform("drill", {{"entity", {"Cyton"}}, {"count", 10}, {"every", 0.0}}), kDone);
     const auto* drill = seen.last("drill");

@@ -331,5 +331,8 @@ TEST(Completion, OffersWhatFitsTheWord) {
     EXPECT_EQ(offered({"axon", "checkout", "Cyton", "--hand-over", ""}), "ask\nyield\nrefuse");
     EXPECT_EQ(offered({"axon", "handover", "Cyton", ""}), "accept\nrefuse");
     EXPECT_EQ(offered({"axon", "ls", "--password-file", ""}), "__files__");
+    EXPECT_EQ(offered({"axon", "ls", "--no"}), "--no-direct");
+    EXPECT_EQ(offered({"axon", "--no-direct", "agent", "s"}), "status\nstop")
+        << "which takes no word of its own";
     EXPECT_EQ(offered({"axon", "nonsense", ""}), "");
 }
