@@ -4,7 +4,8 @@
 
     python3 tests/e2e/ownership_test.py --bin build/dev/bin [unittest options]
 
-One laboratory for all tests: a server with users, and two entities, `left` and `right`, of the hello-entity example.
+One laboratory for all tests: a server with users, and two entities, `left` and `right`, of the hello-entity example;
+`left` offers the direct path, `right` does not.
 Every person has an agent and a folder of their own. A test begins with both entities free and rearmed.
 """
 import json
@@ -83,20 +84,21 @@ class OwnershipTest(unittest.TestCase):
         users.write_text(USERS)
         users.chmod(0o600)
         lab.start_server(None, "--users", users)
-        config = lab.folder / "manager.cfg"
-        config.write_text(f"Axon.User=entities\nAxon.Password=entities-secret\nAxon.LeaseGrace={GRACE_S}\n")
-        config.chmod(0o600)
         low = 5600 + os.getpid() * 20 % 2300
-        cls.apps = {}
+        cls.apps, cls.ports, cls.managers = {}, {}, {}
         for number, name in enumerate(("left", "right")):
             folder = lab.folder / name
             shutil.copytree(ROOT / "examples" / "01_hello_entity", folder)
             basic = folder / "basic.xml"
             basic.write_text(basic.read_text().replace('name="Greeter"', f'name="{name}"'))
-            lab.ports = f"{low + 10 * number}-{low + 10 * number + 9}"
-            (folder / "ports.cfg").write_text(f"Axon.Ports = {lab.ports}\n")
+            cls.ports[name] = f"{low + 10 * number}-{low + 10 * number + 9}"
+            (folder / "ports.cfg").write_text(f"Axon.Ports = {cls.ports[name]}\n")
             cls.apps[name] = lab.start(f"app-{name}", "hello-entity", folder, folder / "ports.cfg")
-            lab.start_manager("", "--state", folder / "state", "--config", config)
+            config = folder / "manager.cfg"
+            config.write_text(f"Axon.User=entities\nAxon.Password=entities-secret\nAxon.LeaseGrace={GRACE_S}\n"
+                              f"Axon.Direct={'on' if name == 'left' else 'off'}\n")
+            config.chmod(0o600)
+            cls.start_manager(name)
         cls.boss, cls.guest = Person(lab, "boss"), Person(lab, "guest")
         cls.client1, cls.client2 = Person(lab, "client1"), Person(lab, "client2", with_file=True)
         cls.people = (cls.boss, cls.guest, cls.client1, cls.client2)
@@ -113,6 +115,12 @@ class OwnershipTest(unittest.TestCase):
             shutil.rmtree(cls.lab.folder, ignore_errors=True)
 
     failed = False
+
+    @classmethod
+    def start_manager(cls, name):
+        cls.lab.ports = cls.ports[name]
+        folder = cls.lab.folder / name
+        cls.managers[name] = cls.lab.start_manager("", "--state", folder / "state", "--config", folder / "manager.cfg")
 
     @classmethod
     def status(cls):
@@ -325,6 +333,50 @@ class OwnershipTest(unittest.TestCase):
         self.is_latched(self.client1, "left")
         self.does(self.client1, "rearm", "left")
         self.does(self.client1, "run", "left", "Wait", "Seconds=0.05")
+
+    # -- the direct path ----------------------------------------------------------------------------------------
+
+    def is_direct(self, person, name):
+        return [line["entity"]["direct"] for line in self.does(person, "info", name) if line["event"] == "entity"][-1]
+
+    def greets(self, person, name):
+        """A task with feedback goes well."""
+        lines = self.does(person, "run", name, "Greet", "Name=world", "Times=1")
+        self.assertIn("Hello, world!", [line.get("feedback") for line in lines])
+
+    def works_in_two_lives(self, name, direct):
+        """Task, feedback, kill -9 of its Entity Manager, and in its next life a stop: by the direct path or not."""
+        self.does(self.client1, "checkout", name)
+        for life in ("first", "second"):
+            if direct:
+                wait_until(lambda: self.is_direct(self.client1, name), "the direct path is taken")
+            self.greets(self.client1, name)
+            self.assertEqual(self.is_direct(self.client1, name), direct, f"in its {life} life")
+            self.client1.in_background("run", name, "Wait", "Seconds=100")
+            wait_until(lambda: self.status()[name]["state"] == "BUSY", f"{name} is busy")
+            before = self.stops(name)
+            if life == "first":
+                self.managers[name].kill()
+                wait_until(lambda: self.stops(name) > before, "its application stops by itself", 2)
+                wait_until(lambda: self.client1.agent().get("lost"), "the check-out is lost")
+                self.start_manager(name)
+                wait_until(lambda: self.status().get(name, {}).get("state") == "IDLE", "it is back")
+                self.does(self.client1, "checkout", name)
+                self.does(self.client1, "rearm", name)
+        self.does(self.client2, "stop", name)
+        self.does(self.client1, "stop", name)
+        self.assertEqual(self.stops(name), before + 2, "each once, whichever ways it took")
+
+    def test_work_and_stops_are_done_by_the_direct_path(self):
+        self.works_in_two_lives("left", self.lab.environment != "cluster")  # there routers lie between
+
+    def test_work_and_stops_are_done_where_no_direct_path_is_offered(self):
+        self.works_in_two_lives("right", False)
+
+    def test_who_does_not_want_the_direct_path_has_none(self):
+        self.does(self.client2, "checkout", "left", "--no-direct")
+        self.greets(self.client2, "left")
+        self.assertFalse(self.is_direct(self.client2, "left"))
 
     # -- drill --------------------------------------------------------------------------------------------------
 
