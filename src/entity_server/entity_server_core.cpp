@@ -63,6 +63,10 @@ class EntityServerCore::Session {
         return std::chrono::milliseconds{watchdog->busy() ? registration.heartbeat_busy_ms
                                                           : registration.heartbeat_idle_ms};
     }
+    /// The last time not after `latest` at which heartbeats of this period are sent: 16 in each period, the same for all
+    /// sessions, so that the timer wakes for many at once.
+    TimePoint beatBy(TimePoint latest) const { return latest - latest.time_since_epoch() % (period() / kBeatsApart); }
+    static constexpr int kBeatsApart = 16;
 };
 
 namespace {
@@ -248,7 +252,8 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
             registered_.emplace(session->entity, session);
             table_.put(session->entity, session);
             // Spread, so that many that joined together are not served all at once for ever.
-            session->next_heartbeat = now + session->period() * static_cast<int>(session->number % 16) / 16;
+            const auto turn = static_cast<int>(session->number % Session::kBeatsApart) + 1;
+            session->next_heartbeat = session->beatBy(now + session->period() * turn / Session::kBeatsApart);
         }
         schedule(session, std::min(session->next_heartbeat, now + session->period()));
     }
@@ -292,7 +297,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         if (became_busy) {
             // The EM's own watchdog is short from now on.
             heartbeat = ++session->heartbeats;
-            session->next_heartbeat = now + session->period();
+            session->next_heartbeat = session->beatBy(now + session->period());
             schedule(session, session->next_heartbeat);
         }
     }
@@ -643,7 +648,7 @@ TimePoint EntityServerCore::onTimer() {
             if (session->next_heartbeat <= now) {
                 heartbeats.emplace_back(session, ++session->heartbeats);
                 // Catching up after a pause would only send a burst.
-                session->next_heartbeat = std::max(session->next_heartbeat + session->period(), now);
+                session->next_heartbeat = session->beatBy(now + session->period());
             }
             schedule(session, std::min(std::max(session->next_heartbeat, now + std::chrono::milliseconds{1}),
                                        session->watchdog->deadline()));
