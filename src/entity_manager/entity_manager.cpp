@@ -19,7 +19,7 @@ constexpr int kEventsPerTurn = 128;  // then other strands of the executor get a
 
 EntityManager::EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock,
                              std::shared_ptr<ServerCommunicators> ice, bool plain_way)
-    : strand_(asio::make_strand(asio::any_io_executor(CallerFirst::over(std::move(executor))))),
+    : strand_(CallerFirst::over(std::move(executor))),
       name_(std::move(name)),
       clock_(clock),
       ice_(std::move(ice)),
@@ -350,8 +350,9 @@ void EntityManager::afterEvents() {
 void EntityManager::armTimer() {
     if (stopped_) return;
     const auto deadline = core_->nextDeadline();
-    if (deadline == timer_.due()) return;
-    if (deadline == TimePoint::max()) return timer_.cancel();
+    // What has become later is asked for again when the timer rings: each sign of life moves a watchdog, and setting a timer
+    // wakes the executor.
+    if (deadline >= timer_.due()) return;
     timer_.at(deadline, [weak = weak_from_this()] {
         const auto self = weak.lock();
         if (!self || self->stopped_) return;

@@ -11,6 +11,7 @@
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "entity_manager/back_end_interface.hpp"
+#include "entity_manager/caller_first.hpp"
 #include "entity_manager/datagram_desk.hpp"
 #include "entity_manager/direct_desk.hpp"
 #include "entity_manager/due_timer.hpp"
@@ -32,7 +33,7 @@ namespace axon::entity_manager {
 /// reference is dropped.
 class EntityManager final : public ServerEvents, public DirectEvents, private BackEndEvents, public std::enable_shared_from_this<EntityManager> {
   public:
-    using Strand = asio::strand<asio::any_io_executor>;
+    using Strand = asio::strand<CallerFirst>;
     /// The link to the robot application, and what begins it; a benchmark puts one in memory here.
     struct BackEnd {
         std::unique_ptr<BackEndPort> port;
