@@ -153,6 +153,11 @@ int runCrowd(const CrowdWish& wish) {
                 return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};
             },
             clock, member->random, member->storage, member->storage);
+        if (wish.direct) {
+            DirectSettings direct;
+            direct.offered = true;
+            member->manager->offerDirect(direct);
+        }
         member->manager->start();
         members.push_back(std::move(member));
         // Logging in costs the server; 32 at a time keeps every handshake within its time-out.

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <cstdio>
 #include <iostream>
+#include <limits>
 #include <map>
 #include <memory>
 #include <numeric>
@@ -43,6 +44,10 @@ struct Wish {
     std::string json, plot;
 };
 
+bool isAxon(const std::string& name) { return name == "axon" || name == "axon-direct" || name == "other"; }
+/// What the ratios of this row to the peers are called.
+const char* ratioOf(const std::string& axon) { return axon == "axon-direct" ? "ratio_direct" : "ratio"; }
+
 /// Axon / peer, batch by batch.
 std::vector<double> ratios(const std::vector<double>& ours, const std::vector<double>& theirs) {
     std::vector<double> all;
@@ -77,7 +82,7 @@ class Comparison {
     void run() {
         std::printf("Latency in ms from the start of a batch of one message to each of N; %s for each, in turns, %d to warm up.\n",
                     wish_.seconds > 0 ? "a while" : (std::to_string(wish_.batches) + " batches").c_str(), kWarmUp);
-        std::printf("%6s %-5s %-15s %9s %9s %9s %9s %9s %9s %6s   Axon / it: mean, last (10 to 90 %% of the batches)\n", "N", "what", "", "mean",
+        std::printf("%6s %-5s %-15s %9s %9s %9s %9s %9s %9s %6s   Axon / it: mean, last (10 to 90 %% of the batches); by direct paths\n", "N", "what", "", "mean",
                     "p50", "p99", "p99.9", "max", "last", "lost");
         for (const auto n : wish_.sizes) {
             if (interrupted) return;
@@ -92,17 +97,18 @@ class Comparison {
                 corrupt_[one->name] += one->corrupt();
                 if (one->ended().empty()) continue;
                 ended_.push_back({{"system", one->name}, {"n", n}, {"reason", one->ended()}});
-                if (one->name == "axon" || one->name == "other") axon_ended_ = true;
+                if (isAxon(one->name)) axon_ended_ = true;
                 std::printf("%6zu %s: %s. What was sent to it from then on is lost.\n", n, one->name.c_str(), one->ended().c_str());
             }
         }
     }
 
     /// {peer: {message: {"mean", "last", "n": {"mean": […], "last": […]}}}}: over which N. Null where one of them has no finite ratio.
-    nlohmann::json geometric() const {
+    nlohmann::json geometric(const std::string& axon) const {
         nlohmann::json all = nlohmann::json::object();
         for (const auto& [key, its] : ratios_) {
-            const auto& [peer, message, what] = key;
+            const auto& [of, peer, message, what] = key;
+            if (of != axon) continue;
             auto& to = all[peer][message];
             to["n"][what] = its.n;
             to[what] = its.never ? nlohmann::json() : nlohmann::json(std::exp(its.logs / static_cast<double>(its.n.size())));
@@ -151,21 +157,21 @@ class Comparison {
         }
         progress("");
         nlohmann::json row{{"n", n}, {"what", nameOf(message)}, {"bytes", bytes.size()}};
-        const auto& axon = *all.front();
         for (const auto& one : all) {
             auto its = one->series.json();
             std::printf("%6zu %-5s %-15s %s %s %s %s %s %s %6zu", n, nameOf(message), one->name.c_str(), figure(its, "mean").c_str(),
                         figure(its, "p50").c_str(), figure(its, "p99").c_str(), figure(its, "p99.9").c_str(), figure(its, "max").c_str(),
                         figure(its, "last").c_str(), one->series.lost());
-            if (one->name == "axon") {
-                axon_lost_ += one->series.lost();
-            } else {
-                for (const auto& [what, ours, theirs] : {std::tuple{"mean", &axon.series.means(), &one->series.means()},
-                                                         std::tuple{"last", &axon.series.lasts(), &one->series.lasts()}}) {
+            if (isAxon(one->name)) axon_lost_ += one->series.lost();
+            for (const auto& axon : all) {
+                if (!isAxon(axon->name) || (isAxon(one->name) && (axon != all.front() || one == axon))) continue;
+                if (axon != all.front()) std::printf("  |");
+                for (const auto& [what, ours, theirs] : {std::tuple{"mean", &axon->series.means(), &one->series.means()},
+                                                         std::tuple{"last", &axon->series.lasts(), &one->series.lasts()}}) {
                     const auto ratio = spread(ratios(*ours, *theirs));
-                    its["ratio"][what] = ratio;
+                    its[ratioOf(axon->name)][what] = ratio;
                     if (ours->empty() || theirs->empty()) continue;  // interrupted before
-                    auto& over = ratios_[{one->name, nameOf(message), what}];
+                    auto& over = ratios_[{axon->name, one->name, nameOf(message), what}];
                     if (ratio.contains("median") && ratio["median"].is_number() && ratio["median"] > 0) {
                         std::printf("   %.2f (%s to %s)", ratio["median"].get<double>(), figure(ratio, "p10", 0).c_str(), figure(ratio, "p90", 0).c_str());
                         over.logs += std::log(ratio["median"].get<double>());
@@ -192,7 +198,7 @@ class Comparison {
         std::vector<std::size_t> n;
         bool never = false;  ///< some had none
     };
-    std::map<std::tuple<std::string, std::string, std::string>, Over> ratios_;
+    std::map<std::tuple<std::string, std::string, std::string, std::string>, Over> ratios_;  // Axon's, peer, message, mean or last
     std::map<std::string, std::uint64_t> bad_, corrupt_;
     nlohmann::json ended_ = nlohmann::json::array();
     bool axon_ended_ = false;
@@ -201,20 +207,34 @@ class Comparison {
 };
 
 /// Round trips of one pair: CycloneDDS's ping and pong, and Axon's drill, which goes the whole way of a stop to the robot
-/// application and back, in turns.
+/// application and back, by the servers and by a direct path, in turns.
 struct Pairs {
     nlohmann::json figures;
-    std::size_t lost = 0;     ///< drills
+    bool lost = false;        ///< some drill
     std::string no_dds, bad;  ///< why CycloneDDS's are not there, or not all; what Axon refused
 };
+
+constexpr auto kNever = std::numeric_limits<double>::infinity();
+
+/// Their times in us, kNever of those that were lost; false when Axon refused.
+bool drillTimes(AxonCrowd& axon, int count, std::vector<double>& times, Pairs& out) {
+    const auto drill = axon.client().drill(axon.names(), count, client::Seconds{0});
+    if (!drill) {
+        if (interrupted) return false;
+        out.bad = drill.refusal().message;
+        times.insert(times.end(), static_cast<std::size_t>(count), kNever);
+        return false;
+    }
+    for (const auto& time : drill->front().callback) times.push_back(time ? time->count() * 1e6 : kNever);
+    return true;
+}
 
 Pairs pairs(int rounds, bool with_dds) {
     Pairs out;
     const WorkFolder work;
-    AxonCrowd axon(work.sub("axon-pair"), 1);
-    std::vector<double> drills;
+    AxonCrowd relayed(work.sub("axon-pair"), 1), direct(work.sub("axon-direct-pair"), 1, Way::Direct);
+    std::vector<double> drills, direct_drills;
     std::map<std::size_t, std::vector<DdsperfSecond>> dds;
-    auto& lost = out.lost;
     constexpr int kSeconds = 2, kDrills = 200;
     for (int round = 0; round < rounds && !interrupted; ++round) {
         progress("peers: round trips of a pair: round " + std::to_string(round + 1) + " of " + std::to_string(rounds));
@@ -227,29 +247,11 @@ Pairs pairs(int rounds, bool with_dds) {
                 out.no_dds = problem.what();
             }
         }
-        if (interrupted) break;
-        const auto drill = axon.client().drill(axon.names(), kDrills, client::Seconds{0});
-        if (!drill) {
-            if (interrupted) break;
-            out.bad = drill.refusal().message;
-            lost += kDrills;
-            break;
-        }
-        for (const auto& time : drill->front().callback) {
-            if (time) {
-                drills.push_back(time->count() * 1e6);
-            } else {
-                ++lost;
-            }
-        }
+        if (interrupted || !drillTimes(relayed, kDrills, drills, out) || !drillTimes(direct, kDrills, direct_drills, out)) break;
     }
     progress("");
     auto& all = out.figures;
-    std::sort(drills.begin(), drills.end());
-    const auto axon_p50 = quantile(drills, 0.5);
-    all["axon drill, there and back"] = {{"n", drills.size() + lost}, {"lost", lost}, {"p50_us", axon_p50}, {"p99_us", quantile(drills, 0.99)}};
-    std::printf("Round trip of one pair, us                 p50       p99   Axon / it\n%-36s %9.1f %9.1f\n", "Axon, a drill of the way of a stop", axon_p50,
-                quantile(drills, 0.99));
+    double to = 0;  // CycloneDDS's of 60 bytes
     for (const auto& [bytes, seconds] : dds) {
         std::vector<double> p50, p99;
         double busy = 0;
@@ -266,9 +268,22 @@ Pairs pairs(int rounds, bool with_dds) {
         const auto name = "CycloneDDS, " + std::to_string(bytes) + " bytes";
         // One round trip after the other: together they take the time that has passed, or these are not round trips.
         all[name] = {{"n", count}, {"p50_us", quantile(p50, 0.5)}, {"p99_us", quantile(p99, 0.5)}, {"seconds", seconds.size()}, {"busy_seconds", busy}};
-        if (bytes == kSmallBytes && !drills.empty()) all["axon / cyclonedds"] = axon_p50 / quantile(p50, 0.5);
-        std::printf("%-36s %9.1f %9.1f", name.c_str(), quantile(p50, 0.5), quantile(p99, 0.5));
-        if (bytes == kSmallBytes && !drills.empty()) std::printf("   %.2f", axon_p50 / quantile(p50, 0.5));
+        if (bytes == kSmallBytes) to = quantile(p50, 0.5);
+    }
+    for (const auto& [name, key, times] : {std::tuple{"axon drill, there and back", "axon / cyclonedds", &drills},
+                                           std::tuple{"axon drill, by the direct path", "axon direct / cyclonedds", &direct_drills}}) {
+        std::sort(times->begin(), times->end());
+        if (times->empty()) continue;  // interrupted before
+        const auto lost = std::count(times->begin(), times->end(), kNever);
+        all[name] = {{"n", times->size()}, {"lost", lost}, {"p50_us", quantile(*times, 0.5)}, {"p99_us", quantile(*times, 0.99)}};
+        if (lost > 0) out.lost = true;
+        if (to > 0) all[key] = quantile(*times, 0.5) / to;
+    }
+    std::printf("Round trip of one pair, us                 p50       p99   it / CycloneDDS, 60 bytes\n");
+    for (const auto& [name, its] : all.items()) {
+        if (!its.is_object()) continue;
+        std::printf("%-36s %9.1f %9.1f", name.c_str(), its["p50_us"].get<double>(), its["p99_us"].get<double>());
+        if (to > 0) std::printf("   %.2f", its["p50_us"].get<double>() / to);
         std::printf("\n");
     }
     return out;
@@ -295,8 +310,8 @@ int run(const Wish& wish) {
             report.set("pairs", its.figures);
             if (!its.no_dds.empty()) reportSkipped(report, "cyclonedds", "cyclonedds-tools", its.no_dds);
             if (!its.bad.empty()) std::cerr << "drills: " << its.bad << "\n";
-            if (its.lost > 0) std::printf("%zu DRILLS OF AXON'S WERE LOST.\n", its.lost);
-            if (its.lost > 0) sound = false;
+            if (its.lost) std::printf("DRILLS OF AXON'S WERE LOST.\n");
+            if (its.lost) sound = false;
         } catch (const std::exception& problem) {
             if (!interrupted) {
                 std::cerr << "round trips of a pair: " << problem.what() << "\n";
@@ -305,16 +320,18 @@ int run(const Wish& wish) {
         }
     }
     progress("");
-    const auto geometric = comparison.geometric();
-    report.set("geometric_mean_over_n", geometric);
-    for (const auto& [name, of] : geometric.items())
-        for (const auto& [what, its] : of.items())
-            std::printf("Axon / %-15s %-5s geometric mean over N: mean %s, last %s; of N in %s\n", name.c_str(), what.c_str(), figure(its, "mean", 5).c_str(),
-                        figure(its, "last", 5).c_str(), its["n"]["last"].dump().c_str());
+    for (const std::string axon : {"axon", "axon-direct"}) {
+        const auto geometric = comparison.geometric(axon);
+        report.set(axon == "axon" ? "geometric_mean_over_n" : "geometric_mean_over_n_direct", geometric);
+        for (const auto& [name, of] : geometric.items())
+            for (const auto& [what, its] : of.items())
+                std::printf("%-11s / %-15s %-5s geometric mean over N: mean %s, last %s; of N in %s\n", axon.c_str(), name.c_str(), what.c_str(),
+                            figure(its, "mean", 5).c_str(), figure(its, "last", 5).c_str(), its["n"]["last"].dump().c_str());
+    }
     std::uint64_t axon_bad = 0;
     for (const auto& [name, count] : comparison.bad()) {
         if (count > 0) std::printf("%s: %llu messages were corrupt, doubled, lost or out of order.\n", name.c_str(), static_cast<unsigned long long>(count));
-        if (name == "axon" || name == "other") axon_bad += count;
+        if (isAxon(name)) axon_bad += count;
     }
     report.set("corrupt_or_misplaced", comparison.bad());
     report.set("corrupt", comparison.corrupt());
