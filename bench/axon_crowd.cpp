@@ -102,6 +102,7 @@ std::unique_ptr<client::Client> connectClient(client::Options options) {
 std::unique_ptr<client::Client> connectClient(const std::string& server, Way way) {
     auto options = fs::exists(server) ? configured(server) : patient();
     options.direct = way == Way::Direct;
+    options.direct_paths = 4096;
     if (!fs::exists(server)) options.server = server;
     return connectClient(std::move(options));
 }

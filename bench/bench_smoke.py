@@ -85,12 +85,13 @@ class BenchSmoke(unittest.TestCase):
                     self.assertEqual(its["n"]["mean"] == [1, 4], its["mean"] is not None, its)
         self.assertEqual(set(result["corrupt"].values()), {0})
         self.assertEqual(result["corrupt_or_misplaced"]["axon"], 0)
-        for way, ratio in (("there and back", "axon / cyclonedds"), ("by the direct path", "axon direct / cyclonedds")):
-            drills = result["pairs"][f"axon drill, {way}"]
-            self.assertEqual(drills["n"], 200)
-            self.assertTrue(0 <= drills["lost"] <= 200)
-            if "cyclonedds" not in skipped and drills["lost"] < 100:
-                self.assertGreater(result["pairs"][ratio], 0)
+        for way in ("axon", "axon-direct"):
+            for what in ("text, 60 bytes", "text, 35000 bytes", "drill"):
+                trips = result["pairs"][f"{way} {what}"]
+                self.assertEqual(trips["n"], 500)
+                self.assertTrue(0 <= trips["lost"] <= 500)
+                if "cyclonedds" not in skipped and trips["lost"] < 250:
+                    self.assertGreater(trips["by_cyclonedds"], 0)
         if shutil.which("gnuplot"):
             self.assertEqual(picture.read_bytes()[:4], b"\x89PNG")
 

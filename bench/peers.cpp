@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <future>
 #include <iostream>
 #include <limits>
 #include <map>
@@ -206,36 +207,76 @@ class Comparison {
     std::size_t axon_lost_ = 0;
 };
 
-/// Round trips of one pair: CycloneDDS's ping and pong, and Axon's drill, which goes the whole way of a stop to the robot
-/// application and back, by the servers and by a direct path, in turns.
+/// Round trips of one pair: CycloneDDS's ping and pong, and of Axon, by the servers and by a direct path, a text that the robot
+/// application sends back, and a drill, which goes all ways of a stop to the application and back. In turns.
 struct Pairs {
     nlohmann::json figures;
-    bool lost = false;        ///< some drill
+    bool lost = false;        ///< something of Axon's
     std::string no_dds, bad;  ///< why CycloneDDS's are not there, or not all; what Axon refused
 };
 
 constexpr auto kNever = std::numeric_limits<double>::infinity();
 
-/// Their times in us, kNever of those that were lost; false when Axon refused.
-bool drillTimes(AxonCrowd& axon, int count, std::vector<double>& times, Pairs& out) {
+/// Times in us, kNever of those that were lost, are added; what Axon refused, empty if nothing.
+std::string drills(AxonCrowd& axon, int count, std::vector<double>& times) {
     const auto drill = axon.client().drill(axon.names(), count, client::Seconds{0});
     if (!drill) {
-        if (interrupted) return false;
-        out.bad = drill.refusal().message;
         times.insert(times.end(), static_cast<std::size_t>(count), kNever);
-        return false;
+        return drill.refusal().message;
     }
     for (const auto& time : drill->front().callback) times.push_back(time ? time->count() * 1e6 : kNever);
-    return true;
+    return {};
+}
+
+/// Likewise: a text of so many bytes there and back, one after the other, the next one sent by the callback of the one before, as
+/// ddsperf does.
+std::string texts(AxonCrowd& axon, std::size_t bytes, int count, std::vector<double>& times) {
+    struct Game {
+        client::CheckOut held;
+        std::string text;
+        int left;
+        std::int64_t sent = 0;
+        std::vector<double> times;
+        std::string bad;
+        std::promise<void> over;
+        void serve() {
+            sent = nowNs();
+            if (const auto done = held.sendText(text); !done) {
+                bad = done.refusal().message;
+                left = 0;
+                over.set_value();
+            }
+        }
+    };
+    const auto game = std::make_shared<Game>(Game{axon.held().front(), std::string(bytes, 'x'), count, 0, {}, {}, {}});
+    game->held.onText([game](const std::string& text) {
+        if (game->left == 0) return;
+        game->times.push_back(text == game->text ? static_cast<double>(nowNs() - game->sent) / 1e3 : kNever);
+        if (--game->left == 0) {
+            game->over.set_value();
+        } else {
+            game->serve();
+        }
+    });
+    auto over = game->over.get_future();
+    game->serve();
+    const bool done = over.wait_for(std::chrono::nanoseconds(kPatience_ns) + count * 10ms) == std::future_status::ready;
+    game->held.onText({});
+    if (!done) {
+        times.insert(times.end(), static_cast<std::size_t>(count), kNever);
+        return "a text did not come back";
+    }
+    times.insert(times.end(), game->times.begin(), game->times.end());
+    return game->bad;
 }
 
 Pairs pairs(int rounds, bool with_dds) {
     Pairs out;
     const WorkFolder work;
     AxonCrowd relayed(work.sub("axon-pair"), 1), direct(work.sub("axon-direct-pair"), 1, Way::Direct);
-    std::vector<double> drills, direct_drills;
     std::map<std::size_t, std::vector<DdsperfSecond>> dds;
-    constexpr int kSeconds = 2, kDrills = 200;
+    std::map<std::string, std::vector<double>> axon;
+    constexpr int kSeconds = 2, kTrips = 500, kWarm = 100;
     for (int round = 0; round < rounds && !interrupted; ++round) {
         progress("peers: round trips of a pair: round " + std::to_string(round + 1) + " of " + std::to_string(rounds));
         for (const auto bytes : {kSmallBytes, kDataBytes}) {
@@ -247,43 +288,56 @@ Pairs pairs(int rounds, bool with_dds) {
                 out.no_dds = problem.what();
             }
         }
-        if (interrupted || !drillTimes(relayed, kDrills, drills, out) || !drillTimes(direct, kDrills, direct_drills, out)) break;
+        for (const auto& [way, crowd] : {std::pair{"axon", &relayed}, std::pair{"axon-direct", &direct}}) {
+            if (interrupted || !out.bad.empty()) break;
+            std::vector<double> warm;
+            for (const auto bytes : {kSmallBytes, kDataBytes}) {
+                if (out.bad.empty()) out.bad = texts(*crowd, bytes, kWarm, warm);
+                if (out.bad.empty()) out.bad = texts(*crowd, bytes, kTrips, axon[std::string(way) + " text, " + std::to_string(bytes) + " bytes"]);
+            }
+            if (out.bad.empty()) out.bad = drills(*crowd, kWarm, warm);
+            if (out.bad.empty()) out.bad = drills(*crowd, kTrips, axon[std::string(way) + " drill"]);
+            if (std::count(warm.begin(), warm.end(), kNever) > 0) out.lost = true;
+        }
+        if (interrupted || !out.bad.empty()) break;
     }
+    if (interrupted) out.bad.clear();
     progress("");
     auto& all = out.figures;
-    double to = 0;  // CycloneDDS's of 60 bytes
+    const auto row = [&](const std::string& name, std::size_t n, double p50, double p99) -> nlohmann::json& {
+        return all[name] = {{"n", n}, {"p50_us", p50}, {"p99_us", p99}};
+    };
     for (const auto& [bytes, seconds] : dds) {
         std::vector<double> p50, p99;
         double busy = 0;
-        long count = 0;
+        std::size_t count = 0;
         for (const auto& second : seconds) {
             p50.push_back(2 * second.p50_us);  // what it prints are halves
             p99.push_back(2 * second.p99_us);
             busy += 2 * second.mean_us * static_cast<double>(second.count) / 1e6;
-            count += second.count;
+            count += static_cast<std::size_t>(second.count);
         }
         if (p50.empty()) continue;
         std::sort(p50.begin(), p50.end());
         std::sort(p99.begin(), p99.end());
-        const auto name = "CycloneDDS, " + std::to_string(bytes) + " bytes";
+        auto& its = row("cyclonedds, " + std::to_string(bytes) + " bytes", count, quantile(p50, 0.5), quantile(p99, 0.5));
         // One round trip after the other: together they take the time that has passed, or these are not round trips.
-        all[name] = {{"n", count}, {"p50_us", quantile(p50, 0.5)}, {"p99_us", quantile(p99, 0.5)}, {"seconds", seconds.size()}, {"busy_seconds", busy}};
-        if (bytes == kSmallBytes) to = quantile(p50, 0.5);
+        its["seconds"] = seconds.size();
+        its["busy_seconds"] = busy;
     }
-    for (const auto& [name, key, times] : {std::tuple{"axon drill, there and back", "axon / cyclonedds", &drills},
-                                           std::tuple{"axon drill, by the direct path", "axon direct / cyclonedds", &direct_drills}}) {
-        std::sort(times->begin(), times->end());
-        if (times->empty()) continue;  // interrupted before
-        const auto lost = std::count(times->begin(), times->end(), kNever);
-        all[name] = {{"n", times->size()}, {"lost", lost}, {"p50_us", quantile(*times, 0.5)}, {"p99_us", quantile(*times, 0.99)}};
-        if (lost > 0) out.lost = true;
-        if (to > 0) all[key] = quantile(*times, 0.5) / to;
+    const std::string to = "cyclonedds, " + std::to_string(kSmallBytes) + " bytes", to_data = "cyclonedds, " + std::to_string(kDataBytes) + " bytes";
+    for (auto& [name, times] : axon) {
+        std::sort(times.begin(), times.end());
+        auto& its = row(name, times.size(), quantile(times, 0.5), quantile(times, 0.99));
+        its["lost"] = std::count(times.begin(), times.end(), kNever);
+        if (its["lost"] > 0) out.lost = true;
+        const auto& beside = name.ends_with(std::to_string(kDataBytes) + " bytes") ? to_data : to;
+        if (all.contains(beside)) its["by_cyclonedds"] = its["p50_us"].get<double>() / all[beside]["p50_us"].get<double>();
     }
-    std::printf("Round trip of one pair, us                 p50       p99   it / CycloneDDS, 60 bytes\n");
+    std::printf("Round trip of one pair, us                 p50       p99   it / CycloneDDS, p50\n");
     for (const auto& [name, its] : all.items()) {
-        if (!its.is_object()) continue;
         std::printf("%-36s %9.1f %9.1f", name.c_str(), its["p50_us"].get<double>(), its["p99_us"].get<double>());
-        if (to > 0) std::printf("   %.2f", its["p50_us"].get<double>() / to);
+        if (its.contains("by_cyclonedds")) std::printf("   %.2f", its["by_cyclonedds"].get<double>());
         std::printf("\n");
     }
     return out;
@@ -309,9 +363,9 @@ int run(const Wish& wish) {
             const auto its = pairs(wish.pair_rounds, report.all().at("versions").contains("cyclonedds"));
             report.set("pairs", its.figures);
             if (!its.no_dds.empty()) reportSkipped(report, "cyclonedds", "cyclonedds-tools", its.no_dds);
-            if (!its.bad.empty()) std::cerr << "drills: " << its.bad << "\n";
-            if (its.lost) std::printf("DRILLS OF AXON'S WERE LOST.\n");
-            if (its.lost) sound = false;
+            if (!its.bad.empty()) std::cerr << "round trips of a pair: " << its.bad << "\n";
+            if (its.lost) std::printf("SOME ROUND TRIPS OF AXON'S WERE LOST.\n");
+            if (its.lost || !its.bad.empty()) sound = false;
         } catch (const std::exception& problem) {
             if (!interrupted) {
                 std::cerr << "round trips of a pair: " << problem.what() << "\n";
