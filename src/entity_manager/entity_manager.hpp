@@ -86,7 +86,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
 
     // DirectEvents, on Ice's threads.
     void directOpening(DirectOpening opening) override;
-    void directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) override;
+    bool directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) override;
     void directStop(Header head, StopCause cause) override;
     void directReset(Header head) override;
     void directClear(Header head) override;
@@ -106,6 +106,8 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
 
     /// To the robot, and into the inbox. The executor, whose lock everything takes, is woken after it.
     Inbox::Verdict passStop(Header head, StopCause cause);
+    /// Of all others.
+    Inbox::Verdict passSignal(Inbox::Signal kind, Inbox::Event event);
     /// On the strand, of one that came by the servers.
     void handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes);
     template <class Use>
@@ -124,8 +126,8 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     const std::string name_;
     const Clock& clock_;
     Inbox inbox_;
-    std::mutex stop_mutex_;  // of the two signal threads: stops reach robot and inbox in the order of their
-                             // generations
+    std::mutex signal_mutex_;  // of the threads that bring signals: stops reach robot and inbox in the order of their
+                               // generations, and a drill that has found a slot keeps it
     StopGate gate_;
     BackEnd back_end_;
     const std::shared_ptr<ServerCommunicators> ice_;
@@ -137,6 +139,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     DueTimer timer_;
     std::atomic<EntityState> state_{EntityState::UNAV};
     std::atomic<bool> direct_{false};
+    std::atomic<int> openings_{0};  // that wait for the strand
     std::atomic<bool> server_heard_{false};  // a heartbeat that the strand has not counted yet
     std::atomic<bool> leaving_{false};       // a control overflow on its way to the strand
     bool latched_ = false;
