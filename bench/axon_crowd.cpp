@@ -5,6 +5,7 @@
 #include <fstream>
 #include <functional>
 #include <stdexcept>
+#include <thread>
 
 namespace axon::bench {
 
@@ -67,12 +68,15 @@ AxonServer::AxonServer(const fs::path& folder, const Radio* radio)
     }
 }
 
-Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_t n, const std::string& server, const Radio* radio)
+Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_t n, const std::string& server, const Radio* radio,
+                   Way way)
     : board_((folder / (prefix + ".board")).string(), n, true) {
     const auto start = [&](std::size_t first, std::size_t count, const std::function<void()>& prepare) {
         if (count == 0) return;
+        std::vector<std::string> words{(folder / (prefix + ".board")).string(), std::to_string(n), std::to_string(first), std::to_string(count), server, prefix};
+        if (way == Way::Direct) words.emplace_back("--direct");
         children_.push_back(std::make_unique<Child>(
-            ourselves("crowd", {(folder / (prefix + ".board")).string(), std::to_string(n), std::to_string(first), std::to_string(count), server, prefix}),
+            ourselves("crowd", words),
             folder / (prefix + "-" + std::to_string(first) + ".log"), std::vector<std::string>{}, prepare));
     };
     const auto wired = radio ? firstWireless(n) : n;
@@ -95,8 +99,10 @@ std::unique_ptr<client::Client> connectClient(client::Options options) {
     return std::move(connected).value();
 }
 
-std::unique_ptr<client::Client> connectClient(const std::string& server) {
+std::unique_ptr<client::Client> connectClient(const std::string& server, Way way) {
     auto options = fs::exists(server) ? configured(server) : patient();
+    options.direct = way == Way::Direct;
+    options.direct_paths = 4096;
     if (!fs::exists(server)) options.server = server;
     return connectClient(std::move(options));
 }
@@ -109,11 +115,11 @@ std::vector<client::CheckOut> holdAll(client::Client& client, const std::vector<
     return std::move(held).value();
 }
 
-AxonCrowd::AxonCrowd(const fs::path& folder, std::size_t n, const Running* running, const Radio* radio) {
+AxonCrowd::AxonCrowd(const fs::path& folder, std::size_t n, Way way, const Running* running, const Radio* radio) {
     if (!running) server_ = std::make_unique<AxonServer>(folder, radio);
-    entities_ = std::make_unique<Entities>(folder, "bench", n, running ? running->entity_config : server_->entityAddress(), radio);
-    client_ = connectClient(running ? running->client_config : server_->clientAddress());
-    held_ = holdAll(*client_, names());
+    entities_ = std::make_unique<Entities>(folder, "bench", n, running ? running->entity_config : server_->entityAddress(), radio, way);
+    client_ = connectClient(running ? running->client_config : server_->clientAddress(), way);
+    hold(way);
 }
 
 std::string AxonCrowd::ended() const {
@@ -121,9 +127,21 @@ std::string AxonCrowd::ended() const {
     return server.empty() ? entities_->ended() : server;
 }
 
-AxonCrowd::AxonCrowd(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n)
-    : entities_(std::make_unique<Entities>(folder, prefix, n, server.entityAddress(), server.radio())),
-      client_(connectClient(server.clientAddress())),
-      held_(holdAll(*client_, names())) {}
+AxonCrowd::AxonCrowd(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n, Way way)
+    : entities_(std::make_unique<Entities>(folder, prefix, n, server.entityAddress(), server.radio(), way)),
+      client_(connectClient(server.clientAddress(), way)) {
+    hold(way);
+}
+
+void AxonCrowd::hold(Way way) {
+    held_ = holdAll(*client_, names());
+    if (way == Way::Relayed) return;
+    const auto end = std::chrono::steady_clock::now() + kJoinTime;
+    for (const auto& entity : held_)
+        while (!entity.direct()) {
+            if (std::chrono::steady_clock::now() > end) throw std::runtime_error("the direct path to an entity has not opened");
+            std::this_thread::sleep_for(1ms);
+        }
+}
 
 }  // namespace axon::bench

@@ -30,6 +30,9 @@ class AxonServer {
     std::string client_, entity_;
 };
 
+/// Which way messages take to what a client holds. Direct: the Entity Managers offer a direct path, and the client takes it.
+enum class Way : std::uint8_t { Relayed, Direct };
+
 /// Servers that run already: the configuration files of a client and of an Entity Manager, as axon-cluster writes them.
 struct Running {
     std::string client_config, entity_config;
@@ -41,7 +44,7 @@ class Entities {
   public:
     /// `server`: HOST:PORT, or the configuration file of an Entity Manager. Throws std::runtime_error with the log.
     Entities(const std::filesystem::path& folder, const std::string& prefix, std::size_t n, const std::string& server,
-             const Radio* radio = nullptr);
+             const Radio* radio = nullptr, Way way = Way::Relayed);
     Board& board() { return board_; }
     const std::vector<std::string>& names() const { return names_; }
     /// The first of those behind the radio link.
@@ -60,16 +63,16 @@ class Entities {
 /// Throws std::runtime_error with the refusal.
 std::unique_ptr<client::Client> connectClient(client::Options options);
 /// `server`: HOST:PORT, or the configuration file of a client.
-std::unique_ptr<client::Client> connectClient(const std::string& server);
+std::unique_ptr<client::Client> connectClient(const std::string& server, Way way = Way::Relayed);
 /// Waits until they are there, and checks them out. Throws std::runtime_error with the refusal.
 std::vector<client::CheckOut> holdAll(client::Client& client, const std::vector<std::string>& names);
 
-/// A server, unless one runs already, N entities, and a client that holds all of them.
+/// A server, unless one runs already, N entities, and a client that holds all of them; by direct paths only where each has opened.
 class AxonCrowd {
   public:
-    AxonCrowd(const std::filesystem::path& folder, std::size_t n, const Running* running = nullptr, const Radio* radio = nullptr);
+    AxonCrowd(const std::filesystem::path& folder, std::size_t n, Way way = Way::Relayed, const Running* running = nullptr, const Radio* radio = nullptr);
     /// Through this server, which outlives it, with entities of another name than others that it has.
-    AxonCrowd(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n);
+    AxonCrowd(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n, Way way = Way::Relayed);
     Board& board() { return entities_->board(); }
     client::Client& client() { return *client_; }
     const std::vector<std::string>& names() const { return entities_->names(); }
@@ -78,6 +81,7 @@ class AxonCrowd {
     std::string ended() const;
 
   private:
+    void hold(Way way);
     std::unique_ptr<AxonServer> server_;
     std::unique_ptr<Entities> entities_;
     std::unique_ptr<client::Client> client_;

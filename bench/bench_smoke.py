@@ -65,7 +65,7 @@ class BenchSmoke(unittest.TestCase):
         picture = self.folder / "peers.png"
         result = self.result("peers", "--entities", "1,4", "--batches", "3", "--pair-rounds", "1", "--plot", str(picture))
         skipped = {one["peer"] for one in result["skipped"]}
-        systems = {"axon", "raw", "mosquitto-qos0", "mosquitto-qos1", "nats"} - skipped
+        systems = {"axon", "axon-direct", "raw", "mosquitto-qos0", "mosquitto-qos1", "nats"} - skipped
         self.assertEqual([(row["n"], row["what"]) for row in result["results"]],
                          [(n, what) for n in (1, 4) for what in ("small", "data", "stop")])
         for row in result["results"]:
@@ -74,19 +74,24 @@ class BenchSmoke(unittest.TestCase):
                 self.complete(row[system], row["n"] * 3)
                 if system != "axon":
                     self.assertLessEqual(row[system]["ratio"]["mean"]["n"], 3)
+                if not system.startswith("axon"):
+                    self.assertLessEqual(row[system]["ratio_direct"]["mean"]["n"], 3)
             self.assertEqual(row["axon"]["lost"], 0)
-        for system in systems - {"axon"}:
-            of = result["geometric_mean_over_n"][system]
-            self.assertEqual(set(of), {"small", "data", "stop"})
-            for its in of.values():
-                self.assertEqual(its["n"]["mean"] == [1, 4], its["mean"] is not None, its)
+        for name, axon in (("geometric_mean_over_n", {"axon"}), ("geometric_mean_over_n_direct", {"axon", "axon-direct"})):
+            for system in systems - axon:
+                of = result[name][system]
+                self.assertEqual(set(of), {"small", "data", "stop"})
+                for its in of.values():
+                    self.assertEqual(its["n"]["mean"] == [1, 4], its["mean"] is not None, its)
         self.assertEqual(set(result["corrupt"].values()), {0})
         self.assertEqual(result["corrupt_or_misplaced"]["axon"], 0)
-        drills = result["pairs"]["axon drill, there and back"]
-        self.assertEqual(drills["n"], 200)
-        self.assertTrue(0 <= drills["lost"] <= 200)
-        if "cyclonedds" not in skipped and drills["lost"] < 200:
-            self.assertGreater(result["pairs"]["axon / cyclonedds"], 0)
+        for way in ("axon", "axon-direct"):
+            for what in ("text, 60 bytes", "text, 35000 bytes", "drill"):
+                trips = result["pairs"][f"{way} {what}"]
+                self.assertEqual(trips["n"], 500)
+                self.assertTrue(0 <= trips["lost"] <= 500)
+                if "cyclonedds" not in skipped and trips["lost"] < 250:
+                    self.assertGreater(trips["by_cyclonedds"], 0)
         if shutil.which("gnuplot"):
             self.assertEqual(picture.read_bytes()[:4], b"\x89PNG")
 

@@ -40,6 +40,7 @@ Child::Child(const std::vector<std::string>& words, const fs::path& log, const s
     std::vector<char*> arguments;
     for (const auto& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
     arguments.push_back(nullptr);
+    fs::remove(log);  // what an earlier one left there is nothing that this one said
     pid_ = ::fork();
     if (pid_ < 0) throw std::system_error(errno, std::generic_category(), "fork");
     if (pid_ == 0) {

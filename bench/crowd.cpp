@@ -63,6 +63,14 @@ class MemoryLink final : public BackEndPort {
             });
             return true;
         }
+        if (message.has_text()) {  // an echo, for round trips
+            asio::post(strand_, [this, text = message.text().text()] {
+                proto::EiToEm back;
+                back.mutable_text()->set_text(text);
+                sink_.onLinkMessage(back);
+            });
+            return true;
+        }
         if (!message.has_raw()) return true;
         const auto now = nowNs();  // before the content is checked, as with the others' receivers
         for (const auto& block : message.raw().data()) slot_.arrived(Kind::Data, now, block.data(), block.size());
@@ -153,6 +161,11 @@ int runCrowd(const CrowdWish& wish) {
                 return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};
             },
             clock, member->random, member->storage, member->storage);
+        if (wish.direct) {
+            DirectSettings direct;
+            direct.offered = true;
+            member->manager->offerDirect(direct);
+        }
         member->manager->start();
         members.push_back(std::move(member));
         // Logging in costs the server; 32 at a time keeps every handshake within its time-out.

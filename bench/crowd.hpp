@@ -11,6 +11,7 @@ struct CrowdWish {
     std::size_t first = 0, count = 0;  ///< of them, those of this process
     std::string server;            ///< HOST:PORT, or the configuration file of an Entity Manager
     std::string prefix;
+    bool direct = false;           ///< they offer a direct path
 };
 
 /// N Entity Managers (the library the daemon is made of, with real sessions over real sockets) in one process, each

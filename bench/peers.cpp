@@ -2,7 +2,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <future>
 #include <iostream>
+#include <limits>
 #include <map>
 #include <memory>
 #include <numeric>
@@ -43,6 +45,10 @@ struct Wish {
     std::string json, plot;
 };
 
+bool isAxon(const std::string& name) { return name == "axon" || name == "axon-direct" || name == "other"; }
+/// What the ratios of this row to the peers are called.
+const char* ratioOf(const std::string& axon) { return axon == "axon-direct" ? "ratio_direct" : "ratio"; }
+
 /// Axon / peer, batch by batch.
 std::vector<double> ratios(const std::vector<double>& ours, const std::vector<double>& theirs) {
     std::vector<double> all;
@@ -77,7 +83,7 @@ class Comparison {
     void run() {
         std::printf("Latency in ms from the start of a batch of one message to each of N; %s for each, in turns, %d to warm up.\n",
                     wish_.seconds > 0 ? "a while" : (std::to_string(wish_.batches) + " batches").c_str(), kWarmUp);
-        std::printf("%6s %-5s %-15s %9s %9s %9s %9s %9s %9s %6s   Axon / it: mean, last (10 to 90 %% of the batches)\n", "N", "what", "", "mean",
+        std::printf("%6s %-5s %-15s %9s %9s %9s %9s %9s %9s %6s   Axon / it: mean, last (10 to 90 %% of the batches); by direct paths\n", "N", "what", "", "mean",
                     "p50", "p99", "p99.9", "max", "last", "lost");
         for (const auto n : wish_.sizes) {
             if (interrupted) return;
@@ -92,17 +98,18 @@ class Comparison {
                 corrupt_[one->name] += one->corrupt();
                 if (one->ended().empty()) continue;
                 ended_.push_back({{"system", one->name}, {"n", n}, {"reason", one->ended()}});
-                if (one->name == "axon" || one->name == "other") axon_ended_ = true;
+                if (isAxon(one->name)) axon_ended_ = true;
                 std::printf("%6zu %s: %s. What was sent to it from then on is lost.\n", n, one->name.c_str(), one->ended().c_str());
             }
         }
     }
 
     /// {peer: {message: {"mean", "last", "n": {"mean": […], "last": […]}}}}: over which N. Null where one of them has no finite ratio.
-    nlohmann::json geometric() const {
+    nlohmann::json geometric(const std::string& axon) const {
         nlohmann::json all = nlohmann::json::object();
         for (const auto& [key, its] : ratios_) {
-            const auto& [peer, message, what] = key;
+            const auto& [of, peer, message, what] = key;
+            if (of != axon) continue;
             auto& to = all[peer][message];
             to["n"][what] = its.n;
             to[what] = its.never ? nlohmann::json() : nlohmann::json(std::exp(its.logs / static_cast<double>(its.n.size())));
@@ -151,21 +158,21 @@ class Comparison {
         }
         progress("");
         nlohmann::json row{{"n", n}, {"what", nameOf(message)}, {"bytes", bytes.size()}};
-        const auto& axon = *all.front();
         for (const auto& one : all) {
             auto its = one->series.json();
             std::printf("%6zu %-5s %-15s %s %s %s %s %s %s %6zu", n, nameOf(message), one->name.c_str(), figure(its, "mean").c_str(),
                         figure(its, "p50").c_str(), figure(its, "p99").c_str(), figure(its, "p99.9").c_str(), figure(its, "max").c_str(),
                         figure(its, "last").c_str(), one->series.lost());
-            if (one->name == "axon") {
-                axon_lost_ += one->series.lost();
-            } else {
-                for (const auto& [what, ours, theirs] : {std::tuple{"mean", &axon.series.means(), &one->series.means()},
-                                                         std::tuple{"last", &axon.series.lasts(), &one->series.lasts()}}) {
+            if (isAxon(one->name)) axon_lost_ += one->series.lost();
+            for (const auto& axon : all) {
+                if (!isAxon(axon->name) || (isAxon(one->name) && (axon != all.front() || one == axon))) continue;
+                if (axon != all.front()) std::printf("  |");
+                for (const auto& [what, ours, theirs] : {std::tuple{"mean", &axon->series.means(), &one->series.means()},
+                                                         std::tuple{"last", &axon->series.lasts(), &one->series.lasts()}}) {
                     const auto ratio = spread(ratios(*ours, *theirs));
-                    its["ratio"][what] = ratio;
+                    its[ratioOf(axon->name)][what] = ratio;
                     if (ours->empty() || theirs->empty()) continue;  // interrupted before
-                    auto& over = ratios_[{one->name, nameOf(message), what}];
+                    auto& over = ratios_[{axon->name, one->name, nameOf(message), what}];
                     if (ratio.contains("median") && ratio["median"].is_number() && ratio["median"] > 0) {
                         std::printf("   %.2f (%s to %s)", ratio["median"].get<double>(), figure(ratio, "p10", 0).c_str(), figure(ratio, "p90", 0).c_str());
                         over.logs += std::log(ratio["median"].get<double>());
@@ -192,7 +199,7 @@ class Comparison {
         std::vector<std::size_t> n;
         bool never = false;  ///< some had none
     };
-    std::map<std::tuple<std::string, std::string, std::string>, Over> ratios_;
+    std::map<std::tuple<std::string, std::string, std::string, std::string>, Over> ratios_;  // Axon's, peer, message, mean or last
     std::map<std::string, std::uint64_t> bad_, corrupt_;
     nlohmann::json ended_ = nlohmann::json::array();
     bool axon_ended_ = false;
@@ -200,22 +207,76 @@ class Comparison {
     std::size_t axon_lost_ = 0;
 };
 
-/// Round trips of one pair: CycloneDDS's ping and pong, and Axon's drill, which goes the whole way of a stop to the robot
-/// application and back, in turns.
+/// Round trips of one pair: CycloneDDS's ping and pong, and of Axon, by the servers and by a direct path, a text that the robot
+/// application sends back, and a drill, which goes all ways of a stop to the application and back. In turns.
 struct Pairs {
     nlohmann::json figures;
-    std::size_t lost = 0;     ///< drills
+    bool lost = false;        ///< something of Axon's
     std::string no_dds, bad;  ///< why CycloneDDS's are not there, or not all; what Axon refused
 };
+
+constexpr auto kNever = std::numeric_limits<double>::infinity();
+
+/// Times in us, kNever of those that were lost, are added; what Axon refused, empty if nothing.
+std::string drills(AxonCrowd& axon, int count, std::vector<double>& times) {
+    const auto drill = axon.client().drill(axon.names(), count, client::Seconds{0});
+    if (!drill) {
+        times.insert(times.end(), static_cast<std::size_t>(count), kNever);
+        return drill.refusal().message;
+    }
+    for (const auto& time : drill->front().callback) times.push_back(time ? time->count() * 1e6 : kNever);
+    return {};
+}
+
+/// Likewise: a text of so many bytes there and back, one after the other, the next one sent by the callback of the one before, as
+/// ddsperf does.
+std::string texts(AxonCrowd& axon, std::size_t bytes, int count, std::vector<double>& times) {
+    struct Game {
+        client::CheckOut held;
+        std::string text;
+        int left;
+        std::int64_t sent = 0;
+        std::vector<double> times;
+        std::string bad;
+        std::promise<void> over;
+        void serve() {
+            sent = nowNs();
+            if (const auto done = held.sendText(text); !done) {
+                bad = done.refusal().message;
+                left = 0;
+                over.set_value();
+            }
+        }
+    };
+    const auto game = std::make_shared<Game>(Game{axon.held().front(), std::string(bytes, 'x'), count, 0, {}, {}, {}});
+    game->held.onText([game](const std::string& text) {
+        if (game->left == 0) return;
+        game->times.push_back(text == game->text ? static_cast<double>(nowNs() - game->sent) / 1e3 : kNever);
+        if (--game->left == 0) {
+            game->over.set_value();
+        } else {
+            game->serve();
+        }
+    });
+    auto over = game->over.get_future();
+    game->serve();
+    const bool done = over.wait_for(std::chrono::nanoseconds(kPatience_ns) + count * 10ms) == std::future_status::ready;
+    game->held.onText({});
+    if (!done) {
+        times.insert(times.end(), static_cast<std::size_t>(count), kNever);
+        return "a text did not come back";
+    }
+    times.insert(times.end(), game->times.begin(), game->times.end());
+    return game->bad;
+}
 
 Pairs pairs(int rounds, bool with_dds) {
     Pairs out;
     const WorkFolder work;
-    AxonCrowd axon(work.sub("axon-pair"), 1);
-    std::vector<double> drills;
+    AxonCrowd relayed(work.sub("axon-pair"), 1), direct(work.sub("axon-direct-pair"), 1, Way::Direct);
     std::map<std::size_t, std::vector<DdsperfSecond>> dds;
-    auto& lost = out.lost;
-    constexpr int kSeconds = 2, kDrills = 200;
+    std::map<std::string, std::vector<double>> axon;
+    constexpr int kSeconds = 2, kTrips = 500, kWarm = 100;
     for (int round = 0; round < rounds && !interrupted; ++round) {
         progress("peers: round trips of a pair: round " + std::to_string(round + 1) + " of " + std::to_string(rounds));
         for (const auto bytes : {kSmallBytes, kDataBytes}) {
@@ -227,48 +288,56 @@ Pairs pairs(int rounds, bool with_dds) {
                 out.no_dds = problem.what();
             }
         }
-        if (interrupted) break;
-        const auto drill = axon.client().drill(axon.names(), kDrills, client::Seconds{0});
-        if (!drill) {
-            if (interrupted) break;
-            out.bad = drill.refusal().message;
-            lost += kDrills;
-            break;
-        }
-        for (const auto& time : drill->front().callback) {
-            if (time) {
-                drills.push_back(time->count() * 1e6);
-            } else {
-                ++lost;
+        for (const auto& [way, crowd] : {std::pair{"axon", &relayed}, std::pair{"axon-direct", &direct}}) {
+            if (interrupted || !out.bad.empty()) break;
+            std::vector<double> warm;
+            for (const auto bytes : {kSmallBytes, kDataBytes}) {
+                if (out.bad.empty()) out.bad = texts(*crowd, bytes, kWarm, warm);
+                if (out.bad.empty()) out.bad = texts(*crowd, bytes, kTrips, axon[std::string(way) + " text, " + std::to_string(bytes) + " bytes"]);
             }
+            if (out.bad.empty()) out.bad = drills(*crowd, kWarm, warm);
+            if (out.bad.empty()) out.bad = drills(*crowd, kTrips, axon[std::string(way) + " drill"]);
+            if (std::count(warm.begin(), warm.end(), kNever) > 0) out.lost = true;
         }
+        if (interrupted || !out.bad.empty()) break;
     }
+    if (interrupted) out.bad.clear();
     progress("");
     auto& all = out.figures;
-    std::sort(drills.begin(), drills.end());
-    const auto axon_p50 = quantile(drills, 0.5);
-    all["axon drill, there and back"] = {{"n", drills.size() + lost}, {"lost", lost}, {"p50_us", axon_p50}, {"p99_us", quantile(drills, 0.99)}};
-    std::printf("Round trip of one pair, us                 p50       p99   Axon / it\n%-36s %9.1f %9.1f\n", "Axon, a drill of the way of a stop", axon_p50,
-                quantile(drills, 0.99));
+    const auto row = [&](const std::string& name, std::size_t n, double p50, double p99) -> nlohmann::json& {
+        return all[name] = {{"n", n}, {"p50_us", p50}, {"p99_us", p99}};
+    };
     for (const auto& [bytes, seconds] : dds) {
         std::vector<double> p50, p99;
         double busy = 0;
-        long count = 0;
+        std::size_t count = 0;
         for (const auto& second : seconds) {
             p50.push_back(2 * second.p50_us);  // what it prints are halves
             p99.push_back(2 * second.p99_us);
             busy += 2 * second.mean_us * static_cast<double>(second.count) / 1e6;
-            count += second.count;
+            count += static_cast<std::size_t>(second.count);
         }
         if (p50.empty()) continue;
         std::sort(p50.begin(), p50.end());
         std::sort(p99.begin(), p99.end());
-        const auto name = "CycloneDDS, " + std::to_string(bytes) + " bytes";
+        auto& its = row("cyclonedds, " + std::to_string(bytes) + " bytes", count, quantile(p50, 0.5), quantile(p99, 0.5));
         // One round trip after the other: together they take the time that has passed, or these are not round trips.
-        all[name] = {{"n", count}, {"p50_us", quantile(p50, 0.5)}, {"p99_us", quantile(p99, 0.5)}, {"seconds", seconds.size()}, {"busy_seconds", busy}};
-        if (bytes == kSmallBytes && !drills.empty()) all["axon / cyclonedds"] = axon_p50 / quantile(p50, 0.5);
-        std::printf("%-36s %9.1f %9.1f", name.c_str(), quantile(p50, 0.5), quantile(p99, 0.5));
-        if (bytes == kSmallBytes && !drills.empty()) std::printf("   %.2f", axon_p50 / quantile(p50, 0.5));
+        its["seconds"] = seconds.size();
+        its["busy_seconds"] = busy;
+    }
+    const std::string to = "cyclonedds, " + std::to_string(kSmallBytes) + " bytes", to_data = "cyclonedds, " + std::to_string(kDataBytes) + " bytes";
+    for (auto& [name, times] : axon) {
+        std::sort(times.begin(), times.end());
+        auto& its = row(name, times.size(), quantile(times, 0.5), quantile(times, 0.99));
+        its["lost"] = std::count(times.begin(), times.end(), kNever);
+        if (its["lost"] > 0) out.lost = true;
+        const auto& beside = name.ends_with(std::to_string(kDataBytes) + " bytes") ? to_data : to;
+        if (all.contains(beside)) its["by_cyclonedds"] = its["p50_us"].get<double>() / all[beside]["p50_us"].get<double>();
+    }
+    std::printf("Round trip of one pair, us                 p50       p99   it / CycloneDDS, p50\n");
+    for (const auto& [name, its] : all.items()) {
+        std::printf("%-36s %9.1f %9.1f", name.c_str(), its["p50_us"].get<double>(), its["p99_us"].get<double>());
+        if (its.contains("by_cyclonedds")) std::printf("   %.2f", its["by_cyclonedds"].get<double>());
         std::printf("\n");
     }
     return out;
@@ -294,9 +363,9 @@ int run(const Wish& wish) {
             const auto its = pairs(wish.pair_rounds, report.all().at("versions").contains("cyclonedds"));
             report.set("pairs", its.figures);
             if (!its.no_dds.empty()) reportSkipped(report, "cyclonedds", "cyclonedds-tools", its.no_dds);
-            if (!its.bad.empty()) std::cerr << "drills: " << its.bad << "\n";
-            if (its.lost > 0) std::printf("%zu DRILLS OF AXON'S WERE LOST.\n", its.lost);
-            if (its.lost > 0) sound = false;
+            if (!its.bad.empty()) std::cerr << "round trips of a pair: " << its.bad << "\n";
+            if (its.lost) std::printf("SOME ROUND TRIPS OF AXON'S WERE LOST.\n");
+            if (its.lost || !its.bad.empty()) sound = false;
         } catch (const std::exception& problem) {
             if (!interrupted) {
                 std::cerr << "round trips of a pair: " << problem.what() << "\n";
@@ -305,16 +374,18 @@ int run(const Wish& wish) {
         }
     }
     progress("");
-    const auto geometric = comparison.geometric();
-    report.set("geometric_mean_over_n", geometric);
-    for (const auto& [name, of] : geometric.items())
-        for (const auto& [what, its] : of.items())
-            std::printf("Axon / %-15s %-5s geometric mean over N: mean %s, last %s; of N in %s\n", name.c_str(), what.c_str(), figure(its, "mean", 5).c_str(),
-                        figure(its, "last", 5).c_str(), its["n"]["last"].dump().c_str());
+    for (const std::string axon : {"axon", "axon-direct"}) {
+        const auto geometric = comparison.geometric(axon);
+        report.set(axon == "axon" ? "geometric_mean_over_n" : "geometric_mean_over_n_direct", geometric);
+        for (const auto& [name, of] : geometric.items())
+            for (const auto& [what, its] : of.items())
+                std::printf("%-11s / %-15s %-5s geometric mean over N: mean %s, last %s; of N in %s\n", axon.c_str(), name.c_str(), what.c_str(),
+                            figure(its, "mean", 5).c_str(), figure(its, "last", 5).c_str(), its["n"]["last"].dump().c_str());
+    }
     std::uint64_t axon_bad = 0;
     for (const auto& [name, count] : comparison.bad()) {
         if (count > 0) std::printf("%s: %llu messages were corrupt, doubled, lost or out of order.\n", name.c_str(), static_cast<unsigned long long>(count));
-        if (name == "axon" || name == "other") axon_bad += count;
+        if (isAxon(name)) axon_bad += count;
     }
     report.set("corrupt_or_misplaced", comparison.bad());
     report.set("corrupt", comparison.corrupt());

@@ -51,7 +51,10 @@ class AxonSubject final : public Subject {
     AxonCrowd crowd_;
 };
 
-std::unique_ptr<Subject> startAxon(const fs::path& folder, std::size_t n) { return std::make_unique<AxonSubject>(folder, n); }
+template <Way way>
+std::unique_ptr<Subject> startAxon(const fs::path& folder, std::size_t n) {
+    return std::make_unique<AxonSubject>(folder, n, way);
+}
 
 Peer packaged(const char* name, const char* package, const char* program, decltype(Peer::start) start, const char* what) {
     return {name, package, findProgram(program).empty() ? program : "", start, what};
@@ -65,7 +68,8 @@ const char* nameOf(Message message) {
 
 const std::vector<Peer>& peers() {
     static const std::vector<Peer> all{
-        {"axon", "", "", startAxon, "Axon relayed: client, axon-server, Entity Managers"},
+        {"axon", "", "", startAxon<Way::Relayed>, "Axon relayed: client, axon-server, Entity Managers"},
+        {"axon-direct", "", "", startAxon<Way::Direct>, "Axon by direct paths: client, Entity Managers; a stop goes both ways"},
         {"raw", "", "", startRawRouter, "the project's own epoll router, a system call for each message, no batching: what a simple relay costs this machine"},
         packaged("mosquitto-qos0", "mosquitto", "mosquitto", [](const fs::path& folder, std::size_t n) { return startMosquitto(folder, n, 0); },
                  "Mosquitto, at most once"),
@@ -101,11 +105,11 @@ void reportPeers(Report& report, const std::vector<std::string>& wanted) {
 }
 
 std::unique_ptr<Subject> axonThrough(const Running& running, const fs::path& folder, std::size_t n) {
-    return std::make_unique<AxonSubject>(folder, n, &running);
+    return std::make_unique<AxonSubject>(folder, n, Way::Relayed, &running);
 }
 
 std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const fs::path& folder, std::size_t n) {
-    return std::make_unique<AxonSubject>(folder, n, nullptr, &radio);
+    return std::make_unique<AxonSubject>(folder, n, Way::Relayed, nullptr, &radio);
 }
 
 std::unique_ptr<Subject> axonOf(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n) {

@@ -14,16 +14,15 @@ namespace axon::client {
 
 namespace {
 
-using namespace std::chrono_literals;
 using direct::Verdict;
 
 constexpr std::size_t kHeadBytes = 200;  // that a message costs here besides its own
-/// After the end of the lease. The Entity Manager ends the path as soon as it knows.
-constexpr Duration kLinger = 1s;
-
 }  // namespace
 
 void DirectLinks::offer(const DirectOffer& offer) {
+    std::size_t others = 0;
+    for (const auto& [entity, entry] : entries_) others += entry.link && entity != offer.entity ? 1 : 0;
+    if (others >= most_) return;
     auto& entry = entries_[offer.entity];
     if (entry.epoch != offer.lease.epoch) {
         entry.in = direct::IncomingWay<Came>();
@@ -41,13 +40,15 @@ void DirectLinks::offer(const DirectOffer& offer) {
     entry.retry = {};
 }
 
-void DirectLinks::withdraw(const Held& held) {
+bool DirectLinks::withdraw(const Held& held) {
     const auto found = entries_.find(held.entity);
-    if (found == entries_.end() || !found->second.link || found->second.offer.lease != held.lease) return;
+    if (found == entries_.end() || !found->second.link || found->second.offer.lease != held.lease) return false;
     auto& entry = found->second;
     entry.withdrawn = true;
     entry.try_at = TimePoint::max();
-    entry.close_at = clock_.now() + kLinger;
+    entry.close_at = clock_.now();
+    if (!entry.path) entry.link = nullptr;
+    return true;
 }
 
 DirectLinks::Closing DirectLinks::leave(const std::string& entity) {

@@ -20,7 +20,7 @@
 
 namespace axon::client {
 
-/// The direct path of one lease, as its sender sees it.
+/// The direct path of one lease, as its sender sees it. `out` and `by` are guarded by the owner's lock of sending.
 struct DirectLink {
     struct Sent {
         Header head;
@@ -29,8 +29,7 @@ struct DirectLink {
     /// The session with the server is lost, or the entity has left: what is not acknowledged is lost with it, as what the
     /// servers had under way is.
     std::atomic<bool> forget{false};
-    // Guarded by the owner's lock of sending:
-    direct::OutgoingWay<Sent> out{{16384, 2 * kWaitingBytesMax}};  // more than users may have waiting
+    direct::OutgoingWay<Sent> out{{8192, kWaitingBytesMax}};
     std::shared_ptr<DirectPath> by;  // while out.direct()
 };
 
@@ -48,12 +47,13 @@ class DirectLinks {
     using Paths = std::map<std::string, std::shared_ptr<DirectPath>>;
     using Closing = std::vector<std::shared_ptr<DirectPath>>;
 
-    DirectLinks(const Clock& clock, Make make) : clock_(clock), make_(std::move(make)) {}
+    /// At most `most` at a time; what else offers one is not taken up.
+    DirectLinks(const Clock& clock, std::size_t most, Make make) : clock_(clock), most_(most), make_(std::move(make)) {}
 
     /// A lease was granted or resumed, and offers a path.
     void offer(const DirectOffer& offer);
-    /// The lease has ended here. The path stays for a moment, until the Entity Manager has ended it there.
-    void withdraw(const Held& held);
+    /// The lease has ended here, and the path with it. Whether a turn is due.
+    bool withdraw(const Held& held);
     /// The entity has left: nothing of this life counts any more.
     Closing leave(const std::string& entity);
     /// There is no session with a server any more.
@@ -110,6 +110,7 @@ class DirectLinks {
     void told(Entry& entry) const;
 
     const Clock& clock_;
+    const std::size_t most_;
     const Make make_;
     std::unordered_map<std::string, Entry> entries_;
     Snapshot<Paths> paths_;

@@ -89,6 +89,10 @@ DirectPath::DirectPath(const LaneHome& data, const LaneHome& signal, DirectOffer
       clock_(clock),
       events_(std::move(events)) {}
 
+DirectPath::~DirectPath() {
+    for (const auto& connection : connections_) connection->disconnect({false, "it is of no use any more"}, false);
+}
+
 // -- opening ----------------------------------------------------------------------------------------------------------
 
 void DirectPath::open(Duration timeout) {
@@ -254,6 +258,23 @@ void DirectPath::sendClearSignal(const Header& head) const {
         session->sendClearSignalAsync(its, nullptr, std::move(back.failed), std::move(back.sent));
     });
 }
+bool DirectPath::enliven() const {
+    const auto now = clock_.now();
+    return lively_until_.exchange((now + direct::kLively).time_since_epoch().count()) <= now.time_since_epoch().count();
+}
+
+std::pair<TimePoint, bool> DirectPath::beatIfDue(bool moving, bool permitted) {
+    const auto now = clock_.now();
+    const bool busy = moving || now.time_since_epoch().count() < lively_until_;
+    const bool faster = busy && !silence.busy();
+    silence.setBusy(busy, now);
+    if (faster || now >= beat_at_) {
+        beat_at_ = now + (busy ? direct::kBeatBusy : direct::kBeatIdle);
+        if (permitted) beat();
+    }
+    return {beat_at_, faster};
+}
+
 void DirectPath::beat() const {
     post(Traffic::Heartbeat, [session = signal_.session, received = static_cast<double>(passed.load(std::memory_order_acquire)),
                               busy = silence.busy()](SendCallbacks&& back) {

@@ -54,6 +54,9 @@ class DirectPath : public std::enable_shared_from_this<DirectPath> {
   public:
     DirectPath(const LaneHome& data, const LaneHome& signal, DirectOffer offer, Id128 number, std::shared_ptr<Backlog> backlog,
                const Clock& clock, std::weak_ptr<DirectPathEvents> events);
+    ~DirectPath();
+    DirectPath(const DirectPath&) = delete;
+    DirectPath& operator=(const DirectPath&) = delete;
 
     /// Once; `timeout` is that of each of its four calls.
     void open(Duration timeout);
@@ -73,6 +76,10 @@ class DirectPath : public std::enable_shared_from_this<DirectPath> {
     void sendResetSignal(const Header& head) const;
     void sendClearSignal(const Header& head) const;
     void beat() const;
+    /// A message that may not be lost has gone or come: busy for a while. True when it was not before; then let it beat at once.
+    bool enliven() const;
+    /// On one thread: beats if it is due and permitted. When next, and whether it is busy now and was not before. `moving`: the entity.
+    std::pair<TimePoint, bool> beatIfDue(bool moving, bool permitted);
 
     // What its threads and its user's share; no lock, so that no beat waits.
     direct::Silence silence;                      ///< of the Entity Manager
@@ -105,6 +112,8 @@ class DirectPath : public std::enable_shared_from_this<DirectPath> {
     const std::shared_ptr<Backlog> backlog_;
     const Clock& clock_;
     const std::weak_ptr<DirectPathEvents> events_;
+    mutable std::atomic<Duration::rep> lively_until_{0};
+    TimePoint beat_at_{};  // of the thread of beatIfDue()
     int timeout_ms_ = 0;
     // Each written by one step of the opening, and read after open_ by others.
     LaneEnd data_, signal_;

@@ -272,17 +272,14 @@ void ServerConnection::send(Operation operation, const Header& head, std::string
 void ServerConnection::Part::add(Operation operation, const Header& head, std::string bytes) {
     const auto& lane = connection_->data_;
     // What has to wait may be taken out of the queue at any moment, and must not overtake what was added before it.
-    if (connection_->routed_ || !lane.outbox->sendsAtOnce()) {
-        write();
-        return connection_->send(operation, head, std::move(bytes));
-    }
-    lane.outbox->post(
-        trafficOf(operation), bytes.size() + kHeaderBytes,
-        [&](SendCallbacks&& callbacks) {
-            call(*lane.batch, operation, head, bytes, {});
-            added_.push_back(std::move(callbacks));
-        },
-        [] { return transport::Outbox::Parcel(); });
+    const bool joined = !connection_->routed_ &&
+                        lane.outbox->postAtOnce(trafficOf(operation), bytes.size() + kHeaderBytes, [&](SendCallbacks&& callbacks) {
+                            call(*lane.batch, operation, head, bytes, {{}, callbacks.failed, {}});
+                            added_.push_back(std::move(callbacks));
+                        });
+    if (joined) return;
+    write();
+    connection_->send(operation, head, std::move(bytes));
 }
 
 void ServerConnection::Part::write() {

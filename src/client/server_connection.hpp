@@ -61,7 +61,7 @@ struct Login {
 ///
 /// Where in the flow: between Session and the network; the only file of the client that knows Ice's proxies.
 /// States: open from open() until closed() is reported or leave() or drop() is called; what is sent later is
-/// dropped. Threads: any. Sends do not wait: they go to the socket from the caller's thread or into the
+/// dropped. Threads: any (Part: one at a time). Sends do not wait: they go to the socket from the caller's thread or into the
 /// lane's outbox, whose overflow ends the connection. Failure: a failed handshake is a refusal and leaves
 /// nothing behind.
 class ServerConnection {
@@ -79,8 +79,8 @@ class ServerConnection {
     void send(Operation operation, const Header& head, std::string bytes) const;
 
     /// Small messages that go to the socket together: one system call for all of them here, and one turn of a thread
-    /// at the server. They are on their way when write() or the destructor returns. Only one part at a time, and what
-    /// else is sent to entities meanwhile waits for it (Session's send mutex).
+    /// at the server. They are on their way when write() or the destructor returns. Only one part at a time, and whose
+    /// order with it matters waits for it (Session's send mutex); stops pass it.
     class Part {
       public:
         explicit Part(std::shared_ptr<const ServerConnection> connection) : connection_(std::move(connection)) {}
@@ -105,6 +105,8 @@ class ServerConnection {
     std::size_t waiting() const { return backlog_->messages(); }
     std::size_t waitingBytes() const { return backlog_->bytes(); }
     void awaitRoom(Duration wait) const { backlog_->awaitLittle(wait); }
+    /// The other end of the data lane, or the router's: "192.168.0.9:50122".
+    std::string peer() const { return data_.connection->peer(); }
     /// Also for what goes by the direct paths of this session.
     const std::shared_ptr<Backlog>& backlog() const { return backlog_; }
 

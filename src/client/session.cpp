@@ -65,7 +65,7 @@ Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
     : options_(std::move(options)),
       time_(std::move(clock)),
       core_(settingsOf(options_), clock_, random_, *this, *this, marks_),
-      direct_(clock_,
+      direct_(clock_, static_cast<std::size_t>(std::max(options_.direct_paths, 0)),
               [this](const DirectOffer& offer) {
                   const auto connection = connection_.load();
                   return std::make_shared<DirectPath>(data_, signal_, offer, Id128::random(random_),
@@ -135,17 +135,14 @@ auto Client::Session::withDesk(Use&& use) {
             lock.unlock();
             if (!stops.empty()) {
                 const auto paths = session.direct_.paths();
-                if (!paths->empty()) {
-                    for (const auto& stop : stops) session.stopDirectly(*paths, stop);
-                }
-                if (const auto connection = session.signal_connection_.load()) {
-                    for (const auto& stop : stops) {
-                        if (stop.entities.empty()) {
-                            connection->sendStopSignal(stop.lane, stop.head, stop.cause);
-                        } else {
-                            connection->sendStopSignals(stop.lane, stop.head, stop.entities, stop.cause);
-                        }
-                    }
+                const auto connection = session.signal_connection_.load();
+                for (const auto& stop : stops) {
+                    // One message to the servers reaches many sooner than one to each.
+                    const bool one = stop.entities.empty() ? !stop.head.entity.empty() : stop.entities.size() == 1;
+                    if (one) session.stopDirectly(*paths, stop);
+                    if (connection && stop.entities.empty()) connection->sendStopSignal(stop.lane, stop.head, stop.cause);
+                    if (connection && !stop.entities.empty()) connection->sendStopSignals(stop.lane, stop.head, stop.entities, stop.cause);
+                    if (!one) session.stopDirectly(*paths, stop);
                 }
                 for (const auto& stop : stops) {
                     // A datagram is a stop: a drill is none.
@@ -172,13 +169,14 @@ Answer Client::Session::ask(Ask&& ask) {
     auto future = promise->get_future();
     withCore([&](SessionCore& core) {
         ask(core, [promise](Answer answer) { promise->set_value(std::move(answer)); });
+        sent_at_ = {};
     });
     return future.get();
 }
 
 /// Straight to the Entity Managers that have a path; the servers' way is taken too, and the first to arrive counts.
 void Client::Session::stopDirectly(const DirectLinks::Paths& paths, const OutgoingStop& stop) {
-    if (stop.lane != Lane::Signal) return;
+    if (stop.lane != Lane::Signal || paths.empty()) return;
     if (stop.entities.empty() && stop.head.entity.empty()) {
         for (const auto& [entity, path] : paths) path->sendStopSignal(stop.head, stop.cause);
     } else if (stop.entities.empty()) {
@@ -197,11 +195,13 @@ bool Client::Session::sendDirect(Outgoing& message) {
         if (const auto connection = connection_.load()) connection->send(message.kind, message.head, std::move(message.bytes));
         link.by = message.path;
         link.out.begin();
-        by_path_.push_back(message.link);
+        by_path_[message.head.entity] = message.link;
         return true;
     }
+    // The end of the lease is the end of the path, and nothing of the next one may overtake it by the servers.
+    if (message.head.msg_type == kMsgRelease) link.by->close("the entity is released");
     if (link.by->ended()) {
-        fallBack(link);
+        fallBack(message.link);
         return false;
     }
     switch (message.kind) {
@@ -216,33 +216,58 @@ bool Client::Session::sendDirect(Outgoing& message) {
     }
     if (direct::alwaysRelayed(message.head.msg_type)) return false;
     const auto size = message.bytes.size() + kMessageOverhead;
-    link.out.acknowledged(link.by->acknowledged.load(std::memory_order_relaxed));
-    if (!link.out.hasRoom(size)) {
+    if (!roomToKeep(link, size)) {
         link.by->close("the Entity Manager acknowledges too little");
-        fallBack(link);
+        fallBack(message.link);
         return false;
     }
     const auto bytes = std::make_shared<const std::string>(std::move(message.bytes));
     link.by->send(direct::Keeping::Kept, message.head, bytes);
     link.out.keep(message.head.sequence, size, {message.head, bytes});
+    if (link.by->enliven()) heartbeat_.wake();
     return true;
 }
 
-/// The path is over: what the Entity Manager may not have goes by the servers, before anything else does.
-void Client::Session::fallBack(DirectLink& link) {
-    std::erase_if(by_path_, [&](const auto& one) { return one.get() == &link; });
+/// All that is kept may fall back at the same moment, and must find room on the way to the server.
+bool Client::Session::roomToKeep(DirectLink& link, std::size_t bytes) {
+    constexpr std::size_t kMessages = 8192;
     link.out.acknowledged(link.by->acknowledged.load(std::memory_order_relaxed));
-    link.by = nullptr;
-    const auto left = link.out.end();
+    if (!link.out.hasRoom(bytes)) return false;
+    const auto room = [&] {
+        std::size_t messages = 0, kept = 0;
+        for (const auto& [entity, one] : by_path_) {
+            messages += one->out.keptMessages();
+            kept += one->out.keptBytes();
+        }
+        return messages == 0 || (messages < kMessages && kept + bytes <= kWaitingBytesMax);
+    };
+    if (room()) return true;
+    for (const auto& [entity, one] : by_path_) one->out.acknowledged(one->by->acknowledged.load(std::memory_order_relaxed));
+    return room();
+}
+
+/// The path is over: what the Entity Manager may not have goes by the servers, before anything else does.
+void Client::Session::fallBack(std::shared_ptr<DirectLink> link) {
+    std::erase_if(by_path_, [&](const auto& one) { return one.second == link; });
+    link->out.acknowledged(link->by->acknowledged.load(std::memory_order_relaxed));
+    link->by = nullptr;
+    const auto left = link->out.end();
     const auto connection = connection_.load();
-    if (link.forget || !connection) return;
+    if (link->forget || !connection) return;
     for (const auto& kept : left) connection->send(Kind::ToEntity, kept.message.head, *kept.message.message);
 }
 
 void Client::Session::fallBackFromEnded() {
-    const auto by_path = by_path_;  // each takes itself off
-    for (const auto& link : by_path)
-        if (link->by->ended()) fallBack(*link);
+    std::vector<std::shared_ptr<DirectLink>> ended;
+    for (const auto& [entity, link] : by_path_)
+        if (link->by->ended()) ended.push_back(link);
+    for (auto& link : ended) fallBack(std::move(link));
+}
+
+std::shared_ptr<DirectLink> Client::Session::leftBefore(const Outgoing& message) const {
+    if (by_path_.empty()) return nullptr;
+    const auto found = by_path_.find(message.head.entity);
+    return found == by_path_.end() || (found->second == message.link && !message.path) ? nullptr : found->second;
 }
 
 /// Who sends fast, without waiting for answers, leaves little messages to the sender's thread, which writes those together
@@ -250,7 +275,7 @@ void Client::Session::fallBackFromEnded() {
 bool Client::Session::leavesToSender() {
     const auto now = clock_.now();
     const bool fast = now - std::exchange(sent_at_, now) < kFast;
-    return fast && outgoing_.waiting().bytes < kLeftToSender;
+    return fast && last_bytes_ <= kTogetherBytes && outgoing_.waiting().bytes < kLeftToSender;
 }
 
 /// Up to the message `ticket`; one thread at a time, so the order of the core is the order on the wire.
@@ -261,7 +286,12 @@ void Client::Session::flush(std::uint64_t ticket) {
         auto next = outgoing_.take(ticket);
         auto& message = item->message;
         const bool by_path = message.link && (message.path || message.link->out.direct());
-        if (by_path) part.reset();  // what it may send by the servers comes behind what was added
+        const auto left = leftBefore(message);
+        if (by_path || left) part.reset();  // what may go by the servers now comes behind what was added
+        if (left) {
+            left->by->close("another lease or path takes its place");
+            fallBack(left);
+        }
         if (by_path && sendDirect(message)) {
             outgoing_.sent(item->bytes);
             item = std::move(next);
@@ -284,6 +314,8 @@ void Client::Session::flush(std::uint64_t ticket) {
 void Client::Session::put(Kind kind, const Header& head, std::string bytes) {
     const auto size = bytes.size() + kMessageOverhead;
     outgoing_.put({kind, head, std::move(bytes), direct_.linkOf(head.entity)}, size);
+    last_bytes_ = size;
+    if (kind == Kind::Reset || kind == Kind::Clear) sent_at_ = {};  // signals are left to nobody
 }
 void Client::Session::sendToEntity(const Header& head, std::string bytes) {
     put(Kind::ToEntity, head, std::move(bytes));
@@ -644,37 +676,38 @@ void Client::Session::close(const DirectLinks::Closing& closing, const std::stri
 
 TimePoint Client::Session::onHeartbeat() {
     std::optional<std::pair<std::int64_t, bool>> beat;
+    std::vector<std::pair<std::shared_ptr<DirectPath>, bool>> paths;  // and whether the entity moves
     withCore(
         [&](SessionCore& core) {
             heartbeat_at_ = TimePoint::min();
             core.onHeartbeatTimer();
             beat = std::exchange(beat_, std::nullopt);
+            for (const auto& [entity, path] : *direct_.paths()) paths.emplace_back(path, core.moving(entity));
         },
         Sends::Sender);
     if (beat) {
-        bool alive = true;
+        may_beat_ = true;
         if (beat->second && options_.keep_running) {
             try {
-                alive = options_.keep_running();
+                may_beat_ = options_.keep_running();
             } catch (const std::exception& error) {
                 log().warn("client: keep_running threw, which counts as no: {}", error.what());
-                alive = false;
+                may_beat_ = false;
             }
         }
         const auto connection = signal_connection_.load();
-        if (alive && connection) connection->keepAlive(beat->first);
-        if (alive) {
-            bool faster = false;
-            for (const auto& [entity, path] : *direct_.paths()) {
-                faster = faster || (beat->second && !path->silence.busy());
-                path->silence.setBusy(beat->second, clock_.now());
-                path->beat();
-            }
-            if (faster) timer_.wake();  // which watches for silence
-        }
+        if (may_beat_ && connection) connection->keepAlive(beat->first);
     }
+    auto path_beats_at = TimePoint::max();
+    bool faster = false;
+    for (const auto& [path, moving] : paths) {
+        const auto [next, its_faster] = path->beatIfDue(moving, may_beat_);
+        path_beats_at = std::min(path_beats_at, next);
+        faster = faster || its_faster;
+    }
+    if (faster) timer_.wake();  // which watches for silence
     const std::lock_guard lock(core_mutex_);
-    heartbeat_at_ = std::min(core_.nextHeartbeat(), clock_.now() + kLongestSleep);
+    heartbeat_at_ = std::min({core_.nextHeartbeat(), path_beats_at, clock_.now() + kLongestSleep});
     return heartbeat_at_;
 }
 
@@ -742,6 +775,7 @@ void Client::Session::newDirectMsg(const DirectPath& path, direct::Keeping keepi
         Sends::Sender);
     if (arrival.close) arrival.close->close("too much came before its beginning by the servers");
     if (arrival.acknowledge) path.beat();
+    if (keeping == direct::Keeping::Kept && path.enliven()) heartbeat_.wake();
 }
 
 void Client::Session::newDirectReceipt(const DirectPath&, const Header& head, std::string_view message) {
@@ -887,9 +921,17 @@ void Client::Session::onDirect(const Held& held, const std::string& data_endpoin
     // Nothing plain where the way to the server is TLS, and no way to an endpoint behind a router.
     if (data_endpoint.empty() || signal_endpoint.empty() || !options_.direct || data_.router ||
         transport::parseEndpoint(options_.server).tls)
-        return direct_.withdraw(held);
+        return withdrawDirect(held);
+    // An Entity Manager beside the server names its own machine; elsewhere that is another one.
+    const auto connection = connection_.load();
+    const auto local = [](const std::string& endpoint) { return endpoint.starts_with("127."); };
+    if (local(data_endpoint) && connection && !local(connection->peer())) return withdrawDirect(held);
     direct_.offer({held.entity, held.lease, key, core_.self().id, data_endpoint, signal_endpoint});
     timer_.wake();
+}
+
+void Client::Session::withdrawDirect(const Held& held) {
+    if (direct_.withdraw(held)) timer_.wake();
 }
 
 void Client::Session::onOrphaned(const Held& held, const std::string& reason) {

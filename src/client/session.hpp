@@ -102,8 +102,8 @@ class Client::Session final : public SessionObserver,
     const std::shared_ptr<const Clock>& clock() const { return time_; }
     void close();
 
-    /// Who sends what a use of the core gave to send: the calling thread, when it is the user's, or the
-    /// sender's thread. The threads of heartbeats, deadlines and signals send no data: whoever floods the
+    /// Who sends what a use of the core gave to send: the calling thread, when it is the user's and does not send fast
+    /// (leavesToSender()), or the sender's thread. The threads of heartbeats, deadlines and signals send no data: whoever floods the
     /// data lane must not hold them up.
     enum class Sends : std::uint8_t { Here, Sender };
     /// Runs `use` on the core, then sends what it gave to send and wakes the threads that wait for its times.
@@ -249,14 +249,18 @@ class Client::Session final : public SessionObserver,
     void flush(std::uint64_t ticket);
     // Under send_mutex_.
     bool sendDirect(Outgoing& message);
-    void fallBack(DirectLink& link);
+    bool roomToKeep(DirectLink& link, std::size_t bytes);
+    void fallBack(std::shared_ptr<DirectLink> link);
     void fallBackFromEnded();
+    /// The link of an earlier path of the entity, which falls back before this message; mostly null.
+    std::shared_ptr<DirectLink> leftBefore(const Outgoing& message) const;
     void stopDirectly(const DirectLinks::Paths& paths, const OutgoingStop& stop);
     /// Whether it was a receipt.
     bool receipt(const Header& head, std::string_view message);
     /// What is due of the direct paths; when next.
     TimePoint directTurn();
     static void close(const DirectLinks::Closing& closing, const std::string& why);
+    void withdrawDirect(const Held& held);
     bool leavesToSender();
     Result<void> establish();
     void lost(std::uint64_t attempt, const std::string& reason);
@@ -284,7 +288,9 @@ class Client::Session final : public SessionObserver,
     std::uint64_t attempt_ = 0;
     bool up_ = false;
     std::optional<std::pair<std::int64_t, bool>> beat_;
-    TimePoint sent_at_{};  // the last message, if none came from the servers since
+    TimePoint sent_at_{};  // the last message, if none came from the servers since and nobody waits for an answer
+    std::size_t last_bytes_ = 0;  // of the message that was put last
+    bool may_beat_ = true;  // of the heartbeat's thread: what keep_running said last
     TimePoint timer_at_ = TimePoint::max(), heartbeat_at_ = TimePoint::max();
     std::unordered_map<std::string, std::weak_ptr<Task::Shared>> tasks_;
     std::unordered_map<std::string, std::weak_ptr<Run::Shared>> runs_;
@@ -302,7 +308,8 @@ class Client::Session final : public SessionObserver,
 
     SendQueue<Outgoing> outgoing_;  // put into under core_mutex_
     std::mutex send_mutex_;         // the order of outgoing_ is that on the wire
-    std::vector<std::shared_ptr<DirectLink>> by_path_;  // guarded by send_mutex_: links whose messages go by a path
+    // Guarded by send_mutex_: by entity, links whose messages go by a path.
+    std::unordered_map<std::string, std::shared_ptr<DirectLink>> by_path_;
 
     std::mutex callbacks_mutex_;
     // Guarded by callbacks_mutex_:

@@ -701,11 +701,14 @@ TEST_F(OwnershipTest, WhatWasAcceptedArrivesOnceWholeAndInOrderHoweverItIsWritte
         for (; sent.ok() && accepted.size() < 100'000; sent = held.sendText(next())) accepted.push_back(next());
         EXPECT_EQ(sent.refusal().code, RefusalCode::Overloaded) << "turn " << turn;
         gate.hold(false);
-        for (int burst = 0; burst < 500;)  // while the others are under way
-            if (held.sendText(next()).ok()) {
+        int burst = 0;  // while the others are under way
+        ASSERT_TRUE(waitUntil([&] {
+            while (burst < 500 && held.sendText(next()).ok()) {
                 accepted.push_back(next());
                 ++burst;
             }
+            return burst == 500;
+        }));
         EXPECT_TRUE(waitUntil([&] { return robots->texts().size() >= accepted.size(); }));
     }
     EXPECT_TRUE(robots->texts() == accepted) << accepted.size() << " accepted, " << robots->texts().size() << " arrived";

@@ -197,6 +197,8 @@ class SessionCore {
     std::optional<RunReport> runReport(const Id128& id) const;
     /// A task or a run of this client is not final, or an entity that it holds is busy: heartbeats are fast.
     bool busy() const;
+    /// Held, and BUSY or driven otherwise, as far as is known here.
+    bool moving(const std::string& entity) const { return moving_.count(entity) != 0; }
     std::uint64_t malformed() const { return malformed_; }
     std::size_t pendingRequests() const { return pending_.size(); }
 

@@ -8,14 +8,20 @@
 
 #include "common/clock.hpp"
 
-// Times of a direct path. The client beats on its signal connection at the pace of its beats to the server (each 50 ms
-// while a task runs, each 2 s otherwise), and the Entity Manager answers each beat: so both know of either direction,
-// and there is one pace, which the client names.
+// Times of a direct path. The client beats on its signal connection, each 50 ms while it is busy and each 2 s otherwise,
+// and the Entity Manager answers each beat: so both know of either direction, and there is one pace, which the client names.
+// A path is busy while its entity moves, and for a second after each message that may not be lost.
 namespace axon::direct {
 
-/// Silence of so long ends a path: while a task runs, and otherwise. Those of the hop to the server (safety.md).
+/// Silence of so long ends a path: while it is busy, and otherwise. Those of the hop to the server (safety.md).
 inline constexpr Duration kWatchdogBusy = std::chrono::milliseconds{250};
 inline constexpr Duration kWatchdogIdle = std::chrono::seconds{10};
+inline constexpr Duration kBeatBusy = std::chrono::milliseconds{50};
+inline constexpr Duration kBeatIdle = std::chrono::seconds{2};
+/// So long after a message that may not be lost a path is busy, so that a break is seen at once and not with the next idle beat.
+inline constexpr Duration kLively = std::chrono::seconds{1};
+/// In which the Entity Manager wants an acknowledgement of what it sent. Two watchdogs: the client may hold it back for one.
+inline constexpr Duration kAcknowledgedWithin = 2 * kWatchdogBusy;
 /// What is held back waits so long for its mark. The relayed way is slow then, or has lost it.
 inline constexpr Duration kMarkWithin = kWatchdogBusy;
 /// After so many bytes of messages their receiver acknowledges at once, and not with the next beat.
@@ -27,7 +33,7 @@ class Silence {
     explicit Silence(TimePoint now) : last_(count(now)) {}
 
     void heard(TimePoint now) { last_.store(count(now), std::memory_order_relaxed); }
-    /// Whether a task runs. Becoming busy counts as a sign of life: the other end could not have known.
+    /// Becoming busy counts as a sign of life: the other end could not have known.
     void setBusy(bool busy, TimePoint now) {
         if (busy && !busy_.load(std::memory_order_relaxed)) heard(now);
         busy_.store(busy, std::memory_order_relaxed);

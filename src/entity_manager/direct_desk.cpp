@@ -78,7 +78,6 @@ void DirectDesk::onOpening(const DirectOpening& opening, const LeaseBook::Held* 
         if (client_ != held->holder.id) {
             client_ = held->holder.id;
             in_ = direct::IncomingWay<Came>();
-            signals_passed_ = 0;
         }
         path_ = std::make_unique<Path>();
         path_->number = claim.path;
@@ -150,10 +149,10 @@ void DirectDesk::onPace(const Id128& path) {
     if (path_ && path_->number == path) watch();
 }
 
-/// Rings when the client has been silent for too long, or the mark has not come in time.
+/// Rings when the client has been silent for too long, or a mark or an acknowledgement has not come in time.
 void DirectDesk::watch() {
     if (!path_) return;
-    const auto due = std::min(path_->signs->silence.deadline(), path_->mark_due);
+    const auto due = std::min({path_->signs->silence.deadline(), path_->mark_due, path_->acknowledged_due});
     if (due == silence_.due()) return;
     silence_.at(due, [this, weak = std::weak_ptr(alive_)] {
         if (weak.expired() || !path_) return;
@@ -162,6 +161,13 @@ void DirectDesk::watch() {
         if (now >= path_->mark_due) {
             if (in_.holdsBack()) return end("the servers have not brought its beginning in time", Rest::SendAgain);
             path_->mark_due = TimePoint::max();
+        }
+        if (now >= path_->acknowledged_due) {
+            out_.acknowledged(path_->signs->acknowledged.load(std::memory_order_relaxed));
+            if (path_->signs->acknowledged.load(std::memory_order_relaxed) < path_->awaited)
+                return end("the client does not acknowledge what it is sent", Rest::SendAgain);
+            path_->acknowledged_due = TimePoint::max();
+            if (out_.keptMessages() > 0) await();
         }
         watch();
     });
@@ -213,13 +219,6 @@ void DirectDesk::acknowledge() {
     if (path_) path_->signs->passed.store(in_.passed(), std::memory_order_release);
 }
 
-bool DirectDesk::passes(const Header& signal) {
-    if (client_.empty() || signal.sender.id != client_ || signal.sequence <= 0) return true;
-    if (signal.sequence <= signals_passed_) return false;
-    signals_passed_ = signal.sequence;
-    return true;
-}
-
 // -- what goes --------------------------------------------------------------------------------------------------------
 
 void DirectDesk::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
@@ -239,6 +238,16 @@ void DirectDesk::sendToClient(Lane lane, const Header& head, const proto::ToClie
     }
     path_->data->send(Keeping::Kept, head, bytes);
     out_.keep(head.sequence, size, {head, std::move(bytes)});
+    if (path_->acknowledged_due == TimePoint::max()) {
+        await();
+        watch();
+    }
+}
+
+/// A break is not to be found out by the idle beat only when something went into it.
+void DirectDesk::await() {
+    path_->acknowledged_due = clock_.now() + direct::kAcknowledgedWithin;
+    path_->awaited = out_.lastKept();
 }
 
 void DirectDesk::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {

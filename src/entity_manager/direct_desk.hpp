@@ -35,7 +35,7 @@ struct DirectSettings {
 /// then for each lease: relayed ─ two openings with the right proof ► direct ─ silence, a closed connection, too much
 /// unacknowledged ► relayed. The end of the lease ends the path; so do the loss of the holder, who then has no session, and that of the
 /// server: what was not acknowledged is lost then, as what is under way between the servers is.
-/// Threads: the strand's alone, which its timer comes on as well. Failure: what cannot be opened is refused, logged ten times an hour at most,
+/// Threads: the strand's alone, which its timer comes on as well. Failure: what cannot be opened is refused, logged once a minute at most,
 /// and everything goes by the servers as ever.
 class DirectDesk final : public ServerPort {
   public:
@@ -68,8 +68,6 @@ class DirectDesk final : public ServerPort {
     bool relayed(direct::Keeping keeping, const Header& head, const std::string& bytes, const Deliver& deliver);
     /// By the direct path.
     bool arrived(const Id128& path, direct::Keeping keeping, Header& head, std::string& bytes);
-    /// A reset or a clear, which comes by all ways: whether it has not come before.
-    bool passes(const Header& signal);
     /// A path is open, and what is sent to its holder goes by it.
     bool direct() const { return path_ && out_.direct(); }
 
@@ -96,6 +94,8 @@ class DirectDesk final : public ServerPort {
         std::shared_ptr<DirectSigns> signs;
         std::shared_ptr<DirectLane> data, signal;
         TimePoint mark_due = TimePoint::max();  // while something is held back
+        TimePoint acknowledged_due = TimePoint::max();  // of what went last when that was set
+        std::int64_t awaited = 0;
     };
     struct Sent {
         Header head;
@@ -109,6 +109,7 @@ class DirectDesk final : public ServerPort {
     void begin();
     void end(const std::string& why, Rest rest);
     void watch();
+    void await();
     void acknowledge();
 
     const asio::any_io_executor strand_;
@@ -127,7 +128,6 @@ class DirectDesk final : public ServerPort {
     // Of the client that opened a path last: kept when the path and the lease are over, for what it then sends again.
     std::string client_;
     direct::IncomingWay<Came> in_;
-    std::int64_t signals_passed_ = 0;
     direct::Unacknowledged unacknowledged_;
     std::shared_ptr<bool> alive_ = std::make_shared<bool>(true);  // for the timer
     DueTimer silence_;

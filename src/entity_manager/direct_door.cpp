@@ -148,8 +148,10 @@ class SessionServant final : public slice::DirectSession {
     void pass(slice::Head&& head, const ByteRange& bytes, Keeping keeping, const Ice::Current& current) {
         require(Lane::Data, current);
         auto its = proper(std::move(head), current);
-        if (const auto events = events_.lock())
-            events->directMsg(path_, keeping, std::move(its), std::string(transport::toView(bytes)));
+        const auto events = events_.lock();
+        if (!events || full_) return;
+        full_ = !events->directMsg(path_, keeping, std::move(its), std::string(transport::toView(bytes)));
+        if (full_) back_->close("its messages come faster than they are handled");
     }
 
     const Id128 path_;
@@ -160,6 +162,7 @@ class SessionServant final : public slice::DirectSession {
     const std::shared_ptr<IceLane> back_;
     const Clock& clock_;
     const std::weak_ptr<DirectEvents> events_;
+    bool full_ = false;  // of the data lane's thread, the only one
 };
 
 std::string toBytes(const Axon::CommUtil::Bytes& bytes) {

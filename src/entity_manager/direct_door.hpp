@@ -53,7 +53,9 @@ class DirectEvents {
   public:
     virtual ~DirectEvents() = default;
     virtual void directOpening(DirectOpening opening) = 0;
-    virtual void directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) = 0;
+    /// False: more waits than may; this message is refused, no later one of the path may be told, and the path is to be closed, whose
+    /// holder sends again by the servers what has not been acknowledged.
+    virtual bool directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) = 0;
     virtual void directStop(Header head, StopCause cause) = 0;
     virtual void directReset(Header head) = 0;
     virtual void directClear(Header head) = 0;

@@ -15,11 +15,12 @@ namespace axon::entity_manager {
 
 namespace {
 constexpr int kEventsPerTurn = 128;  // then other strands of the executor get a turn
+constexpr int kOpenings = 8;         // of direct paths that wait for the strand
 }
 
 EntityManager::EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock,
                              std::shared_ptr<ServerCommunicators> ice, bool plain_way)
-    : strand_(asio::make_strand(asio::any_io_executor(CallerFirst::over(std::move(executor))))),
+    : strand_(CallerFirst::over(std::move(executor))),
       name_(std::move(name)),
       clock_(clock),
       ice_(std::move(ice)),
@@ -113,8 +114,13 @@ void EntityManager::stopSignal(Header head, StopCause cause) {
     wake(passStop(std::move(head), cause));
 }
 
+Inbox::Verdict EntityManager::passSignal(Inbox::Signal kind, Inbox::Event event) {
+    const std::lock_guard in_order(signal_mutex_);
+    return inbox_.pushSignal(kind, std::move(event));
+}
+
 Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
-    const std::lock_guard in_order(stop_mutex_);
+    const std::lock_guard in_order(signal_mutex_);
     const bool drill = cause == StopCause::Drill;
     // A generation that the strand never hears of would make every command an old one, so a drill that would be
     // dropped raises none.
@@ -136,19 +142,15 @@ Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
 }
 
 void EntityManager::resetSignal(Header head) {
-    wake(inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head)] {
-        if (ways_->passes(head)) core_->onResetSignal(head);
-    }));
+    wake(passSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onResetSignal(head); }));
 }
 
 void EntityManager::clearSignal(Header head) {
-    wake(inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head)] {
-        if (ways_->passes(head)) core_->onClearSignal(head);
-    }));
+    wake(passSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onClearSignal(head); }));
 }
 
 void EntityManager::clientUpdate(Header head, ClientChange change) {
-    wake(inbox_.pushSignal(Inbox::Signal::Client,
+    wake(passSignal(Inbox::Signal::Client,
                            [this, head = std::move(head), change] { core_->onClientUpdate(head, change); }));
 }
 
@@ -160,7 +162,7 @@ void EntityManager::serverHeartbeat() {
 void EntityManager::clientMsg(Lane lane, Header head, std::string bytes) {
     const auto size = bytes.size();
     if (lane == Lane::Signal)
-        return wake(inbox_.pushSignal(Inbox::Signal::Peer, [this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }));
+        return wake(passSignal(Inbox::Signal::Peer, [this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }));
     auto event = [this, head = std::move(head), bytes = std::move(bytes)] { handleRelayed(direct::Keeping::Kept, head, bytes); };
     wake(inbox_.pushControl(std::move(event), size), Turn::Here);
 }
@@ -184,7 +186,7 @@ void EntityManager::undeliverable(Lane lane, Header head, const Refusal& refusal
         return;
     }
     auto event = [this, head = std::move(head), refusal] { core_->onPeerRefusal(head, refusal); };
-    if (lane == Lane::Signal) return wake(inbox_.pushSignal(Inbox::Signal::Peer, std::move(event)));
+    if (lane == Lane::Signal) return wake(passSignal(Inbox::Signal::Peer, std::move(event)));
     wake(inbox_.pushControl(std::move(event)), Turn::Here);
 }
 
@@ -215,18 +217,26 @@ void EntityManager::onStrand(Use use) {
 }
 
 void EntityManager::directOpening(DirectOpening opening) {
+    // Strangers come here, so little of it waits.
+    if (openings_.fetch_add(1) >= kOpenings) {
+        --openings_;
+        return opening.refuse({RefusalCode::Overloaded, "Others open direct paths at the moment. Try again.", {}});
+    }
     onStrand([opening = std::move(opening)](EntityManager& self) {
+        --self.openings_;
         self.ways_->onOpening(opening, self.stopped_ ? nullptr : self.core_->held());
     });
 }
 
-void EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) {
+bool EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) {
     const auto size = bytes.size();
     auto event = [this, path, keeping, head = std::move(head), bytes = std::move(bytes)]() mutable {
         if (ways_->arrived(path, keeping, head, bytes)) core_->onClientMsg(head, bytes);
     };
-    wake(keeping == direct::Keeping::Kept ? inbox_.pushControl(std::move(event), size) : inbox_.pushData(std::move(event), size),
-         Turn::Here);
+    const auto verdict = keeping == direct::Keeping::Kept ? inbox_.pushControl(std::move(event), size) : inbox_.pushData(std::move(event), size);
+    if (verdict == Inbox::Verdict::Overflow) return false;
+    wake(verdict, Turn::Here);
+    return true;
 }
 
 void EntityManager::directStop(Header head, StopCause cause) {
@@ -350,8 +360,9 @@ void EntityManager::afterEvents() {
 void EntityManager::armTimer() {
     if (stopped_) return;
     const auto deadline = core_->nextDeadline();
-    if (deadline == timer_.due()) return;
-    if (deadline == TimePoint::max()) return timer_.cancel();
+    // What has become later is asked for again when the timer rings: each sign of life moves a watchdog, and setting a timer
+    // wakes the executor.
+    if (deadline >= timer_.due()) return;
     timer_.at(deadline, [weak = weak_from_this()] {
         const auto self = weak.lock();
         if (!self || self->stopped_) return;

@@ -11,6 +11,7 @@
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "entity_manager/back_end_interface.hpp"
+#include "entity_manager/caller_first.hpp"
 #include "entity_manager/datagram_desk.hpp"
 #include "entity_manager/direct_desk.hpp"
 #include "entity_manager/due_timer.hpp"
@@ -32,7 +33,7 @@ namespace axon::entity_manager {
 /// reference is dropped.
 class EntityManager final : public ServerEvents, public DirectEvents, private BackEndEvents, public std::enable_shared_from_this<EntityManager> {
   public:
-    using Strand = asio::strand<asio::any_io_executor>;
+    using Strand = asio::strand<CallerFirst>;
     /// The link to the robot application, and what begins it; a benchmark puts one in memory here.
     struct BackEnd {
         std::unique_ptr<BackEndPort> port;
@@ -85,7 +86,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
 
     // DirectEvents, on Ice's threads.
     void directOpening(DirectOpening opening) override;
-    void directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) override;
+    bool directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) override;
     void directStop(Header head, StopCause cause) override;
     void directReset(Header head) override;
     void directClear(Header head) override;
@@ -105,6 +106,8 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
 
     /// To the robot, and into the inbox. The executor, whose lock everything takes, is woken after it.
     Inbox::Verdict passStop(Header head, StopCause cause);
+    /// Of all others.
+    Inbox::Verdict passSignal(Inbox::Signal kind, Inbox::Event event);
     /// On the strand, of one that came by the servers.
     void handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes);
     template <class Use>
@@ -123,8 +126,8 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     const std::string name_;
     const Clock& clock_;
     Inbox inbox_;
-    std::mutex stop_mutex_;  // of the two signal threads: stops reach robot and inbox in the order of their
-                             // generations
+    std::mutex signal_mutex_;  // of the threads that bring signals: stops reach robot and inbox in the order of their
+                               // generations, and a drill that has found a slot keeps it
     StopGate gate_;
     BackEnd back_end_;
     const std::shared_ptr<ServerCommunicators> ice_;
@@ -136,6 +139,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     DueTimer timer_;
     std::atomic<EntityState> state_{EntityState::UNAV};
     std::atomic<bool> direct_{false};
+    std::atomic<int> openings_{0};  // that wait for the strand
     std::atomic<bool> server_heard_{false};  // a heartbeat that the strand has not counted yet
     std::atomic<bool> leaving_{false};       // a control overflow on its way to the strand
     bool latched_ = false;

@@ -45,7 +45,7 @@ class Inbox {
 
     /// Dropped: a passing one, a drill or a peer's found no slot. Overflow: one that may not be lost found nothing that may.
     Verdict pushSignal(Signal kind, Event event);
-    /// Whether a drill or a passing signal would be dropped now. False stays false for the one thread that pushes them.
+    /// Whether a drill or a passing signal would be dropped now. False stays false until a signal is pushed.
     bool signalsFull() const;
     Verdict pushControl(Event event, std::size_t bytes = 0);
     /// May drop older data to make room. `bytes` counts towards the bound.

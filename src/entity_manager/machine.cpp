@@ -938,7 +938,7 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
     // What is over must not win because its timer is late.
     if (event == Event::CheckOut || event == Event::HandOver) passTime();
     process(event, head, &from_client_);
-    settle();
+    if (event != Event::Raw) settle();  // which changes nothing here, whatever became of it
 }
 
 Header EntityManagerCore::Machine::headFor(const Sender& to, const char* type) {

@@ -63,6 +63,15 @@ class EntityServerCore::Session {
         return std::chrono::milliseconds{watchdog->busy() ? registration.heartbeat_busy_ms
                                                           : registration.heartbeat_idle_ms};
     }
+    /// The last time not after `latest` at which heartbeats of this period are sent: 16 in each period, the same for all
+    /// sessions with that period, so that the timer wakes for many at once.
+    TimePoint beatBy(TimePoint latest) const { return latest - latest.time_since_epoch() % (period() / kBeatsApart); }
+    static constexpr int kBeatsApart = 16;
+    /// Within a period from now, each session in its turn of the sixteen, so that many that joined, or began to move, together
+    /// are not served all at once for ever.
+    TimePoint beatInTurn(TimePoint now) const {
+        return beatBy(now + period() * static_cast<int>(number % kBeatsApart + 1) / kBeatsApart);
+    }
 };
 
 namespace {
@@ -247,8 +256,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
             entities_changed_ = true;
             registered_.emplace(session->entity, session);
             table_.put(session->entity, session);
-            // Spread, so that many that joined together are not served all at once for ever.
-            session->next_heartbeat = now + session->period() * static_cast<int>(session->number % 16) / 16;
+            session->next_heartbeat = session->beatInTurn(now);
         }
         schedule(session, std::min(session->next_heartbeat, now + session->period()));
     }
@@ -292,7 +300,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         if (became_busy) {
             // The EM's own watchdog is short from now on.
             heartbeat = ++session->heartbeats;
-            session->next_heartbeat = now + session->period();
+            session->next_heartbeat = session->beatInTurn(now);
             schedule(session, session->next_heartbeat);
         }
     }
@@ -642,8 +650,9 @@ TimePoint EntityServerCore::onTimer() {
             }
             if (session->next_heartbeat <= now) {
                 heartbeats.emplace_back(session, ++session->heartbeats);
-                // Catching up after a pause would only send a burst.
-                session->next_heartbeat = std::max(session->next_heartbeat + session->period(), now);
+                // From when it was due, so that late ones keep apart. Catching up after a pause would only send a burst.
+                const auto next = session->beatBy(session->next_heartbeat + session->period());
+                session->next_heartbeat = next > now ? next : session->beatInTurn(now);
             }
             schedule(session, std::min(std::max(session->next_heartbeat, now + std::chrono::milliseconds{1}),
                                        session->watchdog->deadline()));

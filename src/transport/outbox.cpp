@@ -40,11 +40,6 @@ void Outbox::close() {
     core_.close();
 }
 
-bool Outbox::sendsAtOnce() const {
-    const std::lock_guard lock(mutex_);
-    return core_.mayPass();
-}
-
 bool Outbox::closed() const {
     const std::lock_guard lock(mutex_);
     return core_.closed();

@@ -64,8 +64,17 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
         }
     }
 
-    /// Whether control and data would go to Ice at once. Stays true until somebody posts.
-    bool sendsAtOnce() const;
+    /// Of control and data that may not wait: false where it would have to, and nothing has happened then.
+    template <class Send>
+    bool postAtOnce(Traffic traffic, std::size_t bytes, Send&& send) {
+        using Verdict = OutboxCore<Parcel>::Verdict;
+        {
+            const std::lock_guard lock(mutex_);
+            if (!core_.mayPass() || core_.offer(traffic, bytes, [] { return Parcel(); }) != Verdict::Send) return false;
+        }
+        launch(traffic, bytes, send);
+        return true;
+    }
     void close();
     bool closed() const;
     OutboxCounts counts() const;

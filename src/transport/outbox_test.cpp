@@ -45,6 +45,22 @@ TEST_F(OutboxTest, OnASocketAMessageHasLeftWhenItIsWritten) {
     EXPECT_TRUE(ends.empty()) << "the connection that closes says so";
 }
 
+TEST_F(OutboxTest, WhatMayNotWaitLeavesNothingBehindWhereItWouldHaveTo) {
+    begin(Until::Written);
+    const auto send = [this](SendCallbacks&& back) { ways.push_back(std::move(back)); };
+    EXPECT_TRUE(outbox->postAtOnce(Traffic::Control, 60, send));
+    post(Traffic::Signal);  // of another thread: it passes everything, and fills the window
+    EXPECT_FALSE(outbox->postAtOnce(Traffic::Control, 60, send));
+    ASSERT_EQ(ways.size(), 2U);
+    ways[0].sent(true);
+    ways[1].sent(true);
+    EXPECT_EQ(ways.size(), 2U) << "nothing had been queued";
+    EXPECT_FALSE(outbox->closed());
+    EXPECT_TRUE(outbox->postAtOnce(Traffic::Data, 60, send));
+    outbox->close();
+    EXPECT_FALSE(outbox->postAtOnce(Traffic::Data, 60, send));
+}
+
 TEST_F(OutboxTest, BehindARouterControlAndDataHaveLeftWhenTheyAreAnsweredAndSignalsWhenWritten) {
     begin(Until::Answered);
     for (const auto traffic : {Traffic::Control, Traffic::Data, Traffic::Signal}) post(traffic);

@@ -167,11 +167,12 @@ class DirectPathTest : public ::testing::Test {
         executor_.join();
         manager_.reset();
     }
-    std::unique_ptr<Client> connect(bool direct = true) {
+    std::unique_ptr<Client> connect(bool direct = true, int paths = 64) {
         client::Options options;
         options.server = server_->clientAddress(Lane::Data);
         options.display_name = "client1@lab";
         options.direct = direct;
+        options.direct_paths = paths;
         auto connected = Client::connect(options);
         EXPECT_TRUE(connected.ok()) << connected.refusal().message;
         EXPECT_TRUE(connected.value()->waitFor("PeopleBot", client::Seconds{5}).ok());
@@ -338,6 +339,71 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
     for (const auto& gate : gates_) gate->hold(false);
     EXPECT_TRUE(waitUntil([&] { return direct(held); }));
     EXPECT_EQ(seen_.count(), 1U);
+}
+
+TEST_F(DirectPathTest, SilenceOfAnIdlePathIsSeenByTheFirstMessageThatGoesIntoIt) {
+    startManager();
+    const auto held = take();
+    std::atomic<bool> heard{false};
+    held.onText([&](const std::string&) { heard = true; });
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    for (const bool to_robot : {true, false}) {
+        for (const auto& gate : gates_) gate->hold(true);
+        const auto begun = clock_.now();
+        if (to_robot) {
+            send(held, "client to robot");
+        } else {
+            application_->text("robot to client");
+        }
+        ASSERT_TRUE(waitUntil([&] { return to_robot ? seen_.count() == 1 : heard.load(); }));
+        EXPECT_LT(clock_.now() - begun, direct::kWatchdogIdle / 2) << "the idle watchdog is not waited for";
+        for (const auto& gate : gates_) gate->hold(false);
+        ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    }
+    EXPECT_EQ(seen_.count(), 1U);
+}
+
+TEST_F(DirectPathTest, ReleaseAndTheNextCheckOutKeepTheirOrderThoughThePathIsSilent) {
+    startManager();
+    auto held = take();
+    for (int round = 1; round <= 3; ++round) {
+        ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+        gates_.at(0)->hold(true);
+        send(held, "the last words");
+        ASSERT_TRUE(held.release().ok());
+        held = take();
+        send(held, "the first ones");
+        ASSERT_TRUE(waitUntil([&] { return seen_.count() == 2U * static_cast<std::size_t>(round); }));
+        gates_.at(0)->hold(false);
+    }
+    for (std::size_t i = 0; i < 6; ++i) EXPECT_EQ(seen_.texts.at(i), i % 2 == 0 ? "the last words" : "the first ones");
+}
+
+TEST_F(DirectPathTest, NoMorePathsThanMayBe) {
+    startManager();
+    client_ = connect(true, 0);
+    const auto held = take();
+    send(held, "relayed");
+    ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
+    EXPECT_FALSE(held.direct() || manager_->direct());
+    EXPECT_EQ(directBytes(), 0U);
+}
+
+TEST_F(DirectPathTest, AResetThatComesByAllWaysCountsOnce) {
+    startManager();
+    const auto held = take();
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    const auto first = held.run("Drive");
+    const auto second = held.run("Drive");
+    ASSERT_TRUE(waitUntil([&] { return first.report().state == client::TaskState::Running && second.report().state == client::TaskState::Queued; }));
+    const auto before = gates_.at(1)->bytes();
+    ASSERT_TRUE(held.reset().ok());
+    EXPECT_EQ(first.wait(client::Seconds{5}).state, client::TaskState::Stopped);
+    ASSERT_TRUE(waitUntil([&] { return second.report().state == client::TaskState::Running; }));
+    EXPECT_TRUE(waitUntil([&] { return gates_.at(1)->bytes() > before + 50; })) << "by the direct signal lane too";
+    send(held, "later than both, by either way");
+    ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
+    EXPECT_EQ(second.report().state, client::TaskState::Running) << "the second copy of the reset must not end it";
 }
 
 TEST_F(DirectPathTest, AStopGoesByAllWaysAndIsExecutedOnce) {

@@ -332,6 +332,8 @@ struct Options {
     /// false = by the servers only. Lease, refusals and order are the same either way. Where the server is called by TLS or
     /// through a router nothing but the servers' way is taken (docs/reference/direct.md).
     bool direct = true;
+    /// At most so many of them; what is held beyond is reached by the servers. Each costs two connections, here and there.
+    int direct_paths = 64;
     /// When set, it is asked before each heartbeat while a task runs; false = do not send it (a live socket
     /// is not a live operator). Called on the library's heartbeat thread.
     std::function<bool()> keep_running;
@@ -410,7 +412,7 @@ class CheckOut {
                         const std::filesystem::path& file,
                         std::function<void(std::uint64_t, std::uint64_t)> progress = {},
                         std::stop_token give_up = {}) const;
-    /// Returns as soon as the request is on its way; refusals arrive as TaskState::Refused with their reason.
+    /// Does not wait: returns when the request has been taken to be sent; refusals arrive as TaskState::Refused with their reason.
     Task run(std::string_view service, const std::vector<Argument>& arguments = {},
              Seconds not_after = Seconds{0}) const;
 
