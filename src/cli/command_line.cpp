@@ -215,16 +215,27 @@ bool isServer(const std::string& text) {
            text.find_first_not_of("0123456789", colon + 1) == std::string::npos;
 }
 
+/// But for the options of every verb and what they take.
+std::vector<std::string> withoutOptions(const CLI::App& app, const std::vector<std::string>& all) {
+    std::vector<std::string> words;
+    for (std::size_t i = 0; i < all.size(); ++i) {
+        if (all[i].rfind('-', 0) != 0) {
+            words.push_back(all[i]);
+        } else if (const auto* option = app.get_option_no_throw(all[i]); option != nullptr && option->get_items_expected_max() > 0) {
+            ++i;
+        }
+    }
+    return words;
+}
+
 std::string mistake(const std::vector<std::string>& words, const std::string& what) {
-    const auto first =
-        std::find_if(words.begin(), words.end(), [](const auto& word) { return word.rfind('-', 0) != 0; });
+    const auto first = words.begin();
     if (first == words.end()) return "axon: " + what + "\nmend: axon --help\n";
     if (const auto* verb = verbIn(words)) return "axon: " + what + "\nmend: " + usageOf(*verb) + "\n";
     std::vector<std::string_view> names;
     if (const auto* group = findGroup(*first)) {
         const std::string before = std::string(group->name) + " ";
-        const auto second = std::find_if(first + 1, words.end(),
-                                         [](const auto& word) { return word.rfind('-', 0) != 0; });
+        const auto second = first + 1;
         for (const auto* verb : verbs()) {
             if (std::string_view(verb->name).rfind(before, 0) == 0)
                 names.push_back(std::string_view(verb->name).substr(before.size()));
@@ -358,7 +369,7 @@ Parsed parseCommandLine(std::vector<std::string> words,
         } else if (words.size() == 1 && groups.count(words[0]) != 0) {
             parsed.out = groups[words[0]]->help("axon");
         } else {
-            parsed.err = mistake(words, error.what());
+            parsed.err = mistake(withoutOptions(app, words), error.what());
         }
         parsed.exit = kUsage;
         return parsed;

@@ -514,6 +514,10 @@ TEST(GlobalCommandLine, MistakesAndHelpAtBothLevels) {
     EXPECT_THAT(parsed.err, HasSubstr("global has no verb \"rum\"\nmend: did you mean \"run\"?"));
     parsed = parseCommandLine({"global", "run"}, nothing);
     EXPECT_THAT(parsed.err, HasSubstr("Usage: axon global run NAME"));
+    parsed = parseCommandLine({"--server", "lab:1", "--json", "global", "--timeout", "2", "rum"}, nothing);
+    EXPECT_THAT(parsed.err, HasSubstr("global has no verb \"rum\""));
+    parsed = parseCommandLine({"--server", "lab:1", "globul"}, nothing);
+    EXPECT_THAT(parsed.err, HasSubstr("there is no verb \"globul\""));
     parsed = parseCommandLine({"globul"}, nothing);
     EXPECT_THAT(parsed.err, HasSubstr("\"global\""));
     for (const auto& words : std::vector<std::vector<std::string>>{{"global"}, {"global", "--help"}}) {
