@@ -2,16 +2,14 @@
 // Stops as datagrams: the client's sender and the real Entity Manager, with a relay between them that drops,
 // duplicates and reorders, while nothing passes over TCP; and the whole client library, where both ways are
 // open.
-#include <axon/link.pb.h>
 #include <axon/messages.pb.h>
 #include <gtest/gtest.h>
 
-#include <asio/post.hpp>
 #include <asio/thread_pool.hpp>
 #include <axon/client.hpp>
-#include <map>
 
 #include "client/datagram_sender.hpp"
+#include "component/memory_robot.hpp"
 #include "component/raw_peers.hpp"
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/server_communicators.hpp"
@@ -29,63 +27,6 @@ using radio::DatagramLane;
 using radio::Endpoint;
 using test::RawClient;
 using test::waitUntil;
-
-class MemoryStorage final : public entity_manager::Storage, public entity_manager::ResourceStore {
-  public:
-    std::optional<std::string> load(std::string_view key) override {
-        const auto found = values_.find(std::string(key));
-        return found == values_.end() ? std::nullopt : std::optional(found->second);
-    }
-    void save(std::string_view key, std::string_view value) override { values_[std::string(key)] = value; }
-    void forget(std::string_view key) override { values_.erase(std::string(key)); }
-    Result<std::uint64_t> begin(const proto::ResourceOffer&) override { return std::uint64_t{0}; }
-    Result<void> write(std::string_view, std::uint64_t, std::string_view) override { return {}; }
-    Result<std::string> finish(std::string_view) override { return std::string(); }
-    void suspend(std::string_view) override {}
-    void dropSuspended() override {}
-    void remove(std::string_view, std::string_view) override {}
-    std::optional<std::string> find(std::string_view, std::string_view) override { return std::nullopt; }
-
-  private:
-    std::map<std::string, std::string> values_;
-};
-
-/// A robot application in memory, which stands still at once.
-class Application final : public entity_manager::BackEndPort {
-  public:
-    Application(EntityManager::Strand strand, BackEndEvents& events, std::atomic<int>& stops)
-        : strand_(std::move(strand)), events_(events), stops_(stops) {}
-    void start() {
-        events_.onLinkUp();
-        profile(false, R"(<BasicProfile name="PeopleBot" category="ROBOT" type="MOBILE" descr="a robot"/>)");
-        profile(
-            true,
-            R"(<ServiceProfile count="1"><Service name="Drive" global_id="drive" type="SMPL"/></ServiceProfile>)");
-    }
-    bool send(const proto::EmToEi&) override { return true; }
-    void stop(std::uint32_t generation, StopCause cause) override {
-        if (cause == StopCause::Requested) ++stops_;
-        asio::post(strand_, [this, generation] {
-            proto::EiToEm done;
-            done.mutable_stop_done()->set_stop_generation(generation);
-            done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
-            events_.onLinkMessage(done);
-        });
-    }
-    void setBusy(bool) override {}
-
-  private:
-    void profile(bool services, const std::string& xml) {
-        proto::EiToEm message;
-        message.mutable_profile()->set_services(services);
-        message.mutable_profile()->set_file_name("profile.xml");
-        message.mutable_profile()->set_xml(xml);
-        events_.onLinkMessage(message);
-    }
-    EntityManager::Strand strand_;
-    BackEndEvents& events_;
-    std::atomic<int>& stops_;
-};
 
 /// Between client and Entity Manager: loses, doubles and holds back datagrams of either direction, from a
 /// seed.
@@ -165,7 +106,7 @@ class DatagramsTest : public ::testing::Test {
              "", ""},
             [&](const EntityManager::Strand& strand, const entity_manager::StopGate&, const Clock&,
                 BackEndEvents& events) {
-                auto application = std::make_unique<Application>(strand, events, stops_);
+                auto application = std::make_unique<test::MemoryRobot>(strand, events, seen_);
                 auto* const its = application.get();
                 return EntityManager::BackEnd{std::move(application), [its] { its->start(); }, [] {}};
             },
@@ -207,8 +148,8 @@ class DatagramsTest : public ::testing::Test {
 
     SteadyClock clock_;
     SystemRandom random_;
-    MemoryStorage storage_;
-    std::atomic<int> stops_{0};
+    test::MemoryStore storage_;
+    test::MemoryRobot::Seen seen_;
     std::unique_ptr<server::Server> server_;
     asio::thread_pool executor_{1};
     std::shared_ptr<EntityManager> manager_;
@@ -237,7 +178,7 @@ TEST_F(DatagramsTest, AStopArrivesByDatagramAloneThoughHalfOfThemAreLost) {
             sender.stop(manager_->uuid(), i, 0);
             return acknowledged == i;
         }));
-        EXPECT_EQ(stops_, i) << "each once, however many copies there are";
+        EXPECT_EQ(seen_.stops, i) << "each once, however many copies there are";
     }
     EXPECT_EQ(counters().accepted, static_cast<std::uint64_t>(kStops));
     EXPECT_GT(counters().again, 0U);
@@ -263,7 +204,7 @@ TEST_F(DatagramsTest, ReplayedForgedAndForeignDatagramsAreNotExecuted) {
             return acknowledged == i;
         }));
     }
-    ASSERT_EQ(stops_, kStops);
+    ASSERT_EQ(seen_.stops, kStops);
 
     const auto recorded = relay.recorded();
     const auto before = counters();
@@ -297,12 +238,12 @@ TEST_F(DatagramsTest, ReplayedForgedAndForeignDatagramsAreNotExecuted) {
     ++foreign.lease.number;
     inject(foreign, granted.lease().key());
     EXPECT_TRUE(waitUntil([&] { return refused() == injected; })) << refused() << " of " << injected;
-    EXPECT_EQ(stops_, kStops);
+    EXPECT_EQ(seen_.stops, kStops);
     EXPECT_EQ(counters().accepted, before.accepted);
 
     // And the holder is still heard.
     sender.stop(manager_->uuid(), kStops + 1, 0);
-    EXPECT_TRUE(waitUntil([&] { return stops_ == kStops + 1; }));
+    EXPECT_TRUE(waitUntil([&] { return seen_.stops == kStops + 1; }));
 }
 
 TEST_F(DatagramsTest, TheEndOfTheLeaseEndsItsDatagrams) {
@@ -330,7 +271,7 @@ TEST_F(DatagramsTest, TheEndOfTheLeaseEndsItsDatagrams) {
     lane.send(to, {datagram.data(), datagram.size()});
     EXPECT_TRUE(waitUntil([&] { return counters().foreign > refused; }));
     EXPECT_EQ(counters().accepted, 0U);
-    EXPECT_EQ(stops_, 0);
+    EXPECT_EQ(seen_.stops, 0);
 }
 
 TEST_F(DatagramsTest, TheClientLibrarySendsBothWaysAndTheRobotIsStoppedOnce) {
@@ -349,10 +290,10 @@ TEST_F(DatagramsTest, TheClientLibrarySendsBothWaysAndTheRobotIsStoppedOnce) {
         ASSERT_EQ(receipts.value().size(), 1U);
         EXPECT_TRUE(receipts.value().front().confirmed());
         EXPECT_TRUE(receipts.value().front().manager);
-        EXPECT_EQ(stops_, i);
+        EXPECT_EQ(seen_.stops, i);
     }
     EXPECT_TRUE(waitUntil([&] { return counters().accepted == 20; })) << counters().accepted;
-    EXPECT_EQ(stops_, 20);
+    EXPECT_EQ(seen_.stops, 20);
 }
 
 }  // namespace
