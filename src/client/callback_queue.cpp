@@ -38,7 +38,6 @@ bool CallbackQueue::post(std::function<void()> callback, bool may_be_left_out) {
         queue_.push_back({std::move(callback), may_be_left_out});
         if (may_be_left_out) ++optional_;
     }
-    changed_.notify_one();
     return true;
 }
 

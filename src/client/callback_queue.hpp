@@ -24,8 +24,10 @@ class CallbackQueue {
     CallbackQueue(const CallbackQueue&) = delete;
     CallbackQueue& operator=(const CallbackQueue&) = delete;
 
-    /// False: the queue is full of callbacks that must not be left out, and this one was not taken.
+    /// False: the queue is full of callbacks that must not be left out, and this one was not taken. It is called after the next
+    /// wake(): who posts under a lock that callbacks take wakes when it has left it.
     bool post(std::function<void()> callback, bool may_be_left_out);
+    void wake() { changed_.notify_one(); }
     bool isThisThread() const { return std::this_thread::get_id() == thread_.get_id(); }
     std::uint64_t leftOut() const;
     /// After this nothing is called any more. Not from a callback.

@@ -23,6 +23,9 @@ namespace {
 
 using namespace std::chrono_literals;
 
+/// Of the session whose core's lock this thread holds by withCore().
+thread_local const void* in_core = nullptr;
+
 constexpr Duration kFirstBackoff = 100ms;
 constexpr Duration kLastBackoff = 2s;
 /// No thread sleeps longer than this; a time far away is a wait_until that may overflow.
@@ -96,7 +99,10 @@ auto Client::Session::withCore(Use&& use, Sends sends) {
             if (wake_timer) session.timer_at_ = deadline;
             if (wake_heartbeat) session.heartbeat_at_ = heartbeat;
             const bool here = last != before && sends == Sends::Here && !session.leavesToSender();
+            const bool posted = std::exchange(session.posted_, false);
+            in_core = nullptr;
             lock.unlock();
+            if (posted) session.callbacks_.wake();
             if (last != before) {
                 if (here) {
                     session.flush(last);
@@ -109,6 +115,7 @@ auto Client::Session::withCore(Use&& use, Sends sends) {
         }
     };
     const Leave leave{*this, std::unique_lock(core_mutex_), sends};
+    in_core = this;
     return use(core_);
 }
 
@@ -820,7 +827,15 @@ void Client::Session::newServerHeartbeat(std::uint64_t attempt) {
 // ---- what the core says
 
 void Client::Session::post(std::function<void()> callback, bool may_be_left_out) {
-    if (callbacks_.post(std::move(callback), may_be_left_out)) return;
+    if (callbacks_.post(std::move(callback), may_be_left_out)) {
+        // The user's callback may use the core, and would only wait for its lock.
+        if (in_core == this) {
+            posted_ = true;
+        } else {
+            callbacks_.wake();
+        }
+        return;
+    }
     // The program does not return from its callbacks: it does not know any more what its robots do.
     log().error("client: {} callbacks wait for the program to return from one; the connection is given up",
                 CallbackQueue::kBound);

@@ -290,6 +290,7 @@ class Client::Session final : public SessionObserver,
     std::optional<std::pair<std::int64_t, bool>> beat_;
     TimePoint sent_at_{};  // the last message, if none came from the servers since and nobody waits for an answer
     std::size_t last_bytes_ = 0;  // of the message that was put last
+    bool posted_ = false;         // a callback, by the thread in withCore()
     bool may_beat_ = true;  // of the heartbeat's thread: what keep_running said last
     TimePoint timer_at_ = TimePoint::max(), heartbeat_at_ = TimePoint::max();
     std::unordered_map<std::string, std::weak_ptr<Task::Shared>> tasks_;
