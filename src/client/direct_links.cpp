@@ -20,9 +20,6 @@ constexpr std::size_t kHeadBytes = 200;  // that a message costs here besides it
 }  // namespace
 
 void DirectLinks::offer(const DirectOffer& offer) {
-    std::size_t others = 0;
-    for (const auto& [entity, entry] : entries_) others += entry.link && entity != offer.entity ? 1 : 0;
-    if (others >= most_) return;
     auto& entry = entries_[offer.entity];
     if (entry.epoch != offer.lease.epoch) {
         entry.in = direct::IncomingWay<Came>();
@@ -147,6 +144,9 @@ DirectLinks::Turn DirectLinks::turn() {
     const auto now = clock_.now();
     bool changed = false;
     const auto later = [&turn](TimePoint at) { turn.next = std::min(turn.next, at); };
+    auto paths = static_cast<std::size_t>(std::count_if(entries_.begin(), entries_.end(), [](const auto& one) {
+        return one.second.path && !one.second.path->ended();
+    }));
     for (auto& [entity, entry] : entries_) {
         if (entry.path && entry.path->ended()) {
             const auto stood = entry.begun ? now - entry.begun_at : Duration{};
@@ -194,6 +194,12 @@ DirectLinks::Turn DirectLinks::turn() {
             later(entry.try_at);
             continue;
         }
+        if (paths >= most_) {
+            entry.try_at = now + direct::Retry::kLast;
+            later(entry.try_at);
+            continue;
+        }
+        ++paths;
         entry.try_at = TimePoint::max();
         entry.path = make_(entry.offer);
         entry.path->passed = entry.in.passed();

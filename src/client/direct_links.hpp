@@ -20,6 +20,9 @@
 
 namespace axon::client {
 
+/// Of all paths together: more than what users may have waiting, and less than what may wait for the server.
+inline constexpr direct::KeptBounds kKeptBounds{12288, kWaitingBytesMax + kWaitingBytesMax / 2};
+
 /// The direct path of one lease, as its sender sees it. `out` and `by` are guarded by the owner's lock of sending.
 struct DirectLink {
     struct Sent {
@@ -29,7 +32,7 @@ struct DirectLink {
     /// The session with the server is lost, or the entity has left: what is not acknowledged is lost with it, as what the
     /// servers had under way is.
     std::atomic<bool> forget{false};
-    direct::OutgoingWay<Sent> out{{8192, kWaitingBytesMax}};
+    direct::OutgoingWay<Sent> out{kKeptBounds};
     std::shared_ptr<DirectPath> by;  // while out.direct()
 };
 
@@ -47,7 +50,7 @@ class DirectLinks {
     using Paths = std::map<std::string, std::shared_ptr<DirectPath>>;
     using Closing = std::vector<std::shared_ptr<DirectPath>>;
 
-    /// At most `most` at a time; what else offers one is not taken up.
+    /// At most `most` at a time; where another is offered, it is looked for room again each 30 s.
     DirectLinks(const Clock& clock, std::size_t most, Make make) : clock_(clock), most_(most), make_(std::move(make)) {}
 
     /// A lease was granted or resumed, and offers a path.

@@ -55,11 +55,12 @@ class DirectPath::Callback final : public slice::DirectCallback {
             events.newDirectMsg(path, Keeping::Droppable, headFrom(path, std::move(head)), transport::toView(message));
         });
     }
-    void newHeartbeat(double received, const Ice::Current&) override {
+    void newHeartbeat(double received, bool asks, const Ice::Current&) override {
         const auto path = path_.lock();
         if (!path || lane_ != Lane::Signal) return;
         path->silence.heard(path->clock_.now());
         path->acknowledged.store(transport::whole(received), std::memory_order_relaxed);
+        if (asks && path->permitted_) path->beat();
     }
 
   private:
@@ -267,6 +268,7 @@ std::pair<TimePoint, bool> DirectPath::beatIfDue(bool moving, bool permitted) {
     const auto now = clock_.now();
     const bool busy = moving || now.time_since_epoch().count() < lively_until_;
     const bool faster = busy && !silence.busy();
+    permitted_ = permitted;
     silence.setBusy(busy, now);
     if (faster || now >= beat_at_) {
         beat_at_ = now + (busy ? direct::kBeatBusy : direct::kBeatIdle);

@@ -76,7 +76,7 @@ class DirectPath : public std::enable_shared_from_this<DirectPath> {
     void sendResetSignal(const Header& head) const;
     void sendClearSignal(const Header& head) const;
     void beat() const;
-    /// A message that may not be lost has gone or come: busy for a while. True when it was not before; then let it beat at once.
+    /// A message goes: busy for a while. True when it was not before; then let it beat at once.
     bool enliven() const;
     /// On one thread: beats if it is due and permitted. When next, and whether it is busy now and was not before. `moving`: the entity.
     std::pair<TimePoint, bool> beatIfDue(bool moving, bool permitted);
@@ -114,6 +114,7 @@ class DirectPath : public std::enable_shared_from_this<DirectPath> {
     const std::weak_ptr<DirectPathEvents> events_;
     mutable std::atomic<Duration::rep> lively_until_{0};
     TimePoint beat_at_{};  // of the thread of beatIfDue()
+    std::atomic<bool> permitted_{true};
     int timeout_ms_ = 0;
     // Each written by one step of the opening, and read after open_ by others.
     LaneEnd data_, signal_;

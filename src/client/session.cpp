@@ -216,6 +216,7 @@ bool Client::Session::sendDirect(Outgoing& message) {
         case Kind::Reset: link.by->sendResetSignal(message.head); return false;
         case Kind::Clear: link.by->sendClearSignal(message.head); return false;
         case Kind::ToEntityDataSeq:
+            if (link.by->enliven()) heartbeat_.wake();
             link.by->send(direct::Keeping::Droppable, message.head, std::make_shared<const std::string>(std::move(message.bytes)));
             return true;
         case Kind::ToEntity: break;
@@ -223,11 +224,8 @@ bool Client::Session::sendDirect(Outgoing& message) {
     }
     if (direct::alwaysRelayed(message.head.msg_type)) return false;
     const auto size = message.bytes.size() + kMessageOverhead;
-    if (!roomToKeep(link, size)) {
-        link.by->close("the Entity Manager acknowledges too little");
-        fallBack(message.link);
-        return false;
-    }
+    makeRoomToKeep(link, size);
+    if (!link.by) return false;
     const auto bytes = std::make_shared<const std::string>(std::move(message.bytes));
     link.by->send(direct::Keeping::Kept, message.head, bytes);
     link.out.keep(message.head.sequence, size, {message.head, bytes});
@@ -235,22 +233,25 @@ bool Client::Session::sendDirect(Outgoing& message) {
     return true;
 }
 
-/// All that is kept may fall back at the same moment, and must find room on the way to the server.
-bool Client::Session::roomToKeep(DirectLink& link, std::size_t bytes) {
-    constexpr std::size_t kMessages = 8192;
+/// All that is kept may fall back at the same moment, and must find room on the way to the server. Where it would not, the path that
+/// keeps most is given up.
+void Client::Session::makeRoomToKeep(DirectLink& link, std::size_t bytes) {
     link.out.acknowledged(link.by->acknowledged.load(std::memory_order_relaxed));
-    if (!link.out.hasRoom(bytes)) return false;
-    const auto room = [&] {
+    for (bool looked = false;; looked = true) {
         std::size_t messages = 0, kept = 0;
+        std::shared_ptr<DirectLink> most;
         for (const auto& [entity, one] : by_path_) {
+            if (looked) one->out.acknowledged(one->by->acknowledged.load(std::memory_order_relaxed));
             messages += one->out.keptMessages();
             kept += one->out.keptBytes();
+            if (!most || one->out.keptBytes() > most->out.keptBytes()) most = one;
         }
-        return messages == 0 || (messages < kMessages && kept + bytes <= kWaitingBytesMax);
-    };
-    if (room()) return true;
-    for (const auto& [entity, one] : by_path_) one->out.acknowledged(one->by->acknowledged.load(std::memory_order_relaxed));
-    return room();
+        if (messages == 0 || (messages < kKeptBounds.messages && kept + bytes <= kKeptBounds.bytes)) return;
+        if (!looked) continue;
+        most->by->close("the Entity Manager acknowledges too little");
+        fallBack(most);
+        if (most.get() == &link) return;
+    }
 }
 
 /// The path is over: what the Entity Manager may not have goes by the servers, before anything else does.
@@ -782,7 +783,6 @@ void Client::Session::newDirectMsg(const DirectPath& path, direct::Keeping keepi
         Sends::Sender);
     if (arrival.close) arrival.close->close("too much came before its beginning by the servers");
     if (arrival.acknowledge) path.beat();
-    if (keeping == direct::Keeping::Kept && path.enliven()) heartbeat_.wake();
 }
 
 void Client::Session::newDirectReceipt(const DirectPath&, const Header& head, std::string_view message) {

@@ -249,7 +249,7 @@ class Client::Session final : public SessionObserver,
     void flush(std::uint64_t ticket);
     // Under send_mutex_.
     bool sendDirect(Outgoing& message);
-    bool roomToKeep(DirectLink& link, std::size_t bytes);
+    void makeRoomToKeep(DirectLink& link, std::size_t bytes);
     void fallBack(std::shared_ptr<DirectLink> link);
     void fallBackFromEnded();
     /// The link of an earlier path of the entity, which falls back before this message; mostly null.

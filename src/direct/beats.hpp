@@ -10,7 +10,7 @@
 
 // Times of a direct path. The client beats on its signal connection, each 50 ms while it is busy and each 2 s otherwise,
 // and the Entity Manager answers each beat: so both know of either direction, and there is one pace, which the client names.
-// A path is busy while its entity moves, and for a second after each message that may not be lost.
+// A path is busy while its entity moves, and for a second after each message that the client sends.
 namespace axon::direct {
 
 /// Silence of so long ends a path: while it is busy, and otherwise. Those of the hop to the server (safety.md).
@@ -18,10 +18,11 @@ inline constexpr Duration kWatchdogBusy = std::chrono::milliseconds{250};
 inline constexpr Duration kWatchdogIdle = std::chrono::seconds{10};
 inline constexpr Duration kBeatBusy = std::chrono::milliseconds{50};
 inline constexpr Duration kBeatIdle = std::chrono::seconds{2};
-/// So long after a message that may not be lost a path is busy, so that a break is seen at once and not with the next idle beat.
+/// So long after a message of the client's a path is busy, so that a break is seen at once and not with the next idle beat.
 inline constexpr Duration kLively = std::chrono::seconds{1};
-/// In which the Entity Manager wants an acknowledgement of what it sent. Two watchdogs: the client may hold it back for one.
-inline constexpr Duration kAcknowledgedWithin = 2 * kWatchdogBusy;
+/// While something that it sent is not acknowledged, the Entity Manager asks the client for a sign of life in this interval, which
+/// must come within it. Two watchdogs: the client may have no processor for one.
+inline constexpr Duration kAsks = 2 * kWatchdogBusy;
 /// What is held back waits so long for its mark. The relayed way is slow then, or has lost it.
 inline constexpr Duration kMarkWithin = kWatchdogBusy;
 /// After so many bytes of messages their receiver acknowledges at once, and not with the next beat.
@@ -36,13 +37,15 @@ class Silence {
     /// Becoming busy counts as a sign of life: the other end could not have known.
     void setBusy(bool busy, TimePoint now) {
         if (busy && !busy_.load(std::memory_order_relaxed)) heard(now);
-        busy_.store(busy, std::memory_order_relaxed);
+        busy_.store(busy, std::memory_order_release);  // who sees it sees that sign of life, too
     }
     bool busy() const { return busy_.load(std::memory_order_relaxed); }
     /// When it will have been silent for too long.
     TimePoint deadline() const {
-        return TimePoint{Duration{last_.load(std::memory_order_relaxed)}} + (busy() ? kWatchdogBusy : kWatchdogIdle);
+        const bool busy = busy_.load(std::memory_order_acquire);  // first
+        return last() + (busy ? kWatchdogBusy : kWatchdogIdle);
     }
+    TimePoint last() const { return TimePoint{Duration{last_.load(std::memory_order_relaxed)}}; }
 
   private:
     static Duration::rep count(TimePoint at) { return at.time_since_epoch().count(); }

@@ -66,8 +66,6 @@ class OutgoingWay {
         return std::exchange(kept_, {});
     }
 
-    /// The newest number that is kept; 0 = nothing is.
-    std::int64_t lastKept() const { return kept_.empty() ? 0 : kept_.back().sequence; }
     std::size_t keptMessages() const { return kept_.size(); }
     std::size_t keptBytes() const { return bytes_; }
 

@@ -27,8 +27,9 @@ std::string proofOf(const Claim& claim, Prover prover, std::string_view key) {
     put(text, static_cast<std::uint32_t>(claim.lease.number));
     text += claim.client.bytes() + claim.path.bytes() + claim.nonce.bytes();
 
+    const std::string under(key);  // an empty view's data may be null
     crypto_auth_hmacsha256_state state;
-    crypto_auth_hmacsha256_init(&state, reinterpret_cast<const unsigned char*>(key.data()), key.size());
+    crypto_auth_hmacsha256_init(&state, reinterpret_cast<const unsigned char*>(under.data()), under.size());
     crypto_auth_hmacsha256_update(&state, reinterpret_cast<const unsigned char*>(text.data()), text.size());
     std::array<unsigned char, crypto_auth_hmacsha256_BYTES> mac{};
     crypto_auth_hmacsha256_final(&state, mac.data());

@@ -149,10 +149,10 @@ void DirectDesk::onPace(const Id128& path) {
     if (path_ && path_->number == path) watch();
 }
 
-/// Rings when the client has been silent for too long, or a mark or an acknowledgement has not come in time.
+/// Rings when the client has been silent for too long, or a mark or an answer has not come in time.
 void DirectDesk::watch() {
     if (!path_) return;
-    const auto due = std::min({path_->signs->silence.deadline(), path_->mark_due, path_->acknowledged_due});
+    const auto due = std::min({path_->signs->silence.deadline(), path_->mark_due, path_->answer_due});
     if (due == silence_.due()) return;
     silence_.at(due, [this, weak = std::weak_ptr(alive_)] {
         if (weak.expired() || !path_) return;
@@ -162,12 +162,11 @@ void DirectDesk::watch() {
             if (in_.holdsBack()) return end("the servers have not brought its beginning in time", Rest::SendAgain);
             path_->mark_due = TimePoint::max();
         }
-        if (now >= path_->acknowledged_due) {
+        if (now >= path_->answer_due) {
+            if (path_->signs->silence.last() < path_->asked_at) return end("the client does not answer", Rest::SendAgain);
+            path_->answer_due = TimePoint::max();
             out_.acknowledged(path_->signs->acknowledged.load(std::memory_order_relaxed));
-            if (path_->signs->acknowledged.load(std::memory_order_relaxed) < path_->awaited)
-                return end("the client does not acknowledge what it is sent", Rest::SendAgain);
-            path_->acknowledged_due = TimePoint::max();
-            if (out_.keptMessages() > 0) await();
+            if (out_.keptMessages() > 0) ask();
         }
         watch();
     });
@@ -199,7 +198,7 @@ bool DirectDesk::arrived(const Id128& path, Keeping keeping, Header& head, std::
     switch (in_.direct(path, keeping, sequence, size, came)) {
         case Verdict::Pass:
             acknowledge();
-            if (keeping == Keeping::Kept && unacknowledged_.add(size) && path_->signal) path_->signal->beat(in_.passed());
+            if (keeping == Keeping::Kept && unacknowledged_.add(size) && path_->signal) path_->signal->beat(in_.passed(), false);
             return true;
         case Verdict::HeldBack:
             if (path_->mark_due == TimePoint::max()) {
@@ -238,16 +237,17 @@ void DirectDesk::sendToClient(Lane lane, const Header& head, const proto::ToClie
     }
     path_->data->send(Keeping::Kept, head, bytes);
     out_.keep(head.sequence, size, {head, std::move(bytes)});
-    if (path_->acknowledged_due == TimePoint::max()) {
-        await();
+    if (path_->answer_due == TimePoint::max()) {
+        ask();
         watch();
     }
 }
 
-/// A break is not to be found out by the idle beat only when something went into it.
-void DirectDesk::await() {
-    path_->acknowledged_due = clock_.now() + direct::kAcknowledgedWithin;
-    path_->awaited = out_.lastKept();
+/// A break is not to be found out by the idle beat only when something has gone into it.
+void DirectDesk::ask() {
+    path_->asked_at = clock_.now();
+    path_->answer_due = path_->asked_at + direct::kAsks;
+    path_->signal->beat(in_.passed(), true);
 }
 
 void DirectDesk::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {

@@ -94,8 +94,7 @@ class DirectDesk final : public ServerPort {
         std::shared_ptr<DirectSigns> signs;
         std::shared_ptr<DirectLane> data, signal;
         TimePoint mark_due = TimePoint::max();  // while something is held back
-        TimePoint acknowledged_due = TimePoint::max();  // of what went last when that was set
-        std::int64_t awaited = 0;
+        TimePoint asked_at{}, answer_due = TimePoint::max();  // while something is not acknowledged
     };
     struct Sent {
         Header head;
@@ -109,7 +108,7 @@ class DirectDesk final : public ServerPort {
     void begin();
     void end(const std::string& why, Rest rest);
     void watch();
-    void await();
+    void ask();
     void acknowledge();
 
     const asio::any_io_executor strand_;

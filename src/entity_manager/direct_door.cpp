@@ -60,9 +60,9 @@ class IceLane final : public DirectLane {
                 });
             });
     }
-    void beat(std::int64_t passed) override {
-        const auto send = [callback = callback_, passed](SendCallbacks&& back) {
-            callback->newHeartbeatAsync(static_cast<double>(passed), nullptr, std::move(back.failed), std::move(back.sent));
+    void beat(std::int64_t passed, bool asks) override {
+        const auto send = [callback = callback_, passed, asks](SendCallbacks&& back) {
+            callback->newHeartbeatAsync(static_cast<double>(passed), asks, nullptr, std::move(back.failed), std::move(back.sent));
         };
         outbox_->post(Traffic::Heartbeat, kHeadBytes, send, [send] { return transport::Outbox::Parcel(send); });
     }
@@ -122,7 +122,7 @@ class SessionServant final : public slice::DirectSession {
         signs_->acknowledged.store(transport::whole(received), std::memory_order_relaxed);
         const bool faster = busy && !signs_->silence.busy();
         signs_->silence.setBusy(busy, now);
-        back_->beat(signs_->passed.load(std::memory_order_acquire));
+        back_->beat(signs_->passed.load(std::memory_order_acquire), false);
         if (const auto events = faster ? events_.lock() : nullptr) events->directPace(path_);
     }
 
@@ -148,10 +148,8 @@ class SessionServant final : public slice::DirectSession {
     void pass(slice::Head&& head, const ByteRange& bytes, Keeping keeping, const Ice::Current& current) {
         require(Lane::Data, current);
         auto its = proper(std::move(head), current);
-        const auto events = events_.lock();
-        if (!events || full_) return;
-        full_ = !events->directMsg(path_, keeping, std::move(its), std::string(transport::toView(bytes)));
-        if (full_) back_->close("its messages come faster than they are handled");
+        if (const auto events = events_.lock())
+            events->directMsg(path_, keeping, std::move(its), std::string(transport::toView(bytes)));
     }
 
     const Id128 path_;
@@ -162,7 +160,6 @@ class SessionServant final : public slice::DirectSession {
     const std::shared_ptr<IceLane> back_;
     const Clock& clock_;
     const std::weak_ptr<DirectEvents> events_;
-    bool full_ = false;  // of the data lane's thread, the only one
 };
 
 std::string toBytes(const Axon::CommUtil::Bytes& bytes) {

@@ -31,7 +31,8 @@ class DirectLane {
     virtual ~DirectLane() = default;
     /// `message` is an axon.proto.ToClient. On the signal lane: receipts.
     virtual void send(direct::Keeping keeping, const Header& head, std::shared_ptr<const std::string> message) = 0;
-    virtual void beat(std::int64_t passed) = 0;
+    /// `asks`: for a beat of the client's, at once.
+    virtual void beat(std::int64_t passed, bool asks) = 0;
     /// At once; what is unsent is lost.
     virtual void close(const std::string& why) = 0;
     /// "192.168.0.9:50122", for logs.
@@ -53,9 +54,8 @@ class DirectEvents {
   public:
     virtual ~DirectEvents() = default;
     virtual void directOpening(DirectOpening opening) = 0;
-    /// False: more waits than may; this message is refused, no later one of the path may be told, and the path is to be closed, whose
-    /// holder sends again by the servers what has not been acknowledged.
-    virtual bool directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) = 0;
+    /// Waits while more of them wait than may: the client's end of the connection fills, and it is refused more there.
+    virtual void directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) = 0;
     virtual void directStop(Header head, StopCause cause) = 0;
     virtual void directReset(Header head) = 0;
     virtual void directClear(Header head) = 0;

@@ -228,15 +228,15 @@ void EntityManager::directOpening(DirectOpening opening) {
     });
 }
 
-bool EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) {
+void EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) {
     const auto size = bytes.size();
-    auto event = [this, path, keeping, head = std::move(head), bytes = std::move(bytes)]() mutable {
+    Inbox::Event event = [this, path, keeping, head = std::move(head), bytes = std::move(bytes)]() mutable {
         if (ways_->arrived(path, keeping, head, bytes)) core_->onClientMsg(head, bytes);
     };
-    const auto verdict = keeping == direct::Keeping::Kept ? inbox_.pushControl(std::move(event), size) : inbox_.pushData(std::move(event), size);
-    if (verdict == Inbox::Verdict::Overflow) return false;
+    if (keeping == direct::Keeping::Droppable) return wake(inbox_.pushData(std::move(event), size), Turn::Here);
+    auto verdict = inbox_.pushControl(std::move(event), size);
+    for (; verdict == Inbox::Verdict::Overflow; verdict = inbox_.pushControl(std::move(event), size)) inbox_.awaitRoom();
     wake(verdict, Turn::Here);
-    return true;
 }
 
 void EntityManager::directStop(Header head, StopCause cause) {

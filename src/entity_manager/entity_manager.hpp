@@ -86,7 +86,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
 
     // DirectEvents, on Ice's threads.
     void directOpening(DirectOpening opening) override;
-    bool directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) override;
+    void directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) override;
     void directStop(Header head, StopCause cause) override;
     void directReset(Header head) override;
     void directClear(Header head) override;

@@ -52,7 +52,7 @@ bool Inbox::signalsFull() const {
     return signal_count_ == kSignals;
 }
 
-Inbox::Verdict Inbox::pushControl(Event event, std::size_t bytes) {
+Inbox::Verdict Inbox::pushControl(Event&& event, std::size_t bytes) {
     {
         const std::lock_guard lock(mutex_);
         if (control_events_ == bounds_.control_events || control_bytes_ + bytes > bounds_.control_bytes)
@@ -62,6 +62,12 @@ Inbox::Verdict Inbox::pushControl(Event event, std::size_t bytes) {
         control_bytes_ += bytes;
     }
     return wake();
+}
+
+void Inbox::awaitRoom() {
+    std::unique_lock lock(mutex_);
+    awaited_ = true;
+    room_.wait(lock, [this] { return roomy(); });
 }
 
 Inbox::Verdict Inbox::pushData(Event event, std::size_t bytes) {
@@ -113,6 +119,10 @@ Inbox::Event Inbox::next() {
     } else {
         --control_events_;
         control_bytes_ -= first.bytes;
+        if (awaited_ && roomy()) {
+            awaited_ = false;
+            room_.notify_all();
+        }
     }
     return std::move(first.event);
 }

@@ -2,6 +2,7 @@
 #pragma once
 #include <array>
 #include <atomic>
+#include <condition_variable>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -47,7 +48,11 @@ class Inbox {
     Verdict pushSignal(Signal kind, Event event);
     /// Whether a drill or a passing signal would be dropped now. False stays false until a signal is pushed.
     bool signalsFull() const;
-    Verdict pushControl(Event event, std::size_t bytes = 0);
+    /// On Overflow the event is still the caller's.
+    Verdict pushControl(Event&& event, std::size_t bytes = 0);
+    /// For a thread that may wait, and not on the strand: returns when control has room again, half of its bounds. The strand comes,
+    /// for what fills it was pushed.
+    void awaitRoom();
     /// May drop older data to make room. `bytes` counts towards the bound.
     Verdict pushData(Event event, std::size_t bytes);
 
@@ -82,7 +87,11 @@ class Inbox {
     std::size_t peers_ = 0;           // guarded by signal_mutex_: of the waiting signals
     std::atomic<bool> scheduled_{false};  // whether the strand will come; no lock, so that data takes none of signals
 
+    bool roomy() const { return control_events_ <= bounds_.control_events / 2 && control_bytes_ <= bounds_.control_bytes / 2; }
+
     mutable std::mutex mutex_;
+    std::condition_variable room_;
+    bool awaited_ = false;            // guarded by mutex_: room_ is to be told
     std::deque<Waiting> waiting_;     // guarded by mutex_
     std::size_t control_events_ = 0;  // guarded by mutex_
     std::size_t control_bytes_ = 0;   // guarded by mutex_

@@ -46,7 +46,9 @@ TEST_F(InboxTest, FullDataDropsTheOldestDataAndNeverControl) {
 TEST_F(InboxTest, ControlOverflowIsReportedAndChangesNothing) {
     Inbox inbox({.control_events = 1, .data_events = 2, .data_bytes = 1000});
     EXPECT_EQ(inbox.pushControl(note('a')), Inbox::Verdict::Scheduled);
-    EXPECT_EQ(inbox.pushControl(note('b')), Inbox::Verdict::Overflow);
+    Inbox::Event second = note('b');
+    EXPECT_EQ(inbox.pushControl(std::move(second)), Inbox::Verdict::Overflow);
+    EXPECT_TRUE(second) << "who may wait still has it";
     drain(inbox);
     EXPECT_EQ(seen, "a");
 }

@@ -290,6 +290,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         if (late) given = status;
         countBusy(before, status, now);
         became_busy = busy && !session->watchdog->busy();
+        const bool became_idle = !busy && session->watchdog->busy();
         session->listen();
         session->watchdog->setBusy(busy, now);
         session->signs.allow(session->watchdog->timeout(), now);
@@ -297,9 +298,9 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         auto record = std::make_shared<Record>(*session->record);
         record->status = std::move(status);
         session->record = std::move(record);
-        if (became_busy) {
-            // The EM's own watchdog is short from now on.
-            heartbeat = ++session->heartbeats;
+        // The EM's own watchdog is short from now on.
+        if (became_busy) heartbeat = ++session->heartbeats;
+        if (became_busy || became_idle) {
             session->next_heartbeat = session->beatInTurn(now);
             schedule(session, session->next_heartbeat);
         }

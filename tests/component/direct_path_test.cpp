@@ -283,6 +283,25 @@ TEST_F(DirectPathTest, ReleaseAndTheNextCheckOutKeepTheirOrderThoughThePathIsSil
     for (std::size_t i = 0; i < 6; ++i) EXPECT_EQ(seen_.texts.at(i), i % 2 == 0 ? "the last words" : "the first ones");
 }
 
+TEST_F(DirectPathTest, WhoSendsFasterThanIsHandledIsHeldBackAndLosesNothing) {
+    startManager();
+    const auto held = take();
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    std::size_t sent = 0;
+    const auto content = [](std::size_t number) { return std::to_string(number) + std::string(2000, '.'); };
+    {
+        const std::lock_guard slow(seen_.mutex);  // the strand waits for the application
+        auto last = held.sendText(content(sent));
+        for (; last.ok() && sent < 100'000; last = held.sendText(content(sent))) ++sent;
+        EXPECT_EQ(last.refusal().code, RefusalCode::Overloaded);
+    }
+    EXPECT_GT(sent, 4096U) << "more than may wait for the strand";
+    EXPECT_TRUE(waitUntil([&] { return seen_.count() >= sent; })) << seen_.count() << " of " << sent;
+    EXPECT_TRUE(direct(held)) << "neither the path nor the session was given up";
+    for (std::size_t i = 0; i < sent; ++i) ASSERT_EQ(seen_.texts.at(i), content(i));
+    EXPECT_EQ(seen_.count(), sent);
+}
+
 TEST_F(DirectPathTest, NoMorePathsThanMayBe) {
     startManager();
     client_ = connect(true, 0);
@@ -362,6 +381,7 @@ TEST_F(DirectPathTest, ThereIsNoneWhereEitherSideHasItSwitchedOff) {
     }
     client_.reset();
     manager_->stop();
+    application_->awaitQuiet();
     manager_.reset();
     startManager(false);
     const auto held = take();
@@ -414,7 +434,7 @@ class Stranger {
     class Deaf final : public slice::DirectCallback {
         void newEntityMsg(slice::Head, transport::ByteRange, const Ice::Current&) override {}
         void newEntityMsgDataSeq(slice::Head, transport::ByteRange, const Ice::Current&) override {}
-        void newHeartbeat(double, const Ice::Current&) override {}
+        void newHeartbeat(double, bool, const Ice::Current&) override {}
     };
     Ice::CommunicatorHolder communicator_;
     std::shared_ptr<slice::DirectGatePrx> gate_;

@@ -4,6 +4,7 @@
 
 #include <asio/post.hpp>
 #include <atomic>
+#include <future>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -90,6 +91,12 @@ class MemoryRobot final : public entity_manager::BackEndPort {
         if (!ended.task().event().task_id().empty()) answer(std::move(ended));
     }
     void setBusy(bool) override {}
+    /// Nothing more is under way from here to the Entity Manager: before that goes, and the executor does not.
+    void awaitQuiet() {
+        std::promise<void> quiet;
+        asio::post(strand_, [&] { quiet.set_value(); });
+        quiet.get_future().wait();
+    }
     void text(std::string text) {
         proto::EiToEm message;
         message.mutable_text()->set_text(std::move(text));
