@@ -97,21 +97,22 @@ class BenchSmoke(unittest.TestCase):
 
     def test_chapter5(self):
         picture = self.folder / "figure.png"
-        result = self.result("chapter5", "--entities", "2", "--clients", "3", "--standard", "6", "--seconds", "1", "--with", "raw",
+        result = self.result("chapter5", "--entities", "2", "--clients", "3", "--standard", "6", "--seconds", "1", "--with", "axon-direct,raw",
                              "--plot", str(picture))
         self.assertEqual([row["table"] for row in result["results"]], ["5.1", "5.2", "5.3", "5.4"])
         for row in result["results"]:
             messages = 2 * (2 if "raw" in row else 10)
-            for system in ("axon", "raw"):
+            for system in ("axon", "axon-direct", "raw"):
                 if system in row:
                     self.complete(row[system]["from_batch"], messages)
                     self.complete(row[system]["from_call"], messages)
                     if row[system]["from_batch"]["lost"] == 0:
                         self.assertLessEqual(row[system]["from_call"]["mean"], row[system]["from_batch"]["mean"])
                         self.assertEqual(row[system]["corrupt_or_misplaced"], 0)
-            self.assertEqual(row["axon"].get("corrupt_at_standard_entities", 0), 0)
+            self.assertIn("axon-direct", row)
+            self.assertEqual(row.get("standard", {}).get("corrupt", 0), 0)
         self.assertEqual(result["results"][0]["thesis"], {"lan_mean": 1.7, "wlan_mean": 57.7})
-        standard = result["results"][2]["axon"]["standard_clients"]
+        standard = result["results"][2]["standard"]["clients"]
         self.assertGreater(standard["data"] + standard["signals"] + standard["refused"], 0)
         if shutil.which("gnuplot"):
             self.assertEqual(len(list(self.folder.glob("figure-5.*.png"))), 4)
@@ -126,12 +127,13 @@ class BenchSmoke(unittest.TestCase):
         result = json.loads(self.json.read_text())
         self.assertEqual(result["settings"]["channel"]["loss"], 0.022)
         for row, entities in zip(result["results"], (4, 10)):
-            for half in ("axon wired", "axon wireless"):
-                self.assertEqual(row[half]["from_batch"]["n"], 2 * entities / 2)
-            self.complete(row["axon"]["from_batch"], 2 * entities)
-            # Two milliseconds one way, whatever the machine.
-            wireless = row["axon wireless"]["from_call"]
-            self.assertGreater(math.inf if wireless["p50"] is None else wireless["p50"], 2)
+            for system in ("axon", "axon-direct"):
+                for half in ("wired", "wireless"):
+                    self.assertEqual(row[f"{system} {half}"]["from_batch"]["n"], 2 * entities / 2)
+                self.complete(row[system]["from_batch"], 2 * entities)
+                # Two milliseconds one way, whatever the machine.
+                wireless = row[f"{system} wireless"]["from_call"]
+                self.assertGreater(math.inf if wireless["p50"] is None else wireless["p50"], 2)
 
     def test_saturation(self):
         result = self.result("saturation", "--entities", "4", "--seconds", "1", "--rounds", "1")

@@ -161,7 +161,7 @@ int runCrowd(const CrowdWish& wish) {
                 return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};
             },
             clock, member->random, member->storage, member->storage);
-        if (wish.direct) {
+        if (wish.variant == Variant::Direct) {
             DirectSettings direct;
             direct.offered = true;
             member->manager->offerDirect(direct);

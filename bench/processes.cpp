@@ -19,7 +19,7 @@ struct Arguments {
     std::uint64_t seed = 1;
     std::uint16_t port = 0;
     int qos = 0;
-    bool direct = false;
+    Variant variant = Variant::Relayed;
 };
 
 CLI::App* hidden(CLI::App& app, const char* name, const char* what) { return app.add_subcommand(name, what)->group(""); }
@@ -40,8 +40,8 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     crowd->add_option("count", its->count)->required();
     crowd->add_option("server", its->server)->required();
     crowd->add_option("prefix", its->prefix)->required();
-    crowd->add_flag("--direct", its->direct);
-    all.push_back({crowd, [its] { return runCrowd({its->board, its->other, its->first, its->count, its->server, its->prefix, its->direct}); }});
+    crowd->add_option("variant", its->variant)->required();
+    all.push_back({crowd, [its] { return runCrowd({its->board, its->other, its->first, its->count, its->server, its->prefix, its->variant}); }});
 
     auto* herd = begin("herd", "standard clients");
     herd->add_option("count", its->count)->required();

@@ -2,6 +2,7 @@
 #pragma once
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -56,9 +57,11 @@ void reportSkipped(Report& report, const std::string& peer, const std::string& p
 /// Axon through servers that run already.
 std::unique_ptr<Subject> axonThrough(const Running& running, const std::filesystem::path& folder, std::size_t n);
 
+/// Which of Axon's variants a peer of this name is; nothing of another system's.
+std::optional<Variant> variantOf(const std::string& name);
 /// Axon with the second half of its entities behind a radio link.
-std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const std::filesystem::path& folder, std::size_t n);
+std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const std::filesystem::path& folder, std::size_t n, Variant variant);
 /// Axon through a server of this run (and its radio link, likewise), with entities PREFIX-0 … besides others.
-std::unique_ptr<Subject> axonOf(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n);
+std::unique_ptr<Subject> axonOf(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n, Variant variant);
 
 }  // namespace axon::bench
