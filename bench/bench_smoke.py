@@ -99,7 +99,8 @@ class BenchSmoke(unittest.TestCase):
         picture = self.folder / "figure.png"
         result = self.result("chapter5", "--entities", "2", "--clients", "3", "--standard", "6", "--seconds", "1", "--with", "axon-direct,raw",
                              "--plot", str(picture))
-        self.assertEqual([row["table"] for row in result["results"]], ["5.1", "5.2", "5.3", "5.4"])
+        self.assertEqual([(row["table"], row.get("mode")) for row in result["results"]],
+                         [("5.1", None), ("5.2", None), ("5.3", "partitioned"), ("5.3", "open"), ("5.4", "partitioned"), ("5.4", "open")])
         for row in result["results"]:
             messages = 2 * (2 if "raw" in row else 10)
             for system in ("axon", "axon-direct", "raw"):
@@ -112,13 +113,15 @@ class BenchSmoke(unittest.TestCase):
             self.assertIn("axon-direct", row)
             self.assertEqual(row.get("standard", {}).get("corrupt", 0), 0)
         self.assertEqual(result["results"][0]["thesis"], {"lan_mean": 1.7, "wlan_mean": 57.7})
-        standard = result["results"][2]["standard"]["clients"]
-        self.assertGreater(standard["data"] + standard["signals"] + standard["refused"], 0)
+        for row in result["results"][2:]:
+            standard = row["standard"]["clients"]
+            self.assertGreater(standard["data"] + standard["signals"] + standard["refused"], 0)
+        self.assertGreater(result["results"][3]["standard"]["clients"]["due"], result["results"][2]["standard"]["clients"]["due"])
         if shutil.which("gnuplot"):
             self.assertEqual(len(list(self.folder.glob("figure-5.*.png"))), 4)
 
     def test_chapter5_behind_a_radio_link(self):
-        done = subprocess.run([BIN / "axon-bench", "chapter5", "--channel", "wlan", "--table", "5.2,5.3", "--entities", "4", "--clients", "2",
+        done = subprocess.run([BIN / "axon-bench", "chapter5", "--channel", "wlan", "--table", "5.2,5.3", "--mode", "partitioned", "--entities", "4", "--clients", "2",
                                "--standard", "4", "--seconds", "1", "--json", str(self.json)], capture_output=True, text=True,
                               timeout=SECONDS_AT_MOST, check=False)
         if "does not permit a radio link" in done.stderr:

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <memory>
 #include <optional>
@@ -30,6 +31,7 @@ struct Wish {
     std::vector<std::string> with{"axon-direct", "mosquitto-qos0", "raw"};
     double seconds = 20;
     std::size_t standard = kStandardEntities;
+    std::vector<std::string> modes{"partitioned", "open"};
     std::string channel = "lan";
     std::string json, plot;
 };
@@ -37,7 +39,7 @@ struct Wish {
 void printHead(const ThesisTable& table) {
     std::printf("\nTable %s. %s. Latency in ms; from the start of each batch, every 500 ms.\n", std::string(table.number).c_str(),
                 std::string(table.title).c_str());
-    std::printf("%8s %10s %9s  %-20s %9s %9s %9s %9s %9s %5s %5s | %9s %9s\n", table.many_clients ? "clients" : "entities", "thesis LAN", "WLAN", "",
+    std::printf("%8s %10s %9s  %-24s %9s %9s %9s %9s %9s %5s %5s | %9s %9s\n", table.many_clients ? "clients" : "entities", "thesis LAN", "WLAN", "",
                 "mean", "p50", "p99", "p99.9", "max", "lost", "disc.", "from call", "p99");
 }
 
@@ -50,7 +52,7 @@ void printRow(const ThesisTable& table, std::size_t count, const std::string& na
         if (there) std::snprintf(text, sizeof(text), "%.1f", value);
         return std::string(text);
     };
-    std::printf("%8zu %10s %9s  %-20s %s %s %s %s %s %5zu %5zu | %s %s\n", count, old(thesis.has_value(), thesis ? thesis->lan_ms : 0).c_str(),
+    std::printf("%8zu %10s %9s  %-24s %s %s %s %s %s %5zu %5zu | %s %s\n", count, old(thesis.has_value(), thesis ? thesis->lan_ms : 0).c_str(),
                 old(thesis.has_value(), thesis ? thesis->wlan_ms : 0).c_str(), name.c_str(), figure(batch, "mean").c_str(), figure(batch, "p50").c_str(),
                 figure(batch, "p99").c_str(), figure(batch, "p99.9").c_str(), figure(batch, "max").c_str(), batch.value("lost", std::size_t{0}),
                 its.value("disconnected", std::size_t{0}), figure(call, "mean").c_str(), figure(call, "p99").c_str());
@@ -78,7 +80,12 @@ class Chapter5 {
                 for (const auto& row : table.rows) counts.push_back(row.count);
             for (const auto count : counts) {
                 if (interrupted) return;
-                table.many_clients ? manyClients(table, count) : oneClient(table, count);
+                if (!table.many_clients) {
+                    oneClient(table, count);
+                    continue;
+                }
+                for (const auto& mode : wish_.modes)
+                    if (!interrupted) manyClients(table, count, mode == "open");
             }
         }
     }
@@ -158,17 +165,19 @@ class Chapter5 {
         }
     }
 
-    /// Tables 5.3 and 5.4, with the entities partitioned among the clients under exclusive leases, as in normal operation. Each of Axon's
-    /// variants has ten entities of its own that are measured, and a client; those whose turn it is not are idle.
-    void manyClients(const ThesisTable& table, std::size_t clients) {
+    /// Tables 5.3 and 5.4: the standard entities partitioned among the standard clients under exclusive leases, as in normal operation, or
+    /// open to all of them, as in the thesis. Each of Axon's variants has ten entities of its own that are measured, and a client; those
+    /// whose turn it is not are idle.
+    void manyClients(const ThesisTable& table, std::size_t clients, bool open) {
         auto row = rowOf(table, clients);
-        const auto what = std::to_string(clients) + " clients";
-        const auto folder = work_.sub("clients-" + std::string(table.number) + "-" + std::to_string(clients));
+        const std::string mode = open ? "open" : "partitioned";
+        const auto what = std::to_string(clients) + " clients, " + mode;
+        const auto folder = work_.sub(mode + "-" + std::string(table.number) + "-" + std::to_string(clients));
         progress("chapter5: table " + std::string(table.number) + ", " + what + ": starting");
         AxonServer server(folder, radio_);
-        Entities standard(folder, "standard", wish_.standard, server.entityAddress(), radio_);
+        Entities standard(folder, "standard", wish_.standard, server.entityAddress(), radio_, open ? Variant::Open : Variant::Relayed);
         std::optional<Herd> herd;
-        if (clients > 1) herd.emplace(folder, clients - 1, server, "standard", wish_.standard);
+        if (clients > 1) herd.emplace(folder, clients - 1, server, "standard", wish_.standard, open);
         std::vector<std::unique_ptr<Contender>> all;
         for (const auto& peer : peers())
             if (const auto variant = variantOf(peer.name); variant && takesPart(peer.name)) {
@@ -179,9 +188,11 @@ class Chapter5 {
                 }
             }
         if (herd) herd->go();
+        const auto began = nowNs();
         auto figures = measure(table, what, all);
+        const auto passed = static_cast<double>(nowNs() - began);
         row["entities"] = wish_.standard + kTestingEntities;
-        row["mode"] = "partitioned";
+        row["mode"] = mode;
         nlohmann::json others{{"entities", wish_.standard}, {"disconnected", 0}};
         // Of these the content only: each client numbers what was taken, and what it was refused may have arrived.
         std::uint64_t corrupt = 0;
@@ -196,9 +207,13 @@ class Chapter5 {
         }
         if (herd) {
             const auto sums = herd->sums();
-            others["clients"] = {{"data", sums.data}, {"signals", sums.signals}, {"refused", sums.refused}, {"leases_lost", sums.leases_lost},
-                                 {"without_entities", clients - 1 > wish_.standard ? clients - 1 - wish_.standard : 0}};
+            // Each of their entities once in each period; what they are behind with is sent without a pause, and the load is what it is.
+            const auto due = std::llround(passed / static_cast<double>(kPeriod_ns) * static_cast<double>(wish_.standard * (open ? clients - 1 : 1)));
+            others["clients"] = {{"due", due}, {"data", sums.data}, {"signals", sums.signals}, {"refused", sums.refused}, {"leases_lost", sums.leases_lost},
+                                 {"without_entities", !open && clients - 1 > wish_.standard ? clients - 1 - wish_.standard : 0}};
             others["disconnected"] = sums.disconnected;
+            const auto sent = sums.data + sums.signals;
+            std::printf("%8zu clients %s: the standard ones sent %llu of %lld messages that were due\n", clients, mode.c_str(), static_cast<unsigned long long>(sent), due);
             if (sums.disconnected > 0 || sums.leases_lost > 0) sound_ = false;
         }
         for (std::size_t k = 0; k < all.size(); ++k) {
@@ -206,7 +221,7 @@ class Chapter5 {
             its["disconnected"] = its["disconnected"].get<std::size_t>() + others["disconnected"].get<std::size_t>();
             if (!all[k]->ended().empty()) std::printf("%8zu %s: %s\n", clients, all[k]->name.c_str(), all[k]->ended().c_str());
             row[all[k]->name] = std::move(its);
-            say(table, clients, all[k]->name, figures[k], row);
+            say(table, clients, all[k]->name, figures[k], row, " " + mode);
             judge(*all[k], figures[k].front());
         }
         row["standard"] = std::move(others);
@@ -238,13 +253,13 @@ class Chapter5 {
         return all;
     }
 
-    static void say(const ThesisTable& table, std::size_t count, const std::string& name, std::vector<Figures>& figures, nlohmann::json& row) {
-        printRow(table, count, name, row[name]);
+    static void say(const ThesisTable& table, std::size_t count, const std::string& name, std::vector<Figures>& figures, nlohmann::json& row, const std::string& mode = {}) {
+        printRow(table, count, name + mode, row[name]);
         for (std::size_t i = 1; i < figures.size(); ++i) {
             if (figures[i].from_batch.sent() == 0) continue;
             const auto half = name + (i == 1 ? " wired" : " wireless");
             row[half] = figures[i].json();
-            printRow(table, count, half, row[half]);
+            printRow(table, count, half + mode, row[half]);
         }
     }
 
@@ -262,7 +277,7 @@ int run(const Wish& wish) {
     const auto radio = wish.channel == "wlan" ? std::make_unique<Radio>() : nullptr;
     Report report(wish.json, "chapter5",
                   {{"tables", wish.tables}, {"seconds", wish.seconds}, {"period_ms", 500}, {"warm_up", kWarmUp}, {"patience_s", 2}, {"channel", radio ? Radio::settings() : nlohmann::json("loopback")},
-                   {"standard_entities", wish.standard}, {"testing_entities", kTestingEntities}, {"with", wish.with}});
+                   {"modes", wish.modes}, {"standard_entities", wish.standard}, {"testing_entities", kTestingEntities}, {"with", wish.with}});
     const auto compared = [&wish](const char* table) { return std::find(wish.tables.begin(), wish.tables.end(), table) != wish.tables.end(); };
     reportPeers(report, !radio && (compared("5.1") || compared("5.2")) ? wish.with : std::vector<std::string>{});
     std::printf("LAN and WLAN: average latency as the thesis printed it (a server of four cores at 2.66 GHz, real networks).\n"
@@ -299,6 +314,10 @@ Experiment declareChapter5(CLI::App& app) {
         ->delimiter(',')
         ->check(CLI::IsMember(names).description(""))
         ->type_name("SYSTEM,…");
+    command->add_option("--mode", wish->modes, "Of 5.3 and 5.4: partitioned (each standard entity is held by one client) and open (by all of them, as in the thesis) [both]")
+        ->delimiter(',')
+        ->check(CLI::IsMember({"partitioned", "open"}).description(""))
+        ->type_name("MODE,…");
     command->add_option("--standard", wish->standard, "Entities of 5.3 and 5.4 besides the ten that are measured [246]")->check(CLI::Range(1, 4096).description(""))->type_name("N");
     command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
     command->add_option("--plot", wish->plot, "Draw figures 5.1 to 5.4 (PNG, by gnuplot); of several tables their numbers are put into the name")->type_name("FILE");

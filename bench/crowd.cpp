@@ -17,6 +17,7 @@
 #include "client/axon/client.hpp"
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/server_communicators.hpp"
+#include "open_entity.hpp"
 #include "transport/memory_lock.hpp"
 
 namespace axon::bench {
@@ -147,32 +148,44 @@ int runCrowd(const CrowdWish& wish) {
         SystemRandom random;
         MemoryStorage storage;
         std::shared_ptr<EntityManager> manager;
+        std::shared_ptr<OpenEntity> open;  // instead of it
+        bool ready() const { return open ? open->joined() : manager->state() == EntityState::IDLE; }
+    };
+    const auto startManager = [&](Member& member, const std::string& name, Slot& slot) {
+        CoreSettings settings;
+        settings.application = name;
+        member.manager = EntityManager::create(
+            executor.get_executor(), ice, settings, server,
+            [&](const EntityManager::Strand& strand, const StopGate&, const Clock&, BackEndEvents& events) {
+                auto link = std::make_unique<MemoryLink>(strand, events, name, slot);
+                auto* const at = link.get();
+                return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};
+            },
+            clock, member.random, member.storage, member.storage);
+        if (wish.variant == Variant::Direct) {
+            DirectSettings direct;
+            direct.offered = true;
+            member.manager->offerDirect(direct);
+        }
+        member.manager->start();
     };
     std::vector<std::unique_ptr<Member>> members;
     for (std::size_t i = 0; i < wish.count; ++i) {
         auto member = std::make_unique<Member>();
-        CoreSettings settings;
-        settings.application = wish.prefix + "-" + std::to_string(wish.first + i);
-        member->manager = EntityManager::create(
-            executor.get_executor(), ice, settings, server,
-            [&](const EntityManager::Strand& strand, const StopGate&, const Clock&, BackEndEvents& events) {
-                auto link = std::make_unique<MemoryLink>(strand, events, settings.application, board[wish.first + i]);
-                auto* const at = link.get();
-                return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};
-            },
-            clock, member->random, member->storage, member->storage);
-        if (wish.variant == Variant::Direct) {
-            DirectSettings direct;
-            direct.offered = true;
-            member->manager->offerDirect(direct);
+        const auto name = wish.prefix + "-" + std::to_string(wish.first + i);
+        auto& slot = board[wish.first + i];
+        if (wish.variant == Variant::Open) {
+            member->open = OpenEntity::create(executor.get_executor(), ice, server, clock, member->random, name, slot);
+            member->open->start();
+        } else {
+            startManager(*member, name, slot);
         }
-        member->manager->start();
         members.push_back(std::move(member));
         // Logging in costs the server; 32 at a time keeps every handshake within its time-out.
-        while (i >= 32 && members[i - 32]->manager->state() != EntityState::IDLE) std::this_thread::yield();
+        while (i >= 32 && !members[i - 32]->ready()) std::this_thread::yield();
     }
     for (const auto& member : members)
-        while (member->manager->state() != EntityState::IDLE) std::this_thread::sleep_for(std::chrono::milliseconds{1});
+        while (!member->ready()) std::this_thread::sleep_for(std::chrono::milliseconds{1});
     ++board.ready();
 
     const auto parent = ::getppid();

@@ -14,7 +14,7 @@ namespace axon::bench {
 namespace {
 
 struct Arguments {
-    std::string board, server, prefix;
+    std::string board, server, prefix, mode;
     std::size_t count = 0, first = 0, other = 0;
     std::uint64_t seed = 1;
     std::uint16_t port = 0;
@@ -49,7 +49,8 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     herd->add_option("prefix", its->prefix)->required();
     herd->add_option("entities", its->other)->required();
     herd->add_option("seed", its->seed)->required();
-    all.push_back({herd, [its] { return runHerd(its->board, its->count, its->server, its->prefix, its->other, its->seed); }});
+    herd->add_option("mode", its->mode)->required();
+    all.push_back({herd, [its] { return runHerd(its->board, its->count, its->server, its->prefix, its->other, its->seed, its->mode == "open"); }});
 
     auto* axon_stream = begin("axon-stream", "a client that sends data as fast as it can");
     axon_stream->add_option("server", its->server)->required();
