@@ -23,9 +23,11 @@ client::Options patient() { return {.timeout = client::Seconds{30}}; }
 /// Of a process, besides what each of many costs it.
 constexpr std::size_t kOwnDescriptors = 100;
 
-/// Counted in /proc: two sessions with the server; with a direct path 12, of two adapters (each a listener, and three of its thread
+/// Counted in /proc: two sessions with the server; two connections with a robot application, and those that are being made; with a direct path 12, of two adapters (each a listener, and three of its thread
 /// pool) and the connections that they have taken, and as much room again: a path that is opened anew has those of the old one beside it.
-std::size_t descriptorsOfEach(Variant variant) { return variant == Variant::Direct ? 24 : 2; }
+std::size_t descriptorsOfEach(Variant variant) { return variant == Variant::Direct ? 24 : variant == Variant::Robots ? 6 : 2; }
+/// A listener, two connections, what wakes its threads; and a connection that says Hello meanwhile.
+constexpr std::size_t kDescriptorsOfRobot = 8;
 /// At the client.
 constexpr std::size_t kDescriptorsOfPath = 2;
 
@@ -81,20 +83,28 @@ AxonServer::AxonServer(const fs::path& folder, const Radio* radio)
 Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_t n, const std::string& server, const Radio* radio,
                    Variant variant)
     : board_((folder / (prefix + ".board")).string(), n, true) {
-    const auto permitted = descriptorsPermitted();
-    const auto most = std::max<std::size_t>(1, (permitted - std::min(permitted, kOwnDescriptors)) / descriptorsOfEach(variant));
-    const auto start = [&](std::size_t first, std::size_t end, const std::function<void()>& prepare) {
-        for (; first < end; first += most) {
-            const std::vector<std::string> words{(folder / (prefix + ".board")).string(), std::to_string(n), std::to_string(first), std::to_string(std::min(most, end - first)), server, prefix,
-                                                 std::to_string(static_cast<int>(variant))};
-            children_.push_back(std::make_unique<Child>(ourselves("crowd", words), folder / (prefix + "-" + std::to_string(first) + ".log"), std::vector<std::string>{}, prepare));
-        }
-    };
+    const auto own = descriptorsPermitted() - std::min(descriptorsPermitted(), kOwnDescriptors);
     const auto wired = radio ? firstWireless(n) : n;
-    start(0, wired, {});
-    if (radio) start(wired, n, radio->enterWireless());
-    for (const auto& child : children_)
-        child->waitUntil([this, all = children_.size()] { return board_.ready() >= all; }, "the entities did not start", kJoinTime);
+    // Processes of this name for all of them; each says on the board that it is ready.
+    const auto start = [&](const char* process, const std::string& suffix, std::size_t descriptors, const std::vector<std::string>& more, Board& board) {
+        const auto most = std::max<std::size_t>(1, own / descriptors);
+        const auto before = children_.size();
+        for (std::size_t first = 0, count = 0; first < n; first += count) {
+            const bool wireless = first >= wired;
+            count = std::min(most, (wireless ? n : wired) - first);
+            std::vector<std::string> words{(folder / (prefix + suffix)).string(), std::to_string(n), std::to_string(first), std::to_string(count), prefix};
+            words.insert(words.end(), more.begin(), more.end());
+            children_.push_back(std::make_unique<Child>(ourselves(process, words), folder / (prefix + suffix + "-" + std::to_string(first) + ".log"),
+                                                        std::vector<std::string>{}, wireless ? radio->enterWireless() : std::function<void()>()));
+        }
+        for (auto i = before; i < children_.size(); ++i)
+            children_[i]->waitUntil([&board, all = children_.size() - before] { return board.ready() >= all; }, "the entities did not start", kJoinTime);
+    };
+    if (variant == Variant::Robots) {
+        robots_.emplace((folder / (prefix + ".robots")).string(), n, true);
+        start("robots", ".robots", kDescriptorsOfRobot, {}, *robots_);
+    }
+    start("crowd", ".board", descriptorsOfEach(variant), {server, std::to_string(static_cast<int>(variant))}, board_);
     for (std::size_t i = 0; i < n; ++i) names_.push_back(prefix + "-" + std::to_string(i));
 }
 

@@ -44,6 +44,8 @@ class Entities {
     Entities(const std::filesystem::path& folder, const std::string& prefix, std::size_t n, const std::string& server,
              const Radio* radio = nullptr, Variant variant = Variant::Relayed);
     Board& board() { return board_; }
+    /// Where the robot applications note; null where there are none.
+    Board* robots() { return robots_ ? &*robots_ : nullptr; }
     const std::vector<std::string>& names() const { return names_; }
     /// The first of those behind the radio link.
     static std::size_t firstWireless(std::size_t n) { return n / 2; }
@@ -54,6 +56,7 @@ class Entities {
 
   private:
     Board board_;
+    std::optional<Board> robots_;
     std::vector<std::unique_ptr<Child>> children_;
     std::vector<std::string> names_;
 };
@@ -73,6 +76,7 @@ class AxonCrowd {
     /// Through this server, which outlives it, with entities of another name than others that it has.
     AxonCrowd(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n, Variant variant = Variant::Relayed);
     Board& board() { return entities_->board(); }
+    Board* robots() { return entities_->robots(); }
     client::Client& client() { return *client_; }
     const std::vector<std::string>& names() const { return entities_->names(); }
     const std::vector<client::CheckOut>& held() const { return held_; }

@@ -97,13 +97,13 @@ class BenchSmoke(unittest.TestCase):
 
     def test_chapter5(self):
         picture = self.folder / "figure.png"
-        result = self.result("chapter5", "--entities", "2", "--clients", "3", "--standard", "6", "--seconds", "1", "--with", "axon-direct,raw",
+        result = self.result("chapter5", "--entities", "2", "--clients", "3", "--standard", "6", "--seconds", "1", "--with", "axon-direct,axon-robots,raw",
                              "--plot", str(picture))
         self.assertEqual([(row["table"], row.get("mode")) for row in result["results"]],
                          [("5.1", None), ("5.2", None), ("5.3", "partitioned"), ("5.3", "open"), ("5.4", "partitioned"), ("5.4", "open")])
         for row in result["results"]:
             messages = 2 * (2 if "raw" in row else 10)
-            for system in ("axon", "axon-direct", "raw"):
+            for system in ("axon", "axon-direct", "axon-robots", "raw"):
                 if system in row:
                     self.complete(row[system]["from_batch"], messages)
                     self.complete(row[system]["from_call"], messages)
@@ -111,6 +111,11 @@ class BenchSmoke(unittest.TestCase):
                         self.assertLessEqual(row[system]["from_call"]["mean"], row[system]["from_batch"]["mean"])
                         self.assertEqual(row[system]["corrupt_or_misplaced"], 0)
             self.assertIn("axon-direct", row)
+            robots = row["axon-robots"]
+            self.complete(robots["at_callback"], messages)
+            if robots["at_callback"]["lost"] == 0:
+                self.assertLess(robots["from_batch"]["mean"], robots["at_callback"]["mean"])
+            self.assertEqual(robots["corrupt_at_callback"], 0)
             self.assertEqual(row.get("standard", {}).get("corrupt", 0), 0)
         self.assertEqual(result["results"][0]["thesis"], {"lan_mean": 1.7, "wlan_mean": 57.7})
         for row in result["results"][2:]:
@@ -130,6 +135,7 @@ class BenchSmoke(unittest.TestCase):
         result = json.loads(self.json.read_text())
         self.assertEqual(result["settings"]["channel"]["loss"], 0.022)
         for row, entities in zip(result["results"], (4, 10)):
+            self.complete(row["axon-robots"]["at_callback"], 2 * entities)
             for system in ("axon", "axon-direct"):
                 for half in ("wired", "wireless"):
                     self.assertEqual(row[f"{system} {half}"]["from_batch"]["n"], 2 * entities / 2)

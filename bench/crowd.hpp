@@ -9,6 +9,7 @@ namespace axon::bench {
 enum class Variant : std::uint8_t {
     Relayed,  ///< by the servers; the link to the robot application is in memory
     Direct,   ///< they offer a direct path, and the client takes it
+    Robots,   ///< as Relayed, and each has a robot application with a real Entity Interfacer, in another process
     Open,     ///< no Entity Managers but OpenEntity, which many clients hold at once
 };
 

@@ -72,7 +72,7 @@ void runBatch(Contender& contender, Message message, std::string& bytes, bool co
     }
     if (!counts || interrupted) return;
     contender.series.beginBatch();
-    contender.collect(batch, contender.series, nullptr);
+    contender.collect(batch, contender.series);
 }
 
 class Comparison {

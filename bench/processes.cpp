@@ -7,6 +7,7 @@
 #include "mosquitto_peer.hpp"
 #include "nats_peer.hpp"
 #include "raw_router.hpp"
+#include "robots.hpp"
 #include "streams.hpp"
 
 namespace axon::bench {
@@ -38,10 +39,17 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     crowd->add_option("slots", its->other)->required();
     crowd->add_option("first", its->first)->required();
     crowd->add_option("count", its->count)->required();
-    crowd->add_option("server", its->server)->required();
     crowd->add_option("prefix", its->prefix)->required();
+    crowd->add_option("server", its->server)->required();
     crowd->add_option("variant", its->variant)->required();
     all.push_back({crowd, [its] { return runCrowd({its->board, its->other, its->first, its->count, its->server, its->prefix, its->variant}); }});
+
+    auto* robots = begin("robots", "robot applications");
+    robots->add_option("slots", its->other)->required();
+    robots->add_option("first", its->first)->required();
+    robots->add_option("count", its->count)->required();
+    robots->add_option("prefix", its->prefix)->required();
+    all.push_back({robots, [its] { return runRobots(its->board, its->other, its->first, its->count, its->prefix); }});
 
     auto* herd = begin("herd", "standard clients");
     herd->add_option("count", its->count)->required();

@@ -26,6 +26,7 @@ class AxonSubject final : public Subject {
         });
     }
     Board& board() override { return crowd_.board(); }
+    Board* robots() override { return crowd_.robots(); }
     bool numbered(Kind kind) const override { return kind == Kind::Data; }
     void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
         if (message == Message::Stop) {
@@ -108,8 +109,13 @@ std::unique_ptr<Subject> axonThrough(const Running& running, const fs::path& fol
     return std::make_unique<AxonSubject>(folder, n, Variant::Relayed, &running);
 }
 
+const Peer& axonRobots() {
+    static const Peer its{"axon-robots", "", "", startAxon<Variant::Robots>, "Axon relayed, to the callbacks of robot applications with real Entity Interfacers"};
+    return its;
+}
+
 std::optional<Variant> variantOf(const std::string& name) {
-    for (const auto& [its, variant] : {std::pair{"axon", Variant::Relayed}, std::pair{"axon-direct", Variant::Direct}})
+    for (const auto& [its, variant] : {std::pair{"axon", Variant::Relayed}, std::pair{"axon-direct", Variant::Direct}, std::pair{"axon-robots", Variant::Robots}})
         if (name == its) return variant;
     return std::nullopt;
 }
