@@ -158,9 +158,11 @@ class BenchSmoke(unittest.TestCase):
         result = self.result("growth", "--entities", "4", "--clients", "3", "--seconds", "1")
         self.assertEqual([(row["what"], row["n"]) for row in result["results"]], [("entities", 4), ("clients", 3)])
         for row in result["results"]:
-            self.assertGreater(row["own_kb"], 0)
-            self.assertGreaterEqual(row["cpu_share"], 0)
             self.assertGreater(row["server_ready_s"], 0)
+            for use in (row["idle"], row["active"]):
+                self.assertGreater(use["own_kb"], 0)
+                self.assertGreaterEqual(use["cpu_share"], 0)
+            self.assertGreater(row["active"]["arrived"], 0)
 
     def test_runs(self):
         result = self.result("runs", "--entities", "3", "--levels", "2", "--rounds", "2")

@@ -27,6 +27,8 @@ namespace {
 
 using namespace axon::entity_manager;
 
+constexpr std::int64_t kSpeakPeriod_ns = 500'000'000;
+
 /// An Entity Interfacer without a socket: grants everything, notes arrivals.
 class MemoryLink final : public BackEndPort {
   public:
@@ -224,7 +226,15 @@ int runCrowd(const CrowdWish& wish) {
     ++board.ready();
 
     const auto parent = ::getppid();
-    while (::getppid() == parent) std::this_thread::sleep_for(std::chrono::milliseconds{200});
+    const auto bytes = content(kSmallBytes);
+    for (auto due = nowNs(); ::getppid() == parent;) {
+        if (board.go() != 0 && nowNs() >= due) {
+            due = nowNs() + kSpeakPeriod_ns;
+            for (const auto& member : members)
+                if (member->open) member->open->speak(bytes);
+        }
+        std::this_thread::sleep_for(std::chrono::milliseconds{20});
+    }
     return 0;
 }
 

@@ -24,7 +24,7 @@ struct CrowdWish {
 
 /// N Entity Managers (the library the daemon is made of, with real sessions over real sockets) in one process, each
 /// with a robot application in memory that notes the arrival of stops and data on the board. Named PREFIX-FIRST …
-/// Runs until its parent dies or kills it.
+/// Open ones send 60 bytes to each who holds them every 500 ms while the board says go. Runs until its parent dies or kills it.
 int runCrowd(const CrowdWish& wish);
 
 }  // namespace axon::bench

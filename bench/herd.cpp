@@ -16,6 +16,7 @@ using namespace std::chrono_literals;
 constexpr std::int64_t kPeriod_ns = 500'000'000;
 /// A login is mostly waiting for round trips.
 constexpr int kLoginsAtOnce = 16;
+constexpr std::chrono::seconds kJoinTime{300};
 
 /// A standard client: its thread.
 class StandardClient {
@@ -27,7 +28,10 @@ class StandardClient {
             if (!connected) ++its.disconnected;
         });
         if (!names_.empty()) held_ = holdAll(*client_, names_);
-        for (const auto& entity : held_) entity.onLost([&its = slot_](const Refusal&) { ++its.leases_lost; });
+        for (const auto& entity : held_) {
+            entity.onLost([&its = slot_](const Refusal&) { ++its.leases_lost; });
+            entity.onRaw([&its = slot_](auto&&) { ++its.received; });
+        }
     }
 
     void tick() {
@@ -109,7 +113,13 @@ Herd::Herd(const std::filesystem::path& folder, std::size_t clients, const AxonS
     : board_((folder / "herd.board").string(), clients, true),
       child_(ourselves("herd", {(folder / "herd.board").string(), std::to_string(clients), server.clientAddress(), prefix, std::to_string(entities), "1", open ? "open" : "partitioned"}),
              folder / "herd.log") {
-    child_.waitUntil([this] { return board_.ready() >= board_.size(); }, "the standard clients did not start", std::chrono::seconds{300});
+    try {
+        child_.waitUntil([this] { return board_.ready() >= board_.size(); }, "the clients did not start", kJoinTime);
+    } catch (const std::exception& problem) {
+        if (interrupted || !child_.running()) throw;
+        throw std::runtime_error("only " + std::to_string(board_.ready()) + " of " + std::to_string(board_.size()) + " clients were there within " +
+                                 std::to_string(kJoinTime.count()) + " s");
+    }
 }
 
 Herd::Sums Herd::sums() {
@@ -120,6 +130,7 @@ Herd::Sums Herd::sums() {
         sums.refused += board_[i].refused;
         sums.disconnected += board_[i].disconnected;
         sums.leases_lost += board_[i].leases_lost;
+        sums.received += board_[i].received;
     }
     return sums;
 }

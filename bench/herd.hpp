@@ -15,6 +15,7 @@ struct alignas(64) HerdSlot {
     std::atomic<std::uint32_t> refused{0};       ///< of both, for whatever reason
     std::atomic<std::uint32_t> disconnected{0};  ///< times it lost its connection
     std::atomic<std::uint32_t> leases_lost{0};
+    std::atomic<std::uint32_t> received{0};  ///< raw data of its entities
 };
 using HerdBoard = SharedArray<HerdSlot>;
 
@@ -28,14 +29,14 @@ int runHerd(const std::string& board_file, std::size_t clients, const std::strin
 
 class Herd {
   public:
-    /// Returns when all have connected and hold theirs. Throws std::runtime_error with the log.
+    /// Returns when all have connected and hold theirs. Throws std::runtime_error with the log, or how many were there in time.
     Herd(const std::filesystem::path& folder, std::size_t clients, const AxonServer& server, const std::string& prefix, std::size_t entities, bool open = false);
     void go() { board_.go() = 1; }
     bool running() const { return child_.running(); }
     /// As Subject::ended().
     std::string ended() const { return whichHasEnded({{"the clients' process", &child_}}); }
     struct Sums {
-        std::uint64_t data = 0, signals = 0, refused = 0, disconnected = 0, leases_lost = 0;
+        std::uint64_t data = 0, signals = 0, refused = 0, disconnected = 0, leases_lost = 0, received = 0;
     };
     Sums sums();
 

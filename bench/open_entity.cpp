@@ -97,9 +97,11 @@ void OpenEntity::answer(const Header& head, const std::string& bytes) {
             reply.mutable_lease()->set_number(++leases_);
             reply.mutable_lease()->set_key(std::string(16, 'k'));
             reply.mutable_lease()->set_root(request.root());
+            holders_.insert_or_assign(head.sender.id, head.sender);
         }
         tell(Lane::Data, head.sender, kMsgCheckOut, message);
     } else if (asked.has_release()) {
+        holders_.erase(head.sender.id);
         auto& ended = *message.mutable_lease_ended();
         ended.mutable_lease()->set_epoch(static_cast<std::uint32_t>(head.held.epoch));
         ended.mutable_lease()->set_number(static_cast<std::uint32_t>(head.held.number));
@@ -110,14 +112,26 @@ void OpenEntity::answer(const Header& head, const std::string& bytes) {
     }
 }
 
+void OpenEntity::speak(const std::string& bytes) {
+    asio::post(strand_, [self = shared_from_this(), bytes] {
+        proto::ToClient message;
+        message.mutable_raw()->add_data(bytes);
+        for (const auto& [id, holder] : self->holders_) self->server_->sendToClientDataSeq(self->headFor(holder, kMsgRaw), message);
+    });
+}
+
 void OpenEntity::tell(Lane lane, const Sender& to, const char* type, const proto::ToClient& message) {
+    server_->sendToClient(lane, headFor(to, type), message);
+}
+
+Header OpenEntity::headFor(const Sender& to, const char* type) {
     Header head;
     head.sender = to;
     head.entity = uuid_;
     head.msg_type = type;
     head.stop_generation = static_cast<std::int32_t>(generation_);
     head.sequence = ++sequence_;
-    server_->sendToClient(lane, head, message);
+    return head;
 }
 
 }  // namespace axon::bench

@@ -28,6 +28,8 @@ class OpenEntity final : public entity_manager::ServerEvents, public std::enable
                                               const entity_manager::ServerAddress& server, const Clock& clock, RandomSource& random, std::string name,
                                               Slot& slot);
     void start();
+    /// Sends this to each who holds it.
+    void speak(const std::string& bytes);
     /// Registered at the server.
     bool joined() const { return joined_; }
 
@@ -48,6 +50,7 @@ class OpenEntity final : public entity_manager::ServerEvents, public std::enable
     /// On the strand.
     void answer(const Header& head, const std::string& bytes);
     void tell(Lane lane, const Sender& to, const char* type, const proto::ToClient& message);
+    Header headFor(const Sender& to, const char* type);
 
     const asio::strand<asio::any_io_executor> strand_;
     const std::string name_, uuid_;
@@ -55,6 +58,7 @@ class OpenEntity final : public entity_manager::ServerEvents, public std::enable
     std::atomic<bool> joined_{false};
     std::atomic<std::uint32_t> generation_{0};
     std::uint32_t leases_ = 0;
+    std::map<std::string, Sender> holders_;  // by id
     std::int64_t sequence_ = 0;
     std::unique_ptr<entity_manager::EntityCommunicator> server_;
 };
