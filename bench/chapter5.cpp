@@ -312,7 +312,7 @@ Experiment declareChapter5(CLI::App& app) {
                     "  5.3  M clients and 256 entities, of which ten are measured: data     5.4  likewise a stop\n\n"
                     "Examples:\n  axon-bench chapter5 --table 5.2 --entities 1,64,256 --seconds 10\n"
                     "  axon-bench chapter5 --table 5.4 --clients 1,16 --json clients.json --plot figure.png\n"
-                    "All of it takes about an hour and a half.\n");
+                    "All of it takes about two hours.\n");
     command->add_option("--table", wish->tables, "5.1, 5.2, 5.3 or 5.4 [all]")->delimiter(',')->check(CLI::IsMember({"5.1", "5.2", "5.3", "5.4"}).description(""))->type_name("TABLE,…");
     command->add_option("--entities", wish->entities, "Of 5.1 and 5.2 [1,2,4,…,2048]")->delimiter(',')->check(CLI::Range(1, 4096).description(""))->type_name("N,…");
     command->add_option("--clients", wish->clients, "Of 5.3 and 5.4 [1,2,4,…,256]")->delimiter(',')->check(CLI::Range(1, 1024).description(""))->type_name("M,…");
