@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "axon_crowd.hpp"
 
+#include <algorithm>
 #include <cstdio>
 #include <fstream>
 #include <functional>
@@ -18,6 +19,17 @@ namespace {
 constexpr auto kJoinTime = 120s;
 
 client::Options patient() { return {.timeout = client::Seconds{30}}; }
+
+/// Of a process, besides what each of many costs it.
+constexpr std::size_t kOwnDescriptors = 100;
+
+/// Counted in /proc: two sessions with the server; two connections with a robot application, and those that are being made; with a direct path 12, of two adapters (each a listener, and three of its thread
+/// pool) and the connections that they have taken, and as much room again: a path that is opened anew has those of the old one beside it.
+std::size_t descriptorsOfEach(Variant variant) { return variant == Variant::Direct ? 24 : variant == Variant::Robots ? 6 : 2; }
+/// A listener, two connections, what wakes its threads; and a connection that says Hello meanwhile.
+constexpr std::size_t kDescriptorsOfRobot = 8;
+/// At the client.
+constexpr std::size_t kDescriptorsOfPath = 2;
 
 /// Of users that exist in one run's folder, for as long as it lasts.
 constexpr const char* kPassword = "of a benchmark";
@@ -69,21 +81,30 @@ AxonServer::AxonServer(const fs::path& folder, const Radio* radio)
 }
 
 Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_t n, const std::string& server, const Radio* radio,
-                   Way way)
+                   Variant variant)
     : board_((folder / (prefix + ".board")).string(), n, true) {
-    const auto start = [&](std::size_t first, std::size_t count, const std::function<void()>& prepare) {
-        if (count == 0) return;
-        std::vector<std::string> words{(folder / (prefix + ".board")).string(), std::to_string(n), std::to_string(first), std::to_string(count), server, prefix};
-        if (way == Way::Direct) words.emplace_back("--direct");
-        children_.push_back(std::make_unique<Child>(
-            ourselves("crowd", words),
-            folder / (prefix + "-" + std::to_string(first) + ".log"), std::vector<std::string>{}, prepare));
-    };
+    const auto own = descriptorsPermitted() - std::min(descriptorsPermitted(), kOwnDescriptors);
     const auto wired = radio ? firstWireless(n) : n;
-    start(0, wired, {});
-    if (radio) start(wired, n - wired, radio->enterWireless());
-    for (const auto& child : children_)
-        child->waitUntil([this, all = children_.size()] { return board_.ready() >= all; }, "the entities did not start", kJoinTime);
+    // Processes of this name for all of them; each says on the board that it is ready.
+    const auto start = [&](const char* process, const std::string& suffix, std::size_t descriptors, const std::vector<std::string>& more, Board& board) {
+        const auto most = std::max<std::size_t>(1, own / descriptors);
+        const auto before = children_.size();
+        for (std::size_t first = 0, count = 0; first < n; first += count) {
+            const bool wireless = first >= wired;
+            count = std::min(most, (wireless ? n : wired) - first);
+            std::vector<std::string> words{(folder / (prefix + suffix)).string(), std::to_string(n), std::to_string(first), std::to_string(count), prefix};
+            words.insert(words.end(), more.begin(), more.end());
+            children_.push_back(std::make_unique<Child>(ourselves(process, words), folder / (prefix + suffix + "-" + std::to_string(first) + ".log"),
+                                                        std::vector<std::string>{}, wireless ? radio->enterWireless() : std::function<void()>()));
+        }
+        for (auto i = before; i < children_.size(); ++i)
+            children_[i]->waitUntil([&board, all = children_.size() - before] { return board.ready() >= all; }, "the entities did not start", kJoinTime);
+    };
+    if (variant == Variant::Robots) {
+        robots_.emplace((folder / (prefix + ".robots")).string(), n, true);
+        start("robots", ".robots", kDescriptorsOfRobot, {}, *robots_);
+    }
+    start("crowd", ".board", descriptorsOfEach(variant), {server, std::to_string(static_cast<int>(variant))}, board_);
     for (std::size_t i = 0; i < n; ++i) names_.push_back(prefix + "-" + std::to_string(i));
 }
 
@@ -99,9 +120,9 @@ std::unique_ptr<client::Client> connectClient(client::Options options) {
     return std::move(connected).value();
 }
 
-std::unique_ptr<client::Client> connectClient(const std::string& server, Way way) {
+std::unique_ptr<client::Client> connectClient(const std::string& server, Variant variant) {
     auto options = fs::exists(server) ? configured(server) : patient();
-    options.direct = way == Way::Direct;
+    options.direct = variant == Variant::Direct;
     options.direct_paths = 4096;
     if (!fs::exists(server)) options.server = server;
     return connectClient(std::move(options));
@@ -115,11 +136,11 @@ std::vector<client::CheckOut> holdAll(client::Client& client, const std::vector<
     return std::move(held).value();
 }
 
-AxonCrowd::AxonCrowd(const fs::path& folder, std::size_t n, Way way, const Running* running, const Radio* radio) {
+AxonCrowd::AxonCrowd(const fs::path& folder, std::size_t n, Variant variant, const Running* running, const Radio* radio) {
     if (!running) server_ = std::make_unique<AxonServer>(folder, radio);
-    entities_ = std::make_unique<Entities>(folder, "bench", n, running ? running->entity_config : server_->entityAddress(), radio, way);
-    client_ = connectClient(running ? running->client_config : server_->clientAddress(), way);
-    hold(way);
+    entities_ = std::make_unique<Entities>(folder, "bench", n, running ? running->entity_config : server_->entityAddress(), radio, variant);
+    client_ = connectClient(running ? running->client_config : server_->clientAddress(), variant);
+    hold(variant);
 }
 
 std::string AxonCrowd::ended() const {
@@ -127,19 +148,27 @@ std::string AxonCrowd::ended() const {
     return server.empty() ? entities_->ended() : server;
 }
 
-AxonCrowd::AxonCrowd(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n, Way way)
-    : entities_(std::make_unique<Entities>(folder, prefix, n, server.entityAddress(), server.radio(), way)),
-      client_(connectClient(server.clientAddress(), way)) {
-    hold(way);
+AxonCrowd::AxonCrowd(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n, Variant variant)
+    : entities_(std::make_unique<Entities>(folder, prefix, n, server.entityAddress(), server.radio(), variant)),
+      client_(connectClient(server.clientAddress(), variant)) {
+    hold(variant);
 }
 
-void AxonCrowd::hold(Way way) {
+void AxonCrowd::hold(Variant variant) {
+    if (variant == Variant::Direct && names().size() * kDescriptorsOfPath + kOwnDescriptors > descriptorsPermitted())
+        throw NotPermitted(std::to_string(names().size()) + " direct paths need " + std::to_string(names().size() * kDescriptorsOfPath + kOwnDescriptors) +
+                           " descriptors in the client's process, which may have " + std::to_string(descriptorsPermitted()) + "; mend: ulimit -n");
     held_ = holdAll(*client_, names());
-    if (way == Way::Relayed) return;
+    if (variant != Variant::Direct) return;
     const auto end = std::chrono::steady_clock::now() + kJoinTime;
     for (const auto& entity : held_)
         while (!entity.direct()) {
-            if (std::chrono::steady_clock::now() > end) throw std::runtime_error("the direct path to an entity has not opened");
+            if (interrupted) throw std::runtime_error("interrupted");
+            if (std::chrono::steady_clock::now() > end) {
+                const auto open = std::count_if(held_.begin(), held_.end(), [](const auto& its) { return its.direct(); });
+                throw std::runtime_error("only " + std::to_string(open) + " of " + std::to_string(held_.size()) + " direct paths have opened within " +
+                                         std::to_string(kJoinTime.count()) + " s");
+            }
             std::this_thread::sleep_for(1ms);
         }
 }

@@ -2,12 +2,14 @@
 #pragma once
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "board.hpp"
 #include "child.hpp"
 #include "client/axon/client.hpp"
+#include "crowd.hpp"
 #include "radio.hpp"
 
 namespace axon::bench {
@@ -30,32 +32,32 @@ class AxonServer {
     std::string client_, entity_;
 };
 
-/// Which way messages take to what a client holds. Direct: the Entity Managers offer a direct path, and the client takes it.
-enum class Way : std::uint8_t { Relayed, Direct };
-
 /// Servers that run already: the configuration files of a client and of an Entity Manager, as axon-cluster writes them.
 struct Running {
     std::string client_config, entity_config;
 };
 
-/// N Entity Managers in a process of their own (crowd.hpp), named PREFIX-0 … PREFIX-N-1. With a radio link the second half is in
-/// another process beyond it.
+/// N Entity Managers in a process of their own (crowd.hpp), or in as few as the limit of descriptors permits, named PREFIX-0 …
+/// PREFIX-N-1. With a radio link the second half is in other processes beyond it.
 class Entities {
   public:
     /// `server`: HOST:PORT, or the configuration file of an Entity Manager. Throws std::runtime_error with the log.
     Entities(const std::filesystem::path& folder, const std::string& prefix, std::size_t n, const std::string& server,
-             const Radio* radio = nullptr, Way way = Way::Relayed);
+             const Radio* radio = nullptr, Variant variant = Variant::Relayed);
     Board& board() { return board_; }
+    /// Where the robot applications note; null where there are none.
+    Board* robots() { return robots_ ? &*robots_ : nullptr; }
     const std::vector<std::string>& names() const { return names_; }
     /// The first of those behind the radio link.
     static std::size_t firstWireless(std::size_t n) { return n / 2; }
-    /// The only one, without a radio link.
+    /// The only one, where they are few and without a radio link.
     const Child& process() const { return *children_.front(); }
     /// As Subject::ended().
     std::string ended() const;
 
   private:
     Board board_;
+    std::optional<Board> robots_;
     std::vector<std::unique_ptr<Child>> children_;
     std::vector<std::string> names_;
 };
@@ -63,17 +65,19 @@ class Entities {
 /// Throws std::runtime_error with the refusal.
 std::unique_ptr<client::Client> connectClient(client::Options options);
 /// `server`: HOST:PORT, or the configuration file of a client.
-std::unique_ptr<client::Client> connectClient(const std::string& server, Way way = Way::Relayed);
+std::unique_ptr<client::Client> connectClient(const std::string& server, Variant variant = Variant::Relayed);
 /// Waits until they are there, and checks them out. Throws std::runtime_error with the refusal.
 std::vector<client::CheckOut> holdAll(client::Client& client, const std::vector<std::string>& names);
 
 /// A server, unless one runs already, N entities, and a client that holds all of them; by direct paths only where each has opened.
+/// The constructors throw NotPermitted where the client's process may not have as many descriptors as its direct paths need.
 class AxonCrowd {
   public:
-    AxonCrowd(const std::filesystem::path& folder, std::size_t n, Way way = Way::Relayed, const Running* running = nullptr, const Radio* radio = nullptr);
+    AxonCrowd(const std::filesystem::path& folder, std::size_t n, Variant variant = Variant::Relayed, const Running* running = nullptr, const Radio* radio = nullptr);
     /// Through this server, which outlives it, with entities of another name than others that it has.
-    AxonCrowd(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n, Way way = Way::Relayed);
+    AxonCrowd(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n, Variant variant = Variant::Relayed);
     Board& board() { return entities_->board(); }
+    Board* robots() { return entities_->robots(); }
     client::Client& client() { return *client_; }
     const std::vector<std::string>& names() const { return entities_->names(); }
     const std::vector<client::CheckOut>& held() const { return held_; }
@@ -81,7 +85,7 @@ class AxonCrowd {
     std::string ended() const;
 
   private:
-    void hold(Way way);
+    void hold(Variant variant);
     std::unique_ptr<AxonServer> server_;
     std::unique_ptr<Entities> entities_;
     std::unique_ptr<client::Client> client_;

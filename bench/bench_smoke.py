@@ -97,28 +97,37 @@ class BenchSmoke(unittest.TestCase):
 
     def test_chapter5(self):
         picture = self.folder / "figure.png"
-        result = self.result("chapter5", "--entities", "2", "--clients", "3", "--standard", "6", "--seconds", "1", "--with", "raw",
+        result = self.result("chapter5", "--entities", "2", "--clients", "3", "--standard", "6", "--seconds", "0.5", "--with", "axon-direct,axon-robots,raw",
                              "--plot", str(picture))
-        self.assertEqual([row["table"] for row in result["results"]], ["5.1", "5.2", "5.3", "5.4"])
+        self.assertEqual([(row["table"], row.get("mode")) for row in result["results"]],
+                         [("5.1", None), ("5.2", None), ("5.3", "partitioned"), ("5.3", "open"), ("5.4", "partitioned"), ("5.4", "open")])
         for row in result["results"]:
-            messages = 2 * (2 if "raw" in row else 10)
-            for system in ("axon", "raw"):
+            messages = (2 if "raw" in row else 10)
+            for system in ("axon", "axon-direct", "axon-robots", "raw"):
                 if system in row:
                     self.complete(row[system]["from_batch"], messages)
                     self.complete(row[system]["from_call"], messages)
                     if row[system]["from_batch"]["lost"] == 0:
                         self.assertLessEqual(row[system]["from_call"]["mean"], row[system]["from_batch"]["mean"])
                         self.assertEqual(row[system]["corrupt_or_misplaced"], 0)
-            self.assertEqual(row["axon"].get("corrupt_at_standard_entities", 0), 0)
+            self.assertIn("axon-direct", row)
+            robots = row["axon-robots"]
+            self.complete(robots["at_callback"], messages)
+            if robots["at_callback"]["lost"] == 0:
+                self.assertLess(robots["from_batch"]["mean"], robots["at_callback"]["mean"])
+            self.assertEqual(robots["corrupt_at_callback"], 0)
+            self.assertEqual(row.get("standard", {}).get("corrupt", 0), 0)
         self.assertEqual(result["results"][0]["thesis"], {"lan_mean": 1.7, "wlan_mean": 57.7})
-        standard = result["results"][2]["axon"]["standard_clients"]
-        self.assertGreater(standard["data"] + standard["signals"] + standard["refused"], 0)
+        for row in result["results"][2:]:
+            standard = row["standard"]["clients"]
+            self.assertGreater(standard["data"] + standard["signals"] + standard["refused"], 0)
+        self.assertGreater(result["results"][3]["standard"]["clients"]["due"], result["results"][2]["standard"]["clients"]["due"])
         if shutil.which("gnuplot"):
             self.assertEqual(len(list(self.folder.glob("figure-5.*.png"))), 4)
 
     def test_chapter5_behind_a_radio_link(self):
-        done = subprocess.run([BIN / "axon-bench", "chapter5", "--channel", "wlan", "--table", "5.2,5.3", "--entities", "4", "--clients", "2",
-                               "--standard", "4", "--seconds", "1", "--json", str(self.json)], capture_output=True, text=True,
+        done = subprocess.run([BIN / "axon-bench", "chapter5", "--channel", "wlan", "--table", "5.2,5.3", "--mode", "partitioned", "--entities", "4", "--clients", "2",
+                               "--standard", "4", "--seconds", "0.5", "--json", str(self.json)], capture_output=True, text=True,
                               timeout=SECONDS_AT_MOST, check=False)
         if "does not permit a radio link" in done.stderr:
             self.skipTest(done.stderr.strip())
@@ -126,12 +135,14 @@ class BenchSmoke(unittest.TestCase):
         result = json.loads(self.json.read_text())
         self.assertEqual(result["settings"]["channel"]["loss"], 0.022)
         for row, entities in zip(result["results"], (4, 10)):
-            for half in ("axon wired", "axon wireless"):
-                self.assertEqual(row[half]["from_batch"]["n"], 2 * entities / 2)
-            self.complete(row["axon"]["from_batch"], 2 * entities)
-            # Two milliseconds one way, whatever the machine.
-            wireless = row["axon wireless"]["from_call"]
-            self.assertGreater(math.inf if wireless["p50"] is None else wireless["p50"], 2)
+            self.complete(row["axon-robots"]["at_callback"], entities)
+            for system in ("axon", "axon-direct"):
+                for half in ("wired", "wireless"):
+                    self.assertEqual(row[f"{system} {half}"]["from_batch"]["n"], entities / 2)
+                self.complete(row[system]["from_batch"], entities)
+                # Two milliseconds one way, whatever the machine.
+                wireless = row[f"{system} wireless"]["from_call"]
+                self.assertGreater(math.inf if wireless["p50"] is None else wireless["p50"], 2)
 
     def test_saturation(self):
         result = self.result("saturation", "--entities", "4", "--seconds", "1", "--rounds", "1")
@@ -147,9 +158,11 @@ class BenchSmoke(unittest.TestCase):
         result = self.result("growth", "--entities", "4", "--clients", "3", "--seconds", "1")
         self.assertEqual([(row["what"], row["n"]) for row in result["results"]], [("entities", 4), ("clients", 3)])
         for row in result["results"]:
-            self.assertGreater(row["own_kb"], 0)
-            self.assertGreaterEqual(row["cpu_share"], 0)
             self.assertGreater(row["server_ready_s"], 0)
+            for use in (row["idle"], row["active"]):
+                self.assertGreater(use["own_kb"], 0)
+                self.assertGreaterEqual(use["cpu_share"], 0)
+            self.assertGreater(row["active"]["arrived"], 0)
 
     def test_runs(self):
         result = self.result("runs", "--entities", "3", "--levels", "2", "--rounds", "2")

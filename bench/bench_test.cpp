@@ -48,6 +48,18 @@ TEST(BenchSlot, ALostMessageIsMisplacedAndACorruptOneHasNotArrived) {
     EXPECT_EQ(slot.intact, 3U) << "not the last number";
 }
 
+TEST(BenchSlot, AStopThatANewerOneOvertookHasReachedTheApplicationWithIt) {
+    Slot manager, robot;
+    manager.stopped(1001, 10);
+    manager.stopped(1002, 20);
+    robot.reachedGeneration(1002, 30);
+    robot.reachedGeneration(1002, 40);
+    EXPECT_EQ(robot.reached(0, manager), 30);
+    EXPECT_EQ(robot.reached(1, manager), 30);
+    manager.stopped(1003, 50);
+    EXPECT_LT(robot.reached(2, manager), 50) << "of a generation 64 before, or none";
+}
+
 TEST(BenchSeries, WhatNeverArrivedIsInfinitelyLate) {
     Series series;
     series.beginBatch();

@@ -32,6 +32,7 @@ struct Arrivals {
 struct alignas(64) Slot {
     Arrivals stops, data;
     Arrivals tasks;
+    std::array<std::atomic<std::uint32_t>, Arrivals::kRemembered> generations{};  ///< of `stops`, at an Entity Manager
     std::atomic<std::uint32_t> intact{0};     ///< messages with content that have arrived as they were sent
     std::atomic<std::uint32_t> corrupt{0};    ///< content that is not what was sent
     std::atomic<std::uint32_t> misplaced{0};  ///< not the one after the one before: lost, doubled or out of order
@@ -39,6 +40,20 @@ struct alignas(64) Slot {
     Arrivals& of(Kind kind) { return kind == Kind::Stop ? stops : data; }
     /// A message with content, received at `when`. Checks every byte of it and its place in the row.
     void arrived(Kind kind, std::int64_t when, const char* bytes, std::size_t size);
+    /// A stop at an Entity Manager, the next one in its row.
+    void stopped(std::uint32_t generation, std::int64_t when) {
+        generations[stops.next % Arrivals::kRemembered] = generation;
+        stops.note(stops.next, when);
+    }
+    /// At a robot application, whose row of stops is by generation: those that this one overtook have reached it with it.
+    void reachedGeneration(std::uint32_t generation, std::int64_t when) {
+        auto first = stops.next.load();
+        if (generation < first) return;  // by itself, or once more
+        if (generation - first >= Arrivals::kRemembered) first = generation - Arrivals::kRemembered + 1;
+        for (auto one = first; one <= generation; ++one) stops.note(one, when);
+    }
+    /// When the stop with this number in the row of an Entity Manager reached its robot application.
+    std::int64_t reached(std::uint32_t number, const Slot& manager) const { return stops.of(manager.generations[number % Arrivals::kRemembered]); }
 };
 
 using Board = SharedArray<Slot>;

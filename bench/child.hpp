@@ -8,6 +8,7 @@
 #include <functional>
 #include <initializer_list>
 #include <optional>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -55,6 +56,12 @@ std::string field(const std::string& ready_line, const std::string& key);
 std::string findProgram(const std::string& name);
 /// The command that starts this program once more, as one of declareProcesses() (experiment.hpp).
 std::vector<std::string> ourselves(const std::string& process, const std::vector<std::string>& arguments = {});
+/// This machine does not let us have as many as wished; the message says of what, and the mend.
+class NotPermitted : public std::runtime_error {
+    using std::runtime_error::runtime_error;
+};
+/// How many descriptors a process of ours may have: the limit is raised as far as is permitted, for those that it starts, too.
+std::size_t descriptorsPermitted();
 /// The folder of this program, where Axon's others lie too.
 std::filesystem::path programs();
 /// A TCP port of 127.0.0.1 that is free now.

@@ -5,6 +5,7 @@
 #include <deque>
 #include <exception>
 #include <limits>
+#include <tuple>
 
 #include "child.hpp"
 
@@ -44,17 +45,24 @@ std::int64_t Contender::arrivedAt(const Batch& batch, std::size_t i) const {
 }
 
 std::size_t Contender::firstMissing(const Batch& batch, std::size_t from) const {
-    while (from < batch.awaited.size() && arrivedAt(batch, from) != 0) ++from;
+    while (from < batch.awaited.size() && arrivedAt(batch, from) != 0 && (!hasRobots() || calledBackAt(batch, from) != 0)) ++from;
     return from;
 }
 
-void Contender::collect(const Batch& batch, std::size_t first, std::size_t end, Series& from_begin, Series* from_call) const {
+std::int64_t Contender::calledBackAt(const Batch& batch, std::size_t i) const {
+    if (arrivedAt(batch, i) == 0) return 0;
+    const auto& robot = (*subject_->robots())[i];
+    const auto at = batch.kind == Kind::Stop ? robot.reached(batch.awaited[i], subject_->board()[i]) : robot.data.of(batch.awaited[i]);
+    return at >= batch.called[i] ? at : 0;
+}
+
+void Contender::collect(const Batch& batch, std::size_t first, std::size_t end, Series& from_begin, Series* from_call, Series* at_callback) const {
     for (auto i = first; i < end; ++i) {
-        const auto at = arrivedAt(batch, i);
-        const bool lost = at == 0 || at > batch.begin + kPatience_ns;
-        for (const auto& [to, since] : {std::pair{&from_begin, batch.begin}, std::pair{from_call, batch.called[i]}}) {
+        const auto arrived = arrivedAt(batch, i);
+        for (const auto& [to, since, at] : {std::tuple{&from_begin, batch.begin, arrived}, std::tuple{from_call, batch.called[i], arrived},
+                                            std::tuple{at_callback, batch.begin, at_callback != nullptr ? calledBackAt(batch, i) : 0}}) {
             if (to == nullptr) continue;
-            if (lost) {
+            if (at == 0 || at > batch.begin + kPatience_ns) {
                 to->lose();
             } else {
                 to->add(static_cast<double>(at - since) / 1e6);
@@ -73,6 +81,13 @@ std::uint64_t Contender::bad() const {
 std::uint64_t Contender::corrupt() const {
     std::uint64_t sum = 0;
     auto& its = subject_->board();
+    for (std::size_t i = 0; i < its.size(); ++i) sum += its[i].corrupt;
+    return sum;
+}
+
+std::uint64_t Contender::corruptAtCallback() const {
+    std::uint64_t sum = 0;
+    auto& its = *subject_->robots();
     for (std::size_t i = 0; i < its.size(); ++i) sum += its[i].corrupt;
     return sum;
 }
@@ -96,7 +111,8 @@ void measurePaced(Contender& contender, Message message, std::string& bytes, con
             for (auto& its : figures) {
                 its.from_batch.beginBatch();
                 its.from_call.beginBatch();
-                contender.collect(batch, its.first, its.end, its.from_batch, &its.from_call);
+                if (contender.hasRobots()) its.at_callback.beginBatch();
+                contender.collect(batch, its.first, its.end, its.from_batch, &its.from_call, contender.hasRobots() ? &its.at_callback : nullptr);
             }
         }
     };

@@ -36,14 +36,17 @@ class Contender {
     /// The first receiver from this one on whose message has not arrived; board().size() when there is none. Who asks again
     /// begins where it was, so that it does not fetch every receiver's memory again and again while they write it.
     std::size_t firstMissing(const Batch& batch, std::size_t from = 0) const;
-    /// From the begin of the batch, and from each call.
-    void collect(const Batch& batch, Series& from_begin, Series* from_call) const { collect(batch, 0, batch.awaited.size(), from_begin, from_call); }
-    /// Likewise, of the receivers from `first` to before `end`.
-    void collect(const Batch& batch, std::size_t first, std::size_t end, Series& from_begin, Series* from_call) const;
+    bool hasRobots() const { return subject_->robots() != nullptr; }
+    /// From the begin of the batch, of all receivers.
+    void collect(const Batch& batch, Series& from_begin) const { collect(batch, 0, batch.awaited.size(), from_begin, nullptr, nullptr); }
+    /// Of the receivers from `first` to before `end`; from each call, too, and from the begin of the batch to the callback of the robot application.
+    void collect(const Batch& batch, std::size_t first, std::size_t end, Series& from_begin, Series* from_call, Series* at_callback) const;
     /// What was not as it was sent, or not in its place, at all receivers.
     std::uint64_t bad() const;
     /// Of these, what was not as it was sent.
     std::uint64_t corrupt() const;
+    /// Likewise, at the callbacks of robot applications.
+    std::uint64_t corruptAtCallback() const;
     /// Why it takes part no more: its server or its receivers have ended, or it can be sent nothing. Empty while it does. What is sent
     /// from then on is lost.
     const std::string& ended();
@@ -51,6 +54,8 @@ class Contender {
   private:
     /// 0 = not yet, or never.
     std::int64_t arrivedAt(const Batch& batch, std::size_t i) const;
+    /// Likewise, at the callback of the robot application.
+    std::int64_t calledBackAt(const Batch& batch, std::size_t i) const;
 
     std::unique_ptr<Subject> subject_;
     std::uint32_t next_number_[2] = {0, 0};
@@ -63,8 +68,13 @@ class Contender {
 struct Figures {
     std::size_t first = 0, end = 0;
     Series from_batch, from_call;
+    Series at_callback;  ///< from the batch; empty where there are no robot applications
 
-    nlohmann::json json() { return {{"from_batch", from_batch.json()}, {"from_call", from_call.json()}}; }
+    nlohmann::json json() {
+        nlohmann::json its{{"from_batch", from_batch.json()}, {"from_call", from_call.json()}};
+        if (at_callback.sent() > 0) its["at_callback"] = at_callback.json();
+        return its;
+    }
 };
 
 struct Pace {

@@ -17,6 +17,8 @@
 #include "client/axon/client.hpp"
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/server_communicators.hpp"
+#include "open_entity.hpp"
+#include "robots.hpp"
 #include "transport/memory_lock.hpp"
 
 namespace axon::bench {
@@ -24,6 +26,8 @@ namespace axon::bench {
 namespace {
 
 using namespace axon::entity_manager;
+
+constexpr std::int64_t kSpeakPeriod_ns = 500'000'000;
 
 /// An Entity Interfacer without a socket: grants everything, notes arrivals.
 class MemoryLink final : public BackEndPort {
@@ -34,14 +38,14 @@ class MemoryLink final : public BackEndPort {
     void start() {
         asio::post(strand_, [this] {
             sink_.onLinkUp();
-            upload(false, "<BasicProfile name=\"" + name_ + "\" category=\"MACHINE\" type=\"STATIONARY\" xpos=\"0\" ypos=\"0\" zpos=\"0\"/>");
-            upload(true, "<ServiceProfile count=\"1\"><Service name=\"Nothing\" type=\"SMPL\" global_id=\"nothing\"/></ServiceProfile>");
+            upload(false, basicProfile(name_));
+            upload(true, servicesProfile());
         });
     }
 
     void stop(std::uint32_t generation, StopCause cause) override {
         // What a client asked for by its stop; a drill, a reset or a lost lease is nobody's measurement.
-        if (cause == StopCause::Requested) slot_.stops.note(slot_.stops.next, nowNs());
+        if (cause == StopCause::Requested) slot_.stopped(generation, nowNs());
         asio::post(strand_, [this, generation] {
             proto::EiToEm done;
             done.mutable_stop_done()->set_stop_generation(generation);
@@ -91,6 +95,30 @@ class MemoryLink final : public BackEndPort {
     const EntityManager::Strand strand_;
     BackEndEvents& sink_;
     const std::string name_;
+    Slot& slot_;
+};
+
+/// The link to a robot application of robots.hpp, as the daemon has it; notes arrivals on the way.
+class NotingLink final : public BackEndPort {
+  public:
+    NotingLink(std::unique_ptr<BackEndInterface> link, Slot& slot) : link_(std::move(link)), slot_(slot) {}
+
+    void stop(std::uint32_t generation, StopCause cause) override {
+        if (cause == StopCause::Requested) slot_.stopped(generation, nowNs());
+        link_->stop(generation, cause);
+    }
+    bool send(const proto::EmToEi& message) override {
+        const auto now = nowNs();
+        const bool sent = link_->send(message);
+        if (message.has_raw())  // checked when it is on its way, so that the second column does not wait for the first one's check
+            for (const auto& block : message.raw().data()) slot_.arrived(Kind::Data, now, block.data(), block.size());
+        return sent;
+    }
+    void setBusy(bool busy) override { link_->setBusy(busy); }
+    std::vector<HopMargin> margins() const override { return link_->margins(); }
+
+  private:
+    const std::unique_ptr<BackEndInterface> link_;
     Slot& slot_;
 };
 
@@ -147,36 +175,66 @@ int runCrowd(const CrowdWish& wish) {
         SystemRandom random;
         MemoryStorage storage;
         std::shared_ptr<EntityManager> manager;
+        std::shared_ptr<OpenEntity> open;  // instead of it
+        bool ready() const { return open ? open->joined() : manager->state() == EntityState::IDLE; }
+    };
+    const auto startManager = [&](Member& member, std::size_t index, const std::string& name) {
+        auto& slot = board[index];
+        CoreSettings settings;
+        settings.application = name;
+        member.manager = EntityManager::create(
+            executor.get_executor(), ice, settings, server,
+            [&](const EntityManager::Strand& strand, const StopGate& gate, const Clock&, BackEndEvents& events) {
+                if (wish.variant == Variant::Robots) {
+                    BackEndSettings settings_of_link;
+                    settings_of_link.application = name;
+                    settings_of_link.manager = name;
+                    const auto place = robotPlace(::getppid(), index);
+                    settings_of_link.where = {{place.port, place.port}, place.address};
+                    auto tcp = std::make_unique<BackEndInterface>(strand, std::move(settings_of_link), gate, clock, member.random, events);
+                    auto* const at = tcp.get();
+                    return EntityManager::BackEnd{std::make_unique<NotingLink>(std::move(tcp), slot), [at] { at->start(); }, [at] { at->close(); }};
+                }
+                auto link = std::make_unique<MemoryLink>(strand, events, name, slot);
+                auto* const at = link.get();
+                return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};
+            },
+            clock, member.random, member.storage, member.storage);
+        if (wish.variant == Variant::Direct) {
+            DirectSettings direct;
+            direct.offered = true;
+            member.manager->offerDirect(direct);
+        }
+        member.manager->start();
     };
     std::vector<std::unique_ptr<Member>> members;
     for (std::size_t i = 0; i < wish.count; ++i) {
         auto member = std::make_unique<Member>();
-        CoreSettings settings;
-        settings.application = wish.prefix + "-" + std::to_string(wish.first + i);
-        member->manager = EntityManager::create(
-            executor.get_executor(), ice, settings, server,
-            [&](const EntityManager::Strand& strand, const StopGate&, const Clock&, BackEndEvents& events) {
-                auto link = std::make_unique<MemoryLink>(strand, events, settings.application, board[wish.first + i]);
-                auto* const at = link.get();
-                return EntityManager::BackEnd{std::move(link), [at] { at->start(); }, [] {}};
-            },
-            clock, member->random, member->storage, member->storage);
-        if (wish.direct) {
-            DirectSettings direct;
-            direct.offered = true;
-            member->manager->offerDirect(direct);
+        const auto name = wish.prefix + "-" + std::to_string(wish.first + i);
+        if (wish.variant == Variant::Open) {
+            member->open = OpenEntity::create(executor.get_executor(), ice, server, clock, member->random, name, board[wish.first + i]);
+            member->open->start();
+        } else {
+            startManager(*member, wish.first + i, name);
         }
-        member->manager->start();
         members.push_back(std::move(member));
         // Logging in costs the server; 32 at a time keeps every handshake within its time-out.
-        while (i >= 32 && members[i - 32]->manager->state() != EntityState::IDLE) std::this_thread::yield();
+        while (i >= 32 && !members[i - 32]->ready()) std::this_thread::yield();
     }
     for (const auto& member : members)
-        while (member->manager->state() != EntityState::IDLE) std::this_thread::sleep_for(std::chrono::milliseconds{1});
+        while (!member->ready()) std::this_thread::sleep_for(std::chrono::milliseconds{1});
     ++board.ready();
 
     const auto parent = ::getppid();
-    while (::getppid() == parent) std::this_thread::sleep_for(std::chrono::milliseconds{200});
+    const auto bytes = content(kSmallBytes);
+    for (auto due = nowNs(); ::getppid() == parent;) {
+        if (board.go() != 0 && nowNs() >= due) {
+            due = nowNs() + kSpeakPeriod_ns;
+            for (const auto& member : members)
+                if (member->open) member->open->speak(bytes);
+        }
+        std::this_thread::sleep_for(std::chrono::milliseconds{20});
+    }
     return 0;
 }
 

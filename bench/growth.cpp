@@ -13,14 +13,14 @@
 #include "report.hpp"
 #include "subject.hpp"
 
-// What idle entities and clients cost the server. Method: docs/reference/benchmarks.md.
+// What entities and clients cost the server, idle and active. Method: docs/reference/benchmarks.md.
 
 namespace axon::bench {
 
 namespace {
 
 struct Wish {
-    std::vector<std::size_t> entities{64, 512, 2048}, clients{64, 512};
+    std::vector<std::size_t> entities{64, 512, 2048, 5000}, clients{64, 512, 2048};
     double seconds = 10;
     std::string json;
 };
@@ -53,67 +53,153 @@ Use useOf(pid_t pid) {
     return use;
 }
 
-/// Waits, and says what share of a core the process took meanwhile.
-double cpuShare(pid_t pid, double seconds) {
+constexpr std::int64_t kPeriod_ns = 500'000'000;
+
+/// What a share of a core the process takes while `work` goes on for so long.
+template <class Work>
+double cpuShare(pid_t pid, double seconds, const Work& work) {
     const auto before = useOf(pid);
-    sleepUntil(before.at + static_cast<std::int64_t>(seconds * 1e9));
+    work(before.at + static_cast<std::int64_t>(seconds * 1e9));
     const auto after = useOf(pid);
     return (after.cpu_s - before.cpu_s) / (static_cast<double>(after.at - before.at) / 1e9);
 }
 
-/// Entities do not tell here.
-std::uint64_t disconnectedOf(Entities&) { return 0; }
-std::uint64_t disconnectedOf(Herd& clients) { return clients.sums().disconnected; }
+/// N entities. Active: a client that holds all of them sends 60 bytes to each every 500 ms.
+class EntitiesThere {
+  public:
+    EntitiesThere(const AxonServer& server, const std::filesystem::path& folder, std::size_t n)
+        : server_(server), entities_(folder, "idle", n, server.entityAddress()) {}
+    void begin() {
+        client_ = connectClient(server_.clientAddress());
+        held_ = holdAll(*client_, entities_.names());
+    }
+    void work(std::int64_t until) {
+        auto bytes = content(kSmallBytes);
+        for (auto due = nowNs(); due < until && sleepUntil(due); due += kPeriod_ns) {
+            setNumber(bytes, number_++);
+            for (const auto& entity : held_)
+                static_cast<void>(entity.sendRaw(bytes, client::Seconds{1}));  // what has arrived counts
+        }
+        sleepUntil(until);
+    }
+    std::uint64_t arrived() {
+        std::uint64_t sum = 0;
+        for (std::size_t i = 0; i < entities_.board().size(); ++i) sum += entities_.board()[i].intact;
+        return sum;
+    }
+    std::uint64_t disconnected() const { return 0; }  // they do not tell here
+    std::string ended() const { return entities_.ended(); }
+
+  private:
+    const AxonServer& server_;
+    Entities entities_;
+    std::unique_ptr<client::Client> client_;
+    std::vector<client::CheckOut> held_;
+    std::uint32_t number_ = 0;
+};
+
+/// M clients that hold one open entity together. Active: it sends 60 bytes to each every 500 ms.
+class ClientsThere {
+  public:
+    ClientsThere(const AxonServer& server, const std::filesystem::path& folder, std::size_t n)
+        : speaker_(folder, "speaker", 1, server.entityAddress(), nullptr, Variant::Open), herd_(folder, n, server, "speaker", 1, true) {}
+    void begin() { speaker_.board().go() = 1; }
+    void work(std::int64_t until) { sleepUntil(until); }
+    std::uint64_t arrived() { return herd_.sums().received; }
+    std::uint64_t disconnected() { return herd_.sums().disconnected; }
+    std::string ended() const { return herd_.ended(); }
+
+  private:
+    Entities speaker_;
+    Herd herd_;
+};
 
 class Growth {
   public:
     Growth(const Wish& wish, Report& report) : wish_(wish), report_(report) {}
 
     void run() {
-        std::printf("The server with N idle entities, or M idle clients that hold nothing; memory above that of an empty one.\n");
-        std::printf("%9s %9s %12s %14s %12s %12s %10s %9s\n", "", "N", "ready s", "all there s", "memory MiB", "KiB each", "CPU %", "threads");
-        for (const auto n : wish_.entities)
-            if (!interrupted) row("entities", n, [&](const AxonServer& server, const std::filesystem::path& folder) {
-                return std::make_shared<Entities>(folder, "idle", n, server.entityAddress());
-            });
-        for (const auto n : wish_.clients)
-            if (!interrupted) row("clients", n, [&](const AxonServer& server, const std::filesystem::path& folder) {
-                return std::make_shared<Herd>(folder, n, server, "nobody", 0);
-            });
+        std::printf("The server with N entities, or M clients; memory above that of an empty one, processor in %% of a core. Active: each takes 60 bytes every 500 ms.\n");
+        std::printf("%9s %9s %9s %12s | %10s %9s %9s | %10s %9s %9s | %8s\n", "", "N", "ready s", "all there s", "idle MiB", "KiB each", "CPU %", "active MiB", "KiB each", "CPU %",
+                    "threads");
+        for (const auto n : wish_.entities) row<EntitiesThere>("entities", n);
+        for (const auto n : wish_.clients) row<ClientsThere>("clients", n);
     }
 
     bool sound() const { return sound_; }
 
   private:
-    template <class Join>
-    void row(const char* what, std::size_t n, const Join& join) {
+    template <class There>
+    void row(const char* what, std::size_t n) {
+        if (interrupted) return;
         progress(std::string("growth: ") + std::to_string(n) + " " + what);
         const auto folder = work_.sub(std::string(what) + "-" + std::to_string(n));
         const auto begin = nowNs();
         AxonServer server(folder);
-        const double ready = static_cast<double>(nowNs() - begin) / 1e9;
+        nlohmann::json its{{"what", what}, {"n", n}, {"server_ready_s", static_cast<double>(nowNs() - begin) / 1e9}};
         sleepUntil(nowNs() + 1'000'000'000);
-        const auto empty = useOf(server.process().pid());
-        const auto join_begin = nowNs();
-        const auto joined = join(server, folder);
-        const double there = static_cast<double>(nowNs() - join_begin) / 1e9;
-        sleepUntil(nowNs() + static_cast<std::int64_t>(std::min(wish_.seconds, 3.0) * 1e9));  // what joining has stirred up settles
-        const double share = cpuShare(server.process().pid(), wish_.seconds);
+        try {
+            measure<There>(server, folder, n, its);
+        } catch (const std::exception& problem) {
+            // So many cannot be had here; what there is of the others counts. A server that ends is another matter.
+            if (interrupted) throw;
+            its["not_measured"] = problem.what();
+        }
         if (interrupted) return;
-        const auto full = useOf(server.process().pid());
-        const auto disconnected = disconnectedOf(*joined);
-        const auto server_ended = whichHasEnded({{"axon-server", &server.process()}});
-        const auto ended = server_ended.empty() ? joined->ended() : server_ended;
-        if (disconnected > 0 || !ended.empty()) sound_ = false;
-        const double each = static_cast<double>(full.own_kb - empty.own_kb) / static_cast<double>(n);
+        if (const auto ended = whichHasEnded({{"axon-server", &server.process()}}); !ended.empty()) its["ended"] = ended;
+        if (its["disconnected"].is_number() && its["disconnected"] > 0) sound_ = false;
+        if (its.value("ended", std::string()) != "") sound_ = false;
+        say(its);
+        report_.add(std::move(its));
+    }
+
+    template <class There>
+    void measure(const AxonServer& server, const std::filesystem::path& folder, std::size_t n, nlohmann::json& its) {
+        const auto pid = server.process().pid();
+        const auto empty = useOf(pid);
+        its["empty_own_kb"] = empty.own_kb;
+        const auto begin = nowNs();
+        There there(server, folder, n);
+        its["all_there_s"] = static_cast<double>(nowNs() - begin) / 1e9;
+        const auto settle = [&] { sleepUntil(nowNs() + static_cast<std::int64_t>(std::min(wish_.seconds, 3.0) * 1e9)); };  // what joining has stirred up
+        const auto take = [&](nlohmann::json& to, const auto& work) {
+            to["cpu_share"] = cpuShare(pid, wish_.seconds, work);
+            const auto use = useOf(pid);
+            to["own_kb"] = use.own_kb;
+            to["resident_kb"] = use.resident_kb;
+            to["threads"] = use.threads;
+            to["kb_each"] = static_cast<double>(use.own_kb - empty.own_kb) / static_cast<double>(n);
+        };
+        settle();
+        take(its["idle"], [](std::int64_t until) { sleepUntil(until); });
+        there.begin();
+        settle();
+        const auto before = there.arrived();
+        take(its["active"], [&](std::int64_t until) { there.work(until); });
+        // Of those that were due in this time, one more or less for each.
+        its["active"]["due"] = static_cast<std::size_t>(wish_.seconds * 1e9 / kPeriod_ns) * n;
+        its["active"]["arrived"] = there.arrived() - before;
+        its["disconnected"] = there.disconnected();
+        its["ended"] = there.ended();
+    }
+
+    static void say(const nlohmann::json& its) {
         progress("");
-        std::printf("%9s %9zu %12.3f %14.3f %12.1f %12.1f %10.2f %9ld\n", what, n, ready, there, static_cast<double>(full.own_kb - empty.own_kb) / 1024, each, share * 100,
-                    full.threads);
-        if (disconnected > 0) std::printf("%9s %9zu: %llu TIMES A CLIENT LOST ITS CONNECTION.\n", what, n, static_cast<unsigned long long>(disconnected));
-        if (!ended.empty()) std::printf("%9s %9zu: %s\n", what, n, ended.c_str());
+        const auto what = its["what"].get<std::string>();
+        const auto n = its["n"].get<std::size_t>();
+        if (its.contains("active")) {
+            std::printf("%9s %9zu %9.3f %12.3f", what.c_str(), n, its["server_ready_s"].get<double>(), its["all_there_s"].get<double>());
+            for (const auto* key : {"idle", "active"})
+                std::printf(" | %10.1f %9.1f %9.2f", static_cast<double>(its[key]["own_kb"].get<long>() - its["empty_own_kb"].get<long>()) / 1024, its[key]["kb_each"].get<double>(),
+                            its[key]["cpu_share"].get<double>() * 100);
+            std::printf(" | %8ld\n", its["active"]["threads"].get<long>());
+        } else {
+            std::printf("%9s %9zu is not measured: %s\n", what.c_str(), n, its.value("not_measured", std::string()).c_str());
+        }
+        if (its.contains("disconnected") && its["disconnected"] > 0)
+            std::printf("%9s %9zu: %llu TIMES A CLIENT LOST ITS CONNECTION.\n", what.c_str(), n, its["disconnected"].get<unsigned long long>());
+        if (its.value("ended", std::string()) != "") std::printf("%9s %9zu: %s\n", what.c_str(), n, its["ended"].get<std::string>().c_str());
         std::fflush(stdout);
-        report_.add({{"what", what}, {"n", n}, {"server_ready_s", ready}, {"all_there_s", there}, {"empty_own_kb", empty.own_kb}, {"own_kb", full.own_kb},
-                     {"resident_kb", full.resident_kb}, {"kb_each", each}, {"cpu_share", share}, {"threads", full.threads}, {"disconnected", disconnected}, {"ended", ended}});
     }
 
     const Wish& wish_;
@@ -134,11 +220,11 @@ int run(const Wish& wish) {
 
 Experiment declareGrowth(CLI::App& app) {
     const auto wish = std::make_shared<Wish>();
-    auto* command = app.add_subcommand("growth", "Memory and processor of the server for each idle entity and client");
+    auto* command = app.add_subcommand("growth", "Memory and processor of the server for each entity and client, idle and active");
     command->footer("Examples:\n  axon-bench growth --json growth.json\n  axon-bench growth --entities 5000 --clients 0\n");
-    command->add_option("--entities", wish->entities, "One server for each number [64,512,2048]; 0 = none")->delimiter(',')->check(CLI::Range(0, 16384).description(""))->type_name("N,…");
-    command->add_option("--clients", wish->clients, "Likewise [64,512]; 0 = none")->delimiter(',')->check(CLI::Range(0, 4096).description(""))->type_name("M,…");
-    command->add_option("--seconds", wish->seconds, "For which the processor's time is taken [10]")->check(CLI::Range(0.5, 1e5).description(""))->type_name("S");
+    command->add_option("--entities", wish->entities, "One server for each number [64,512,2048,5000]; 0 = none")->delimiter(',')->check(CLI::Range(0, 16384).description(""))->type_name("N,…");
+    command->add_option("--clients", wish->clients, "Likewise [64,512,2048]; 0 = none")->delimiter(',')->check(CLI::Range(0, 4096).description(""))->type_name("M,…");
+    command->add_option("--seconds", wish->seconds, "For which the processor's time is taken, idle and active [10]")->check(CLI::Range(0.5, 1e5).description(""))->type_name("S");
     command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
     return {command, [wish] {
                 std::erase(wish->entities, 0U);

@@ -16,18 +16,22 @@ using namespace std::chrono_literals;
 constexpr std::int64_t kPeriod_ns = 500'000'000;
 /// A login is mostly waiting for round trips.
 constexpr int kLoginsAtOnce = 16;
+constexpr std::chrono::seconds kJoinTime{300};
 
 /// A standard client: its thread.
 class StandardClient {
   public:
-    StandardClient(const std::string& server, std::vector<std::string> names, HerdSlot& slot, std::uint64_t seed)
-        : names_(std::move(names)), numbers_(names_.size(), 0), slot_(slot), random_(seed) {
+    StandardClient(const std::string& server, std::vector<std::string> names, HerdSlot& slot, std::uint64_t seed, bool open)
+        : open_(open), names_(std::move(names)), numbers_(names_.size(), 0), slot_(slot), random_(seed) {
         client_ = connectClient(server);
         client_->onConnection([&its = slot_](bool connected, const std::string&) {
             if (!connected) ++its.disconnected;
         });
         if (!names_.empty()) held_ = holdAll(*client_, names_);
-        for (const auto& entity : held_) entity.onLost([&its = slot_](const Refusal&) { ++its.leases_lost; });
+        for (const auto& entity : held_) {
+            entity.onLost([&its = slot_](const Refusal&) { ++its.leases_lost; });
+            entity.onRaw([&its = slot_](auto&&) { ++its.received; });
+        }
     }
 
     void tick() {
@@ -59,10 +63,11 @@ class StandardClient {
                 break;
             default:
                 // A stop latches; without the second call every later datum would be refused.
-                if (count(client_->stop({names_[i]}), slot_.signals) && !client_->rearm(names_[i])) ++slot_.refused;
+                if (count(client_->stop({names_[i]}), slot_.signals) && !open_ && !client_->rearm(names_[i])) ++slot_.refused;
         }
     }
 
+    const bool open_;
     std::vector<std::string> names_;
     std::vector<std::uint32_t> numbers_;
     HerdSlot& slot_;
@@ -75,7 +80,7 @@ class StandardClient {
 }  // namespace
 
 int runHerd(const std::string& board_file, std::size_t clients, const std::string& server, const std::string& prefix, std::size_t entities,
-            std::uint64_t seed) {
+            std::uint64_t seed, bool open) {
     HerdBoard board(board_file, clients, false);
     const auto parent = ::getppid();
     std::vector<std::unique_ptr<StandardClient>> all(clients);
@@ -85,8 +90,8 @@ int runHerd(const std::string& board_file, std::size_t clients, const std::strin
         logins.push_back(std::async(std::launch::async, [&] {
             for (std::size_t i = next++; i < clients; i = next++) {
                 std::vector<std::string> names;
-                for (std::size_t its = i; its < entities; its += clients) names.push_back(prefix + "-" + std::to_string(its));
-                all[i] = std::make_unique<StandardClient>(server, std::move(names), board[i], seed + i);
+                for (auto its = open ? 0 : i; its < entities; its += open ? 1 : clients) names.push_back(prefix + "-" + std::to_string(its));
+                all[i] = std::make_unique<StandardClient>(server, std::move(names), board[i], seed + i, open);
                 ++board.ready();
             }
         }));
@@ -104,11 +109,17 @@ int runHerd(const std::string& board_file, std::size_t clients, const std::strin
     return 0;
 }
 
-Herd::Herd(const std::filesystem::path& folder, std::size_t clients, const AxonServer& server, const std::string& prefix, std::size_t entities)
+Herd::Herd(const std::filesystem::path& folder, std::size_t clients, const AxonServer& server, const std::string& prefix, std::size_t entities, bool open)
     : board_((folder / "herd.board").string(), clients, true),
-      child_(ourselves("herd", {(folder / "herd.board").string(), std::to_string(clients), server.clientAddress(), prefix, std::to_string(entities), "1"}),
+      child_(ourselves("herd", {(folder / "herd.board").string(), std::to_string(clients), server.clientAddress(), prefix, std::to_string(entities), "1", open ? "open" : "partitioned"}),
              folder / "herd.log") {
-    child_.waitUntil([this] { return board_.ready() >= board_.size(); }, "the standard clients did not start", std::chrono::seconds{300});
+    try {
+        child_.waitUntil([this] { return board_.ready() >= board_.size(); }, "the clients did not start", kJoinTime);
+    } catch (const std::exception& problem) {
+        if (interrupted || !child_.running()) throw;
+        throw std::runtime_error("only " + std::to_string(board_.ready()) + " of " + std::to_string(board_.size()) + " clients were there within " +
+                                 std::to_string(kJoinTime.count()) + " s");
+    }
 }
 
 Herd::Sums Herd::sums() {
@@ -119,6 +130,7 @@ Herd::Sums Herd::sums() {
         sums.refused += board_[i].refused;
         sums.disconnected += board_[i].disconnected;
         sums.leases_lost += board_[i].leases_lost;
+        sums.received += board_[i].received;
     }
     return sums;
 }

@@ -33,6 +33,7 @@ int main(int argc, char** argv) {
         for (const auto& one : processes)
             if (one.command->parsed()) return one.run();
         takeInterrupts();
+        descriptorsPermitted();  // before the first process is started, which has the limit of this one
         for (const auto& one : experiments)
             if (one.command->parsed()) return one.run();
     } catch (const std::exception& problem) {

@@ -72,7 +72,7 @@ void runBatch(Contender& contender, Message message, std::string& bytes, bool co
     }
     if (!counts || interrupted) return;
     contender.series.beginBatch();
-    contender.collect(batch, contender.series, nullptr);
+    contender.collect(batch, contender.series);
 }
 
 class Comparison {
@@ -273,7 +273,7 @@ std::string texts(AxonCrowd& axon, std::size_t bytes, int count, std::vector<dou
 Pairs pairs(int rounds, bool with_dds) {
     Pairs out;
     const WorkFolder work;
-    AxonCrowd relayed(work.sub("axon-pair"), 1), direct(work.sub("axon-direct-pair"), 1, Way::Direct);
+    AxonCrowd relayed(work.sub("axon-pair"), 1), direct(work.sub("axon-direct-pair"), 1, Variant::Direct);
     std::map<std::size_t, std::vector<DdsperfSecond>> dds;
     std::map<std::string, std::vector<double>> axon;
     constexpr int kSeconds = 2, kTrips = 500, kWarm = 100;

@@ -33,13 +33,21 @@ void addPoint(Curve& curve, std::size_t x, const nlohmann::json& series, const c
     if (series.is_object() && series.contains(key) && series[key].is_number()) curve.points.emplace_back(x, series[key].get<double>());
 }
 
-/// The same system has the same one in every picture.
+/// The same system has the same one in every picture, whatever is measured of it.
 std::string colourOf(const Curve& curve) {
-    for (const auto& [beginning, colour] : {std::pair{"thesis, LAN", "#606060"}, std::pair{"thesis, WLAN", "#a0a0a0"}, std::pair{"axon wired", "#e08080"},
-                                            std::pair{"axon wireless", "#803030"}, std::pair{"axon", "#d02020"}, std::pair{"mosquitto-qos0", "#2060c0"},
+    for (const auto& [beginning, colour] : {std::pair{"thesis, LAN", "#606060"}, std::pair{"thesis, WLAN", "#a0a0a0"}, std::pair{"axon-direct", "#8040a0"},
+                                            std::pair{"axon-robots", "#00a0a0"}, std::pair{"axon", "#d02020"}, std::pair{"mosquitto-qos0", "#2060c0"},
                                             std::pair{"mosquitto-qos1", "#60a0e0"}, std::pair{"nats", "#208040"}, std::pair{"raw", "#c08000"}})
         if (curve.title.rfind(beginning, 0) == 0) return colour;
-    return "#8040a0";
+    return "#404040";
+}
+
+std::string styleOf(const Curve& curve) {
+    if (curve.thesis) return "dt 2 lw 1.5";
+    const std::string width = curve.title.rfind("axon", 0) == 0 ? " lw 2.5" : " lw 1.5";
+    for (const auto& [part, dashes] : {std::pair{" wired", "dt 3"}, std::pair{" wireless", "dt 4"}, std::pair{" open", "dt 5"}})
+        if (curve.title.find(part) != std::string::npos) return dashes + width;
+    return "dt 1" + width;
 }
 
 void draw(const std::vector<Panel>& panels, const std::string& file) {
@@ -60,8 +68,8 @@ void draw(const std::vector<Panel>& panels, const std::string& file) {
     const auto columns = filled.size() > 1 ? 2 : 1;
     const auto rows = (static_cast<int>(filled.size()) + columns - 1) / columns;
     std::ostringstream script;
-    script << "set terminal pngcairo size " << 900 * columns << "," << 600 * rows << " font ',12'\nset output '" << file << "'\n"
-           << "set logscale xy\nset grid lt 1 lc rgb '#d0d0d0' lw 0.5\nset key left top Left reverse\nset format y '%g'\n";
+    script << "set terminal pngcairo size " << 1000 * columns << "," << 600 * rows << " font ',12'\nset output '" << file << "'\n"
+           << "set logscale xy\nset grid lt 1 lc rgb '#d0d0d0' lw 0.5\nset key outside right top Left reverse\nset format y '%g'\n";
     int block = 0;
     for (const auto& panel : filled)
         for (const auto& curve : panel.curves) {
@@ -82,7 +90,7 @@ void draw(const std::vector<Panel>& panels, const std::string& file) {
         for (std::size_t i = 0; i < panel.curves.size(); ++i) {
             const auto& curve = panel.curves[i];
             script << (i == 0 ? "" : ", ") << "$curve" << block++ << " with linespoints pt " << i + 4 << " ps 1.2 lc rgb '" << colourOf(curve) << "' "
-                   << (curve.thesis ? "dt 2 lw 1.5 " : curve.title.rfind("axon", 0) == 0 ? "lw 3 " : "lw 1.5 ") << "title '" << curve.title << "' noenhanced";
+                   << styleOf(curve) << " title '" << curve.title << "' noenhanced";
         }
         script << "\n";
     }
@@ -116,12 +124,12 @@ void drawPeers(const nlohmann::json& report, const std::string& file) {
 
 void drawChapter5(const nlohmann::json& report, const std::string& file) {
     const auto& channel = report.at("settings").at("channel");
-    const std::string where = channel.is_string() ? " (" + channel.get<std::string>() + ")" : "";
+    const std::string where = channel.is_string() ? " (" + channel.get<std::string>() + ")" : " (emulated radio link)";
     std::set<std::string> drawn;
     for (const auto& row : report.at("results")) drawn.insert(row.at("table"));
     for (const auto& table : kThesisTables) {
         if (drawn.count(std::string(table.number)) == 0) continue;
-        Panel panel{"Figure " + std::string(table.number) + ". " + std::string(table.title), table.many_clients ? "clients" : "entities", "average latency, ms", {}};
+        Panel panel{"Figure " + std::string(table.number) + ". " + std::string(table.title), table.many_clients ? "clients" : "entities", "average latency, ms" + where, {}};
         Curve lan{"thesis, LAN", {}, true}, wlan{"thesis, WLAN", {}, true};
         for (const auto& row : table.rows) {
             lan.points.emplace_back(row.count, row.lan_ms);
@@ -131,11 +139,19 @@ void drawChapter5(const nlohmann::json& report, const std::string& file) {
         for (const auto& row : report.at("results")) {
             if (row.at("table") != table.number) continue;
             const std::size_t x = row.at(table.many_clients ? "clients" : "entities");
-            for (const auto& [name, its] : row.items())
-                if (isSystem(its)) addPoint(curves[name], x, its.at("from_batch"), "mean");
+            const std::string mode = row.contains("mode") ? " " + row["mode"].get<std::string>() : "";
+            for (const auto& [name, its] : row.items()) {
+                if (!isSystem(its)) continue;
+                // At its Entity Manager it is one more Axon relayed.
+                if (its.contains("at_callback")) {
+                    addPoint(curves[name + mode + ", callback"], x, its["at_callback"], "mean");
+                } else {
+                    addPoint(curves[name + mode], x, its.at("from_batch"), "mean");
+                }
+            }
         }
         panel.curves = {lan, wlan};
-        for (auto& [name, curve] : curves) panel.curves.push_back({name + where, std::move(curve.points), false});
+        for (auto& [name, curve] : curves) panel.curves.push_back({name, std::move(curve.points), false});
         std::filesystem::path to(file);
         if (drawn.size() > 1) to.replace_filename(to.stem().string() + "-" + std::string(table.number) + to.extension().string());
         draw({panel}, to.string());

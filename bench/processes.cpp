@@ -7,6 +7,7 @@
 #include "mosquitto_peer.hpp"
 #include "nats_peer.hpp"
 #include "raw_router.hpp"
+#include "robots.hpp"
 #include "streams.hpp"
 
 namespace axon::bench {
@@ -14,12 +15,12 @@ namespace axon::bench {
 namespace {
 
 struct Arguments {
-    std::string board, server, prefix;
+    std::string board, server, prefix, mode;
     std::size_t count = 0, first = 0, other = 0;
     std::uint64_t seed = 1;
     std::uint16_t port = 0;
     int qos = 0;
-    bool direct = false;
+    Variant variant = Variant::Relayed;
 };
 
 CLI::App* hidden(CLI::App& app, const char* name, const char* what) { return app.add_subcommand(name, what)->group(""); }
@@ -38,10 +39,17 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     crowd->add_option("slots", its->other)->required();
     crowd->add_option("first", its->first)->required();
     crowd->add_option("count", its->count)->required();
-    crowd->add_option("server", its->server)->required();
     crowd->add_option("prefix", its->prefix)->required();
-    crowd->add_flag("--direct", its->direct);
-    all.push_back({crowd, [its] { return runCrowd({its->board, its->other, its->first, its->count, its->server, its->prefix, its->direct}); }});
+    crowd->add_option("server", its->server)->required();
+    crowd->add_option("variant", its->variant)->required();
+    all.push_back({crowd, [its] { return runCrowd({its->board, its->other, its->first, its->count, its->server, its->prefix, its->variant}); }});
+
+    auto* robots = begin("robots", "robot applications");
+    robots->add_option("slots", its->other)->required();
+    robots->add_option("first", its->first)->required();
+    robots->add_option("count", its->count)->required();
+    robots->add_option("prefix", its->prefix)->required();
+    all.push_back({robots, [its] { return runRobots(its->board, its->other, its->first, its->count, its->prefix); }});
 
     auto* herd = begin("herd", "standard clients");
     herd->add_option("count", its->count)->required();
@@ -49,7 +57,8 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     herd->add_option("prefix", its->prefix)->required();
     herd->add_option("entities", its->other)->required();
     herd->add_option("seed", its->seed)->required();
-    all.push_back({herd, [its] { return runHerd(its->board, its->count, its->server, its->prefix, its->other, its->seed); }});
+    herd->add_option("mode", its->mode)->required();
+    all.push_back({herd, [its] { return runHerd(its->board, its->count, its->server, its->prefix, its->other, its->seed, its->mode == "open"); }});
 
     auto* axon_stream = begin("axon-stream", "a client that sends data as fast as it can");
     axon_stream->add_option("server", its->server)->required();

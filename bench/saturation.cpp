@@ -74,7 +74,7 @@ class AxonScene final : public Scene {
         : server_(folder),
           readers_(folder, "reader", readers, server_.entityAddress()),
           stalled_(folder, "stalled", stalled, server_.entityAddress()),
-          target_("axon", axonOf(server_, folder, "target", 1)),
+          target_("axon", axonOf(server_, folder, "target", 1, Variant::Relayed)),
           stream_((folder / "stream.board").string(), 1, true),
           streamer_(ourselves("axon-stream", {(folder / "stream.board").string(), server_.clientAddress(), std::to_string(readers), std::to_string(stalled)}),
                     folder / "stream.log") {

@@ -26,6 +26,7 @@ class AxonSubject final : public Subject {
         });
     }
     Board& board() override { return crowd_.board(); }
+    Board* robots() override { return crowd_.robots(); }
     bool numbered(Kind kind) const override { return kind == Kind::Data; }
     void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
         if (message == Message::Stop) {
@@ -51,9 +52,9 @@ class AxonSubject final : public Subject {
     AxonCrowd crowd_;
 };
 
-template <Way way>
+template <Variant variant>
 std::unique_ptr<Subject> startAxon(const fs::path& folder, std::size_t n) {
-    return std::make_unique<AxonSubject>(folder, n, way);
+    return std::make_unique<AxonSubject>(folder, n, variant);
 }
 
 Peer packaged(const char* name, const char* package, const char* program, decltype(Peer::start) start, const char* what) {
@@ -68,8 +69,8 @@ const char* nameOf(Message message) {
 
 const std::vector<Peer>& peers() {
     static const std::vector<Peer> all{
-        {"axon", "", "", startAxon<Way::Relayed>, "Axon relayed: client, axon-server, Entity Managers"},
-        {"axon-direct", "", "", startAxon<Way::Direct>, "Axon by direct paths: client, Entity Managers; a stop goes both ways"},
+        {"axon", "", "", startAxon<Variant::Relayed>, "Axon relayed: client, axon-server, Entity Managers"},
+        {"axon-direct", "", "", startAxon<Variant::Direct>, "Axon by direct paths: client, Entity Managers; a stop goes both ways"},
         {"raw", "", "", startRawRouter, "the project's own epoll router, a system call for each message, no batching: what a simple relay costs this machine"},
         packaged("mosquitto-qos0", "mosquitto", "mosquitto", [](const fs::path& folder, std::size_t n) { return startMosquitto(folder, n, 0); },
                  "Mosquitto, at most once"),
@@ -105,15 +106,26 @@ void reportPeers(Report& report, const std::vector<std::string>& wanted) {
 }
 
 std::unique_ptr<Subject> axonThrough(const Running& running, const fs::path& folder, std::size_t n) {
-    return std::make_unique<AxonSubject>(folder, n, Way::Relayed, &running);
+    return std::make_unique<AxonSubject>(folder, n, Variant::Relayed, &running);
 }
 
-std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const fs::path& folder, std::size_t n) {
-    return std::make_unique<AxonSubject>(folder, n, Way::Relayed, nullptr, &radio);
+const Peer& axonRobots() {
+    static const Peer its{"axon-robots", "", "", startAxon<Variant::Robots>, "Axon relayed, to the callbacks of robot applications with real Entity Interfacers"};
+    return its;
 }
 
-std::unique_ptr<Subject> axonOf(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n) {
-    return std::make_unique<AxonSubject>(server, folder, prefix, n);
+std::optional<Variant> variantOf(const std::string& name) {
+    for (const auto& [its, variant] : {std::pair{"axon", Variant::Relayed}, std::pair{"axon-direct", Variant::Direct}, std::pair{"axon-robots", Variant::Robots}})
+        if (name == its) return variant;
+    return std::nullopt;
+}
+
+std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const fs::path& folder, std::size_t n, Variant variant) {
+    return std::make_unique<AxonSubject>(folder, n, variant, nullptr, &radio);
+}
+
+std::unique_ptr<Subject> axonOf(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n, Variant variant) {
+    return std::make_unique<AxonSubject>(server, folder, prefix, n, variant);
 }
 
 }  // namespace axon::bench

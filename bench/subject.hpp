@@ -2,6 +2,7 @@
 #pragma once
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -25,6 +26,8 @@ class Subject {
   public:
     virtual ~Subject() = default;
     virtual Board& board() = 0;
+    /// Where robot applications behind the receivers note what reaches their callbacks; null where there are none.
+    virtual Board* robots() { return nullptr; }
     /// A message to each receiver, back to back. `bytes` is content(bytesOf(message)) with its number set. called[i] becomes
     /// the time at which the call for receiver i began.
     virtual void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) = 0;
@@ -56,9 +59,14 @@ void reportSkipped(Report& report, const std::string& peer, const std::string& p
 /// Axon through servers that run already.
 std::unique_ptr<Subject> axonThrough(const Running& running, const std::filesystem::path& folder, std::size_t n);
 
+/// Axon relayed, each entity with a robot application and a real Entity Interfacer: in peers() it is not, for the others would be
+/// measured beside thousands of applications that beat.
+const Peer& axonRobots();
+/// Which of Axon's variants a peer of this name is; nothing of another system's.
+std::optional<Variant> variantOf(const std::string& name);
 /// Axon with the second half of its entities behind a radio link.
-std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const std::filesystem::path& folder, std::size_t n);
+std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const std::filesystem::path& folder, std::size_t n, Variant variant);
 /// Axon through a server of this run (and its radio link, likewise), with entities PREFIX-0 … besides others.
-std::unique_ptr<Subject> axonOf(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n);
+std::unique_ptr<Subject> axonOf(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n, Variant variant);
 
 }  // namespace axon::bench
