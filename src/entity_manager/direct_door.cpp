@@ -220,7 +220,9 @@ class GateServant final : public slice::DirectGate {
                     adapter->remove(identity);
                 } catch (const Ice::Exception&) {  // the adapter is being destroyed, and the servant with it
                 }
-                if (const auto its_events = events.lock()) its_events->directClosed(path, reason.text);
+                // Its holder closes it as it ends its lease or its program, so an end says nothing of the network.
+                const auto why = reason.improper ? reason.text : "its holder's end is closed";
+                if (const auto its_events = events.lock()) its_events->directClosed(path, why);
             });
             slice::Opened opened;
             opened.session = Ice::uncheckedCast<slice::DirectSessionPrx>(session);
