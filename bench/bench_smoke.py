@@ -65,7 +65,7 @@ class BenchSmoke(unittest.TestCase):
         picture = self.folder / "peers.png"
         result = self.result("peers", "--entities", "1,4", "--batches", "3", "--pair-rounds", "1", "--plot", str(picture))
         skipped = {one["peer"] for one in result["skipped"]}
-        systems = {"axon", "axon-direct", "raw", "mosquitto-qos0", "mosquitto-qos1", "nats"} - skipped
+        systems = {"axon", "axon-direct", "raw", "raw-direct", "mosquitto-qos0", "mosquitto-qos1", "nats"} - skipped
         self.assertEqual([(row["n"], row["what"]) for row in result["results"]],
                          [(n, what) for n in (1, 4) for what in ("small", "data", "stop")])
         for row in result["results"]:
@@ -85,13 +85,13 @@ class BenchSmoke(unittest.TestCase):
                     self.assertEqual(its["n"]["mean"] == [1, 4], its["mean"] is not None, its)
         self.assertEqual(set(result["corrupt"].values()), {0})
         self.assertEqual(result["corrupt_or_misplaced"]["axon"], 0)
-        for way in ("axon", "axon-direct"):
-            for what in ("text, 60 bytes", "text, 35000 bytes", "drill"):
-                trips = result["pairs"][f"{way} {what}"]
-                self.assertEqual(trips["n"], 500)
-                self.assertTrue(0 <= trips["lost"] <= 500)
-                if "cyclonedds" not in skipped and trips["lost"] < 250:
-                    self.assertGreater(trips["by_cyclonedds"], 0)
+        pairs = [f"{way} {what}" for way in ("axon", "axon-direct") for what in ("text, 60 bytes", "text, 35000 bytes", "drill")]
+        for pair in ["raw, 60 bytes", "raw, 35000 bytes", *pairs]:
+            trips = result["pairs"][pair]
+            self.assertEqual(trips["n"], 500)
+            self.assertTrue(0 <= trips["lost"] <= 500)
+            if "cyclonedds" not in skipped and trips["lost"] < 250:
+                self.assertGreater(trips["by_cyclonedds"], 0)
         if shutil.which("gnuplot"):
             self.assertEqual(picture.read_bytes()[:4], b"\x89PNG")
 

@@ -37,7 +37,7 @@ void addPoint(Curve& curve, std::size_t x, const nlohmann::json& series, const c
 std::string colourOf(const Curve& curve) {
     for (const auto& [beginning, colour] : {std::pair{"thesis, LAN", "#606060"}, std::pair{"thesis, WLAN", "#a0a0a0"}, std::pair{"axon-direct", "#8040a0"},
                                             std::pair{"axon-robots", "#00a0a0"}, std::pair{"axon", "#d02020"}, std::pair{"mosquitto-qos0", "#2060c0"},
-                                            std::pair{"mosquitto-qos1", "#60a0e0"}, std::pair{"nats", "#208040"}, std::pair{"raw", "#c08000"}})
+                                            std::pair{"mosquitto-qos1", "#60a0e0"}, std::pair{"nats", "#208040"}, std::pair{"raw-direct", "#e0c060"}, std::pair{"raw", "#c08000"}})
         if (curve.title.rfind(beginning, 0) == 0) return colour;
     return "#404040";
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "raw_router.hpp"
 
+#include <poll.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -125,27 +126,40 @@ class Router {
     std::vector<char> buffer_ = std::vector<char>(kBuffer);
 };
 
+/// called[i] becomes the time before receiver i's frame is written to connectionOf(i).
+template <class ConnectionOf>
+void sendToAll(Message message, const std::string& bytes, std::vector<std::int64_t>& called, const ConnectionOf& connectionOf) {
+    Frame frame{0, message == Message::Stop ? kStop : kData, static_cast<std::uint32_t>(bytes.size())};
+    for (; frame.receiver < called.size(); ++frame.receiver) {
+        called[frame.receiver] = nowNs();
+        connectionOf(frame.receiver).write({bytesOfFrame(frame), bytes});
+    }
+}
+
+std::string portOf(const Child& router) { return field(router.waitForLine("ready "), "port"); }
+
+/// A connection to the router, known there as this receiver (or kSender).
+tcp::Connection connectTo(const Child& router, std::uint32_t receiver) {
+    tcp::Connection connection(static_cast<std::uint16_t>(std::stoi(portOf(router))));
+    connection.write({bytesOfFrame({receiver, kWelcome, 0})});
+    Frame welcome;
+    connection.readAll(reinterpret_cast<char*>(&welcome), sizeof(welcome));
+    return connection;
+}
+
 class RawSubject final : public Subject {
   public:
     RawSubject(const std::filesystem::path& folder, std::size_t n)
         : board_((folder / "board").string(), n, true), router_(ourselves("raw-router"), folder / "router.log") {
-        const auto port = field(router_.waitForLine("ready "), "port");
-        receivers_ = std::make_unique<Child>(ourselves("raw-receivers", {(folder / "board").string(), std::to_string(n), port}), folder / "receivers.log");
+        receivers_ = std::make_unique<Child>(ourselves("raw-receivers", {(folder / "board").string(), std::to_string(n), portOf(router_)}), folder / "receivers.log");
         receivers_->waitUntil([this] { return board_.ready() >= board_.size(); }, "the receivers of the raw router did not start",
                               std::chrono::seconds{60});
-        sender_ = std::make_unique<tcp::Connection>(static_cast<std::uint16_t>(std::stoi(port)));
-        sender_->write({bytesOfFrame({kSender, kWelcome, 0})});
-        std::array<char, sizeof(Frame)> welcome{};
-        sender_->read(welcome.data(), welcome.size(), true);
+        sender_ = std::make_unique<tcp::Connection>(connectTo(router_, kSender));
     }
     Board& board() override { return board_; }
     std::string ended() const override { return whichHasEnded({{"the router", &router_}, {"its receivers' process", receivers_.get()}}); }
     void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
-        Frame frame{0, message == Message::Stop ? kStop : kData, static_cast<std::uint32_t>(bytes.size())};
-        for (; frame.receiver < board_.size(); ++frame.receiver) {
-            called[frame.receiver] = nowNs();
-            sender_->write({bytesOfFrame(frame), bytes});
-        }
+        sendToAll(message, bytes, called, [this](std::size_t) -> const tcp::Connection& { return *sender_; });
     }
 
   private:
@@ -153,6 +167,41 @@ class RawSubject final : public Subject {
     Child router_;
     std::unique_ptr<Child> receivers_;
     std::unique_ptr<tcp::Connection> sender_;
+};
+
+/// Without the router: a connection from the sender to each receiver.
+class RawDirectSubject final : public Subject {
+  public:
+    RawDirectSubject(const std::filesystem::path& folder, std::size_t n) : board_((folder / "board").string(), n, true), to_(n) {
+        std::uint16_t port = 0;
+        const tcp::Connection listener(tcp::listen(port));
+        receivers_ = std::make_unique<Child>(ourselves("raw-receivers", {(folder / "board").string(), std::to_string(n), std::to_string(port)}),
+                                             folder / "receivers.log");
+        receivers_->waitUntil([&] { return take(listener) && board_.ready() >= board_.size(); }, "the receivers of the raw connections did not start",
+                              std::chrono::seconds{60});
+    }
+    Board& board() override { return board_; }
+    std::string ended() const override { return whichHasEnded({{"its receivers' process", receivers_.get()}}); }
+    void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
+        sendToAll(message, bytes, called, [this](std::size_t receiver) -> const tcp::Connection& { return *to_[receiver]; });
+    }
+
+  private:
+    /// Those who have called by now; true.
+    bool take(const tcp::Connection& listener) {
+        for (pollfd wish{listener.fd(), POLLIN, 0}; ::poll(&wish, 1, 0) > 0;) {
+            auto caller = std::make_unique<tcp::Connection>(::accept4(listener.fd(), nullptr, nullptr, SOCK_CLOEXEC));
+            Frame hello;
+            caller->readAll(reinterpret_cast<char*>(&hello), sizeof(hello));
+            caller->write({bytesOfFrame(hello)});
+            to_.at(hello.receiver) = std::move(caller);
+        }
+        return true;
+    }
+
+    Board board_;
+    std::unique_ptr<Child> receivers_;
+    std::vector<std::unique_ptr<tcp::Connection>> to_;
 };
 
 }  // namespace
@@ -180,6 +229,23 @@ std::size_t RawReceiver::consume(const tcp::Connection&, std::string_view receiv
 
 std::unique_ptr<Subject> startRawRouter(const std::filesystem::path& folder, std::size_t n) {
     return std::make_unique<RawSubject>(folder, n);
+}
+std::unique_ptr<Subject> startRawDirect(const std::filesystem::path& folder, std::size_t n) {
+    return std::make_unique<RawDirectSubject>(folder, n);
+}
+
+RawPair::RawPair(const std::filesystem::path& folder) : router_(ourselves("raw-router"), folder / "router.log"), connection_(connectTo(router_, 0)) {}
+
+void RawPair::trips(std::size_t bytes, int count, std::vector<double>& times) const {
+    const Frame frame{0, kData, static_cast<std::uint32_t>(bytes)};
+    const std::string sent(bytes, 'x');
+    std::string back(sizeof(frame) + bytes, ' ');
+    for (int i = 0; i < count; ++i) {
+        const auto begin = nowNs();
+        connection_.write({bytesOfFrame(frame), sent});
+        connection_.readAll(back.data(), back.size());
+        times.push_back(static_cast<double>(nowNs() - begin) / 1e3);
+    }
 }
 
 }  // namespace axon::bench

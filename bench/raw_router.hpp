@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <memory>
+#include <vector>
 
+#include "child.hpp"
 #include "subject.hpp"
 #include "tcp_receivers.hpp"
 
@@ -20,5 +22,19 @@ class RawReceiver final : public ReceiverProtocol {
 };
 
 std::unique_ptr<Subject> startRawRouter(const std::filesystem::path& folder, std::size_t n);
+/// The same frames without the router, from the sender to each receiver: this machine's limit for a direct path.
+std::unique_ptr<Subject> startRawDirect(const std::filesystem::path& folder, std::size_t n);
+
+/// Round trips between two processes that do nothing else, one after the other: two system calls and a wake-up on each side.
+class RawPair {
+  public:
+    explicit RawPair(const std::filesystem::path& folder);
+    /// Times in us are added. Throws std::system_error when the other process ends.
+    void trips(std::size_t bytes, int count, std::vector<double>& times) const;
+
+  private:
+    Child router_;  ///< which sends back what is for the only one that is there
+    tcp::Connection connection_;
+};
 
 }  // namespace axon::bench

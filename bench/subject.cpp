@@ -70,13 +70,15 @@ const char* nameOf(Message message) {
 const std::vector<Peer>& peers() {
     static const std::vector<Peer> all{
         {"axon", "", "", startAxon<Variant::Relayed>, "Axon relayed: client, axon-server, Entity Managers"},
-        {"axon-direct", "", "", startAxon<Variant::Direct>, "Axon by direct paths: client, Entity Managers; a stop goes both ways"},
         {"raw", "", "", startRawRouter, "the project's own epoll router, a system call for each message, no batching: what a simple relay costs this machine"},
         packaged("mosquitto-qos0", "mosquitto", "mosquitto", [](const fs::path& folder, std::size_t n) { return startMosquitto(folder, n, 0); },
                  "Mosquitto, at most once"),
         packaged("mosquitto-qos1", "mosquitto", "mosquitto", [](const fs::path& folder, std::size_t n) { return startMosquitto(folder, n, 1); },
                  "Mosquitto, at least once"),
         packaged("nats", "nats-server", "nats-server", startNats, "NATS core"),
+        // Last: libmosquitto waits by select(), which knows no descriptor from 1024 on, and these have one or two for each receiver.
+        {"axon-direct", "", "", startAxon<Variant::Direct>, "Axon by direct paths: client, Entity Managers; a stop goes both ways"},
+        {"raw-direct", "", "", startRawDirect, "raw without its router, a connection to each receiver: what a direct path costs this machine"},
     };
     return all;
 }

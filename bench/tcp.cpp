@@ -85,6 +85,10 @@ std::size_t Connection::read(char* to, std::size_t most, bool wait) const {
     }
 }
 
+void Connection::readAll(char* to, std::size_t size) const {
+    for (std::size_t done = 0; done < size;) done += read(to + done, size - done, true);
+}
+
 bool listens(std::uint16_t port) {
     const int fd = connectTo(port);
     if (fd >= 0) ::close(fd);

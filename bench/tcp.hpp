@@ -28,6 +28,8 @@ class Connection {
     void write(std::initializer_list<std::string_view> parts) const;
     /// What is there, at most this much; with `wait` at least one byte. 0 = nothing there; throws when the peer has closed.
     std::size_t read(char* to, std::size_t most, bool wait) const;
+    /// Waits for all of it.
+    void readAll(char* to, std::size_t size) const;
 
   private:
     void prepare() const;
