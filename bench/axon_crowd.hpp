@@ -81,6 +81,8 @@ class AxonCrowd {
     client::Client& client() { return *client_; }
     const std::vector<std::string>& names() const { return entities_->names(); }
     const std::vector<client::CheckOut>& held() const { return held_; }
+    /// There are no other entities at its server.
+    bool alone() const { return server_ != nullptr; }
     /// As Subject::ended(); of the server only where it is this one's own.
     std::string ended() const;
 

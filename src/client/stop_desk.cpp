@@ -33,12 +33,14 @@ void StopDesk::onConnected(const Sender& self) {
 }
 
 void StopDesk::onDisconnected() {
+    listAll();  // while their names are known
     connected_ = false;
     names_.clear();
 }
 
 void StopDesk::onEntity(Presence presence, const std::string& id, const std::string& name) {
     if (presence == Presence::Left) {
+        listAll();
         names_.remove(id);
     } else {
         names_.put(id, name);
@@ -57,15 +59,11 @@ Header StopDesk::header(const Order& order, const std::string& entity) const {
     return head;
 }
 
-void StopDesk::send(const Order& order, Lane lane, bool only_unconfirmed) {
+void StopDesk::send(const Order& order, Lane lane, std::vector<std::string> ids) {
     if (order.everything) {
         // One request, fanned out by the servers; also the way to resend, whoever is missing.
         link_.sendStopSignal(lane, header(order, {}), order.cause);
         return;
-    }
-    std::vector<std::string> ids;
-    for (const auto& [id, receipt] : order.receipts) {
-        if (!only_unconfirmed || !receipt.confirmed()) ids.push_back(id);
     }
     if (ids.size() == 1) {
         link_.sendStopSignal(lane, header(order, ids.front()), order.cause);
@@ -104,29 +102,36 @@ void StopDesk::give(Order order, const std::vector<std::string>& names, Duration
     order.done = std::move(done);
 
     std::vector<std::string> ids;
-    if (order.everything) {
-        ids = names_.ids();
-    } else {
-        for (const auto& name : names) {
-            auto found = names_.resolveAll(name);
-            if (!found) {
-                order.unknown = found.refusal();
-                continue;
-            }
-            ids.insert(ids.end(), found->begin(), found->end());
+    for (const auto& name : names) {
+        auto found = names_.resolveAll(name);
+        if (!found) {
+            order.unknown = found.refusal();
+            continue;
         }
+        ids.insert(ids.end(), found->begin(), found->end());
     }
-    for (const auto& id : ids) add(order, id);
-    if (!order.unknown.ok() && !order.receipts.empty()) {
+    std::sort(ids.begin(), ids.end());
+    ids.erase(std::unique(ids.begin(), ids.end()), ids.end());
+    if (!order.unknown.ok() && !ids.empty()) {
         order.unknown.message +=
             order.cause == StopCause::Drill ? " The others were drilled." : " The others were stopped.";
     }
+    order.named = ids;
     const auto sequence = order.sequence;
     auto& given = orders_.emplace(sequence, std::move(order)).first->second;
     if (given.everything) everything_.insert(sequence);
     schedule(given, given.cause == StopCause::Drill ? TimePoint::max() : given.given + kStopFirstResend);
-    send(given, Lane::Signal, false);
+    send(given, Lane::Signal, std::move(ids));
     finishIfSettled(given);
+}
+
+void StopDesk::list(Order& order) const {
+    if (std::exchange(order.listed, true)) return;
+    for (const auto& id : order.everything ? names_.ids() : std::exchange(order.named, {})) add(order, id);
+}
+
+void StopDesk::listAll() {
+    for (auto& [sequence, order] : orders_) list(order);
 }
 
 Receipt& StopDesk::add(Order& order, const std::string& entity) const {
@@ -143,7 +148,7 @@ Receipt& StopDesk::add(Order& order, const std::string& entity) const {
 }
 
 bool StopDesk::settled(const Order& order) {
-    if (order.unconfirmed > 0) return false;
+    if (order.unconfirmed > 0 || !order.named.empty()) return false;
     return !order.everything ||
            (order.reached && order.receipts.size() >= static_cast<std::size_t>(*order.reached));
 }
@@ -157,6 +162,7 @@ void StopDesk::schedule(Order& order, TimePoint resend) {
 
 StopDesk::Order StopDesk::take(std::int64_t sequence) {
     const auto found = orders_.find(sequence);
+    list(found->second);
     auto order = std::move(found->second);
     orders_.erase(found);
     everything_.erase(sequence);
@@ -170,7 +176,9 @@ void StopDesk::finishIfSettled(const Order& order) {
 
 StopDesk::Order* StopDesk::find(std::int64_t sequence) {
     const auto found = orders_.find(sequence);
-    return found == orders_.end() ? nullptr : &found->second;
+    if (found == orders_.end()) return nullptr;
+    list(found->second);
+    return &found->second;
 }
 
 void StopDesk::onStopAccepted(std::int64_t sequence, const std::string& entity, int entities) {
@@ -288,8 +296,13 @@ void StopDesk::onTimer() {
         }
         schedule(order, now + kStopResendPeriod);
         if (!connected_) continue;
-        send(order, Lane::Signal, true);
-        send(order, Lane::Data, true);
+        list(order);
+        std::vector<std::string> ids;
+        for (const auto& [id, receipt] : order.receipts) {
+            if (!receipt.confirmed()) ids.push_back(id);
+        }
+        send(order, Lane::Signal, ids);
+        send(order, Lane::Data, std::move(ids));
     }
 }
 

@@ -75,6 +75,8 @@ class StopDesk {
         bool everything = false;
         TimePoint given, deadline, resend;
         TimePoint due;                            // the earlier of the two, in due_
+        std::vector<std::string> named;           // UUIDs, until they are listed
+        bool listed = false;                      // there are receipts; made when it has been sent, which thousands would delay
         std::map<std::string, Receipt> receipts;  // by UUID
         std::map<std::string, std::int64_t> said_at;  // by UUID, on the Entity Manager's clock: the newest receipt
         std::size_t unconfirmed = 0;              // of the receipts
@@ -84,9 +86,12 @@ class StopDesk {
         Done done;
     };
     void give(Order order, const std::vector<std::string>& names, Duration deadline, Done done);
-    void send(const Order& order, Lane lane, bool only_unconfirmed);
+    void send(const Order& order, Lane lane, std::vector<std::string> ids);
     Header header(const Order& order, const std::string& entity) const;
     Receipt& add(Order& order, const std::string& entity) const;
+    /// Before anything looks at the receipts, or a name is forgotten.
+    void list(Order& order) const;
+    void listAll();
     static bool settled(const Order& order);
     void schedule(Order& order, TimePoint resend);
     /// Takes it out of everything that knows it.

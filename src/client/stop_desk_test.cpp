@@ -255,6 +255,19 @@ TEST_F(StopDeskTest, AStopThatReachesNothingHasNoReceipts) {
     EXPECT_THAT(receipts, IsEmpty());
 }
 
+TEST_F(StopDeskTest, ReceiptsHaveTheNamesOfWhenItWasGiven) {
+    stop({"Cyton"});
+    desk.onEntity(Presence::Left, uuid(3), "Cyton");
+    advance(1s);
+    ASSERT_THAT(receipts, SizeIs(1));
+    EXPECT_EQ(receipts[0].name, "Cyton");
+    stop({});
+    desk.onDisconnected();
+    advance(1s);
+    ASSERT_THAT(receipts, SizeIs(2));
+    EXPECT_EQ(receipts[0].name, "PeopleBot#1");
+}
+
 TEST_F(StopDeskTest, TheServersStageIsThatOfTheEntityItNames) {
     stop({"PeopleBot#1", "Cyton"});
     desk.onStopAccepted(1, uuid(1), 1);
