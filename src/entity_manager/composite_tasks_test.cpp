@@ -238,8 +238,9 @@ TEST_F(CompositeTasks, TheApplicationIsNeverGivenAnIdTwice) {
     for (const auto* part : {"part1", "part2", "part3"}) rig.update(part, proto::TASK_SUCCEEDED);
     EXPECT_EQ(lastOf("t1").state(), proto::TASK_SUCCEEDED);
     std::set<std::string> ids;
-    for (const auto& message : rig.to_application)
+    for (const auto& message : rig.to_application) {
         if (message.has_task()) EXPECT_TRUE(ids.insert(message.task().task_id()).second);
+    }
     EXPECT_EQ(ids.size(), 3U);
     EXPECT_FALSE(ids.contains(idOf("t1")));
 }

@@ -190,6 +190,10 @@ bool DirectDesk::relayed(Keeping keeping, const Header& head, const std::string&
 
 bool DirectDesk::arrived(const Id128& path, Keeping keeping, Header& head, std::string& bytes) {
     if (!path_ || path_->number != path) return false;  // what counts of it comes by the servers
+    if (direct::alwaysRelayed(head.msg_type)) {
+        end("a " + head.msg_type + " came by it, which goes by the servers", Rest::SendAgain);
+        return false;
+    }
     const auto size = bytes.size() + kHeadBytes;
     // Only what is held back is needed as one.
     Came came;

@@ -234,8 +234,10 @@ void EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header
         if (ways_->arrived(path, keeping, head, bytes)) core_->onClientMsg(head, bytes);
     };
     if (keeping == direct::Keeping::Droppable) return wake(inbox_.pushData(std::move(event), size), Turn::Here);
-    auto verdict = inbox_.pushControl(std::move(event), size);
-    for (; verdict == Inbox::Verdict::Overflow; verdict = inbox_.pushControl(std::move(event), size)) inbox_.awaitRoom();
+    // The holder waits; of the servers' way, where all have a share, the session would end.
+    const auto push = [&] { return inbox_.pushControl(std::move(event), size, Inbox::Share::Half); };
+    auto verdict = push();
+    for (; verdict == Inbox::Verdict::Overflow; verdict = push()) inbox_.awaitRoom();
     wake(verdict, Turn::Here);
 }
 

@@ -224,6 +224,25 @@ TEST_F(Held, HeadersNameTheRecipientTheEntityTheLeaseAndTheGeneration) {
     EXPECT_EQ(head.stop_generation, 1);
 }
 
+// The servers record who rearmed by the header.
+TEST_F(Held, ARearmUnderAnotherNameIsRefused) {
+    rig.stop("client1");
+    rig.stopDone(1);
+    ASSERT_TRUE(rig.core().latched());
+    auto head = rig.headOf("client1");
+    head.msg_type = kMsgText;
+    proto::ToEntity rearm;
+    rearm.mutable_rearm()->set_request_id("r");
+    rig.to_clients.clear();
+    rig.core().onClientMsg(head, rearm.SerializeAsString());
+    EXPECT_TRUE(rig.core().latched());
+    ASSERT_FALSE(rig.to_clients.empty());
+    EXPECT_EQ(rig.to_clients.back().message.reply().refusal().code(), static_cast<int>(RefusalCode::Malformed));
+    head.msg_type = kMsgRearm;
+    rig.core().onClientMsg(head, rearm.SerializeAsString());
+    EXPECT_FALSE(rig.core().latched());
+}
+
 TEST_F(Held, AMessageWithoutASenderIsCountedAndAnsweredToNobody) {
     const auto before = rig.to_clients.size();
     Header nobody;

@@ -52,10 +52,11 @@ bool Inbox::signalsFull() const {
     return signal_count_ == kSignals;
 }
 
-Inbox::Verdict Inbox::pushControl(Event&& event, std::size_t bytes) {
+Inbox::Verdict Inbox::pushControl(Event&& event, std::size_t bytes, Share share) {
     {
         const std::lock_guard lock(mutex_);
-        if (control_events_ == bounds_.control_events || control_bytes_ + bytes > bounds_.control_bytes)
+        if (control_events_ == bounds_.control_events || control_bytes_ + bytes > bounds_.control_bytes ||
+            (share == Share::Half && !roomy()))
             return Verdict::Overflow;
         waiting_.push_back({std::move(event), bytes});
         ++control_events_;

@@ -48,10 +48,10 @@ class Inbox {
     Verdict pushSignal(Signal kind, Event event);
     /// Whether a drill or a passing signal would be dropped now. False stays false until a signal is pushed.
     bool signalsFull() const;
-    /// On Overflow the event is still the caller's.
-    Verdict pushControl(Event&& event, std::size_t bytes = 0);
-    /// For a thread that may wait, and not on the strand: returns when control has room again, half of its bounds. The strand comes,
-    /// for what fills it was pushed.
+    /// On Overflow the event is still the caller's. Half: of one who can wait (awaitRoom), and leaves the rest to those who cannot.
+    enum class Share : std::uint8_t { Whole, Half };
+    Verdict pushControl(Event&& event, std::size_t bytes = 0, Share share = Share::Whole);
+    /// Not on the strand: returns when there is room for such a half. The strand comes, for what fills it was pushed.
     void awaitRoom();
     /// May drop older data to make room. `bytes` counts towards the bound.
     Verdict pushData(Event event, std::size_t bytes);

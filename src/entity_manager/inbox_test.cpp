@@ -53,6 +53,19 @@ TEST_F(InboxTest, ControlOverflowIsReportedAndChangesNothing) {
     EXPECT_EQ(seen, "a");
 }
 
+TEST_F(InboxTest, WhoCanWaitLeavesHalfToThoseWhoCannot) {
+    Inbox inbox({.control_events = 4});
+    const auto push = [&](char name) { return inbox.pushControl(note(name), 0, Inbox::Share::Half); };
+    EXPECT_EQ(push('a'), Inbox::Verdict::Scheduled);
+    push('b');
+    push('c');
+    EXPECT_EQ(push('d'), Inbox::Verdict::Overflow) << "more than half is taken";
+    EXPECT_EQ(inbox.pushControl(note('e')), Inbox::Verdict::AlreadyScheduled);
+    EXPECT_EQ(inbox.pushControl(note('f')), Inbox::Verdict::Overflow);
+    drain(inbox);
+    EXPECT_EQ(seen, "abce");
+}
+
 TEST_F(InboxTest, OnlyTheFirstPushAfterEmptyNeedsToWakeTheStrand) {
     Inbox inbox;
     EXPECT_EQ(inbox.pushData(note('a'), 1), Inbox::Verdict::Scheduled);

@@ -935,6 +935,12 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
                {}});
         return;
     }
+    // By the header alone the servers know which way these go, and keep their record of who rearmed.
+    if ((event == Event::CheckOut) != (head.msg_type == kMsgCheckOut) || (event == Event::Rearm) != (head.msg_type == kMsgRearm)) {
+        ++counters_.malformed;
+        reply(head.sender, {}, {RefusalCode::Malformed, "The header's msgType is not what the message is: a check-out is CHECKOUT, a rearm REARM.", {}});
+        return;
+    }
     // What is over must not win because its timer is late.
     if (event == Event::CheckOut || event == Event::HandOver) passTime();
     process(event, head, &from_client_);

@@ -499,6 +499,23 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     const auto stolen = Ice::uncheckedCast<slice::DirectSessionPrx>(knocks.opened.session->ice_connectionId("thief"));
     EXPECT_THROW(stolen->sendToEntity({}, transport::toRange("x")), Ice::Exception);
 
+    // What goes by the servers always, for their record, ends the path that brings it, and nothing has come of it.
+    Stranger beats(granted.direct_signal_endpoint());
+    beats.claim = knocks.claim;
+    beats.claim.lane = Lane::Signal;
+    beats.challenge();
+    ASSERT_EQ(beats.open(key), RefusalCode::Ok);
+    ASSERT_TRUE(waitUntil([&] { return manager_->direct(); }));
+    proto::ToEntity rearm;
+    rearm.mutable_rearm()->set_request_id("r");
+    slice::Head in_secret;
+    in_secret.msgType = kMsgRearm;
+    in_secret.held = {lease.epoch, lease.number};
+    in_secret.seq = 1000;
+    const auto secret = rearm.SerializeAsString();
+    Ice::uncheckedCast<slice::DirectSessionPrx>(knocks.opened.session->ice_oneway())->sendToEntity(in_secret, transport::toRange(secret));
+    ASSERT_TRUE(waitUntil([&] { return !manager_->direct(); }));
+
     // After the end of the lease the key opens nothing.
     proto::ToEntity body;
     body.mutable_release();

@@ -258,7 +258,7 @@ class World {
     void send(const std::string& client, const proto::ToEntity& message, const std::string& ask) {
         if (roll(12) == 0) rig_.generation = static_cast<std::int32_t>(roll(rig_.gate.generation() + 1));
         if (roll(12) == 0) rig_.lease = LeaseNumber{1, static_cast<std::int32_t>(roll(6))};
-        sent_.push_back({rig_.headOf(client), message.SerializeAsString(), ask});
+        sent_.push_back({rig_.headOf(client, message), message.SerializeAsString(), ask});
         if (sent_.size() > 30) sent_.pop_front();
         if (!ask.empty()) asked(ask);
         const auto now = sent_.back();
@@ -277,7 +277,7 @@ class World {
         auto& mine = request_[client];
         if (roll(4) == 0 && open_.contains("check-out " + mine + " TAKE")) {  // so that its place is kept
             last_ += client + " asks again " + mine;
-            rig_.core().onClientMsg(rig_.headOf(client), take_[client]);
+            rig_.send(client, take_[client]);
             return;
         }
         const auto phase = any<proto::CheckOutPhase>(
@@ -298,8 +298,8 @@ class World {
         if (roll(3) == 0) request.mutable_hand_over()->set_answer_within_s(0.2);
         last_ += std::string(request.wait() ? " wait" : "") + (request.ask() ? " ask" : "") +
                  (request.force() ? " force" : "");
-        if (phase == proto::TAKE) take_[client] = message.SerializeAsString();
-        rig_.core().onClientMsg(rig_.headOf(client), message.SerializeAsString());
+        if (phase == proto::TAKE) take_[client] = message;
+        rig_.send(client, message);
     }
     void resumeLease(const std::string& client) {
         const auto now = rig_.core().status();
@@ -320,7 +320,7 @@ class World {
         last_ += client + " resumes the lease of " + of + " by " + id + (wrong ? " with a wrong key" : "");
         if (!wrong && !belief.key.empty() && client != "observer") proved_.emplace(client, belief.lease);
         asked("check-out " + id + " RESUME_LEASE");
-        rig_.core().onClientMsg(rig_.headOf(client), message.SerializeAsString());
+        rig_.send(client, message);
     }
     void handOver(const std::string& client) {
         const auto who = roll(3) == 0 || before_.holder.id.empty() ? client : before_.holder.id;
@@ -623,7 +623,8 @@ class World {
     std::set<std::string> excused_;  ///< requests whose answer was lost with the server
     std::map<std::string, TimePoint> not_after_;
     std::map<std::string, int> open_;  ///< requests that wait for their answer
-    std::map<std::string, std::string> request_, take_;
+    std::map<std::string, std::string> request_;
+    std::map<std::string, proto::ToEntity> take_;
     std::map<std::string, bool> believes_;  ///< who has been granted it and was not told of an end
     std::set<std::pair<std::string, LeaseNumber>>
         proved_;                         ///< of which leases a client has sent the right key

@@ -242,8 +242,14 @@ Header CoreRig::headOf(const std::string& client) {
     return head;
 }
 
+Header CoreRig::headOf(const std::string& client, const proto::ToEntity& message) {
+    auto head = headOf(client);
+    head.msg_type = message.has_check_out() ? kMsgCheckOut : message.has_rearm() ? kMsgRearm : "";
+    return head;
+}
+
 void CoreRig::send(const std::string& client, const proto::ToEntity& message) {
-    core_->onClientMsg(headOf(client), message.SerializeAsString());
+    core_->onClientMsg(headOf(client, message), message.SerializeAsString());
 }
 
 void CoreRig::take(const std::string& client, const std::string& request, const std::string& root) {
@@ -491,6 +497,7 @@ std::string shown(const proto::ToClient& message) {
         case proto::ToClient::kRunHistory:
         case proto::ToClient::kGlobalServices:
             return message.ShortDebugString();
+        case proto::ToClient::kWay:  // of the path below the core
         case proto::ToClient::BODY_NOT_SET:
             break;
     }

@@ -81,6 +81,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
 
     // The clients' side.
     Header headOf(const std::string& client);
+    Header headOf(const std::string& client, const proto::ToEntity& message);
     void send(const std::string& client, const proto::ToEntity& message);
     void take(const std::string& client, const std::string& request, const std::string& root = {});
     /// RESUME_LEASE of the lease that `of` was given.
