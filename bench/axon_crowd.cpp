@@ -31,6 +31,15 @@ constexpr std::size_t kDescriptorsOfRobot = 8;
 /// At the client.
 constexpr std::size_t kDescriptorsOfPath = 2;
 
+/// The variant, where this process, which is the client's, may have as many descriptors as it needs.
+Variant permitted(Variant variant, std::size_t n) {
+    const auto needed = n * kDescriptorsOfPath + kOwnDescriptors;
+    if (variant == Variant::Direct && needed > descriptorsPermitted())
+        throw NotPermitted(std::to_string(n) + " direct paths need " + std::to_string(needed) + " descriptors in the client's process, which may have " +
+                           std::to_string(descriptorsPermitted()) + "; mend: ulimit -n");
+    return variant;
+}
+
 /// Of users that exist in one run's folder, for as long as it lasts.
 constexpr const char* kPassword = "of a benchmark";
 
@@ -39,7 +48,7 @@ void addUser(const fs::path& users, const std::string& name, const std::string& 
                          " >'" + users.string() + ".log' 2>&1";
     FILE* pipe = ::popen(command.c_str(), "w");
     if (pipe != nullptr) std::fprintf(pipe, "%s\n", kPassword);
-    if (pipe == nullptr || ::pclose(pipe) != 0) throw std::runtime_error("axon-server did not add a user; see " + users.string() + ".log");
+    if (pipe == nullptr || ::pclose(pipe) != 0) throw std::runtime_error("axon-server did not add a user" + see(users.string() + ".log"));
 }
 
 std::vector<std::string> serverCommand(const fs::path& folder, const Radio* radio) {
@@ -97,8 +106,12 @@ Entities::Entities(const fs::path& folder, const std::string& prefix, std::size_
             children_.push_back(std::make_unique<Child>(ourselves(process, words), folder / (prefix + suffix + "-" + std::to_string(first) + ".log"),
                                                         std::vector<std::string>{}, wireless ? radio->enterWireless() : std::function<void()>()));
         }
-        for (auto i = before; i < children_.size(); ++i)
-            children_[i]->waitUntil([&board, all = children_.size() - before] { return board.ready() >= all; }, "the entities did not start", kJoinTime);
+        children_.back()->waitUntil(
+            [&] {
+                if (const auto its = ended(); !its.empty()) throw std::runtime_error(its);
+                return board.ready() >= children_.size() - before;
+            },
+            "the entities did not start", kJoinTime);
     };
     if (variant == Variant::Robots) {
         robots_.emplace((folder / (prefix + ".robots")).string(), n, true);
@@ -136,11 +149,19 @@ std::vector<client::CheckOut> holdAll(client::Client& client, const std::vector<
     return std::move(held).value();
 }
 
-AxonCrowd::AxonCrowd(const fs::path& folder, std::size_t n, Variant variant, const Running* running, const Radio* radio) {
+std::shared_ptr<std::atomic<std::size_t>> countLeft(client::Client& client) {
+    auto left = std::make_shared<std::atomic<std::size_t>>(0);
+    client.onEntity([left](Presence presence, const client::Entity&) {
+        if (presence == Presence::Left) ++*left;
+    });
+    return left;
+}
+
+AxonCrowd::AxonCrowd(const fs::path& folder, std::size_t n, Variant variant, const Running* running, const Radio* radio) : variant_(permitted(variant, n)) {
     if (!running) server_ = std::make_unique<AxonServer>(folder, radio);
     entities_ = std::make_unique<Entities>(folder, "bench", n, running ? running->entity_config : server_->entityAddress(), radio, variant);
     client_ = connectClient(running ? running->client_config : server_->clientAddress(), variant);
-    hold(variant);
+    hold();
 }
 
 std::string AxonCrowd::ended() const {
@@ -149,28 +170,26 @@ std::string AxonCrowd::ended() const {
 }
 
 AxonCrowd::AxonCrowd(const AxonServer& server, const fs::path& folder, const std::string& prefix, std::size_t n, Variant variant)
-    : entities_(std::make_unique<Entities>(folder, prefix, n, server.entityAddress(), server.radio(), variant)),
+    : variant_(permitted(variant, n)),
+      entities_(std::make_unique<Entities>(folder, prefix, n, server.entityAddress(), server.radio(), variant)),
       client_(connectClient(server.clientAddress(), variant)) {
-    hold(variant);
+    hold();
 }
 
-void AxonCrowd::hold(Variant variant) {
-    if (variant == Variant::Direct && names().size() * kDescriptorsOfPath + kOwnDescriptors > descriptorsPermitted())
-        throw NotPermitted(std::to_string(names().size()) + " direct paths need " + std::to_string(names().size() * kDescriptorsOfPath + kOwnDescriptors) +
-                           " descriptors in the client's process, which may have " + std::to_string(descriptorsPermitted()) + "; mend: ulimit -n");
+std::size_t AxonCrowd::relayed() const {
+    return variant_ != Variant::Direct ? 0 : static_cast<std::size_t>(std::count_if(held_.begin(), held_.end(), [](const auto& its) { return !its.direct(); }));
+}
+
+void AxonCrowd::hold() {
     held_ = holdAll(*client_, names());
-    if (variant != Variant::Direct) return;
     const auto end = std::chrono::steady_clock::now() + kJoinTime;
-    for (const auto& entity : held_)
-        while (!entity.direct()) {
-            if (interrupted) throw std::runtime_error("interrupted");
-            if (std::chrono::steady_clock::now() > end) {
-                const auto open = std::count_if(held_.begin(), held_.end(), [](const auto& its) { return its.direct(); });
-                throw std::runtime_error("only " + std::to_string(open) + " of " + std::to_string(held_.size()) + " direct paths have opened within " +
-                                         std::to_string(kJoinTime.count()) + " s");
-            }
-            std::this_thread::sleep_for(1ms);
-        }
+    while (const auto missing = relayed()) {
+        if (interrupted) throw std::runtime_error("interrupted");
+        if (std::chrono::steady_clock::now() > end)
+            throw std::runtime_error("only " + std::to_string(held_.size() - missing) + " of " + std::to_string(held_.size()) + " direct paths have opened within " +
+                                     std::to_string(kJoinTime.count()) + " s");
+        std::this_thread::sleep_for(5ms);
+    }
 }
 
 }  // namespace axon::bench

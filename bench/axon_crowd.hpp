@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <atomic>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -68,9 +69,12 @@ std::unique_ptr<client::Client> connectClient(client::Options options);
 std::unique_ptr<client::Client> connectClient(const std::string& server, Variant variant = Variant::Relayed);
 /// Waits until they are there, and checks them out. Throws std::runtime_error with the refusal.
 std::vector<client::CheckOut> holdAll(client::Client& client, const std::vector<std::string>& names);
+/// How many entities have left the server from now on, as it tells this client. Shared with the callback, which the client may still call while it closes.
+std::shared_ptr<std::atomic<std::size_t>> countLeft(client::Client& client);
 
 /// A server, unless one runs already, N entities, and a client that holds all of them; by direct paths only where each has opened.
-/// The constructors throw NotPermitted where the client's process may not have as many descriptors as its direct paths need.
+/// The constructors throw NotPermitted, before they start anything, where the client's process may not have as many descriptors as its direct
+/// paths need.
 class AxonCrowd {
   public:
     AxonCrowd(const std::filesystem::path& folder, std::size_t n, Variant variant = Variant::Relayed, const Running* running = nullptr, const Radio* radio = nullptr);
@@ -83,11 +87,14 @@ class AxonCrowd {
     const std::vector<client::CheckOut>& held() const { return held_; }
     /// There are no other entities at its server.
     bool alone() const { return server_ != nullptr; }
+    /// Entities whose direct path is not open, of those that were to have one.
+    std::size_t relayed() const;
     /// As Subject::ended(); of the server only where it is this one's own.
     std::string ended() const;
 
   private:
-    void hold(Variant variant);
+    void hold();
+    const Variant variant_;
     std::unique_ptr<AxonServer> server_;
     std::unique_ptr<Entities> entities_;
     std::unique_ptr<client::Client> client_;

@@ -76,6 +76,7 @@ class BenchSmoke(unittest.TestCase):
                     self.assertLessEqual(row[system]["ratio"]["mean"]["n"], 3)
                 if not system.startswith("axon"):
                     self.assertLessEqual(row[system]["ratio_direct"]["mean"]["n"], 3)
+            self.assertLessEqual(row["axon-direct"]["relayed"], row["n"])
             self.assertEqual(row["axon"]["lost"], 0)
         for name, axon in (("geometric_mean_over_n", {"axon"}), ("geometric_mean_over_n_direct", {"axon", "axon-direct"})):
             for system in systems - axon:
@@ -110,7 +111,7 @@ class BenchSmoke(unittest.TestCase):
                     if row[system]["from_batch"]["lost"] == 0:
                         self.assertLessEqual(row[system]["from_call"]["mean"], row[system]["from_batch"]["mean"])
                         self.assertEqual(row[system]["corrupt_or_misplaced"], 0)
-            self.assertIn("axon-direct", row)
+            self.assertIn("relayed", row["axon-direct"])
             robots = row["axon-robots"]
             self.complete(robots["at_callback"], messages)
             if robots["at_callback"]["lost"] == 0:
@@ -121,6 +122,8 @@ class BenchSmoke(unittest.TestCase):
         for row in result["results"][2:]:
             standard = row["standard"]["clients"]
             self.assertGreater(standard["data"] + standard["signals"] + standard["refused"], 0)
+            self.assertGreaterEqual(row["standard"]["arrived"], 0)
+            self.assertEqual(row["entities"], 6 + 3 * 10)
         self.assertGreater(result["results"][3]["standard"]["clients"]["due"], result["results"][2]["standard"]["clients"]["due"])
         if shutil.which("gnuplot"):
             self.assertEqual(len(list(self.folder.glob("figure-5.*.png"))), 4)
@@ -173,18 +176,32 @@ class BenchSmoke(unittest.TestCase):
             if result["failed"] == 0:
                 self.assertGreater(row["ms"]["n"], 0)
 
-    def test_ctrl_c_leaves_a_part_that_can_be_used(self):
-        bench = subprocess.Popen([BIN / "axon-bench", "peers", "--entities", "1,2", "--batches", "100000", "--seconds", "1", "--only", "raw",
-                                  "--pair-rounds", "0", "--json", str(self.json)], stdout=subprocess.PIPE, text=True)
+    def interrupted(self, *words):
+        """Its first row, after Ctrl-C in the second."""
+        bench = subprocess.Popen([BIN / "axon-bench", *words, "--json", str(self.json)], stdout=subprocess.PIPE, text=True)
         self.addCleanup(bench.kill)
         wait_until(lambda: self.json.exists() and json.loads(self.json.read_text())["results"], "a first row", 60)
+        children = lambda: pathlib.Path(f"/proc/{bench.pid}/task/{bench.pid}/children").read_text().split()  # noqa: E731
+        wait_until(children, "processes of the second row", 60)
+        started = children()
         bench.send_signal(signal.SIGINT)
         output, _ = bench.communicate(timeout=30)
         self.assertEqual(bench.returncode, 1)
         self.assertIn("INTERRUPTED", output)
+        self.assertEqual([pid for pid in started if pathlib.Path("/proc", pid).exists()], [])
+        self.assertFalse(pathlib.Path(tempfile.gettempdir(), f"axon-bench-{bench.pid}").exists())
         result = json.loads(self.json.read_text())
         self.assertIs(result["partial"], True)
-        self.assertGreater(result["results"][0]["axon"]["n"], 0)
+        return result["results"][0]
+
+    def test_ctrl_c_leaves_a_part_of_peers_that_can_be_used_and_no_process(self):
+        row = self.interrupted("peers", "--entities", "1,2", "--batches", "100000", "--seconds", "1", "--only", "raw", "--pair-rounds", "0")
+        self.assertGreater(row["axon"]["n"], 0)
+
+    def test_ctrl_c_leaves_a_part_of_chapter5_that_can_be_used_and_no_process(self):
+        row = self.interrupted("chapter5", "--table", "5.3", "--mode", "partitioned", "--clients", "2,3", "--standard", "4", "--seconds", "0.5",
+                               "--with", "axon-direct,axon-robots")
+        self.assertGreater(row["axon-robots"]["at_callback"]["n"], 0)
 
     def test_help_teaches(self):
         for words, status in (((), (2,)), (("--help",), (0,)), (("peers", "--help"), (0,)), (("chapter5", "--help"), (0,))):

@@ -1,7 +1,15 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <gtest/gtest.h>
 
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <limits>
+
 #include "board.hpp"
+#include "child.hpp"
+#include "contender.hpp"
 #include "ddsperf.hpp"
 #include "nats_peer.hpp"
 #include "report.hpp"
@@ -90,6 +98,26 @@ TEST(BenchSeries, BatchesHaveTheirOwnMeanAndLast) {
     EXPECT_DOUBLE_EQ(spread({0.5, 2, 1})["median"], 1);
 }
 
+TEST(BenchRatios, APeerThatLosesMostBatchesHasNoMeanOverN) {
+    constexpr double kNever = std::numeric_limits<double>::infinity();
+    MeanOverN mean;
+    mean.add(1, spread(ratios({1, 2, 3}, {2, 4, 6})));
+    mean.add(64, spread(ratios({8, 8, kNever}, {4, 4, 4})));
+    EXPECT_DOUBLE_EQ(mean.mean(), 1);
+    const auto lost_by_it = spread(ratios({1, 1, 1}, {2, kNever, kNever}));
+    EXPECT_EQ(figure(lost_by_it, "median", 0), "0.000");
+    const auto lost_by_us = spread(ratios({1, kNever, kNever}, {2, 2, 2}));
+    EXPECT_EQ(figure(lost_by_us, "median", 0), "never");
+    const auto lost_by_both = spread(ratios({kNever}, {kNever}));
+    EXPECT_EQ(figure(lost_by_both, "median", 0), "-");
+    for (const auto& one : {lost_by_it, lost_by_us, lost_by_both}) {
+        auto its = mean;
+        its.add(256, one);
+        EXPECT_TRUE(its.mean().is_null());
+        EXPECT_EQ(its.n(), (std::vector<std::size_t>{1, 64}));
+    }
+}
+
 TEST(BenchSeries, QuantilesAreOfTheNearestRank) {
     std::vector<double> values;
     for (int i = 1; i <= 100; ++i) values.push_back(i);
@@ -103,6 +131,142 @@ TEST(BenchSeries, QuantilesAreOfTheNearestRank) {
     EXPECT_DOUBLE_EQ(quantile({1, 2}, 1), 2);
     EXPECT_DOUBLE_EQ(quantile({7}, 0), 7);
     EXPECT_DOUBLE_EQ(quantile({}, 0.5), 0);
+}
+
+/// Two receivers; `arrive` says what the sending does to them. Stops are counted.
+class FakeSubject final : public Subject {
+  public:
+    using Arrive = std::function<void(Board&, Kind, std::int64_t called)>;
+    explicit FakeSubject(Arrive arrive) : arrive_(std::move(arrive)), board_(file(), 2, true) { std::filesystem::remove(file()); }
+    Board& board() override { return board_; }
+    bool numbered(Kind kind) const override { return kind == Kind::Data; }
+    void send(Message message, const std::string&, std::vector<std::int64_t>& called) override {
+        std::fill(called.begin(), called.end(), nowNs());
+        if (arrive_) arrive_(board_, kindOf(message), called.front());
+    }
+    std::size_t relayed() const override { return ++asked_ == 2 ? 1 : 0; }
+
+  private:
+    static std::string file() { return testing::TempDir() + "axon_bench_test." + std::to_string(::getpid()); }
+    Arrive arrive_;
+    Board board_;
+    mutable int asked_ = 0;
+};
+
+void bothNote(Board& board, Kind kind, std::uint32_t number, std::int64_t when) {
+    for (std::size_t i = 0; i < board.size(); ++i) board[i].of(kind).note(number, when);
+}
+
+TEST(BenchContender, AStopLaterThanTwoSecondsIsLost) {
+    Contender one("fake", std::make_unique<FakeSubject>(nullptr));
+    auto bytes = content(kSmallBytes);
+    const auto batch = one.send(Message::Stop, bytes, nowNs());
+    EXPECT_EQ(one.firstMissing(batch), 0U);
+    one.board()[0].stops.note(0, batch.begin + kPatience_ns);
+    one.board()[1].stops.note(0, batch.begin + kPatience_ns + 1);
+    EXPECT_EQ(one.firstMissing(batch), 2U) << "it has arrived, if too late";
+    one.collect(batch, one.series);
+    EXPECT_EQ(one.series.sent(), 2U);
+    EXPECT_EQ(one.series.lost(), 1U);
+}
+
+TEST(BenchContender, AStopLostForGoodShiftsNothingAfterAPause) {
+    Contender one("fake", std::make_unique<FakeSubject>(nullptr));
+    auto bytes = content(kSmallBytes);
+    const auto begin = nowNs();
+    one.send(Message::Stop, bytes, begin);
+    const auto soon = one.send(Message::Stop, bytes, begin + 50'000'000);
+    bothNote(one.board(), Kind::Stop, 0, nowNs());
+    EXPECT_EQ(one.firstMissing(soon), 0U) << "it may be the first one that has arrived";
+    const auto later = one.send(Message::Stop, bytes, nowNs() + 2 * kPatience_ns);
+    bothNote(one.board(), Kind::Stop, 1, later.begin);
+    EXPECT_EQ(one.firstMissing(later), 2U);
+}
+
+TEST(BenchContender, WhatIsLateFromDueStaysOnTimeFromCall) {
+    Contender one("fake", std::make_unique<FakeSubject>([](Board& board, Kind kind, std::int64_t called) { bothNote(board, kind, 0, called + 1'000'000); }));
+    auto bytes = content(kSmallBytes);
+    const auto batch = one.send(Message::Data, bytes, nowNs() - 100'000'000);
+    Series from_begin, from_call;
+    one.collect(batch, 0, 2, from_begin, &from_call, nullptr);
+    EXPECT_GE(from_begin.json()["p50"], 101);
+    EXPECT_DOUBLE_EQ(from_call.json()["max"], 1);
+}
+
+TEST(BenchContender, OverlappingStopsKeepTheirRowsAndThoseThatWarmUpDoNotCount) {
+    constexpr int kWarm = 2, kCounted = 3;
+    std::uint32_t sent = 0;
+    std::int64_t arrived = 0;
+    // All of them arrive when the last one is sent.
+    Contender one("fake", std::make_unique<FakeSubject>([&](Board& board, Kind kind, std::int64_t) {
+                      if (++sent < kWarm + kCounted) return;
+                      arrived = nowNs();
+                      for (std::uint32_t number = 0; number < sent; ++number) bothNote(board, kind, number, arrived);
+                  }));
+    auto bytes = content(kSmallBytes);
+    std::vector<Figures> figures{{0, 2, {}, {}, {}}};
+    measurePaced(one, Message::Stop, bytes, {1'000'000, kCounted, kWarm}, figures);
+    EXPECT_LT(nowNs(), arrived + kPatience_ns) << "what is there is not waited for";
+    auto& from_batch = figures.front().from_batch;
+    EXPECT_EQ(from_batch.json()["n"], 2 * kCounted);
+    EXPECT_EQ(from_batch.lost(), 0U);
+    ASSERT_EQ(from_batch.lasts().size(), std::size_t{kCounted});
+    for (int i = 0; i + 1 < kCounted; ++i) EXPECT_NEAR(from_batch.lasts()[i] - from_batch.lasts()[i + 1], 1, 1e-6) << "a period of 1 ms";
+    EXPECT_EQ(one.relayed, 1U) << "for a while one path was not there";
+}
+
+TEST(BenchChild, InheritsNothingOfOurs) {
+    int pipe[2];
+    ASSERT_EQ(::pipe(pipe), 0);
+    const WorkFolder folder;
+    const Child child({"sh", "-c", "test -e /proc/$$/fd/" + std::to_string(pipe[0]) + " && echo open || echo closed; exec sleep 60"}, folder.sub("child") / "log");
+    EXPECT_NO_THROW(child.waitForLine("closed"));
+    ::close(pipe[0]);
+    ::close(pipe[1]);
+}
+
+TEST(BenchWorkFolder, StaysWhereALogOfItWasNamed) {
+    std::filesystem::path path;
+    {
+        const WorkFolder folder;
+        path = folder.sub("server");
+    }
+    EXPECT_FALSE(std::filesystem::exists(path));
+    {
+        const WorkFolder folder;
+        EXPECT_EQ(see(folder.sub("server") / "log"), "; see " + (path / "log").string());
+    }
+    EXPECT_TRUE(std::filesystem::exists(path));
+    std::filesystem::remove_all(path.parent_path());
+}
+
+TEST(BenchInbox, TakesMessagesThatComeInPiecesAndAreLongerThanTheBuffer) {
+    std::uint16_t port = 0;
+    const tcp::Connection listener(tcp::listen(port));
+    const tcp::Connection to(port), from(::accept(listener.fd(), nullptr, nullptr));
+    tcp::Inbox inbox;
+    std::vector<char> shared(8);
+    std::vector<std::string> lines;
+    const auto take = [&](std::size_t count) {
+        while (lines.size() < count) {
+            std::fill(shared.begin(), shared.end(), '\n');  // what another connection has left there
+            inbox.take(from, shared, [&](std::string_view received) {
+                std::size_t used = 0;
+                for (auto end = received.find('\n'); end != std::string_view::npos; end = received.find('\n', used)) {
+                    lines.emplace_back(received.substr(used, end - used));
+                    used = end + 1;
+                }
+                return used;
+            });
+        }
+    };
+    to.write({"one\ntw"});
+    take(1);
+    to.write({"o\nas long as three buffers\nfo"});
+    take(3);
+    to.write({"ur\n"});
+    take(4);
+    EXPECT_EQ(lines, (std::vector<std::string>{"one", "two", "as long as three buffers", "four"}));
 }
 
 TEST(BenchNats, TakesWholeMessagesAndLeavesTheRest) {

@@ -96,7 +96,7 @@ class Chapter5 {
                     continue;
                 }
                 for (const auto& mode : wish_.modes)
-                    if (!interrupted) manyClients(table, count, mode == "open");
+                    if (!interrupted) manyClients(table, count, mode);
             }
         }
     }
@@ -109,11 +109,11 @@ class Chapter5 {
     }
 
     /// A system that this machine does not permit, or that fails to start, is no reason to measure no other.
-    void notStarted(std::size_t count, const std::string& name, const std::exception& problem, nlohmann::json& row) {
+    void notStarted(std::size_t count, const std::string& name, const std::exception& problem, nlohmann::json& of) {
         if (interrupted) throw;
         progress("");
         std::printf("%8zu %s is not measured: %s\n", count, name.c_str(), problem.what());
-        row[name] = {{"not_measured", problem.what()}};
+        of["not_measured"] = problem.what();
         if (dynamic_cast<const NotPermitted*>(&problem) == nullptr) sound_ = false;
     }
 
@@ -165,7 +165,7 @@ class Chapter5 {
                 if (variantOf(peer->name) == Variant::Robots && n > wish_.robots) throw NotPermitted("more entities than --robots");
                 all.push_back(std::make_unique<Contender>(peer->name, radio_ ? axonWithRadio(*radio_, folder, n, *variantOf(peer->name)) : peer->start(folder, n)));
             } catch (const std::exception& problem) {
-                notStarted(n, peer->name, problem, row);
+                notStarted(n, peer->name, problem, row[peer->name]);
             }
         }
         auto figures = measure(table, what, all);
@@ -180,9 +180,19 @@ class Chapter5 {
     /// Tables 5.3 and 5.4: the standard entities partitioned among the standard clients under exclusive leases, as in normal operation, or
     /// open to all of them, as in the thesis. Each of Axon's variants has ten entities of its own that are measured, and a client; those
     /// whose turn it is not are idle.
-    void manyClients(const ThesisTable& table, std::size_t clients, bool open) {
+    void manyClients(const ThesisTable& table, std::size_t clients, const std::string& mode) {
         auto row = rowOf(table, clients);
-        const std::string mode = open ? "open" : "partitioned";
+        row["mode"] = mode;
+        try {
+            measureBeside(table, clients, mode, row);
+        } catch (const std::exception& problem) {
+            notStarted(clients, "clients " + mode, problem, row);
+        }
+        report_.add(std::move(row));
+    }
+
+    void measureBeside(const ThesisTable& table, std::size_t clients, const std::string& mode, nlohmann::json& row) {
+        const bool open = mode == "open";
         const auto what = std::to_string(clients) + " clients, " + mode;
         const auto folder = work_.sub(mode + "-" + std::string(table.number) + "-" + std::to_string(clients));
         progress("chapter5: table " + std::string(table.number) + ", " + what + ": starting");
@@ -196,20 +206,23 @@ class Chapter5 {
                 try {
                     all.push_back(std::make_unique<Contender>(peer->name, axonOf(server, folder, "testing-" + peer->name, kTestingEntities, *variant)));
                 } catch (const std::exception& problem) {
-                    notStarted(clients, peer->name, problem, row);
+                    notStarted(clients, peer->name, problem, row[peer->name]);
                 }
             }
         if (herd) herd->go();
         const auto began = nowNs();
         auto figures = measure(table, what, all);
         const auto passed = static_cast<double>(nowNs() - began);
-        row["entities"] = wish_.standard + kTestingEntities;
-        row["mode"] = mode;
+        row["entities"] = wish_.standard + kTestingEntities * all.size();
         nlohmann::json others{{"entities", wish_.standard}, {"disconnected", 0}};
         // Of these the content only: each client numbers what was taken, and what it was refused may have arrived.
-        std::uint64_t corrupt = 0;
-        for (std::size_t i = 0; i < wish_.standard; ++i) corrupt += standard.board()[i].corrupt;
+        std::uint64_t corrupt = 0, arrived = 0;
+        for (std::size_t i = 0; i < wish_.standard; ++i) {
+            corrupt += standard.board()[i].corrupt;
+            arrived += standard.board()[i].intact;
+        }
         others["corrupt"] = corrupt;
+        others["arrived"] = arrived;
         if (corrupt > 0) sound_ = false;
         for (const auto& ended : {whichHasEnded({{"axon-server", &server.process()}}), standard.ended(), herd ? herd->ended() : std::string()}) {
             if (ended.empty()) continue;
@@ -225,7 +238,8 @@ class Chapter5 {
                                  {"without_entities", !open && clients - 1 > wish_.standard ? clients - 1 - wish_.standard : 0}};
             others["disconnected"] = sums.disconnected;
             const auto sent = sums.data + sums.signals;
-            std::printf("%8zu clients %s: the standard ones sent %llu of %lld messages that were due\n", clients, mode.c_str(), static_cast<unsigned long long>(sent), due);
+            std::printf("%8zu clients %s: the standard ones sent %llu of %lld messages that were due; of %llu with data %llu had arrived by then\n", clients, mode.c_str(),
+                        static_cast<unsigned long long>(sent), due, static_cast<unsigned long long>(sums.data), static_cast<unsigned long long>(arrived));
             if (sums.disconnected > 0 || sums.leases_lost > 0) sound_ = false;
         }
         for (std::size_t k = 0; k < all.size(); ++k) {
@@ -237,20 +251,21 @@ class Chapter5 {
             judge(*all[k], figures[k].front());
         }
         row["standard"] = std::move(others);
-        report_.add(std::move(row));
     }
 
     static nlohmann::json resultOf(Contender& of, std::vector<Figures>& figures) {
         auto its = figures.front().json();
         its["disconnected"] = of.subject().disconnected();
         its["corrupt_or_misplaced"] = of.bad();
+        if (variantOf(of.name) == Variant::Direct) its["relayed"] = of.relayed;
         if (of.hasRobots()) its["corrupt_at_callback"] = of.corruptAtCallback();
         if (!of.ended().empty()) its["ended"] = of.ended();
         return its;
     }
 
     void judge(Contender& axon, const Figures& figures) {
-        if (!axon.ended().empty() || axon.subject().disconnected() > 0) sound_ = false;
+        if (!axon.ended().empty() || axon.subject().disconnected() > 0 || (!radio_ && axon.relayed > 0)) sound_ = false;
+        if (axon.relayed > 0) std::printf("%8s %s: UP TO %zu WERE REACHED BY THE SERVERS.\n", "", axon.name.c_str(), axon.relayed);
         // Behind a radio link two seconds may pass; what is lost for good leaves a gap, which is misplaced.
         // At a callback content may be missing: the oldest data is dropped for an application that reads slowly.
         if (axon.bad() > 0 || (axon.hasRobots() && axon.corruptAtCallback() > 0) || (!radio_ && figures.from_batch.lost() > 0)) sound_ = false;
@@ -298,7 +313,7 @@ int run(const Wish& wish) {
                 "The others: this machine, %s.\n", radio ? "half of the entities behind a channel that loses 2.2 % of the packets and takes 2 ms" : "all over loopback");
     Chapter5 chapter(wish, report, radio.get());
     carryOut([&] { chapter.run(); });
-    const int status = conclude(report, chapter.sound() ? "" : "SOMETHING OF AXON'S WAS LOST, DISCONNECTED OR CORRUPT.");
+    const int status = conclude(report, chapter.sound() ? "" : "SOMETHING OF AXON'S WAS LOST, DISCONNECTED OR CORRUPT, OR WENT ANOTHER WAY, OR A SYSTEM DID NOT START.");
     if (!wish.plot.empty()) drawChapter5(report.all(), wish.plot);
     return status;
 }

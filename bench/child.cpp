@@ -12,7 +12,6 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
-#include <exception>
 #include <fstream>
 #include <sstream>
 #include <stdexcept>
@@ -25,6 +24,10 @@ namespace fs = std::filesystem;
 using namespace std::chrono_literals;
 
 volatile sig_atomic_t interrupted = 0;
+
+namespace {
+bool log_named = false;
+}
 
 void takeInterrupts() {
     struct sigaction act {};
@@ -47,6 +50,7 @@ Child::Child(const std::vector<std::string>& words, const fs::path& log, const s
     if (pid_ == 0) {
         ::setpgid(0, 0);  // Ctrl-C is for the benchmark, which then ends its children itself
         ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+        ::close_range(3, ~0U, CLOSE_RANGE_CLOEXEC);  // Ice's sockets and pipes, which would be every child's
         for (const auto& one : environment) ::putenv(const_cast<char*>(one.c_str()));
         if (std::freopen(log.c_str(), "w", stdout) == nullptr || std::freopen(log.c_str(), "a", stderr) == nullptr) ::_exit(127);
         try {
@@ -74,18 +78,15 @@ bool Child::running() const {
     return !status_;
 }
 
-std::optional<int> Child::wait(std::chrono::milliseconds time) const {
-    for (const auto end = std::chrono::steady_clock::now() + time; running() && !interrupted && std::chrono::steady_clock::now() < end;)
-        std::this_thread::sleep_for(5ms);
-    return status_;
-}
+std::string Child::complaint(const std::string& what) const { return what + see(log_); }
 
-std::string Child::complaint(const std::string& what) const {
-    std::ifstream in(log_);
+std::string see(const fs::path& log) {
+    log_named = true;
+    std::ifstream in(log);
     std::string last;
     for (std::string line; std::getline(in, line);)
         if (!line.empty()) last = line;
-    return what + "; see " + log_.string() + (last.empty() ? "" : ": " + last);
+    return "; see " + log.string() + (last.empty() ? "" : ": " + last);
 }
 
 std::string Child::waitForLine(const std::string& begin) const {
@@ -169,13 +170,10 @@ std::uint16_t freePort() {
     return ntohs(address.sin_port);
 }
 
-WorkFolder::WorkFolder()
-    : path_(fs::temp_directory_path() / ("axon-bench-" + std::to_string(::getpid()))), exceptions_(std::uncaught_exceptions()) {
-    fs::create_directories(path_);
-}
+WorkFolder::WorkFolder() : path_(fs::temp_directory_path() / ("axon-bench-" + std::to_string(::getpid()))) { fs::create_directories(path_); }
 
 WorkFolder::~WorkFolder() {
-    if (std::uncaught_exceptions() > exceptions_ && !interrupted) return;  // the logs say why
+    if (log_named && !interrupted) return;
     std::error_code ignored;
     fs::remove_all(path_, ignored);
 }

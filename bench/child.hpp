@@ -30,10 +30,8 @@ class Child {
     Child& operator=(const Child&) = delete;
     /// False for ever once it has ended.
     bool running() const;
-    /// Its exit status when it ends within this time.
-    std::optional<int> wait(std::chrono::milliseconds time) const;
     pid_t pid() const { return pid_; }
-    /// "…; see LOG", with the log's last line.
+    /// What, with see() of its log.
     std::string complaint(const std::string& what) const;
 
     /// The first line of the log that begins so. Throws std::runtime_error when it ends before, or never comes.
@@ -46,6 +44,9 @@ class Child {
     mutable std::optional<int> status_;
     std::filesystem::path log_;
 };
+
+/// "; see LOG", with the log's last line. Whoever is told of it finds it there: the run's WorkFolder is not removed.
+std::string see(const std::filesystem::path& log);
 
 /// "NAME has ended; see LOG" of the first of these that has; empty while all run. One that is null has not begun.
 std::string whichHasEnded(std::initializer_list<std::pair<const char*, const Child*>> all);
@@ -67,7 +68,7 @@ std::filesystem::path programs();
 /// A TCP port of 127.0.0.1 that is free now.
 std::uint16_t freePort();
 
-/// A folder for logs and boards, removed at the end unless something throws.
+/// A folder for logs and boards, one for each run of this program; removed at the end, unless see() has named one of its logs and that was not for Ctrl-C.
 class WorkFolder {
   public:
     WorkFolder();
@@ -79,7 +80,6 @@ class WorkFolder {
 
   private:
     std::filesystem::path path_;
-    int exceptions_;
 };
 
 }  // namespace axon::bench

@@ -11,6 +11,11 @@
 
 namespace axon::bench {
 
+namespace {
+/// Before a batch, when the one before it is there as a rule: thousands of paths are asked one by one.
+constexpr std::int64_t kLook_ns = 20'000'000;
+}  // namespace
+
 Contender::Contender(std::string its_name, std::unique_ptr<Subject> subject)
     : name(std::move(its_name)), subject_(std::move(subject)), next_counted_(board().size(), 0) {}
 
@@ -22,7 +27,7 @@ Batch Contender::send(Message message, std::string& bytes, std::int64_t begin) {
         std::fill(batch.awaited.begin(), batch.awaited.end(), number);
     } else {
         // After a pause nothing is under way: what was lost for good must not shift those that follow.
-        const bool quiet = nowNs() > quiet_after_;
+        const bool quiet = begin > quiet_after_;
         for (std::size_t i = 0; i < board().size(); ++i) {
             if (quiet) next_counted_[i] = board()[i].of(batch.kind).next;
             batch.awaited[i] = next_counted_[i]++;
@@ -102,8 +107,8 @@ void measurePaced(Contender& contender, Message message, std::string& bytes, con
     const auto settle = [&](bool all) {
         for (; !under_way.empty() && (all || nowNs() > under_way.front().first.begin + kPatience_ns); under_way.pop_front()) {
             const auto& [batch, counts] = under_way.front();
-            if (all)  // the last ones have the time that the others had
-                for (std::size_t missing = 0; nowNs() < batch.begin + kPatience_ns;) {
+            if (all)  // the last ones have the time that the others had, and more, so that they are not in the next system's way
+                for (std::size_t missing = 0; nowNs() < batch.begin + kPatience_ns + kLate_ns;) {
                     missing = contender.firstMissing(batch, missing);
                     if (missing == contender.board().size() || !sleepUntil(nowNs() + 1'000'000)) break;
                 }
@@ -118,10 +123,13 @@ void measurePaced(Contender& contender, Message message, std::string& bytes, con
     };
     auto due = nowNs() + 10'000'000;
     for (int i = -pace.warm_up; i < pace.periods; ++i, due += pace.period_ns) {
+        sleepUntil(due - kLook_ns);
+        contender.lookAtPaths();
         if (!sleepUntil(due)) break;
         under_way.emplace_back(contender.send(message, bytes, due), i >= 0);
         settle(false);
     }
+    contender.lookAtPaths();
     settle(true);  // but interrupted: what may still be under way is neither lost nor late
 }
 

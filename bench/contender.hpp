@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <algorithm>
 #include <memory>
 #include <string>
 #include <vector>
@@ -11,6 +12,8 @@ namespace axon::bench {
 
 /// What has not arrived by then never arrived.
 inline constexpr std::int64_t kPatience_ns = 2'000'000'000;
+/// So long after that the next system waits for it, and it counts no more: it would be in that one's way.
+inline constexpr std::int64_t kLate_ns = 5'000'000'000;
 
 /// A message to each receiver that is under way: which one each of them is to note, and when it was sent.
 struct Batch {
@@ -27,6 +30,7 @@ class Contender {
 
     const std::string name;
     Series series;
+    std::size_t relayed = 0;  ///< the most of Subject::relayed() whenever lookAtPaths() was called
 
     Board& board() { return subject_->board(); }
     Subject& subject() { return *subject_; }
@@ -36,6 +40,7 @@ class Contender {
     /// The first receiver from this one on whose message has not arrived; board().size() when there is none. Who asks again
     /// begins where it was, so that it does not fetch every receiver's memory again and again while they write it.
     std::size_t firstMissing(const Batch& batch, std::size_t from = 0) const;
+    void lookAtPaths() { relayed = std::max(relayed, subject_->relayed()); }
     bool hasRobots() const { return subject_->robots() != nullptr; }
     /// From the begin of the batch, of all receivers.
     void collect(const Batch& batch, Series& from_begin) const { collect(batch, 0, batch.awaited.size(), from_begin, nullptr, nullptr); }
@@ -83,7 +88,8 @@ struct Pace {
 };
 
 /// A batch each period, whether those before have arrived or not; latency counts from when it was due, so that a sender that
-/// is held up makes the figures worse, not fewer. Those that warm up come first and are not counted.
+/// is held up makes the figures worse, not fewer. Those that warm up come first and are not counted. Returns when all has arrived, or
+/// kPatience_ns and kLate_ns have passed. Looks at the paths before each batch.
 void measurePaced(Contender& contender, Message message, std::string& bytes, const Pace& pace, std::vector<Figures>& figures);
 
 }  // namespace axon::bench

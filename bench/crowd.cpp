@@ -219,7 +219,7 @@ int runCrowd(const CrowdWish& wish) {
         }
         members.push_back(std::move(member));
         // Logging in costs the server; 32 at a time keeps every handshake within its time-out.
-        while (i >= 32 && !members[i - 32]->ready()) std::this_thread::yield();
+        while (i >= 32 && !members[i - 32]->ready()) std::this_thread::sleep_for(std::chrono::milliseconds{1});
     }
     for (const auto& member : members)
         while (!member->ready()) std::this_thread::sleep_for(std::chrono::milliseconds{1});
@@ -227,13 +227,11 @@ int runCrowd(const CrowdWish& wish) {
 
     const auto parent = ::getppid();
     const auto bytes = content(kSmallBytes);
-    for (auto due = nowNs(); ::getppid() == parent;) {
-        if (board.go() != 0 && nowNs() >= due) {
-            due = nowNs() + kSpeakPeriod_ns;
-            for (const auto& member : members)
-                if (member->open) member->open->speak(bytes);
-        }
-        std::this_thread::sleep_for(std::chrono::milliseconds{20});
+    for (std::int64_t due = 0; ::getppid() == parent; std::this_thread::sleep_for(std::chrono::milliseconds{20})) {
+        if (board.go() == 0 || nowNs() < due) continue;
+        due = (due == 0 ? nowNs() : due) + kSpeakPeriod_ns;
+        for (const auto& member : members)
+            if (member->open) member->open->speak(bytes);
     }
     return 0;
 }

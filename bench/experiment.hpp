@@ -4,7 +4,8 @@
 #include <functional>
 
 /// One file for each experiment. It declares its subcommand, with examples, and gives what runs it and returns the exit
-/// status as conclude() gives it: 0 done, 1 something of Axon's was lost, corrupt, disconnected or has ended, or it was interrupted.
+/// status as conclude() gives it: 0 done, 1 something of Axon's was lost, corrupt, disconnected or has ended, something did not start, or it
+/// was interrupted. What it throws makes the status 1, too.
 namespace axon::bench {
 
 struct Experiment {

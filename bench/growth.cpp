@@ -72,6 +72,7 @@ class EntitiesThere {
     void begin() {
         client_ = connectClient(server_.clientAddress());
         held_ = holdAll(*client_, entities_.names());
+        left_ = countLeft(*client_);
     }
     void work(std::int64_t until) {
         auto bytes = content(kSmallBytes);
@@ -87,7 +88,8 @@ class EntitiesThere {
         for (std::size_t i = 0; i < entities_.board().size(); ++i) sum += entities_.board()[i].intact;
         return sum;
     }
-    std::uint64_t disconnected() const { return 0; }  // they do not tell here
+    /// Since begin(): idle, nobody is told.
+    std::uint64_t disconnected() const { return *left_; }
     std::string ended() const { return entities_.ended(); }
 
   private:
@@ -95,6 +97,7 @@ class EntitiesThere {
     Entities entities_;
     std::unique_ptr<client::Client> client_;
     std::vector<client::CheckOut> held_;
+    std::shared_ptr<std::atomic<std::size_t>> left_;
     std::uint32_t number_ = 0;
 };
 
@@ -107,7 +110,10 @@ class ClientsThere {
     void work(std::int64_t until) { sleepUntil(until); }
     std::uint64_t arrived() { return herd_.sums().received; }
     std::uint64_t disconnected() { return herd_.sums().disconnected; }
-    std::string ended() const { return herd_.ended(); }
+    std::string ended() const {
+        const auto its = herd_.ended();
+        return its.empty() ? speaker_.ended() : its;
+    }
 
   private:
     Entities speaker_;
@@ -161,7 +167,7 @@ class Growth {
         const auto begin = nowNs();
         There there(server, folder, n);
         its["all_there_s"] = static_cast<double>(nowNs() - begin) / 1e9;
-        const auto settle = [&] { sleepUntil(nowNs() + static_cast<std::int64_t>(std::min(wish_.seconds, 3.0) * 1e9)); };  // what joining has stirred up
+        const auto settled = [&] { return nowNs() + static_cast<std::int64_t>(std::min(wish_.seconds, 3.0) * 1e9); };  // what joining or beginning has stirred up
         const auto take = [&](nlohmann::json& to, const auto& work) {
             to["cpu_share"] = cpuShare(pid, wish_.seconds, work);
             const auto use = useOf(pid);
@@ -170,15 +176,17 @@ class Growth {
             to["threads"] = use.threads;
             to["kb_each"] = static_cast<double>(use.own_kb - empty.own_kb) / static_cast<double>(n);
         };
-        settle();
+        sleepUntil(settled());
         take(its["idle"], [](std::int64_t until) { sleepUntil(until); });
         there.begin();
-        settle();
+        there.work(settled());
         const auto before = there.arrived();
         take(its["active"], [&](std::int64_t until) { there.work(until); });
         // Of those that were due in this time, one more or less for each.
-        its["active"]["due"] = static_cast<std::size_t>(wish_.seconds * 1e9 / kPeriod_ns) * n;
-        its["active"]["arrived"] = there.arrived() - before;
+        const auto due = static_cast<std::size_t>(wish_.seconds * 1e9 / kPeriod_ns) * n, arrived = there.arrived() - before;
+        its["active"]["due"] = due;
+        its["active"]["arrived"] = arrived;
+        if (arrived + n < due) sound_ = false;
         its["disconnected"] = there.disconnected();
         its["ended"] = there.ended();
     }
@@ -193,11 +201,13 @@ class Growth {
                 std::printf(" | %10.1f %9.1f %9.2f", static_cast<double>(its[key]["own_kb"].get<long>() - its["empty_own_kb"].get<long>()) / 1024, its[key]["kb_each"].get<double>(),
                             its[key]["cpu_share"].get<double>() * 100);
             std::printf(" | %8ld\n", its["active"]["threads"].get<long>());
+            if (const auto due = its["active"]["due"].get<std::size_t>(), arrived = its["active"]["arrived"].get<std::size_t>(); arrived + n < due)
+                std::printf("%9s %9zu: OF %zu MESSAGES THAT WERE DUE ONLY %zu ARRIVED.\n", what.c_str(), n, due, arrived);
         } else {
             std::printf("%9s %9zu is not measured: %s\n", what.c_str(), n, its.value("not_measured", std::string()).c_str());
         }
         if (its.contains("disconnected") && its["disconnected"] > 0)
-            std::printf("%9s %9zu: %llu TIMES A CLIENT LOST ITS CONNECTION.\n", what.c_str(), n, its["disconnected"].get<unsigned long long>());
+            std::printf("%9s %9zu: %llu TIMES ONE OF THEM LOST ITS CONNECTION.\n", what.c_str(), n, its["disconnected"].get<unsigned long long>());
         if (its.value("ended", std::string()) != "") std::printf("%9s %9zu: %s\n", what.c_str(), n, its["ended"].get<std::string>().c_str());
         std::fflush(stdout);
     }
@@ -213,7 +223,7 @@ int run(const Wish& wish) {
     reportPeers(report, {});
     Growth growth(wish, report);
     carryOut([&] { growth.run(); });
-    return conclude(report, growth.sound() ? "" : "SOMETHING OF AXON'S WAS DISCONNECTED OR HAS ENDED.");
+    return conclude(report, growth.sound() ? "" : "SOMETHING OF AXON'S WAS LOST OR DISCONNECTED, OR HAS ENDED.");
 }
 
 }  // namespace

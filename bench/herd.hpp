@@ -32,7 +32,6 @@ class Herd {
     /// Returns when all have connected and hold theirs. Throws std::runtime_error with the log, or how many were there in time.
     Herd(const std::filesystem::path& folder, std::size_t clients, const AxonServer& server, const std::string& prefix, std::size_t entities, bool open = false);
     void go() { board_.go() = 1; }
-    bool running() const { return child_.running(); }
     /// As Subject::ended().
     std::string ended() const { return whichHasEnded({{"the clients' process", &child_}}); }
     struct Sums {

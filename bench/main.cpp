@@ -17,7 +17,8 @@ int main(int argc, char** argv) {
         "meanwhile: only ratios within one run are worth comparing, never times of two machines. Where it is permitted, the threads of Axon's\n"
         "signal lane and heartbeats have a real-time priority (SCHED_RR) and its memory is locked, as in operation; the peers have neither.\n"
         "Ctrl-C ends it early; what there is by then is printed, and stands in the file of --json, marked as partial.\n"
-        "Exit status: 0 done, 1 something of Axon's was lost, corrupt or disconnected or has ended, or it was interrupted, 2 wrongly called.");
+        "Exit status: 0 done, 1 something of Axon's was lost, corrupt or disconnected or has ended, something could not be measured or written,\n"
+        "or it was interrupted, 2 wrongly called.");
     app.get_formatter()->column_width(16);
     app.require_subcommand(1, 1);
     const std::vector<Experiment> experiments{declarePeers(app), declareChapter5(app), declareSaturation(app), declareGrowth(app), declareRuns(app)};

@@ -7,7 +7,6 @@
 #include <unistd.h>
 
 #include <array>
-#include <atomic>
 #include <fstream>
 #include <stdexcept>
 #include <vector>
@@ -103,37 +102,31 @@ MosquittoBroker::MosquittoBroker(const std::filesystem::path& folder, bool bound
     child_.waitUntil([this] { return tcp::listens(port_); }, "mosquitto did not start", std::chrono::seconds{10});
 }
 
-struct MosquittoSender::State {
-    mosquitto* client = nullptr;
-    int qos = 0;
-    std::atomic<std::size_t> outstanding{0};
-};
-
-MosquittoSender::MosquittoSender(std::uint16_t port, int qos) : state_(std::make_unique<State>()) {
+MosquittoSender::MosquittoSender(std::uint16_t port, int qos) : qos_(qos) {
     mosquitto_lib_init();
-    state_->qos = qos;
-    state_->client = mosquitto_new(nullptr, true, state_.get());
-    mosquitto_publish_callback_set(state_->client, [](mosquitto*, void* state, int) { --static_cast<State*>(state)->outstanding; });
-    mosquitto_int_option(state_->client, MOSQ_OPT_TCP_NODELAY, 1);
-    mosquitto_int_option(state_->client, MOSQ_OPT_SEND_MAXIMUM, kUnbounded);
-    check(mosquitto_connect(state_->client, "127.0.0.1", port, kKeepAlive_s), "mosquitto_connect");
-    check(mosquitto_loop_start(state_->client), "mosquitto_loop_start");
+    client_ = mosquitto_new(nullptr, true, nullptr);
+    mosquitto_int_option(client_, MOSQ_OPT_TCP_NODELAY, 1);
+    mosquitto_int_option(client_, MOSQ_OPT_SEND_MAXIMUM, kUnbounded);
+    check(mosquitto_connect(client_, "127.0.0.1", port, kKeepAlive_s), "mosquitto_connect");
+    if (qos_ > 0) check(mosquitto_loop_start(client_), "mosquitto_loop_start");
 }
 
 MosquittoSender::~MosquittoSender() {
-    mosquitto_disconnect(state_->client);
-    mosquitto_loop_stop(state_->client, true);
-    mosquitto_destroy(state_->client);
+    mosquitto_disconnect(client_);
+    mosquitto_loop_stop(client_, true);
+    mosquitto_destroy(client_);
 }
 
 void MosquittoSender::send(std::size_t receiver, Kind kind, const std::string& bytes) {
     const auto topic = (kind == Kind::Stop ? "s/" : "d/") + std::to_string(receiver);
-    ++state_->outstanding;
-    check(mosquitto_publish(state_->client, nullptr, topic.c_str(), static_cast<int>(bytes.size()), bytes.data(), state_->qos, false),
-          "mosquitto_publish");
+    check(mosquitto_publish(client_, nullptr, topic.c_str(), static_cast<int>(bytes.size()), bytes.data(), qos_, false), "mosquitto_publish");
+    // Without the library's thread it has written by itself what the socket took.
+    while (qos_ == 0 && mosquitto_want_write(client_)) {
+        pollfd wish{mosquitto_socket(client_), POLLOUT, 0};
+        ::poll(&wish, 1, -1);
+        check(mosquitto_loop_write(client_, 1), "mosquitto_loop_write");
+    }
 }
-
-std::size_t MosquittoSender::outstanding() const { return state_->outstanding; }
 
 namespace {
 

@@ -6,6 +6,8 @@
 
 #include "subject.hpp"
 
+struct mosquitto;
+
 namespace axon::bench {
 
 /// N receivers, each with an MQTT connection and two topics of its own, in one process with one epoll loop; notes
@@ -25,19 +27,18 @@ class MosquittoBroker {
     Child child_;
 };
 
-/// The publishing side: one connection, TCP_NODELAY. Throws std::runtime_error.
+/// The publishing side: one connection, TCP_NODELAY. QoS 0: the caller's thread writes, as with the other peers; QoS 1: a thread of the library does,
+/// which reads the acknowledgements. Throws std::runtime_error.
 class MosquittoSender {
   public:
     MosquittoSender(std::uint16_t port, int qos);
     ~MosquittoSender();
-    /// To receiver i; the topic says whether it counts as stop or as data.
+    /// To receiver i; the topic says whether it counts as stop or as data. QoS 0: waits while the socket does not take it.
     void send(std::size_t receiver, Kind kind, const std::string& bytes);
-    /// Messages that the library has and the socket has not taken (QoS 1: that are not acknowledged).
-    std::size_t outstanding() const;
 
   private:
-    struct State;
-    std::unique_ptr<State> state_;
+    const int qos_;
+    mosquitto* client_;
 };
 
 std::unique_ptr<Subject> startMosquitto(const std::filesystem::path& folder, std::size_t n, int qos);

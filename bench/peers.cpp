@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <algorithm>
-#include <cmath>
 #include <cstdio>
-#include <future>
+#include <condition_variable>
 #include <iostream>
 #include <limits>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <numeric>
 #include <optional>
 #include <random>
@@ -52,14 +52,7 @@ bool isAxon(const std::string& name) { return name == "axon" || name == "axon-di
 /// What the ratios of this row to the peers are called.
 const char* ratioOf(const std::string& axon) { return axon == "axon-direct" ? "ratio_direct" : "ratio"; }
 
-/// Axon / peer, batch by batch.
-std::vector<double> ratios(const std::vector<double>& ours, const std::vector<double>& theirs) {
-    std::vector<double> all;
-    for (std::size_t i = 0; i < std::min(ours.size(), theirs.size()); ++i) all.push_back(ours[i] / theirs[i]);
-    return all;
-}
-
-/// Sends one batch, and waits until all of it has arrived or it is too late for the rest. Of a system that has ended it is lost.
+/// Sends one batch, and waits until all of it has arrived or can be in nobody's way any more. Of a system that has ended it is lost.
 void runBatch(Contender& contender, Message message, std::string& bytes, bool counts) {
     if (!contender.ended().empty()) {
         if (!counts) return;
@@ -68,7 +61,7 @@ void runBatch(Contender& contender, Message message, std::string& bytes, bool co
         return;
     }
     const auto batch = contender.send(message, bytes, nowNs());
-    for (std::size_t missing = 0; !interrupted && nowNs() < batch.begin + kPatience_ns;) {
+    for (std::size_t missing = 0; !interrupted && nowNs() < batch.begin + kPatience_ns + kLate_ns;) {
         missing = contender.firstMissing(batch, missing);
         if (missing == contender.board().size()) break;
         std::this_thread::sleep_for(200us);
@@ -76,13 +69,13 @@ void runBatch(Contender& contender, Message message, std::string& bytes, bool co
     if (!counts || interrupted) return;
     contender.series.beginBatch();
     contender.collect(batch, contender.series);
+    contender.lookAtPaths();
 }
 
 class Comparison {
   public:
-    Comparison(const Wish& wish, Report& report) : wish_(wish), report_(report) {}
+    Comparison(const Wish& wish, Report& report, const WorkFolder& work) : wish_(wish), report_(report), work_(work) {}
 
-    /// Throws std::runtime_error where a system does not start.
     void run() {
         std::printf("Latency in ms from the start of a batch of one message to each of N; %s for each, in turns, %d to warm up.\n",
                     wish_.seconds > 0 ? "a while" : (std::to_string(wish_.batches) + " batches").c_str(), kWarmUp);
@@ -91,6 +84,7 @@ class Comparison {
         for (const auto n : wish_.sizes) {
             if (interrupted) return;
             const auto all = start(n);
+            if (all.empty()) continue;
             for (const auto message : {Message::Small, Message::Data, Message::Stop}) {  // a stopped entity refuses data
                 if (interrupted) break;
                 if (!wish_.of.empty() && std::find(wish_.of.begin(), wish_.of.end(), nameOf(message)) == wish_.of.end()) continue;
@@ -101,7 +95,7 @@ class Comparison {
                 corrupt_[one->name] += one->corrupt();
                 if (one->ended().empty()) continue;
                 ended_.push_back({{"system", one->name}, {"n", n}, {"reason", one->ended()}});
-                if (isAxon(one->name)) axon_ended_ = true;
+                if (isAxon(one->name)) sound_ = false;
                 std::printf("%6zu %s: %s. What was sent to it from then on is lost.\n", n, one->name.c_str(), one->ended().c_str());
             }
         }
@@ -114,23 +108,29 @@ class Comparison {
             const auto& [of, peer, message, what] = key;
             if (of != axon) continue;
             auto& to = all[peer][message];
-            to["n"][what] = its.n;
-            to[what] = its.never ? nlohmann::json() : nlohmann::json(std::exp(its.logs / static_cast<double>(its.n.size())));
+            to["n"][what] = its.n();
+            to[what] = its.mean();
         }
         return all;
     }
     const std::map<std::string, std::uint64_t>& bad() const { return bad_; }
     const std::map<std::string, std::uint64_t>& corrupt() const { return corrupt_; }
     const nlohmann::json& ended() const { return ended_; }
-    bool axonEnded() const { return axon_ended_; }
-    std::size_t axonLost() const { return axon_lost_; }
+    /// Nothing of Axon's was lost or has ended, no direct path was missing, and everything has started that this machine permits.
+    bool sound() const { return sound_; }
 
   private:
     std::vector<std::unique_ptr<Contender>> start(std::size_t n) {
         std::vector<std::unique_ptr<Contender>> all;
         const auto add = [&](const std::string& name, auto&& make) {
             progress("peers: " + std::to_string(n) + " receivers: starting " + name);
-            all.push_back(std::make_unique<Contender>(name, make(work_.sub(name + "-" + std::to_string(n)))));
+            try {
+                all.push_back(std::make_unique<Contender>(name, make(work_.sub(name + "-" + std::to_string(n)))));
+            } catch (const std::exception& problem) {
+                if (interrupted) throw;
+                reportSkipped(report_, name, "", std::to_string(n) + " receivers: " + problem.what());
+                if (dynamic_cast<const NotPermitted*>(&problem) == nullptr) sound_ = false;
+            }
         };
         for (const auto& peer : peers()) {
             if (!wish_.beside.empty() && peer.name != "axon") break;
@@ -147,7 +147,10 @@ class Comparison {
 
     void measure(std::size_t n, Message message, const std::vector<std::unique_ptr<Contender>>& all) {
         auto bytes = content(bytesOf(message));
-        for (const auto& one : all) one->series = {};
+        for (const auto& one : all) {
+            one->series = {};
+            one->relayed = 0;
+        }
         std::vector<std::size_t> order(all.size());
         std::iota(order.begin(), order.end(), std::size_t{0});
         const auto end = wish_.seconds > 0 ? nowNs() + static_cast<std::int64_t>(wish_.seconds * 1e9) : 0;
@@ -168,7 +171,8 @@ class Comparison {
             std::printf("%6zu %-5s %-15s %s %s %s %s %s %s %6zu", n, nameOf(message), one->name.c_str(), figure(its, "mean").c_str(),
                         figure(its, "p50").c_str(), figure(its, "p99").c_str(), figure(its, "p99.9").c_str(), figure(its, "max").c_str(),
                         figure(its, "last").c_str(), one->series.lost());
-            if (isAxon(one->name)) axon_lost_ += one->series.lost();
+            if (isAxon(one->name) && one->series.lost() > 0) sound_ = false;
+            if (variantOf(one->name) == Variant::Direct) its["relayed"] = one->relayed;
             for (const auto& axon : all) {
                 if (!isAxon(axon->name) || (isAxon(one->name) && (axon != all.front() || one == axon))) continue;
                 if (axon != all.front()) std::printf("  |");
@@ -177,18 +181,15 @@ class Comparison {
                     const auto ratio = spread(ratios(*ours, *theirs));
                     its[ratioOf(axon->name)][what] = ratio;
                     if (ours->empty() || theirs->empty()) continue;  // interrupted before
-                    auto& over = ratios_[{axon->name, one->name, nameOf(message), what}];
-                    if (ratio.contains("median") && ratio["median"].is_number() && ratio["median"] > 0) {
-                        std::printf("   %.2f (%s to %s)", ratio["median"].get<double>(), figure(ratio, "p10", 0).c_str(), figure(ratio, "p90", 0).c_str());
-                        over.logs += std::log(ratio["median"].get<double>());
-                        over.n.push_back(n);
-                    } else {
-                        std::printf("   never");
-                        over.never = true;
-                    }
+                    ratios_[{axon->name, one->name, nameOf(message), what}].add(n, ratio);
+                    std::printf("   %s (%s to %s)", figure(ratio, "median", 0).c_str(), figure(ratio, "p10", 0).c_str(), figure(ratio, "p90", 0).c_str());
                 }
             }
             std::printf("\n");
+            if (one->relayed > 0) {
+                std::printf("%6zu %-5s %s: UP TO %zu WERE REACHED BY THE SERVERS.\n", n, nameOf(message), one->name.c_str(), one->relayed);
+                sound_ = false;
+            }
             row[one->name] = std::move(its);
         }
         std::fflush(stdout);
@@ -197,19 +198,12 @@ class Comparison {
 
     const Wish& wish_;
     Report& report_;
-    const WorkFolder work_;
-    /// Over N, of those with a finite ratio.
-    struct Over {
-        double logs = 0;
-        std::vector<std::size_t> n;
-        bool never = false;  ///< some had none
-    };
-    std::map<std::tuple<std::string, std::string, std::string, std::string>, Over> ratios_;  // Axon's, peer, message, mean or last
+    const WorkFolder& work_;
+    std::map<std::tuple<std::string, std::string, std::string, std::string>, MeanOverN> ratios_;  // Axon's, peer, message, mean or last
     std::map<std::string, std::uint64_t> bad_, corrupt_;
     nlohmann::json ended_ = nlohmann::json::array();
-    bool axon_ended_ = false;
+    bool sound_ = true;
     std::mt19937_64 random_{kSeed};
-    std::size_t axon_lost_ = 0;
 };
 
 /// Round trips of one pair: CycloneDDS's ping and pong, those of two processes that do nothing else, and of Axon, by the servers and by a direct path, a text that the robot
@@ -217,6 +211,7 @@ class Comparison {
 struct Pairs {
     nlohmann::json figures;
     bool lost = false;        ///< something of Axon's
+    bool relayed = false;     ///< what was to go by the direct path
     std::string no_dds, bad;  ///< why CycloneDDS's are not there, or not all; what Axon refused
 };
 
@@ -234,50 +229,61 @@ std::string drills(AxonCrowd& axon, int count, std::vector<double>& times) {
 }
 
 /// Likewise: a text of so many bytes there and back, one after the other, the next one sent by the callback of the one before, as
-/// ddsperf does.
-std::string texts(AxonCrowd& axon, std::size_t bytes, int count, std::vector<double>& times) {
+/// ddsperf does. Each has its number; what does not come back as the one that is under way ends them, and the rest is lost.
+std::string texts(AxonCrowd& axon, std::size_t bytes, std::size_t count, std::vector<double>& times) {
     struct Game {
-        client::CheckOut held;
+        Game(client::CheckOut whom, std::size_t bytes, std::size_t how_many) : held(std::move(whom)), count(how_many), text(content(bytes)) {}
+        const client::CheckOut held;
+        const std::size_t count;
+        std::mutex mutex;  // of all below
+        std::condition_variable over;
         std::string text;
-        int left;
         std::int64_t sent = 0;
         std::vector<double> times;
         std::string bad;
-        std::promise<void> over;
+        bool ended = false;
+
         void serve() {
+            setNumber(text, static_cast<std::uint32_t>(times.size()));
             sent = nowNs();
-            if (const auto done = held.sendText(text); !done) {
-                bad = done.refusal().message;
-                left = 0;
-                over.set_value();
-            }
+            if (const auto done = held.sendText(text); !done) end(done.refusal().message);
+        }
+        void take(std::int64_t now, const std::string& back) {
+            if (ended) return;
+            if (back != text) return end("a text came back altered, or twice");
+            times.push_back(static_cast<double>(now - sent) / 1e3);
+            if (times.size() == count) return end({});
+            serve();
+        }
+        void end(std::string why) {
+            ended = true;
+            bad = std::move(why);
+            over.notify_one();
         }
     };
-    const auto game = std::make_shared<Game>(Game{axon.held().front(), std::string(bytes, 'x'), count, 0, {}, {}, {}});
-    game->held.onText([game](const std::string& text) {
-        if (game->left == 0) return;
-        game->times.push_back(text == game->text ? static_cast<double>(nowNs() - game->sent) / 1e3 : kNever);
-        if (--game->left == 0) {
-            game->over.set_value();
-        } else {
-            game->serve();
-        }
+    const auto game = std::make_shared<Game>(axon.held().front(), bytes, count);
+    game->held.onText([game](const std::string& back) {
+        const auto now = nowNs();
+        const std::lock_guard lock(game->mutex);
+        game->take(now, back);
     });
-    auto over = game->over.get_future();
-    game->serve();
-    const bool done = over.wait_for(std::chrono::nanoseconds(kPatience_ns) + count * 10ms) == std::future_status::ready;
-    game->held.onText({});
-    if (!done) {
-        times.insert(times.end(), static_cast<std::size_t>(count), kNever);
-        return "a text did not come back";
+    {
+        std::unique_lock lock(game->mutex);
+        game->serve();
+        for (const auto late = nowNs() + kPatience_ns + static_cast<std::int64_t>(count) * 10'000'000; !game->ended && !interrupted;) {
+            if (nowNs() > late) game->end("a text did not come back");
+            game->over.wait_for(lock, 50ms, [&] { return game->ended; });
+        }
+        game->ended = true;
+        times.insert(times.end(), game->times.begin(), game->times.end());
     }
-    times.insert(times.end(), game->times.begin(), game->times.end());
+    game->held.onText({});
+    if (!interrupted) times.insert(times.end(), count - game->times.size(), kNever);
     return game->bad;
 }
 
-Pairs pairs(int rounds, bool with_dds) {
+Pairs pairs(const WorkFolder& work, int rounds, bool with_dds) {
     Pairs out;
-    const WorkFolder work;
     AxonCrowd relayed(work.sub("axon-pair"), 1), direct(work.sub("axon-direct-pair"), 1, Variant::Direct);
     const RawPair raw(work.sub("raw-pair"));
     std::map<std::size_t, std::vector<DdsperfSecond>> dds;
@@ -309,6 +315,7 @@ Pairs pairs(int rounds, bool with_dds) {
             if (out.bad.empty()) out.bad = drills(*crowd, kWarm, warm);
             if (out.bad.empty()) out.bad = drills(*crowd, kTrips, trips[std::string(way) + " drill"]);
             if (std::count(warm.begin(), warm.end(), kNever) > 0) out.lost = true;
+            if (crowd->relayed() > 0) out.relayed = true;
         }
         if (interrupted || !out.bad.empty()) break;
     }
@@ -366,17 +373,19 @@ int run(const Wish& wish) {
     if (wants_pairs) wanted.emplace_back("cyclonedds");
     reportPeers(report, wanted);
 
-    Comparison comparison(wish, report);
-    bool sound = true;
+    const WorkFolder work;
+    Comparison comparison(wish, report, work);
     carryOut([&] { comparison.run(); });
+    bool sound = comparison.sound();
     if (wants_pairs && !interrupted) {
         try {
-            const auto its = pairs(wish.pair_rounds, report.all().at("versions").contains("cyclonedds"));
+            const auto its = pairs(work, wish.pair_rounds, report.all().at("versions").contains("cyclonedds"));
             report.set("pairs", its.figures);
             if (!its.no_dds.empty()) reportSkipped(report, "cyclonedds", "cyclonedds-tools", its.no_dds);
             if (!its.bad.empty()) std::cerr << "round trips of a pair: " << its.bad << "\n";
             if (its.lost) std::printf("SOME ROUND TRIPS OF AXON'S WERE LOST.\n");
-            if (its.lost || !its.bad.empty()) sound = false;
+            if (its.relayed) std::printf("SOME ROUND TRIPS OF AXON-DIRECT'S WENT BY THE SERVERS.\n");
+            if (its.lost || its.relayed || !its.bad.empty()) sound = false;
         } catch (const std::exception& problem) {
             if (!interrupted) {
                 std::cerr << "round trips of a pair: " << problem.what() << "\n";
@@ -402,8 +411,8 @@ int run(const Wish& wish) {
     report.set("corrupt", comparison.corrupt());
     report.set("ended", comparison.ended());
     std::printf("Below 1 Axon is faster. %s\n", axon_bad == 0 ? "Every byte of what Axon brought was as it was sent." : "SOME CONTENT ARRIVED CORRUPT OR OUT OF ORDER.");
-    if (axon_bad > 0 || comparison.axonLost() > 0 || comparison.axonEnded()) sound = false;
-    const int status = conclude(report, sound ? "" : "SOMETHING OF AXON'S WAS LOST OR CORRUPT, OR HAS ENDED.");
+    if (axon_bad > 0) sound = false;
+    const int status = conclude(report, sound ? "" : "SOMETHING OF AXON'S WAS LOST OR CORRUPT, WENT ANOTHER WAY OR HAS ENDED, OR A SYSTEM DID NOT START.");
     if (!wish.plot.empty()) drawPeers(report.all(), wish.plot);
     return status;
 }

@@ -20,7 +20,7 @@ namespace {
 struct Curve {
     std::string title;
     std::vector<std::pair<std::size_t, double>> points;
-    bool thesis = false;
+    bool thesis = false, some_lost = false;
 };
 
 struct Panel {
@@ -28,8 +28,9 @@ struct Panel {
     std::vector<Curve> curves;
 };
 
-/// Of a series of the report; nothing where it is not there, or infinite.
+/// Of a series of the report; nothing where it is not there, or infinite. A mean is of what arrived, so losses must be said.
 void addPoint(Curve& curve, std::size_t x, const nlohmann::json& series, const char* key) {
+    if (series.is_object() && series.value("lost", 0) > 0) curve.some_lost = true;
     if (series.is_object() && series.contains(key) && series[key].is_number()) curve.points.emplace_back(x, series[key].get<double>());
 }
 
@@ -90,7 +91,7 @@ void draw(const std::vector<Panel>& panels, const std::string& file) {
         for (std::size_t i = 0; i < panel.curves.size(); ++i) {
             const auto& curve = panel.curves[i];
             script << (i == 0 ? "" : ", ") << "$curve" << block++ << " with linespoints pt " << i + 4 << " ps 1.2 lc rgb '" << colourOf(curve) << "' "
-                   << styleOf(curve) << " title '" << curve.title << "' noenhanced";
+                   << styleOf(curve) << " title '" << curve.title << (curve.some_lost ? " (some lost)" : "") << "' noenhanced";
         }
         script << "\n";
     }
@@ -116,7 +117,7 @@ void drawPeers(const nlohmann::json& report, const std::string& file) {
                 for (const auto& [name, its] : row.items())
                     if (isSystem(its)) addPoint(curves[name], row.at("n"), its, key);
             }
-            for (auto& [name, curve] : curves) panel.curves.push_back({name, std::move(curve.points), false});
+            for (auto& [name, curve] : curves) panel.curves.push_back({name, std::move(curve.points), false, curve.some_lost});
             panels.push_back(std::move(panel));
         }
     draw(panels, file);
@@ -151,7 +152,7 @@ void drawChapter5(const nlohmann::json& report, const std::string& file) {
             }
         }
         panel.curves = {lan, wlan};
-        for (auto& [name, curve] : curves) panel.curves.push_back({name, std::move(curve.points), false});
+        for (auto& [name, curve] : curves) panel.curves.push_back({name, std::move(curve.points), false, curve.some_lost});
         std::filesystem::path to(file);
         if (drawn.size() > 1) to.replace_filename(to.stem().string() + "-" + std::string(table.number) + to.extension().string());
         draw({panel}, to.string());

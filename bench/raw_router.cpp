@@ -237,14 +237,14 @@ std::unique_ptr<Subject> startRawDirect(const std::filesystem::path& folder, std
 RawPair::RawPair(const std::filesystem::path& folder) : router_(ourselves("raw-router"), folder / "router.log"), connection_(connectTo(router_, 0)) {}
 
 void RawPair::trips(std::size_t bytes, int count, std::vector<double>& times) const {
-    const Frame frame{0, kData, static_cast<std::uint32_t>(bytes)};
-    const std::string sent(bytes, 'x');
-    std::string back(sizeof(frame) + bytes, ' ');
+    const auto sent = std::string(bytesOfFrame({0, kData, static_cast<std::uint32_t>(bytes)})) + content(bytes);
+    std::string back(sent.size(), ' ');
     for (int i = 0; i < count; ++i) {
         const auto begin = nowNs();
-        connection_.write({bytesOfFrame(frame), sent});
+        connection_.write({sent});
         connection_.readAll(back.data(), back.size());
         times.push_back(static_cast<double>(nowNs() - begin) / 1e3);
+        if (back != sent) throw std::runtime_error("what the raw router sent back is not what was sent");
     }
 }
 

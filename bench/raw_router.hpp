@@ -29,7 +29,7 @@ std::unique_ptr<Subject> startRawDirect(const std::filesystem::path& folder, std
 class RawPair {
   public:
     explicit RawPair(const std::filesystem::path& folder);
-    /// Times in us are added. Throws std::system_error when the other process ends.
+    /// Times in us are added. Throws std::system_error when the other process ends, std::runtime_error when something comes back altered.
     void trips(std::size_t bytes, int count, std::vector<double>& times) const;
 
   private:

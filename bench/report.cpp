@@ -19,6 +19,7 @@
 
 #include "board.hpp"
 #include "child.hpp"
+#include "transport/communicator.hpp"
 
 namespace axon::bench {
 
@@ -52,7 +53,7 @@ bool realTimePermitted() {
     const int policy = ::sched_getscheduler(0);
     ::sched_getparam(0, &before);
     sched_param wish{};
-    wish.sched_priority = 1;
+    wish.sched_priority = transport::kStopPriority;
     if (::sched_setscheduler(0, SCHED_RR, &wish) != 0) return false;
     ::sched_setscheduler(0, policy, &before);
     return true;
@@ -78,6 +79,24 @@ nlohmann::json spread(std::vector<double> values) {
             {"p10", orNull(quantile(values, 0.1))},
             {"p90", orNull(quantile(values, 0.9))}};
 }
+
+std::vector<double> ratios(const std::vector<double>& ours, const std::vector<double>& theirs) {
+    std::vector<double> all;
+    for (std::size_t i = 0; i < std::min(ours.size(), theirs.size()); ++i) all.push_back(ours[i] / theirs[i]);
+    return all;
+}
+
+void MeanOverN::add(std::size_t n, const nlohmann::json& ratio) {
+    const auto median = ratio.value("median", nlohmann::json());
+    if (!median.is_number() || median <= 0) {
+        null_ = true;
+        return;
+    }
+    logs_ += std::log(median.get<double>());
+    n_.push_back(n);
+}
+
+nlohmann::json MeanOverN::mean() const { return null_ || n_.empty() ? nlohmann::json() : nlohmann::json(std::exp(logs_ / static_cast<double>(n_.size()))); }
 
 void Series::endBatch() {
     if (!open_) return;

@@ -13,6 +13,24 @@ double quantile(const std::vector<double>& ordered, double q);
 /// {"median", "p10", "p90", "n"} of values in any order; infinite ones are null.
 nlohmann::json spread(std::vector<double> values);
 
+/// Ours by theirs, batch by batch: 0 where only theirs is infinite, infinite where only ours is, not a number where both are.
+std::vector<double> ratios(const std::vector<double>& ours, const std::vector<double>& theirs);
+
+/// The geometric mean over N of the medians of ratios; null where one of them is not finite or 0, for then one of the two lost most batches.
+class MeanOverN {
+  public:
+    /// `ratio` as spread() gives it.
+    void add(std::size_t n, const nlohmann::json& ratio);
+    nlohmann::json mean() const;
+    /// Those that have one.
+    const std::vector<std::size_t>& n() const { return n_; }
+
+  private:
+    double logs_ = 0;
+    std::vector<std::size_t> n_;
+    bool null_ = false;
+};
+
 /// Latencies in milliseconds. What never arrived counts as infinitely late: it belongs to the tail, not to nowhere.
 class Series {
   public:
@@ -49,7 +67,6 @@ class Report {
     Report(std::string file, const std::string& experiment, nlohmann::json settings);
     void add(nlohmann::json row);
     void set(const std::string& key, nlohmann::json value);
-    const nlohmann::json& rows() const { return all_.at("results"); }
     const nlohmann::json& all() const { return all_; }
     /// Not partial any more, unless it was interrupted.
     void finish();

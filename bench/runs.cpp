@@ -46,7 +46,7 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
     const auto waitForTasks = [&](const std::vector<std::uint32_t>& before, std::size_t of) {
         const auto give_up = nowNs() + 5'000'000'000LL;
         for (std::size_t i = 0; i < of; ++i)
-            while (board[i].tasks.next == before[i] && nowNs() < give_up) std::this_thread::sleep_for(50us);
+            while (board[i].tasks.next == before[i] && nowNs() < give_up && !interrupted) std::this_thread::sleep_for(50us);
     };
     const auto marks = [&] {
         std::vector<std::uint32_t> all(entities);
@@ -62,7 +62,8 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
             const auto begin = nowNs();
             for (std::size_t i = 0; i < count; ++i) tasks.push_back(crowd.held()[i].run("nothing"));
             waitForTasks(before, count);
-            for (const auto& task : tasks) task.wait(client::Seconds{5});
+            for (const auto& task : tasks)
+                if (!interrupted) task.wait(client::Seconds{5});
             for (std::size_t i = 0; i < count && round >= 0 && !interrupted; ++i) {
                 auto& to = count == 1 ? single : batch;
                 if (board[i].tasks.next != before[i]) {

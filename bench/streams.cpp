@@ -16,9 +16,6 @@ namespace {
 
 using namespace std::chrono_literals;
 
-/// Messages: about 1 MiB.
-constexpr std::size_t kWindow = (std::size_t{1} << 20) / kDataBytes;
-
 /// send(i) to each receiver in turn while the board says go; it returns whether it was taken.
 template <class Send>
 int stream(StreamBoard& board, std::size_t receivers, const Send& send) {
@@ -60,8 +57,6 @@ int runMosquittoStream(const std::string& board_file, std::uint16_t port, std::s
     StreamBoard board(board_file, 1, false);
     MosquittoSender sender(port, 0);
     return stream(board, receivers, [&](std::size_t i, const std::string& bytes) {
-        // The library would take any number of them into memory.
-        while (sender.outstanding() >= kWindow) std::this_thread::sleep_for(50us);
         sender.send(i, Kind::Data, bytes);
         return true;
     });

@@ -2,7 +2,6 @@
 #include "subject.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <cstdio>
 #include <iostream>
 
@@ -20,11 +19,7 @@ namespace {
 class AxonSubject final : public Subject {
   public:
     template <class... Of>
-    explicit AxonSubject(Of&&... of) : crowd_(std::forward<Of>(of)...) {
-        crowd_.client().onEntity([left = left_](Presence presence, const client::Entity&) {
-            if (presence == Presence::Left) ++*left;
-        });
-    }
+    explicit AxonSubject(Of&&... of) : crowd_(std::forward<Of>(of)...), left_(countLeft(crowd_.client())) {}
     Board& board() override { return crowd_.board(); }
     Board* robots() override { return crowd_.robots(); }
     bool numbered(Kind kind) const override { return kind == Kind::Data; }
@@ -46,12 +41,12 @@ class AxonSubject final : public Subject {
     }
 
     std::size_t disconnected() const override { return *left_; }
+    std::size_t relayed() const override { return crowd_.relayed(); }
     std::string ended() const override { return crowd_.ended(); }
 
   private:
-    // Shared with the callback, which the client may still call while it closes.
-    const std::shared_ptr<std::atomic<std::size_t>> left_ = std::make_shared<std::atomic<std::size_t>>(0);
     AxonCrowd crowd_;
+    const std::shared_ptr<std::atomic<std::size_t>> left_;
 };
 
 template <Variant variant>

@@ -21,7 +21,8 @@ inline constexpr Kind kindOf(Message message) { return message == Message::Stop 
 inline constexpr std::size_t bytesOf(Message message) { return message == Message::Data ? kDataBytes : kSmallBytes; }
 const char* nameOf(Message message);
 
-/// One system under test, started by its constructor with N receivers. Each implementation has one process with all receivers.
+/// One system under test, started by its constructor with N receivers: all of them in one process, but Axon's with direct paths, with robot
+/// applications, behind a radio link, or where descriptors are few.
 class Subject {
   public:
     virtual ~Subject() = default;
@@ -35,6 +36,8 @@ class Subject {
     virtual bool numbered(Kind) const { return true; }
     /// How many receivers have lost their connection since the start, as far as the system tells.
     virtual std::size_t disconnected() const { return 0; }
+    /// How many receivers are reached another way now than the system's name says.
+    virtual std::size_t relayed() const { return 0; }
     /// What of it has ended by itself and why; empty while its server and its receivers run.
     virtual std::string ended() const { return {}; }
 };

@@ -107,19 +107,13 @@ int listen(std::uint16_t& port) {
 }
 
 void Inbox::take(const Connection& from, std::vector<char>& buffer, const Consume& consume) {
-    const auto size = from.read(buffer.data(), buffer.size(), false);
+    // The rest goes before what is read: nothing else is copied.
+    if (buffer.size() < 2 * rest_.size()) buffer.resize(2 * rest_.size());
+    rest_.copy(buffer.data(), rest_.size());
+    const auto size = from.read(buffer.data() + rest_.size(), buffer.size() - rest_.size(), false);
     if (size == 0) return;
-    std::string_view all(buffer.data(), size);
-    if (!rest_.empty()) {
-        rest_.append(all);
-        all = rest_;
-    }
-    const auto used = consume(all);
-    if (!rest_.empty()) {
-        rest_.erase(0, used);
-    } else {
-        rest_.assign(all.substr(used));
-    }
+    const std::string_view all(buffer.data(), rest_.size() + size);
+    rest_.assign(all.substr(consume(all)));
 }
 
 }  // namespace axon::bench::tcp

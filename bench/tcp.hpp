@@ -46,7 +46,7 @@ using Consume = std::function<std::size_t(std::string_view)>;
 /// A connection's input, cut into messages. What is left of a message waits for its rest.
 class Inbox {
   public:
-    /// Reads once, into `buffer`, which connections may share, and consumes.
+    /// Reads once, into `buffer`, which connections may share, and consumes. The buffer grows where a message is longer.
     void take(const Connection& from, std::vector<char>& buffer, const Consume& consume);
 
   private:
