@@ -186,7 +186,7 @@ class Growth {
         const auto due = static_cast<std::size_t>(wish_.seconds * 1e9 / kPeriod_ns) * n, arrived = there.arrived() - before;
         its["active"]["due"] = due;
         its["active"]["arrived"] = arrived;
-        if (arrived + n < due) sound_ = false;
+        if (arrived + n < due && !interrupted) sound_ = false;
         its["disconnected"] = there.disconnected();
         its["ended"] = there.ended();
     }
