@@ -137,7 +137,7 @@ def icestorm(plan):
     return f"""\
 # IceStorm: the topics FrontEndToEntity and EntityToFrontEnd between front-end servers and entity servers.
 IceStorm.InstanceName=IceStorm
-# Topics and subscriptions live in memory; the servers notice a restart within a second and make them anew:
+# Topics and subscriptions live in memory; the servers notice a restart, and have made them anew within two seconds:
 IceStorm.Transient=1
 # Where the servers find the topics (their Server.TopicManager). Nobody else needs to reach this:
 IceStorm.TopicManager.Endpoints={tcp(plan, "icestorm", "topics")}
