@@ -23,7 +23,7 @@ void list() {
         std::printf("%-19s %5s  %s\n%27s%s\n", kind.name.c_str(),
                     kind.trial == kNoTrial ? "" : std::to_string(kind.trial).c_str(), kind.what.c_str(), "",
                     kind.promise.text.c_str());
-    std::printf("%-19s %5s  %s\n", "all", "", "each of them, in one laboratory with the relay in every hop");
+    std::printf("%-19s %5s  %s\n", "all", "", "each of them but cut-master, in one laboratory with the relay in every hop");
 }
 
 /// The progress line is for a person at a terminal, and for nobody else.
@@ -122,7 +122,7 @@ int main(int argc, char** argv) {
     std::size_t trials = 0;
     double seconds = 0;
     bool show_list = false;
-    app.add_option("kind", name, "What to do; all = everything");
+    app.add_option("kind", name, "What to do; all = each but cut-master");
     app.add_flag("--list", show_list, "Every kind with its promise, and end");
     app.add_option("--trials", trials, "How many faults, commands or sequences [of the kind]")
         ->check(CLI::Range(1, 10'000'000));

@@ -652,8 +652,8 @@ TimePoint EntityServerCore::onTimer() {
             if (session->next_heartbeat <= now) {
                 heartbeats.emplace_back(session, ++session->heartbeats);
                 // From when it was due, so that late ones keep apart. Catching up after a pause would only send a burst.
-                const auto next = session->beatBy(session->next_heartbeat + session->period());
-                session->next_heartbeat = next > now ? next : session->beatInTurn(now);
+                const auto beat = session->beatBy(session->next_heartbeat + session->period());
+                session->next_heartbeat = beat > now ? beat : session->beatInTurn(now);
             }
             schedule(session, std::min(std::max(session->next_heartbeat, now + std::chrono::milliseconds{1}),
                                        session->watchdog->deadline()));

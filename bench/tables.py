@@ -1,0 +1,92 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Prints the results of axon-bench (--json) as the tables of docs/reference/benchmarks.md.
+
+    python3 bench/tables.py bench/reference/*.json
+"""
+import json
+import pathlib
+import sys
+
+SYSTEMS = ("axon", "axon-direct", "mosquitto-qos0", "mosquitto-qos1", "nats", "raw", "raw-direct")
+
+
+def figure(value, digits=2):
+    """Three digits or so, whatever the size; what never arrived has no figure."""
+    if value is None:
+        return "never"
+    return f"{value:.0f}" if value >= 100 else f"{value:.{digits}f}" if value < 10 else f"{value:.1f}"
+
+
+def table(heads, rows):
+    print("|", " | ".join(heads), "|")
+    print("|" + "---|" * len(heads))
+    for row in rows:
+        print("|", " | ".join(map(str, row)), "|")
+    print()
+
+
+def peers(result):
+    for what in ("small", "data", "stop"):
+        print(f"**{what}**: mean / last in ms")
+        print()
+        rows = [row for row in result["results"] if row["what"] == what]
+        table(["N", *SYSTEMS], [[row["n"], *(f"{figure(row[one]['mean'])} / {figure(row[one]['last'])}" if one in row else "–" for one in SYSTEMS)] for row in rows])
+        print(f"**{what}**: Axon / the other, mean / last, medians of the batches")
+        print()
+        pairs = [("axon", "ratio", other) for other in SYSTEMS[2:6]] + [("axon-direct", "ratio_direct", other) for other in ("mosquitto-qos0", "raw-direct")]
+
+        def ratio(row, key, other):
+            of = row.get(other, {}).get(key)
+            return f"{figure(of['mean']['median'])} / {figure(of['last']['median'])}" if of else "–"
+        geometric = {"axon": result["geometric_mean_over_n"], "axon-direct": result["geometric_mean_over_n_direct"]}
+        last = ["geometric mean", *(f"{figure(geometric[axon][other][what]['mean'])} / {figure(geometric[axon][other][what]['last'])}" for axon, _, other in pairs)]
+        table(["N", *(f"{axon} / {other}" for axon, _, other in pairs)], [*([row["n"], *(ratio(row, key, other) for _, key, other in pairs)] for row in rows), last])
+    table(["round trip", "n", "p50 µs", "p99 µs", "p50 / CycloneDDS"],
+          [[name, its["n"], figure(its["p50_us"], 1), figure(its["p99_us"], 1), figure(its["by_cyclonedds"]) if "by_cyclonedds" in its else "1"]
+           for name, its in sorted(result["pairs"].items(), key=lambda one: one[1]["p50_us"])])
+
+
+def saturation(result):
+    rows = []
+    for row in result["results"]:
+        for begin, key in (("when due", ""), ("the call", "_from_call")):
+            idle, loaded = row["idle" + key], row["loaded" + key]
+            rows.append([row["system"], begin, loaded["n"], f"{figure(idle['p50'])} / {figure(idle['p99'])}", f"{figure(loaded['p50'])} / {figure(loaded['p99'])}",
+                         figure(loaded["max"]), figure(loaded["p99"] / idle["p99"]) if loaded["p99"] else "–", figure(row["mb_per_s"]), row["gaps_of_readers"]])
+    table(["", "from", "n", "idle p50 / p99 ms", "loaded p50 / p99 ms", "loaded max", "p99, loaded / idle", "MB/s beside it", "gaps"], rows)
+
+
+def growth(result):
+    rows = []
+    for row in result["results"]:
+        if "active" in row:
+            cells = [cell for use in (row["idle"], row["active"]) for cell in (figure(use["kb_each"]), figure(use["cpu_share"] * 100))]
+            rows.append([f"{row['n']} {row['what']}", figure(row["server_ready_s"]), figure(row["all_there_s"]), *cells])
+        else:
+            rows.append([f"{row['n']} {row['what']}", row["not_measured"]])
+    table(["", "server ready s", "all there s", "idle KiB each", "idle % of a core", "active KiB each", "active % of a core"], rows)
+
+
+def chapter5(result):
+    names = ("axon", "axon wired", "axon wireless", "axon-direct", "axon-direct wired", "axon-direct wireless", "mosquitto-qos0", "raw")
+    names = [name for name in names if any(name in row for row in result["results"])]
+    rows = []
+    for row in result["results"]:
+        def cell(name, row=row):
+            its = row.get(name, {}).get("from_batch")
+            if not its:
+                return "–"
+            return f"{figure(its['mean'])} / {figure(its['p99'])}" + (f" ({its['lost']} lost)" if its["lost"] else "")
+        robots = row.get("axon-robots", {}).get("at_callback")
+        disconnected = row.get("axon", {}).get("disconnected", 0)
+        rows.append([row["table"] + (f" {row['mode']}" if "mode" in row else ""), row.get("clients") or row["entities"], *(figure(row["thesis"][key]) if "thesis" in row else "–" for key in ("lan_mean", "wlan_mean")),
+                     *map(cell, names), f"{figure(robots['mean'])} / {figure(robots['p99'])}" if robots else "–", disconnected])
+    table(["table", "clients or entities", "thesis LAN", "thesis WLAN", *names, "axon-robots, at the callback", "disconnected"], rows)
+
+
+for name in sys.argv[1:]:
+    one = json.loads(pathlib.Path(name).read_text())
+    print(f"### {one['experiment']} ({pathlib.Path(name).name}, {one['began']})")
+    print()
+    {"peers": peers, "saturation": saturation, "growth": growth, "chapter5": chapter5}[one["experiment"]](one)
