@@ -47,7 +47,11 @@ class BenchSmoke(unittest.TestCase):
         self.assertTrue(result["results"])
         for key in ("versions", "skipped"):
             self.assertIn(key, result)
+        self.assertIn(f"### {words[0]}", self.tables())
         return result
+
+    def tables(self):
+        return subprocess.run([sys.executable, ROOT / "bench/tables.py", self.json], capture_output=True, text=True, timeout=SECONDS_AT_MOST, check=True).stdout
 
     def complete(self, series, n):
         """Latencies of n messages, of which some may never have arrived: their figures are null."""
@@ -192,6 +196,7 @@ class BenchSmoke(unittest.TestCase):
         self.assertFalse(pathlib.Path(tempfile.gettempdir(), f"axon-bench-{bench.pid}").exists())
         result = json.loads(self.json.read_text())
         self.assertIs(result["partial"], True)
+        self.tables()
         return result["results"][0]
 
     def test_ctrl_c_leaves_a_part_of_peers_that_can_be_used_and_no_process(self):

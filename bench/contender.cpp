@@ -108,7 +108,7 @@ void measurePaced(Contender& contender, Message message, std::string& bytes, con
         for (; !under_way.empty() && (all || nowNs() > under_way.front().first.begin + kPatience_ns); under_way.pop_front()) {
             const auto& [batch, counts] = under_way.front();
             if (all)  // the last ones have the time that the others had, and more, so that they are not in the next system's way
-                for (std::size_t missing = 0; nowNs() < batch.begin + kPatience_ns + kLate_ns;) {
+                for (std::size_t missing = 0; nowNs() < batch.begin + kPatience_ns + pace.late_ns;) {
                     missing = contender.firstMissing(batch, missing);
                     if (missing == contender.board().size() || !sleepUntil(nowNs() + 1'000'000)) break;
                 }

@@ -85,6 +85,7 @@ struct Figures {
 struct Pace {
     std::int64_t period_ns;  ///< so that fewer than Arrivals::kRemembered batches are under way within kPatience_ns
     int periods, warm_up;
+    std::int64_t late_ns = kLate_ns;  ///< 0 where no other system is measured after it
 };
 
 /// A batch each period, whether those before have arrived or not; latency counts from when it was due, so that a sender that

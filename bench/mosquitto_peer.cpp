@@ -121,9 +121,9 @@ void MosquittoSender::send(std::size_t receiver, Kind kind, const std::string& b
     const auto topic = (kind == Kind::Stop ? "s/" : "d/") + std::to_string(receiver);
     check(mosquitto_publish(client_, nullptr, topic.c_str(), static_cast<int>(bytes.size()), bytes.data(), qos_, false), "mosquitto_publish");
     // Without the library's thread it has written by itself what the socket took.
-    while (qos_ == 0 && mosquitto_want_write(client_)) {
+    while (qos_ == 0 && mosquitto_want_write(client_) && !interrupted) {
         pollfd wish{mosquitto_socket(client_), POLLOUT, 0};
-        ::poll(&wish, 1, -1);
+        ::poll(&wish, 1, 100);
         check(mosquitto_loop_write(client_, 1), "mosquitto_loop_write");
     }
 }

@@ -187,7 +187,7 @@ struct Measured {
 
 void measure(Scene& scene, const Wish& wish, int round, Measured& to) {
     auto bytes = content(bytesOf(Message::Stop));
-    const Pace pace{kPeriod_ns, std::max(1, static_cast<int>(wish.seconds * 1e9 / kPeriod_ns)), kWarmUp};
+    const Pace pace{kPeriod_ns, std::max(1, static_cast<int>(wish.seconds * 1e9 / kPeriod_ns)), kWarmUp, 0};
     const auto say = [&](const char* what) {
         progress("saturation: " + scene.target().name + ": " + what + ", round " + std::to_string(round + 1) + " of " + std::to_string(wish.rounds));
     };

@@ -38,13 +38,16 @@ def peers(result):
 
         def ratio(row, key, other):
             of = row.get(other, {}).get(key)
-            return f"{figure(of['mean']['median'])} / {figure(of['last']['median'])}" if of else "–"
-        geometric = {"axon": result["geometric_mean_over_n"], "axon-direct": result["geometric_mean_over_n_direct"]}
-        last = ["geometric mean", *(f"{figure(geometric[axon][other][what]['mean'])} / {figure(geometric[axon][other][what]['last'])}" for axon, _, other in pairs)]
+            return f"{figure(of['mean'].get('median'))} / {figure(of['last'].get('median'))}" if of else "–"
+
+        def geometric(axon, other):
+            of = result.get("geometric_mean_over_n" + ("_direct" if axon == "axon-direct" else ""), {}).get(other, {}).get(what, {})
+            return f"{figure(of['mean'])} / {figure(of['last'])}" if of.get("mean") and of.get("last") else "–"
+        last = ["geometric mean", *(geometric(axon, other) for axon, _, other in pairs)]
         table(["N", *(f"{axon} / {other}" for axon, _, other in pairs)], [*([row["n"], *(ratio(row, key, other) for _, key, other in pairs)] for row in rows), last])
     table(["round trip", "n", "p50 µs", "p99 µs", "p50 / CycloneDDS"],
-          [[name, its["n"], figure(its["p50_us"], 1), figure(its["p99_us"], 1), figure(its["by_cyclonedds"]) if "by_cyclonedds" in its else "1"]
-           for name, its in sorted(result["pairs"].items(), key=lambda one: one[1]["p50_us"])])
+          [[name, its["n"], figure(its["p50_us"], 1), figure(its["p99_us"], 1), figure(its["by_cyclonedds"]) if "by_cyclonedds" in its else "1" if name.startswith("cyclonedds") else "–"]
+           for name, its in sorted(result.get("pairs", {}).items(), key=lambda one: one[1]["p50_us"])])
 
 
 def saturation(result):
@@ -53,7 +56,7 @@ def saturation(result):
         for begin, key in (("when due", ""), ("the call", "_from_call")):
             idle, loaded = row["idle" + key], row["loaded" + key]
             rows.append([row["system"], begin, loaded["n"], f"{figure(idle['p50'])} / {figure(idle['p99'])}", f"{figure(loaded['p50'])} / {figure(loaded['p99'])}",
-                         figure(loaded["max"]), figure(loaded["p99"] / idle["p99"]) if loaded["p99"] else "–", figure(row["mb_per_s"]), row["gaps_of_readers"]])
+                         figure(loaded["max"]), figure(loaded["p99"] / idle["p99"]) if loaded.get("p99") and idle.get("p99") else "–", figure(row["mb_per_s"]), row["gaps_of_readers"]])
     table(["", "from", "n", "idle p50 / p99 ms", "loaded p50 / p99 ms", "loaded max", "p99, loaded / idle", "MB/s beside it", "gaps"], rows)
 
 
@@ -85,8 +88,13 @@ def chapter5(result):
     table(["table", "clients or entities", "thesis LAN", "thesis WLAN", *names, "axon-robots, at the callback", "disconnected"], rows)
 
 
+def runs(result):
+    table(["what", "n", "mean ms", "p50", "p99"],
+          [[row["what"], row["ms"]["n"], *(figure(row["ms"].get(key)) for key in ("mean", "p50", "p99"))] for row in result["results"]])
+
+
 for name in sys.argv[1:]:
     one = json.loads(pathlib.Path(name).read_text())
     print(f"### {one['experiment']} ({pathlib.Path(name).name}, {one['began']})")
     print()
-    {"peers": peers, "saturation": saturation, "growth": growth, "chapter5": chapter5}[one["experiment"]](one)
+    {"peers": peers, "saturation": saturation, "growth": growth, "chapter5": chapter5, "runs": runs}[one["experiment"]](one)

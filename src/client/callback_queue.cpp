@@ -22,12 +22,12 @@ bool CallbackQueue::post(std::function<void()> callback, bool may_be_left_out) {
     {
         const std::lock_guard lock(mutex_);
         if (closed_) return true;
-        if (queue_.size() >= kBound) {
-            if (optional_ == 0) {
-                if (!may_be_left_out) return false;
-                ++left_out_;
-                return true;
-            }
+        if (queue_.size() >= kBound && optional_ == 0 && may_be_left_out) {
+            ++left_out_;
+            return true;
+        }
+        if (queue_.size() >= kMost && optional_ == 0) return false;
+        if (queue_.size() >= kBound && optional_ > 0) {
             const auto victim = std::find_if(queue_.begin(), queue_.end(),
                                              [](const Entry& entry) { return entry.may_be_left_out; });
             oldest = std::move(victim->callback);

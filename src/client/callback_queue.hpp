@@ -11,13 +11,14 @@ namespace axon::client {
 
 /// The one thread that runs the user's callbacks, in order, and the queue before it.
 ///
-/// Bound: kBound. When it is full the oldest callback that may be left out is (a sample, raw data, a change
-/// of an entity, progress of a task), and counted; without such a one, post() says that the user does not
-/// return from callbacks. Threads: any; the destructor and close() join the thread. Failure: what a callback
+/// Bounds: from kBound on the oldest callback that may be left out is (a sample, raw data, a change of an entity, progress of a
+/// task), and counted. What must not be left out may be kMost, more than a client hears of at once when it joins; beyond it
+/// post() says that the user does not return from callbacks. Threads: any; the destructor and close() join the thread. Failure: what a callback
 /// throws is logged and ends nothing.
 class CallbackQueue {
   public:
     static constexpr std::size_t kBound = 4096;
+    static constexpr std::size_t kMost = 65536 + kBound;  ///< the entities of a server (EntityServer.EntitiesMax), and as much again as otherwise
 
     CallbackQueue();
     ~CallbackQueue();

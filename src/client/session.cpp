@@ -838,7 +838,7 @@ void Client::Session::post(std::function<void()> callback, bool may_be_left_out)
     }
     // The program does not return from its callbacks: it does not know any more what its robots do.
     log().error("client: {} callbacks wait for the program to return from one; the connection is given up",
-                CallbackQueue::kBound);
+                CallbackQueue::kMost);
     give_up_ = true;
     timer_.wake();
 }

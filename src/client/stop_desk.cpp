@@ -39,8 +39,8 @@ void StopDesk::onDisconnected() {
 }
 
 void StopDesk::onEntity(Presence presence, const std::string& id, const std::string& name) {
+    listAll();  // by the names that they have now
     if (presence == Presence::Left) {
-        listAll();
         names_.remove(id);
     } else {
         names_.put(id, name);
@@ -60,12 +60,10 @@ Header StopDesk::header(const Order& order, const std::string& entity) const {
 }
 
 void StopDesk::send(const Order& order, Lane lane, std::vector<std::string> ids) {
-    if (order.everything) {
-        // One request, fanned out by the servers; also the way to resend, whoever is missing.
+    if (ids.empty() && order.everything) {
+        // One request, fanned out by the servers.
         link_.sendStopSignal(lane, header(order, {}), order.cause);
-        return;
-    }
-    if (ids.size() == 1) {
+    } else if (ids.size() == 1) {
         link_.sendStopSignal(lane, header(order, ids.front()), order.cause);
     } else if (!ids.empty()) {
         link_.sendStopSignals(lane, header(order, {}), std::move(ids), order.cause);
@@ -97,7 +95,7 @@ void StopDesk::drill(const std::vector<std::string>& names, Duration deadline, D
 
 void StopDesk::give(Order order, const std::vector<std::string>& names, Duration deadline, Done done) {
     order.sequence = marks_.nextSequence();
-    order.given = clock_.now();
+    order.given = order.heard_at = clock_.now();
     order.deadline = order.given + deadline;
     order.done = std::move(done);
 
@@ -149,8 +147,11 @@ Receipt& StopDesk::add(Order& order, const std::string& entity) const {
 
 bool StopDesk::settled(const Order& order) {
     if (order.unconfirmed > 0 || !order.named.empty()) return false;
-    return !order.everything ||
-           (order.reached && order.receipts.size() >= static_cast<std::size_t>(*order.reached));
+    return !order.everything || allKnown(order);
+}
+
+bool StopDesk::allKnown(const Order& order) {
+    return order.reached && order.receipts.size() >= static_cast<std::size_t>(*order.reached);
 }
 
 void StopDesk::schedule(Order& order, TimePoint resend) {
@@ -182,9 +183,10 @@ StopDesk::Order* StopDesk::find(std::int64_t sequence) {
 }
 
 void StopDesk::onStopAccepted(std::int64_t sequence, const std::string& entity, int entities) {
+    const auto now = clock_.now();  // before the receipts of thousands are made
     Order* order = find(sequence);
     if (order == nullptr) return;
-    const Seconds after = clock_.now() - order->given;
+    const Seconds after = now - order->given;
     if (!order->everything && entity.empty()) {
         // Fewer than were named: which ones are not there is told by their refusals, and the rest by
         // receipts.
@@ -213,6 +215,7 @@ void StopDesk::onStopAccepted(std::int64_t sequence, const std::string& entity, 
 
 void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& incoming) {
     const auto generation = static_cast<std::int32_t>(incoming.stop_generation());
+    const auto now = clock_.now();
     marks_.raise(entity, generation);
     // By a datagram it comes with the UUID alone.
     const auto whose = std::string_view(incoming.stop_id()).substr(0, incoming.stop_id().rfind(':'));
@@ -222,9 +225,10 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
     const auto entry = order->receipts.find(entity);
     if (entry == order->receipts.end() && !order->everything) return;
 
+    order->heard_at = now;
     Receipt& receipt = entry == order->receipts.end() ? add(*order, entity) : entry->second;
     const bool was_confirmed = receipt.confirmed();
-    const Seconds after = clock_.now() - order->given;
+    const Seconds after = now - order->given;
     receipt.stop_generation = std::max(receipt.stop_generation, generation);
     // The other copy of an earlier one may come after a later one (several servers: directly, and by the topic).
     if (auto& said_at = order->said_at[entity]; incoming.at_us() >= said_at) {
@@ -294,12 +298,19 @@ void StopDesk::onTimer() {
             finish(order.sequence);
             continue;
         }
+        if (const auto quiet = std::min(order.heard_at + kStopFirstResend, order.given + kStopPatience); now < quiet) {
+            schedule(order, quiet);
+            continue;
+        }
         schedule(order, now + kStopResendPeriod);
         if (!connected_) continue;
-        list(order);
+        // Of everything only those that are missing, once all that it has reached are known: thousands that have answered are not asked again.
         std::vector<std::string> ids;
-        for (const auto& [id, receipt] : order.receipts) {
-            if (!receipt.confirmed()) ids.push_back(id);
+        if (!order.everything || allKnown(order)) {
+            list(order);
+            for (const auto& [id, receipt] : order.receipts) {
+                if (!receipt.confirmed()) ids.push_back(id);
+            }
         }
         send(order, Lane::Signal, ids);
         send(order, Lane::Data, std::move(ids));

@@ -25,6 +25,9 @@ namespace axon::client {
 /// When a stop that is not confirmed is sent again, on both lanes.
 inline constexpr Duration kStopFirstResend = std::chrono::milliseconds{100};
 inline constexpr Duration kStopResendPeriod = std::chrono::milliseconds{250};
+/// While receipts of it come it waits for kStopFirstResend without one, and no longer than this: the answers of thousands take their time,
+/// and to ask again before they are through would make it longer.
+inline constexpr Duration kStopPatience = std::chrono::seconds{1};
 
 /// Gives stops and collects their receipts (architecture, section 7.4).
 ///
@@ -32,7 +35,8 @@ inline constexpr Duration kStopResendPeriod = std::chrono::milliseconds{250};
 /// own list of names, so that a stop never waits for anything that data does. An order is *open* from stop()
 /// until every receipt is confirmed or its deadline has passed; then `done` is called, once, with what is
 /// known. While it is open it is sent again, with the same sequence number (an EM takes it for the same
-/// stop), on the signal lane and on the data lane, at kStopFirstResend and then each kStopResendPeriod.
+/// stop), on the signal lane and on the data lane, at kStopFirstResend and then each kStopResendPeriod, but not while answers come
+/// (kStopPatience).
 /// Losing the connection does not end an order: it is sent again when there is a new one, unless its deadline
 /// passed. Threads: none of its own, not thread-safe; the owner confines it. Failure: refusals.
 class StopDesk {
@@ -74,9 +78,10 @@ class StopDesk {
         StopCause cause = StopCause::Requested;
         bool everything = false;
         TimePoint given, deadline, resend;
+        TimePoint heard_at;                       // the newest receipt
         TimePoint due;                            // the earlier of the two, in due_
         std::vector<std::string> named;           // UUIDs, until they are listed
-        bool listed = false;                      // there are receipts; made when it has been sent, which thousands would delay
+        bool listed = false;                      // the receipts have been made: not before it is sent, which thousands of them would delay
         std::map<std::string, Receipt> receipts;  // by UUID
         std::map<std::string, std::int64_t> said_at;  // by UUID, on the Entity Manager's clock: the newest receipt
         std::size_t unconfirmed = 0;              // of the receipts
@@ -93,6 +98,8 @@ class StopDesk {
     void list(Order& order) const;
     void listAll();
     static bool settled(const Order& order);
+    /// Of everything: the servers have said how many it reached, and as many are known.
+    static bool allKnown(const Order& order);
     void schedule(Order& order, TimePoint resend);
     /// Takes it out of everything that knows it.
     Order take(std::int64_t sequence);

@@ -172,6 +172,42 @@ TEST_F(StopDeskTest, OnlyWhatIsNotConfirmedIsSentAgain) {
     EXPECT_EQ(link.sent[1].head.entity, uuid(1));
 }
 
+TEST_F(StopDeskTest, WhileAnswersComeNothingIsSentAgainForASecond) {
+    stop({"Cyton", "PeopleBot#1"}, 5s);
+    link.sent.clear();
+    for (int i = 0; i < 9; ++i) {
+        advance(90ms);
+        receipt(1, proto::StopReceipt::MANAGER);
+    }
+    EXPECT_THAT(link.sent, IsEmpty());
+    advance(90ms);
+    EXPECT_THAT(link.sent, IsEmpty()) << "900 ms";
+    receipt(1, proto::StopReceipt::MANAGER);
+    advance(90ms);
+    receipt(1, proto::StopReceipt::MANAGER);
+    advance(20ms);
+    EXPECT_THAT(link.sent, SizeIs(2)) << "a second has passed";
+    advance(100ms);
+    link.sent.clear();
+    advance(150ms);
+    EXPECT_THAT(link.sent, SizeIs(2));
+}
+
+TEST_F(StopDeskTest, OfEverythingOnlyThoseThatAreMissingAreAskedAgainOnceAllAreKnown) {
+    stop({}, 5s);
+    link.sent.clear();
+    advance(100ms);
+    ASSERT_THAT(link.sent, SizeIs(2));
+    EXPECT_THAT(link.sent[0].entities, IsEmpty()) << "nobody has said how many there are";
+    desk.onStopAccepted(1, {}, 3);
+    receipt(1, proto::StopReceipt::CALLBACK_RETURNED);
+    link.sent.clear();
+    advance(250ms);
+    ASSERT_THAT(link.sent, SizeIs(2));
+    EXPECT_THAT(link.sent[0].entities, ElementsAre(uuid(2), uuid(3)));
+    EXPECT_EQ(link.sent[0].head.sequence, 1) << "the same stop";
+}
+
 TEST_F(StopDeskTest, AStopOfSeveralIsOneMessageOnEachLane) {
     stop({"Cyton", "PeopleBot#1", "PeopleBot#2"});
     ASSERT_THAT(link.sent, SizeIs(1));
@@ -261,10 +297,16 @@ TEST_F(StopDeskTest, ReceiptsHaveTheNamesOfWhenItWasGiven) {
     advance(1s);
     ASSERT_THAT(receipts, SizeIs(1));
     EXPECT_EQ(receipts[0].name, "Cyton");
+    desk.onEntity(Presence::Joined, uuid(3), "Cyton");
+    stop({"Cyton"});
+    desk.onEntity(Presence::Changed, uuid(3), "Another");
+    advance(1s);
+    ASSERT_THAT(receipts, SizeIs(1));
+    EXPECT_EQ(receipts[0].name, "Cyton");
     stop({});
     desk.onDisconnected();
     advance(1s);
-    ASSERT_THAT(receipts, SizeIs(2));
+    ASSERT_THAT(receipts, SizeIs(3));
     EXPECT_EQ(receipts[0].name, "PeopleBot#1");
 }
 

@@ -239,7 +239,9 @@ TEST_F(CompositeTasks, TheApplicationIsNeverGivenAnIdTwice) {
     EXPECT_EQ(lastOf("t1").state(), proto::TASK_SUCCEEDED);
     std::set<std::string> ids;
     for (const auto& message : rig.to_application) {
-        if (message.has_task()) EXPECT_TRUE(ids.insert(message.task().task_id()).second);
+        if (message.has_task()) {
+            EXPECT_TRUE(ids.insert(message.task().task_id()).second);
+        }
     }
     EXPECT_EQ(ids.size(), 3U);
     EXPECT_FALSE(ids.contains(idOf("t1")));

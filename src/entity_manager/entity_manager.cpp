@@ -237,7 +237,7 @@ void EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header
     // The holder waits; of the servers' way, where all have a share, the session would end.
     const auto push = [&] { return inbox_.pushControl(std::move(event), size, Inbox::Share::Half); };
     auto verdict = push();
-    for (; verdict == Inbox::Verdict::Overflow; verdict = push()) inbox_.awaitRoom();
+    for (; verdict == Inbox::Verdict::Overflow; verdict = push()) inbox_.awaitRoom(size);
     wake(verdict, Turn::Here);
 }
 

@@ -37,7 +37,7 @@ struct CoreSettings {
 /// a flood.
 struct CoreCounters {
     std::uint64_t unexpected = 0;  ///< facts without a row, and reports of tasks that are not known
-    std::uint64_t malformed = 0;   ///< messages that could not be read
+    std::uint64_t malformed = 0;   ///< messages that could not be read, or whose header says what they are not
     std::uint64_t anonymous = 0;   ///< messages without a sender
     std::uint64_t undelivered =
         0;  ///< texts, raw data and samples that nobody held or watched the entity for

@@ -225,7 +225,7 @@ TEST_F(Held, HeadersNameTheRecipientTheEntityTheLeaseAndTheGeneration) {
 }
 
 // The servers record who rearmed by the header.
-TEST_F(Held, ARearmUnderAnotherNameIsRefused) {
+TEST_F(Held, WhatIsNotWhatItsHeaderSaysIsRefusedAsWhatItIs) {
     rig.stop("client1");
     rig.stopDone(1);
     ASSERT_TRUE(rig.core().latched());
@@ -234,11 +234,29 @@ TEST_F(Held, ARearmUnderAnotherNameIsRefused) {
     proto::ToEntity rearm;
     rearm.mutable_rearm()->set_request_id("r");
     rig.to_clients.clear();
+    constexpr auto kMalformed = static_cast<int>(RefusalCode::Malformed);
     rig.core().onClientMsg(head, rearm.SerializeAsString());
     EXPECT_TRUE(rig.core().latched());
-    ASSERT_FALSE(rig.to_clients.empty());
-    EXPECT_EQ(rig.to_clients.back().message.reply().refusal().code(), static_cast<int>(RefusalCode::Malformed));
+    ASSERT_EQ(rig.to_clients.size(), 1U);
+    EXPECT_EQ(rig.to_clients[0].message.reply().request_id(), "r");
+    EXPECT_EQ(rig.to_clients[0].message.reply().refusal().code(), kMalformed);
+
+    proto::ToEntity check_out;
+    check_out.mutable_check_out()->set_request_id("c");
+    check_out.mutable_check_out()->set_phase(proto::TAKE);
+    rig.core().onClientMsg(head, check_out.SerializeAsString());
+    ASSERT_EQ(rig.to_clients.size(), 2U);
+    EXPECT_EQ(rig.to_clients[1].message.check_out().request_id(), "c");
+    EXPECT_EQ(rig.to_clients[1].message.check_out().refusal().code(), kMalformed);
+
     head.msg_type = kMsgRearm;
+    proto::ToEntity text;
+    text.mutable_text()->set_text("hello");
+    rig.core().onClientMsg(head, text.SerializeAsString());
+    ASSERT_EQ(rig.to_clients.size(), 3U);
+    EXPECT_EQ(rig.to_clients[2].message.reply().refusal().code(), kMalformed);
+    EXPECT_EQ(rig.core().counters().malformed, 3U);
+
     rig.core().onClientMsg(head, rearm.SerializeAsString());
     EXPECT_FALSE(rig.core().latched());
 }

@@ -55,9 +55,7 @@ bool Inbox::signalsFull() const {
 Inbox::Verdict Inbox::pushControl(Event&& event, std::size_t bytes, Share share) {
     {
         const std::lock_guard lock(mutex_);
-        if (control_events_ == bounds_.control_events || control_bytes_ + bytes > bounds_.control_bytes ||
-            (share == Share::Half && !roomy()))
-            return Verdict::Overflow;
+        if (!fits(bytes, share)) return Verdict::Overflow;
         waiting_.push_back({std::move(event), bytes});
         ++control_events_;
         control_bytes_ += bytes;
@@ -65,10 +63,12 @@ Inbox::Verdict Inbox::pushControl(Event&& event, std::size_t bytes, Share share)
     return wake();
 }
 
-void Inbox::awaitRoom() {
+void Inbox::awaitRoom(std::size_t bytes) {
     std::unique_lock lock(mutex_);
-    awaited_ = true;
-    room_.wait(lock, [this] { return roomy(); });
+    while (!(roomy() && fits(bytes, Share::Half))) {
+        awaited_ = true;  // anew each time: somebody else may have taken what was free
+        room_.wait(lock);
+    }
 }
 
 Inbox::Verdict Inbox::pushData(Event event, std::size_t bytes) {

@@ -48,11 +48,13 @@ class Inbox {
     Verdict pushSignal(Signal kind, Event event);
     /// Whether a drill or a passing signal would be dropped now. False stays false until a signal is pushed.
     bool signalsFull() const;
-    /// On Overflow the event is still the caller's. Half: of one who can wait (awaitRoom), and leaves the rest to those who cannot.
+    /// Half of the bounds is for those who can wait (awaitRoom); the rest is left to those who cannot. One event alone always fits.
     enum class Share : std::uint8_t { Whole, Half };
+    /// On Overflow the event is still the caller's.
     Verdict pushControl(Event&& event, std::size_t bytes = 0, Share share = Share::Whole);
-    /// Not on the strand: returns when there is room for such a half. The strand comes, for what fills it was pushed.
-    void awaitRoom();
+    /// Not on the strand: returns when a quarter of the bounds is taken at most and so many bytes fit into the half. The strand comes, for
+    /// what fills it was pushed.
+    void awaitRoom(std::size_t bytes);
     /// May drop older data to make room. `bytes` counts towards the bound.
     Verdict pushData(Event event, std::size_t bytes);
 
@@ -87,7 +89,12 @@ class Inbox {
     std::size_t peers_ = 0;           // guarded by signal_mutex_: of the waiting signals
     std::atomic<bool> scheduled_{false};  // whether the strand will come; no lock, so that data takes none of signals
 
-    bool roomy() const { return control_events_ <= bounds_.control_events / 2 && control_bytes_ <= bounds_.control_bytes / 2; }
+    bool fits(std::size_t bytes, Share share) const {
+        const std::size_t part = share == Share::Half ? 2 : 1;
+        return control_events_ == 0 || (control_events_ < bounds_.control_events / part && control_bytes_ + bytes <= bounds_.control_bytes / part);
+    }
+    /// Those who wait are woken by it, and not for each message.
+    bool roomy() const { return control_events_ <= bounds_.control_events / 4 && control_bytes_ <= bounds_.control_bytes / 4; }
 
     mutable std::mutex mutex_;
     std::condition_variable room_;

@@ -3,7 +3,9 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <string>
+#include <thread>
 
 namespace axon::entity_manager {
 namespace {
@@ -54,16 +56,41 @@ TEST_F(InboxTest, ControlOverflowIsReportedAndChangesNothing) {
 }
 
 TEST_F(InboxTest, WhoCanWaitLeavesHalfToThoseWhoCannot) {
-    Inbox inbox({.control_events = 4});
-    const auto push = [&](char name) { return inbox.pushControl(note(name), 0, Inbox::Share::Half); };
-    EXPECT_EQ(push('a'), Inbox::Verdict::Scheduled);
-    push('b');
-    push('c');
-    EXPECT_EQ(push('d'), Inbox::Verdict::Overflow) << "more than half is taken";
+    Inbox inbox({.control_events = 4, .control_bytes = 100});
+    const auto push = [&](char name, std::size_t bytes) { return inbox.pushControl(note(name), bytes, Inbox::Share::Half); };
+    EXPECT_EQ(push('a', 0), Inbox::Verdict::Scheduled);
+    EXPECT_EQ(push('b', 0), Inbox::Verdict::AlreadyScheduled);
+    EXPECT_EQ(push('c', 0), Inbox::Verdict::Overflow) << "half is taken";
+    EXPECT_EQ(inbox.pushControl(note('d')), Inbox::Verdict::AlreadyScheduled);
     EXPECT_EQ(inbox.pushControl(note('e')), Inbox::Verdict::AlreadyScheduled);
     EXPECT_EQ(inbox.pushControl(note('f')), Inbox::Verdict::Overflow);
     drain(inbox);
-    EXPECT_EQ(seen, "abce");
+    EXPECT_EQ(push('g', 60), Inbox::Verdict::Scheduled) << "more than half, but alone";
+    EXPECT_EQ(push('h', 1), Inbox::Verdict::Overflow);
+    EXPECT_EQ(inbox.pushControl(note('i'), 40), Inbox::Verdict::AlreadyScheduled);
+    drain(inbox);
+    EXPECT_EQ(seen, "abdegi");
+}
+
+// Whoever is told of room may find that somebody else has taken it, and is told again.
+TEST(InboxThreads, WhoWaitsForRoomGetsItBesideOthersWhoDoNotWait) {
+    constexpr int kEach = 50'000;
+    Inbox inbox({.control_events = 8});
+    std::atomic<int> handled{0};
+    const auto push = [&](Inbox::Share share) { return inbox.pushControl([&handled] { ++handled; }, 1, share) != Inbox::Verdict::Overflow; };
+    std::thread waits([&] {
+        for (int i = 0; i < kEach; ++i)
+            while (!push(Inbox::Share::Half)) inbox.awaitRoom(1);
+    });
+    std::thread does_not([&] {
+        for (int i = 0; i < kEach; ++i)
+            while (!push(Inbox::Share::Whole)) std::this_thread::yield();
+    });
+    while (handled < 2 * kEach)
+        if (const auto event = inbox.take()) event();
+    waits.join();
+    does_not.join();
+    EXPECT_EQ(handled, 2 * kEach);
 }
 
 TEST_F(InboxTest, OnlyTheFirstPushAfterEmptyNeedsToWakeTheStrand) {

@@ -935,10 +935,11 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
                {}});
         return;
     }
-    // By the header alone the servers know which way these go, and keep their record of who rearmed.
+    // By the header alone both ends of a direct path know which way these go, and the servers who rearmed.
     if ((event == Event::CheckOut) != (head.msg_type == kMsgCheckOut) || (event == Event::Rearm) != (head.msg_type == kMsgRearm)) {
         ++counters_.malformed;
-        reply(head.sender, {}, {RefusalCode::Malformed, "The header's msgType is not what the message is: a check-out is CHECKOUT, a rearm REARM.", {}});
+        refuse({event, &head, &from_client_},
+               {RefusalCode::Malformed, "The header's msgType is not what the message is: a check-out is CHECKOUT, a rearm REARM.", {}});
         return;
     }
     // What is over must not win because its timer is late.

@@ -236,7 +236,9 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
 void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data) {
     head.sender = client->me;
     const auto known = alone() ? nullptr : known_.find(head.entity, kData);
-    if (alone() || known) topic_.clientMsgDataSeq(known ? known->registration.server : std::string(), head, data);
+    if (!alone() && !known) return;
+    topic_.clientMsgDataSeq(known ? known->registration.server : std::string(), head, data);
+    if (head.msg_type == kMsgRearm) audit("rearm", client->me, {head.entity});
 }
 
 std::size_t FrontEndCore::stopTargets(const std::string& entity) const {

@@ -447,6 +447,8 @@ TEST_F(FrontEndTest, SaysForTheAuditWhoStoppedAndRearmed) {
     core.sendToEntity(peer.client, to("e1"), "a text");
     EXPECT_THAT(notes, ElementsAre(HasSubstr("audit: stop by client1 (operator, " + peer.id() + ") to all 1"),
                                    HasSubstr("audit: rearm by client1 (operator, " + peer.id() + ") to e1")));
+    core.sendToEntityDataSeq(peer.client, rearm, "");
+    EXPECT_EQ(notes.size(), 3U) << "whatever the operation";
 }
 
 TEST_F(FrontEndTest, WarnsOnceAMinuteOfAClientThatIsNearlyLost) {

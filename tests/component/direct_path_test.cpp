@@ -499,23 +499,6 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     const auto stolen = Ice::uncheckedCast<slice::DirectSessionPrx>(knocks.opened.session->ice_connectionId("thief"));
     EXPECT_THROW(stolen->sendToEntity({}, transport::toRange("x")), Ice::Exception);
 
-    // What goes by the servers always, for their record, ends the path that brings it, and nothing has come of it.
-    Stranger beats(granted.direct_signal_endpoint());
-    beats.claim = knocks.claim;
-    beats.claim.lane = Lane::Signal;
-    beats.challenge();
-    ASSERT_EQ(beats.open(key), RefusalCode::Ok);
-    ASSERT_TRUE(waitUntil([&] { return manager_->direct(); }));
-    proto::ToEntity rearm;
-    rearm.mutable_rearm()->set_request_id("r");
-    slice::Head in_secret;
-    in_secret.msgType = kMsgRearm;
-    in_secret.held = {lease.epoch, lease.number};
-    in_secret.seq = 1000;
-    const auto secret = rearm.SerializeAsString();
-    Ice::uncheckedCast<slice::DirectSessionPrx>(knocks.opened.session->ice_oneway())->sendToEntity(in_secret, transport::toRange(secret));
-    ASSERT_TRUE(waitUntil([&] { return !manager_->direct(); }));
-
     // After the end of the lease the key opens nothing.
     proto::ToEntity body;
     body.mutable_release();
@@ -529,6 +512,62 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     late.claim = knocks.claim;
     late.challenge();
     EXPECT_EQ(late.open(key), RefusalCode::PermissionDenied);
+}
+
+// The servers keep the record of who rearmed.
+TEST_F(DirectPathTest, ARearmEndsThePathThatBringsIt) {
+    startManager(true, false);
+    RawClient raw(server_->clientAddress(Lane::Data));
+    const auto granted = takeRaw(raw);
+    Stranger data(granted.direct_endpoint()), signals(granted.direct_signal_endpoint());
+    const auto path = Id128::random(random_);
+    for (auto* lane : {&data, &signals}) {
+        lane->claim.lane = lane == &data ? Lane::Data : Lane::Signal;
+        lane->claim.lease = {static_cast<std::int32_t>(granted.lease().epoch()), static_cast<std::int32_t>(granted.lease().number())};
+        lane->claim.client = Id128::parse(raw.facts.me.id).value();
+        lane->claim.path = path;
+        lane->challenge();
+        ASSERT_EQ(lane->open(granted.lease().key()), RefusalCode::Ok);
+    }
+    proto::ToEntity mark;
+    mark.mutable_way()->set_path(path.bytes());
+    auto head = raw.headTo(manager_->uuid(), 900);
+    head.msg_type = kMsgWay;
+    head.held = data.claim.lease;
+    const auto bytes = mark.SerializeAsString();
+    raw.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
+    double sequence = 1000;
+    const auto send = [&](const char* msg_type, const proto::ToEntity& message) {
+        slice::Head its;
+        its.msgType = msg_type;
+        its.held = {data.claim.lease.epoch, data.claim.lease.number};
+        its.stopGeneration = 1;
+        its.seq = ++sequence;
+        const auto its_bytes = message.SerializeAsString();
+        Ice::uncheckedCast<slice::DirectSessionPrx>(data.opened.session->ice_oneway())->sendToEntity(its, transport::toRange(its_bytes));
+    };
+    client_ = connect(false);
+    ASSERT_TRUE(client_->stop({"PeopleBot"}).ok());
+    const auto latched = [&] { return client_->find("PeopleBot").value().latched; };
+    ASSERT_TRUE(waitUntil(latched));
+    proto::ToEntity text;
+    text.mutable_text()->set_text("by the path");
+    send(kMsgText, text);
+    ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; })) << "the mark has come, and the path stands";
+    ASSERT_TRUE(manager_->direct());
+
+    proto::ToEntity rearm;
+    rearm.mutable_rearm()->set_request_id("r");
+    send(kMsgRearm, rearm);
+    ASSERT_TRUE(waitUntil([&] { return !manager_->direct(); }));
+    ASSERT_TRUE(client_->stop({"PeopleBot"}).ok()) << "after which all that came before has been handled";
+    EXPECT_TRUE(latched());
+    head.sequence = 1100;
+    head.msg_type = kMsgRearm;
+    head.stop_generation = 2;
+    const auto openly = rearm.SerializeAsString();
+    raw.data()->sendToEntity(transport::toIce(head), transport::toRange(openly));
+    EXPECT_TRUE(waitUntil([&] { return !latched(); }));
 }
 
 }  // namespace
