@@ -18,6 +18,11 @@ def figure(value, digits=2):
     return f"{value:.0f}" if value >= 100 else f"{value:.{digits}f}" if value < 10 else f"{value:.1f}"
 
 
+def cell(its, *keys):
+    """Figures of a series; what was interrupted before there were any has none."""
+    return " / ".join(figure(its[key]) if key in its else "–" for key in keys) if its else "–"
+
+
 def table(heads, rows):
     print("|", " | ".join(heads), "|")
     print("|" + "---|" * len(heads))
@@ -31,14 +36,14 @@ def peers(result):
         print(f"**{what}**: mean / last in ms")
         print()
         rows = [row for row in result["results"] if row["what"] == what]
-        table(["N", *SYSTEMS], [[row["n"], *(f"{figure(row[one]['mean'])} / {figure(row[one]['last'])}" if one in row else "–" for one in SYSTEMS)] for row in rows])
+        table(["N", *SYSTEMS], [[row["n"], *(cell(row.get(one), "mean", "last") for one in SYSTEMS)] for row in rows])
         print(f"**{what}**: Axon / the other, mean / last, medians of the batches")
         print()
         pairs = [("axon", "ratio", other) for other in SYSTEMS[2:6]] + [("axon-direct", "ratio_direct", other) for other in ("mosquitto-qos0", "raw-direct")]
 
         def ratio(row, key, other):
             of = row.get(other, {}).get(key)
-            return f"{figure(of['mean'].get('median'))} / {figure(of['last'].get('median'))}" if of else "–"
+            return f"{cell(of['mean'], 'median')} / {cell(of['last'], 'median')}" if of else "–"
 
         def geometric(axon, other):
             of = result.get("geometric_mean_over_n" + ("_direct" if axon == "axon-direct" else ""), {}).get(other, {}).get(what, {})
@@ -55,8 +60,8 @@ def saturation(result):
     for row in result["results"]:
         for begin, key in (("when due", ""), ("the call", "_from_call")):
             idle, loaded = row["idle" + key], row["loaded" + key]
-            rows.append([row["system"], begin, loaded["n"], f"{figure(idle['p50'])} / {figure(idle['p99'])}", f"{figure(loaded['p50'])} / {figure(loaded['p99'])}",
-                         figure(loaded["max"]), figure(loaded["p99"] / idle["p99"]) if loaded.get("p99") and idle.get("p99") else "–", figure(row["mb_per_s"]), row["gaps_of_readers"]])
+            rows.append([row["system"], begin, loaded["n"], cell(idle, "p50", "p99"), cell(loaded, "p50", "p99"), cell(loaded, "max"),
+                         figure(loaded["p99"] / idle["p99"]) if loaded.get("p99") and idle.get("p99") else "–", figure(row["mb_per_s"]), row["gaps_of_readers"]])
     table(["", "from", "n", "idle p50 / p99 ms", "loaded p50 / p99 ms", "loaded max", "p99, loaded / idle", "MB/s beside it", "gaps"], rows)
 
 
@@ -67,7 +72,7 @@ def growth(result):
             cells = [cell for use in (row["idle"], row["active"]) for cell in (figure(use["kb_each"]), figure(use["cpu_share"] * 100))]
             rows.append([f"{row['n']} {row['what']}", figure(row["server_ready_s"]), figure(row["all_there_s"]), *cells])
         else:
-            rows.append([f"{row['n']} {row['what']}", row["not_measured"]])
+            rows.append([f"{row['n']} {row['what']}", row.get("not_measured", "–")])
     table(["", "server ready s", "all there s", "idle KiB each", "idle % of a core", "active KiB each", "active % of a core"], rows)
 
 
@@ -76,21 +81,19 @@ def chapter5(result):
     names = [name for name in names if any(name in row for row in result["results"])]
     rows = []
     for row in result["results"]:
-        def cell(name, row=row):
-            its = row.get(name, {}).get("from_batch")
-            if not its:
-                return "–"
-            return f"{figure(its['mean'])} / {figure(its['p99'])}" + (f" ({its['lost']} lost)" if its["lost"] else "")
+        def latency(name, row=row):
+            its = row.get(name, {}).get("from_batch", {})
+            return cell(its, "mean", "p99") + (f" ({its['lost']} lost)" if its.get("lost") else "")
         robots = row.get("axon-robots", {}).get("at_callback")
         disconnected = row.get("axon", {}).get("disconnected", 0)
         rows.append([row["table"] + (f" {row['mode']}" if "mode" in row else ""), row.get("clients") or row["entities"], *(figure(row["thesis"][key]) if "thesis" in row else "–" for key in ("lan_mean", "wlan_mean")),
-                     *map(cell, names), f"{figure(robots['mean'])} / {figure(robots['p99'])}" if robots else "–", disconnected])
+                     *map(latency, names), cell(robots, "mean", "p99"), disconnected])
     table(["table", "clients or entities", "thesis LAN", "thesis WLAN", *names, "axon-robots, at the callback", "disconnected"], rows)
 
 
 def runs(result):
     table(["what", "n", "mean ms", "p50", "p99"],
-          [[row["what"], row["ms"]["n"], *(figure(row["ms"].get(key)) for key in ("mean", "p50", "p99"))] for row in result["results"]])
+          [[row["what"], row["ms"]["n"], *(cell(row["ms"], key) for key in ("mean", "p50", "p99"))] for row in result["results"]])
 
 
 for name in sys.argv[1:]:
