@@ -30,7 +30,7 @@ struct Wish {
     std::vector<std::size_t> entities, clients;
     std::vector<std::string> with{"axon-direct", "axon-robots", "mosquitto-qos0", "raw"};
     double seconds = 20;
-    std::size_t standard = kStandardEntities, robots = 512;
+    std::size_t standard = kStandardEntities, robots = 512, paths = 256;
     std::vector<std::string> modes{"partitioned", "open"};
     std::string channel = "lan";
     std::string json, plot;
@@ -163,6 +163,7 @@ class Chapter5 {
             const auto folder = work_.sub(peer->name + "-" + std::string(table.number) + "-" + std::to_string(n));
             try {
                 if (variantOf(peer->name) == Variant::Robots && n > wish_.robots) throw NotPermitted("more entities than --robots");
+                if (variantOf(peer->name) == Variant::Direct && n > wish_.paths) throw NotPermitted("more entities than --paths");
                 all.push_back(std::make_unique<Contender>(peer->name, radio_ ? axonWithRadio(*radio_, folder, n, *variantOf(peer->name)) : peer->start(folder, n)));
             } catch (const std::exception& problem) {
                 notStarted(n, peer->name, problem, row[peer->name]);
@@ -306,7 +307,7 @@ int run(const Wish& wish) {
     const auto radio = wish.channel == "wlan" ? std::make_unique<Radio>() : nullptr;
     Report report(wish.json, "chapter5",
                   {{"tables", wish.tables}, {"seconds", wish.seconds}, {"period_ms", 500}, {"warm_up", kWarmUp}, {"patience_s", 2}, {"channel", radio ? Radio::settings() : nlohmann::json("loopback")},
-                   {"modes", wish.modes}, {"robots", wish.robots}, {"standard_entities", wish.standard}, {"testing_entities", kTestingEntities}, {"with", wish.with}});
+                   {"modes", wish.modes}, {"robots", wish.robots}, {"paths", wish.paths}, {"standard_entities", wish.standard}, {"testing_entities", kTestingEntities}, {"with", wish.with}});
     const auto compared = [&wish](const char* table) { return std::find(wish.tables.begin(), wish.tables.end(), table) != wish.tables.end(); };
     reportPeers(report, !radio && (compared("5.1") || compared("5.2")) ? wish.with : std::vector<std::string>{});
     std::printf("LAN and WLAN: average latency as the thesis printed it (a server of four cores at 2.66 GHz, real networks).\n"
@@ -349,6 +350,7 @@ Experiment declareChapter5(CLI::App& app) {
         ->type_name("MODE,…");
     command->add_option("--standard", wish->standard, "Entities of 5.3 and 5.4 besides the ten that are measured [246]")->check(CLI::Range(1, 4096).description(""))->type_name("N");
     command->add_option("--robots", wish->robots, "axon-robots takes part up to this many entities [512]: each has an application with three threads that beat")->check(CLI::Range(0, 4096).description(""))->type_name("N");
+    command->add_option("--paths", wish->paths, "axon-direct takes part up to this many entities [256]: each path that is in use beats 20 times a second in both directions")->check(CLI::Range(0, 4096).description(""))->type_name("N");
     command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
     command->add_option("--plot", wish->plot, "Draw figures 5.1 to 5.4 (PNG, by gnuplot); of several tables their numbers are put into the name")->type_name("FILE");
     return {command, [wish] { return run(*wish); }};
