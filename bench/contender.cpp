@@ -12,6 +12,7 @@
 namespace axon::bench {
 
 namespace {
+constexpr std::int64_t kLookForArrivals_ns = 200'000;
 /// Before a batch, when the one before it is there as a rule: thousands of paths are asked one by one.
 constexpr std::int64_t kLook_ns = 20'000'000;
 }  // namespace
@@ -52,6 +53,13 @@ std::int64_t Contender::arrivedAt(const Batch& batch, std::size_t i) const {
 std::size_t Contender::firstMissing(const Batch& batch, std::size_t from) const {
     while (from < batch.awaited.size() && arrivedAt(batch, from) != 0 && (!hasRobots() || calledBackAt(batch, from) != 0)) ++from;
     return from;
+}
+
+void Contender::await(const Batch& batch, std::int64_t until) const {
+    for (std::size_t missing = 0; nowNs() < until;) {
+        missing = firstMissing(batch, missing);
+        if (missing == batch.awaited.size() || !sleepUntil(nowNs() + kLookForArrivals_ns)) return;
+    }
 }
 
 std::int64_t Contender::calledBackAt(const Batch& batch, std::size_t i) const {
@@ -107,11 +115,8 @@ void measurePaced(Contender& contender, Message message, std::string& bytes, con
     const auto settle = [&](bool all) {
         for (; !under_way.empty() && (all || nowNs() > under_way.front().first.begin + kPatience_ns); under_way.pop_front()) {
             const auto& [batch, counts] = under_way.front();
-            if (all)  // the last ones have the time that the others had, and more, so that they are not in the next system's way
-                for (std::size_t missing = 0; nowNs() < batch.begin + kPatience_ns + pace.late_ns;) {
-                    missing = contender.firstMissing(batch, missing);
-                    if (missing == contender.board().size() || !sleepUntil(nowNs() + 1'000'000)) break;
-                }
+            // The last ones have the time that the others had, and more, so that they are not in the next system's way.
+            if (all) contender.await(batch, batch.begin + kPatience_ns + pace.late_ns);
             if (!counts || interrupted) continue;
             for (auto& its : figures) {
                 its.from_batch.beginBatch();

@@ -41,6 +41,8 @@ class Contender {
     /// begins where it was, so that it does not fetch every receiver's memory again and again while they write it.
     std::size_t firstMissing(const Batch& batch, std::size_t from = 0) const;
     void lookAtPaths() { relayed = std::max(relayed, subject_->relayed()); }
+    /// Until all of it has arrived, or `until`, or Ctrl-C.
+    void await(const Batch& batch, std::int64_t until) const;
     bool hasRobots() const { return subject_->robots() != nullptr; }
     /// From the begin of the batch, of all receivers.
     void collect(const Batch& batch, Series& from_begin) const { collect(batch, 0, batch.awaited.size(), from_begin, nullptr, nullptr); }

@@ -10,7 +10,6 @@
 #include <numeric>
 #include <optional>
 #include <random>
-#include <thread>
 
 #include "contender.hpp"
 #include "ddsperf.hpp"
@@ -61,11 +60,7 @@ void runBatch(Contender& contender, Message message, std::string& bytes, bool co
         return;
     }
     const auto batch = contender.send(message, bytes, nowNs());
-    for (std::size_t missing = 0; !interrupted && nowNs() < batch.begin + kPatience_ns + kLate_ns;) {
-        missing = contender.firstMissing(batch, missing);
-        if (missing == contender.board().size()) break;
-        std::this_thread::sleep_for(200us);
-    }
+    contender.await(batch, batch.begin + kPatience_ns + kLate_ns);
     if (!counts || interrupted) return;
     contender.series.beginBatch();
     contender.collect(batch, contender.series);

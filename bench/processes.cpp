@@ -35,20 +35,21 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
         command->add_option("board", its->board)->required();
         return command;
     };
-    auto* crowd = begin("crowd", "Entity Managers that receive");
-    crowd->add_option("slots", its->other)->required();
-    crowd->add_option("first", its->first)->required();
-    crowd->add_option("count", its->count)->required();
-    crowd->add_option("prefix", its->prefix)->required();
+    // Of PREFIX-0 … those of one process, with their slots on the board of all.
+    const auto beginPart = [&](const char* name, const char* what) {
+        auto* command = begin(name, what);
+        command->add_option("slots", its->other)->required();
+        command->add_option("first", its->first)->required();
+        command->add_option("count", its->count)->required();
+        command->add_option("prefix", its->prefix)->required();
+        return command;
+    };
+    auto* crowd = beginPart("crowd", "Entity Managers that receive");
     crowd->add_option("server", its->server)->required();
     crowd->add_option("variant", its->variant)->required();
     all.push_back({crowd, [its] { return runCrowd({its->board, its->other, its->first, its->count, its->server, its->prefix, its->variant}); }});
 
-    auto* robots = begin("robots", "robot applications");
-    robots->add_option("slots", its->other)->required();
-    robots->add_option("first", its->first)->required();
-    robots->add_option("count", its->count)->required();
-    robots->add_option("prefix", its->prefix)->required();
+    auto* robots = beginPart("robots", "robot applications");
     all.push_back({robots, [its] { return runRobots(its->board, its->other, its->first, its->count, its->prefix); }});
 
     auto* herd = begin("herd", "standard clients");

@@ -22,11 +22,6 @@ bool CallbackQueue::post(std::function<void()> callback, bool may_be_left_out) {
     {
         const std::lock_guard lock(mutex_);
         if (closed_) return true;
-        if (queue_.size() >= kBound && optional_ == 0 && may_be_left_out) {
-            ++left_out_;
-            return true;
-        }
-        if (queue_.size() >= kMost && optional_ == 0) return false;
         if (queue_.size() >= kBound && optional_ > 0) {
             const auto victim = std::find_if(queue_.begin(), queue_.end(),
                                              [](const Entry& entry) { return entry.may_be_left_out; });
@@ -34,6 +29,9 @@ bool CallbackQueue::post(std::function<void()> callback, bool may_be_left_out) {
             queue_.erase(victim);
             --optional_;
             ++left_out_;
+        } else if (queue_.size() >= (may_be_left_out ? kBound : kMost)) {
+            if (may_be_left_out) ++left_out_;
+            return may_be_left_out;
         }
         queue_.push_back({std::move(callback), may_be_left_out});
         if (may_be_left_out) ++optional_;

@@ -479,7 +479,7 @@ TEST(ServerWithoutUsers, OnlyItsOwnUserAndRootAreAdmin) {
 
 TEST(ServerWithoutUsers, AsSomebodyElse) {
     const char* address = std::getenv("AXON_TEST_SERVER");
-    if (address == nullptr) GTEST_SKIP() << "started by the test before";
+    if (address == nullptr) GTEST_SKIP() << "runs as a child of OnlyItsOwnUserAndRootAreAdmin, under another user";
     const RawClient other(address);
     EXPECT_EQ(static_cast<Role>(other.facts.me.role), Role::Operator);
 }
