@@ -72,6 +72,7 @@ class Story:
         begin = time.monotonic()
         lab = self.lab
         self.world = lab.start_world(port=FIRST_ROBOT_PORT if self.options.keep else 0)
+        shutil.copy(TRANSPORT, lab.services_folder)
         if self.options.cluster:
             lab.start_cluster(shape=() if self.options.keep else ("--base-port", 0))
             for program in lab.server.status["programs"]:
@@ -79,7 +80,6 @@ class Story:
         else:
             lab.start_server(DEFAULT_PORTS if self.options.keep else None)
             self.say(f"   axon-server           clients at {lab.at['client']}, entities at {lab.at['entity']}")
-        shutil.copy(TRANSPORT, lab.services_folder)
         lab.start_transport()
         for name in self.world.names:
             kind = "PeopleBot, speaks ARCOS" if name.startswith("PeopleBot") else "Cyton arm, an SSC-32"

@@ -174,9 +174,10 @@ class Laboratory:
         for name in ("AXON_SERVER", "AXON_AGENT", "AXON_CONFIG", "AXON_CLOCK"):
             self.env.pop(name, None)
         self.processes = []
-        # What lies there when the server starts is there from the beginning; what comes later when it looks again.
-        self.services_folder = self.folder / "globalservices"
-        self.services_folder.mkdir()
+        # A profile that lies there before the server starts is offered from the beginning. The server looks for later
+        # ones once a second.
+        self.services_folder = self.folder / ("cluster" if self.environment == "cluster" else ".") / "globalservices"
+        self.services_folder.mkdir(mode=0o700, parents=True)
 
     def start(self, name, program, *options, env=None):
         process = Process(name, [self.bin / program, *options], self.folder, env or self.env)
@@ -208,14 +209,12 @@ class Laboratory:
             option, file = more
             if option != "--users":
                 raise Failed(f"a cluster cannot be given {option}")
-            self.server.folder.mkdir(mode=0o700)
             users.touch(0o600)
             users.write_text(pathlib.Path(file).read_text())
         self.server.up()
         self.at = {what: at for program in self.server.status["programs"] if program["name"].endswith("-router")
                    for what, at in program["ports"].items()}
         self.env["AXON_CONFIG"] = self.server.status["client_config"]
-        self.services_folder = self.server.folder / "globalservices"
         return self.server
 
     def manager_options(self, options):

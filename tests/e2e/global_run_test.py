@@ -81,8 +81,8 @@ class CollaborationTest(unittest.TestCase):
         keep_if_failed(self, self.lab.folder)
 
     def start_all(self, speed=5):
-        self.lab.start_server()
         shutil.copy(self.folder / "globalservices" / "delivery.xml", self.lab.services_folder)
+        self.lab.start_server()
         for name in ENTITIES:
             suffix = f"-{name.lower()}"
             self.applications[name] = self.lab.start(
@@ -99,11 +99,12 @@ class CollaborationTest(unittest.TestCase):
         file.with_suffix(".new").rename(file)
         self.wait_until_offered(name)
 
+    def offered(self, name):
+        _, lines, _ = self.lab.axon("global", "ls")
+        return any(service["name"] == name for line in lines for service in line.get("services", []))
+
     def wait_until_offered(self, name):
-        def offered():
-            _, lines, _ = self.lab.axon("global", "ls")
-            return any(service["name"] == name for line in lines for service in line.get("services", []))
-        wait_until(offered, f"the server offers {name}")
+        wait_until(lambda: self.offered(name), f"the server offers {name}")
 
     def run_service(self, *words):
         """`axon global run words…`: (exit status, its last line, what it said)."""
@@ -155,6 +156,11 @@ class CollaborationTest(unittest.TestCase):
         return wait_until(found, f"a record that says {state}")
 
     # -- the ordinary life --------------------------------------------------------------------------------------
+
+    def test_a_profile_that_lies_there_before_the_server_is_offered_from_the_first_request_on(self):
+        shutil.copy(self.folder / "globalservices" / "delivery.xml", self.lab.services_folder)
+        self.lab.start_server()
+        self.assertTrue(self.offered("Delivery"))
 
     def test_whoever_is_the_master_the_order_of_steps_and_the_outcome_are_the_same(self):
         self.start_all(speed=10)
