@@ -81,13 +81,16 @@ class Client:
         if beats:
             threading.Thread(target=self.beat, daemon=True).start()
 
-    def open(self, lane, endpoint, user, password, name):
+    def new_communicator(self):
         settings = Ice.InitializationData()
         settings.properties = Ice.createProperties()
         for key, value in PROPERTIES.items():
             settings.properties.setProperty(key, value)
-        communicator = Ice.initialize(settings)
-        self.communicators.append(communicator)
+        self.communicators.append(Ice.initialize(settings))
+        return self.communicators[-1]
+
+    def open(self, lane, endpoint, user, password, name):
+        communicator = self.new_communicator()
         gate = FrontEndComm.ClientGatePrx.uncheckedCast(communicator.stringToProxy(f"ClientGate:{endpoint} -t 3000"))
         opened = gate.open(user, password, name)
         connection = gate.ice_getCachedConnection()

@@ -30,7 +30,7 @@ GENERATED = tempfile.TemporaryDirectory(prefix="axon-contracts-")
 def generate(into):
     """As docs/how-to/foreign-client.md says it."""
     subprocess.run(["slice2py", "--prefix", "axon_", "-I/usr/share/ice/slice", f"-I{ROOT}/api/slice", "--output-dir", into,
-                    *slices("commutil.ice", "frontendcomm.ice")], check=True)
+                    *slices("commutil.ice", "frontendcomm.ice", "directcomm.ice")], check=True)
     protos = sorted(map(str, (ROOT / "api/proto/axon").glob("*.proto")))
     subprocess.run(["protoc", f"-I{ROOT}/api/proto", f"--python_out={into}", *protos], check=True)
 
@@ -41,6 +41,7 @@ import Ice  # noqa: E402
 from Axon import CommUtil  # noqa: E402
 from axon import lease_pb2, messages_pb2, profile_pb2, refusal_pb2, status_pb2, task_pb2  # noqa: E402
 from client import Client  # noqa: E402
+from direct_path import CLIENT, MANAGER, Way, proof  # noqa: E402
 
 Receipt = status_pb2.StopReceipt
 State = CommUtil.EntityState
@@ -317,7 +318,7 @@ class PythonClientTest(unittest.TestCase):
         holder.send(entity, "x" * 1025, {"text": messages_pb2.Text(text="hello")})
         self.assertTrue(holder.closed.wait(5))
         wait_until(lambda: any("malformed head" in line for line in self.lab.server.text().splitlines()), "the server's log has it")
-        wait_until(lambda: len(self.stops()) == before + 2, "the holder was dropped, so the robot is stopped")
+        wait_until(lambda: self.stops()[before + 1:before + 2] == ["stop: the client misbehaved"], "that is why the robot is stopped")
         watcher = self.client()
         watcher.find("Counter")
         wait_until(lambda: watcher.statuses[entity].latched, "and latched")
@@ -379,6 +380,52 @@ class PythonClientTest(unittest.TestCase):
         self.assertLess(time.monotonic() - began, 2)
         wait_until(lambda: len(self.stops()) > before, "the robot is stopped")
         self.assertIn("client is lost", self.stops()[-1])
+
+    # -- the direct path -----------------------------------------------------------------------------------------
+
+    def test_the_proof_of_the_page_is_the_one_that_it_describes(self):
+        page = (ROOT / "docs/reference/direct.md").read_text()
+        client, path, nonce = (uuid.UUID(f"{n * 8}-{n * 4}-4{n * 3}-8{n * 3}-{n * 12}").bytes for n in "123")
+        for who, name in ((CLIENT, "client"), (MANAGER, "Entity Manager")):
+            self.assertRegex(page, f"{name} +{proof(b'0123456789abcdef', who, 1, 3, 7, client, path, nonce).hex()}")
+
+    def test_the_direct_path_carries_messages_and_stops_and_its_end_is_not_the_client_s(self):
+        client = self.client("ann")
+        entity = client.find("Counter")
+        wait_until(lambda: client.statuses[entity].holder.id == "", "nobody holds it")
+        grant = client.checkout(entity)
+        if grant.latched:
+            client.rearm(entity)
+        self.assertTrue(grant.direct_endpoint and grant.direct_signal_endpoint)
+        with self.assertRaises(CommUtil.RequestRefused) as refused:
+            Way(client, entity, grant, key=b"0123456789abcdef")
+        self.assertEqual(refused.exception.code, refusal_pb2.PERMISSION_DENIED)
+        way = Way(client, entity, grant)
+
+        def by(wanted, seconds=5):
+            """(lane, message) of the oldest arrival."""
+            lane, _, message = client.wait(lambda lane, head, message: isinstance(message, messages_pb2.ToClient) and wanted(message), seconds)
+            return lane, message
+        self.assertEqual(by(lambda message: message.HasField("way"))[1].way.path, way.path, "the Entity Manager's mark")
+        request = messages_pb2.StatusRequest(request_id=b"direct")
+        seq = way.send("STATUS", {"status_request": request})
+        self.assertEqual(by(lambda message: message.status.request_id == b"direct")[0], "direct")
+        wait_until(lambda: way.received >= seq, "it is acknowledged")
+        task = task_pb2.TaskRequest(task_id=uuid.uuid4().bytes, service="Count")
+        task.params.add(name="To").values.add(int=3)
+        way.send("TASK", {"task": task})
+        lane, _ = by(lambda message: message.task.task_id == task.task_id and message.task.state == task_pb2.TASK_SUCCEEDED)
+        self.assertEqual(lane, "direct")
+        head = way.head("", "signal")
+        way.signal.sendStopSignal(head, CommUtil.StopCause.Requested)
+        stop_id = f"{client.facts.me.id}:{int(head.seq)}"
+        lanes = {by(lambda message: message.receipt.stop_id == stop_id and message.receipt.stage == Receipt.STANDSTILL)[0] for _ in range(2)}
+        self.assertEqual(lanes, {"direct", "signal"}, "receipts come both ways")
+        way.data.sendToEntity(way.head("x" * 1025), b"")
+        self.assertTrue(way.closed.wait(5), "a malformed header ends the path")
+        self.assertEqual(client.rearm(entity).code, refusal_pb2.OK)
+        self.assert_alive(client, entity)
+        self.assertEqual(client.leases[entity], grant.lease)
 
     # -- limits, and what remains --------------------------------------------------------------------------------
 
