@@ -72,14 +72,21 @@ class Client:
         self.entities, self.statuses, self.leases, self.generations = {}, {}, {}, {}
         self.arrived = []  # (lane, header, ToClient | (code, reason) | number of entities), oldest first
         self.seq, self.closed, self.communicators = {"data": 0, "signal": 0}, threading.Event(), []
+        try:
+            self.join(address, user, password, name)
+        except Exception:
+            self.destroy()
+            raise
+        if beats:
+            threading.Thread(target=self.beat, daemon=True).start()
+
+    def join(self, address, user, password, name):
         host, port = address.rsplit(":", 1)
         # docs/reference/sessions.md, "Handshake": first the data lane, then the signal lane, a communicator for each.
         self.data, callback = self.open("data", f"tcp -h {host} -p {port}", user, password, name)
         self.facts = self.data.setCallback(callback)
         self.signal, callback = self.open("signal", self.facts.signalEndpoint, user, password, name)
         self.signal.attachSignalLane(self.facts.token, callback)
-        if beats:
-            threading.Thread(target=self.beat, daemon=True).start()
 
     def new_communicator(self):
         settings = Ice.InitializationData()
@@ -121,6 +128,9 @@ class Client:
         if not self.closed.is_set():
             self.oneway("data").leave()
             self.closed.wait(2)
+        self.destroy()
+
+    def destroy(self):
         for communicator in self.communicators:
             communicator.destroy()
 

@@ -38,7 +38,7 @@ def generate(into):
 generate(GENERATED.name)
 sys.path.insert(0, GENERATED.name)
 import Ice  # noqa: E402
-from Axon import CommUtil  # noqa: E402
+from Axon import CommUtil, FrontEndComm  # noqa: E402
 from axon import lease_pb2, messages_pb2, profile_pb2, refusal_pb2, status_pb2, task_pb2  # noqa: E402
 from client import Client  # noqa: E402
 from direct_path import CLIENT, MANAGER, Way, proof  # noqa: E402
@@ -75,8 +75,8 @@ class PythonClientTest(unittest.TestCase):
             PythonClientTest.keep = True
             print(f"logs of {self.id()}: {self.lab.folder}", file=sys.stderr)
 
-    def client(self, user="bob", **more):
-        client = Client(self.lab.at["client"], user, f"word of {user}", **more)
+    def client(self, user="bob", password=None, **more):
+        client = Client(self.lab.at["client"], user, password or f"word of {user}", **more)
         self.addCleanup(client.close)
         return client
 
@@ -88,8 +88,13 @@ class PythonClientTest(unittest.TestCase):
         reply = client.checkout(entity)
         self.assertEqual(reply.refusal.code, refusal_pb2.OK, reply.refusal)
         if reply.latched:
-            self.assertEqual(client.rearm(entity).code, refusal_pb2.OK)
+            self.rearm(client, entity)
         return client, entity
+
+    def rearm(self, client, entity):
+        """As soon as it knows of the stop: with an older generation it would be refused."""
+        wait_until(lambda: client.statuses[entity].latched, "the client sees the latch")
+        self.assertEqual(code(client.rearm(entity)), "OK")
 
     def stops(self):
         return [line for line in self.lab.app.text().splitlines() if line.startswith("stop: ")]
@@ -115,7 +120,10 @@ class PythonClientTest(unittest.TestCase):
         self.assertGreater(len(progress), 3)
         self.assertEqual(progress, sorted(progress))
         self.assertIn("at 10", [event.feedback for event in events])
+        lease = client.leases[entity]
         self.assertEqual(client.release(entity).code, refusal_pb2.OK)
+        client.leases[entity] = lease
+        self.assertEqual(self.refusal_of_task(client, entity), "NOT_HOLDER", "it was released")
         wait_until(lambda: client.statuses[entity].state == State.IDLE, "it is free")
 
     def test_it_watches_a_stream_without_holding_the_entity(self):
@@ -150,7 +158,7 @@ class PythonClientTest(unittest.TestCase):
         refused = list(holder.events(entity, holder.start(entity, "Count", To=1)))[-1]
         self.assertEqual((refused.state, code(refused.reason)), (task_pb2.TASK_REFUSED, "LATCHED"))
         self.assertEqual(code(self.client("bob").rearm(entity)), "NOT_HOLDER")
-        self.assertEqual(code(holder.rearm(entity)), "OK")
+        self.rearm(holder, entity)
         done = list(holder.events(entity, holder.start(entity, "Count", To=1)))[-1]
         self.assertEqual(done.state, task_pb2.TASK_SUCCEEDED)
 
@@ -177,7 +185,7 @@ class PythonClientTest(unittest.TestCase):
         chief, guest = self.client("chief"), self.client("guest")
         chief.find("Counter")
         self.assertEqual(code(guest.checkout(entity).refusal), "PERMISSION_DENIED")
-        self.assertEqual(code(chief.rearm(entity)), "OK")
+        self.rearm(chief, entity)
         reply = chief.checkout(entity, force=True, reason="a test")
         self.assertEqual(reply.refusal.code, refusal_pb2.OK)
         self.assertEqual(code(holder.answer("lease_ended", entity).reason), "REVOKED_LEASE")
@@ -277,7 +285,7 @@ class PythonClientTest(unittest.TestCase):
         head.stopGeneration -= 1
         holder.send(entity, "PARAM", {"set_param": step}, head)
         self.assertEqual(code(holder.answer("reply", entity, request_id=request_id).refusal), "OLD_GENERATION")
-        self.assertEqual(code(holder.rearm(entity)), "OK")
+        self.rearm(holder, entity)
 
     # -- what cannot be understood -------------------------------------------------------------------------------
 
@@ -314,7 +322,7 @@ class PythonClientTest(unittest.TestCase):
         other.oneway("signal").sendStopSignal(head, CommUtil.StopCause.Requested)
         self.assertTrue(other.closed.wait(5))
         wait_until(lambda: self.stops()[before:] == ["stop: stop requested"], "it is stopped all the same")
-        self.assertEqual(holder.rearm(entity).code, refusal_pb2.OK)
+        self.rearm(holder, entity)
         holder.send(entity, "x" * 1025, {"text": messages_pb2.Text(text="hello")})
         self.assertTrue(holder.closed.wait(5))
         wait_until(lambda: any("malformed head" in line for line in self.lab.server.text().splitlines()), "the server's log has it")
@@ -322,6 +330,24 @@ class PythonClientTest(unittest.TestCase):
         watcher = self.client()
         watcher.find("Counter")
         wait_until(lambda: watcher.statuses[entity].latched, "and latched")
+
+    def test_a_session_answers_only_when_it_is_set_up_and_over_its_own_connection(self):
+        client = self.client()
+        head = client.head("", "STATUS")
+        with self.assertRaises(Ice.ObjectNotExistException):  # over the signal lane's connection
+            FrontEndComm.ClientSessionPrx.uncheckedCast(client.signal.ice_getConnection().createProxy(client.data.ice_getIdentity())).sendRequest(head, b"")
+        fresh, callback = client.open("data", f"tcp -h 127.0.0.1 -p {self.lab.at['client'].rsplit(':', 1)[1]}", "bob", "word of bob", "")
+        with self.assertRaises(Ice.ObjectNotExistException):
+            fresh.sendRequest(head, b"")
+        with self.assertRaises(CommUtil.RequestRefused) as refused:
+            fresh.attachSignalLane(client.facts.token, callback)
+        self.assertEqual(refused.exception.code, refusal_pb2.WRONG_STATE)
+        client.oneway("data").sendRequest(client.head("", "WEATHER"), b"")
+        lane, its, (number, _) = client.wait(lambda _, its, message: isinstance(message, tuple))
+        self.assertEqual((lane, its.msgType, refusal_pb2.RefusalCode.Name(number)), ("data", "WEATHER", "NOT_SUPPORTED"))
+        with self.assertRaises(CommUtil.RequestRefused) as refused:
+            self.client("guest", password="wrong")
+        self.assertEqual(refused.exception.code, refusal_pb2.PERMISSION_DENIED)
 
     def test_a_message_for_nobody_comes_back_on_its_lane(self):
         client = self.client()
@@ -348,7 +374,45 @@ class PythonClientTest(unittest.TestCase):
         self.assertEqual(len(self.stops()), before)
         self.assertEqual(other.stop(entity, CommUtil.StopCause.ClientLost)[0].cause, status_pb2.STOP_REQUESTED,
                          "what only servers may say is taken for a request")
-        self.assertEqual(holder.rearm(entity).code, refusal_pb2.OK)
+        self.rearm(holder, entity)
+
+    def test_a_drill_that_names_itself_so_is_taken_for_the_entity_server_s(self):
+        holder, entity = self.holder()
+        other = self.client()
+        head = other.head(entity, "DRILL", "signal")
+        stop_id = f"{other.facts.me.id}:{int(head.seq)}"
+        other.oneway("signal").sendStopSignal(head, CommUtil.StopCause.Drill)
+        stages = [other.wait(lambda _, its, message: isinstance(message, messages_pb2.ToClient) and message.receipt.stop_id == stop_id) for _ in range(2)]
+        self.assertEqual([(its.msgType, message.receipt.stage) for _, its, message in stages],
+                         [("RECEIPT", Receipt.MANAGER), ("DRILL", Receipt.CALLBACK_RETURNED)])
+        self.assert_alive(holder, entity)
+        self.assertFalse([one for one in holder.arrived if one[1].msgType in ("RECEIPT", "DRILL")], "the holder is told nothing")
+
+    def test_a_reset_is_known_by_its_number(self):
+        holder, entity = self.holder()
+        head = holder.head(entity, "", "signal")
+        stop_id = f"{holder.facts.me.id}:{int(head.seq)}"
+        before = len(self.stops())
+        for _ in range(2):
+            holder.oneway("signal").sendClearSignal(head)
+        holder.answer("receipt", entity, stop_id=stop_id, stage=Receipt.STANDSTILL)
+        holder.stop(entity)
+        self.assertEqual(self.stops()[before:], ["stop: clear", "stop: stop requested"])
+        self.assertFalse([one for one in holder.arrived if one[1].msgType == "REPLY"])
+        self.rearm(holder, entity)
+
+    def test_an_empty_entity_means_every_one(self):
+        holder, entity = self.holder()
+        other = self.client("guest")
+        head = other.head("", "", "signal")
+        other.oneway("signal").sendResetSignal(head)
+        number = f"{other.facts.me.id}:{int(head.seq)}".encode()
+        self.assertEqual(code(other.answer("reply", entity, request_id=number).refusal), "NOT_HOLDER")
+        head = other.head("", "", "signal")
+        other.oneway("signal").sendStopSignal(head, CommUtil.StopCause.Requested)
+        self.assertEqual(other.wait(lambda _, its, message: isinstance(message, int))[2], 1)
+        other.answer("receipt", entity, stop_id=f"{other.facts.me.id}:{int(head.seq)}", stage=Receipt.STANDSTILL)
+        self.rearm(holder, entity)
 
     def test_a_stop_is_known_by_its_number(self):
         holder, entity = self.holder()
@@ -368,7 +432,7 @@ class PythonClientTest(unittest.TestCase):
             holder.oneway("signal").sendStopSignal(head, CommUtil.StopCause.Requested)
             generations.append(holder.answer("receipt", entity, stop_id=f"{holder.facts.me.id}:0", stage=Receipt.STANDSTILL).stop_generation)
         self.assertEqual(len(set(generations)), 3)
-        self.assertEqual(holder.rearm(entity).code, refusal_pb2.OK)
+        self.rearm(holder, entity)
 
     def test_who_beats_slowly_while_its_task_runs_is_lost(self):
         client, entity = self.holder(beats=False)
@@ -395,7 +459,7 @@ class PythonClientTest(unittest.TestCase):
         wait_until(lambda: client.statuses[entity].holder.id == "", "nobody holds it")
         grant = client.checkout(entity)
         if grant.latched:
-            client.rearm(entity)
+            self.rearm(client, entity)
         self.assertTrue(grant.direct_endpoint and grant.direct_signal_endpoint)
         with self.assertRaises(CommUtil.RequestRefused) as refused:
             Way(client, entity, grant, key=b"0123456789abcdef")
@@ -423,7 +487,7 @@ class PythonClientTest(unittest.TestCase):
         self.assertEqual(lanes, {"direct", "signal"}, "receipts come both ways")
         way.data.sendToEntity(way.head("x" * 1025), b"")
         self.assertTrue(way.closed.wait(5), "a malformed header ends the path")
-        self.assertEqual(client.rearm(entity).code, refusal_pb2.OK)
+        self.rearm(client, entity)
         self.assert_alive(client, entity)
         self.assertEqual(client.leases[entity], grant.lease)
 
