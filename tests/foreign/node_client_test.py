@@ -19,7 +19,7 @@ import unittest
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 sys.dont_write_bytecode = True
-from rig import BIN, ROOT, make_laboratory, slices  # noqa: E402
+from rig import BIN, ROOT, compile_contracts, make_laboratory  # noqa: E402
 import stalls  # noqa: E402
 from laboratory import keep_if_failed  # noqa: E402
 
@@ -31,9 +31,8 @@ if "--work" in sys.argv:
 
 
 def prepare(work):
-    """As docs/how-to/foreign-client.md says it."""
-    generated = work / "generated"
-    generated.mkdir(parents=True, exist_ok=True)
+    """What client.mjs needs, beside a copy of it. Returns the folder of the compiled contracts."""
+    work.mkdir(parents=True, exist_ok=True)
     for name in ("package.json", "client.mjs"):
         shutil.copy(HERE / name, work / name)
     lock = (HERE / "package-lock.json").read_text()
@@ -42,12 +41,8 @@ def prepare(work):
         shutil.copy(HERE / "package-lock.json", work)
         subprocess.run(["npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund"], cwd=work, check=True)
         installed.write_text(lock)
-    subprocess.run(["slice2js", "-I/usr/share/ice/slice", f"-I{ROOT}/api/slice", "--output-dir", generated,
-                    *slices("commutil.ice", "frontendcomm.ice")], check=True)
-    # Node wants the ending, which bundlers add themselves.
-    made = generated / "frontendcomm.js"
-    made.write_text(made.read_text().replace('from "./commutil"', 'from "./commutil.js"'))
-    return generated
+    compile_contracts("slice2js", work / "generated")
+    return work / "generated"
 
 
 def free_port():

@@ -10,6 +10,7 @@ Real processes: axon-server, the Entity Manager, and a robot application that co
 import pathlib
 import re
 import shutil
+import struct
 import subprocess
 import sys
 import tempfile
@@ -20,22 +21,12 @@ import uuid
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 sys.dont_write_bytecode = True
-from rig import ROOT, make_laboratory, slices  # noqa: E402
+from rig import ROOT, compile_contracts, make_laboratory  # noqa: E402
 import stalls  # noqa: E402
 from laboratory import wait_until  # noqa: E402
 
 GENERATED = tempfile.TemporaryDirectory(prefix="axon-contracts-")
-
-
-def generate(into):
-    """As docs/how-to/foreign-client.md says it."""
-    subprocess.run(["slice2py", "--prefix", "axon_", "-I/usr/share/ice/slice", f"-I{ROOT}/api/slice", "--output-dir", into,
-                    *slices("commutil.ice", "frontendcomm.ice", "directcomm.ice")], check=True)
-    protos = sorted(map(str, (ROOT / "api/proto/axon").glob("*.proto")))
-    subprocess.run(["protoc", f"-I{ROOT}/api/proto", f"--python_out={into}", *protos], check=True)
-
-
-generate(GENERATED.name)
+compile_contracts("slice2py", GENERATED.name)
 sys.path.insert(0, GENERATED.name)
 import Ice  # noqa: E402
 from Axon import CommUtil, FrontEndComm  # noqa: E402
@@ -304,12 +295,20 @@ class PythonClientTest(unittest.TestCase):
         holder.oneway("signal").ice_invoke("sendStopSignal", Ice.OperationMode.Normal, EMPTY_ENCAPSULATION)
         holder.oneway("data").ice_invoke("sendToEntity", Ice.OperationMode.Normal, EMPTY_ENCAPSULATION)
         holder.oneway("data").ice_invoke("noSuchOperation", Ice.OperationMode.Normal, EMPTY_ENCAPSULATION)
+        def stop_arguments(cause):
+            """As Ice encodes them: a header with nothing but the entity, and a number for the cause."""
+            content = b"\0\0\0" + bytes([36]) + entity.encode() + b"\0" + struct.pack("<iiidd", 0, 0, 0, 0, 0) + b"\0" + bytes([cause])
+            return struct.pack("<iBB", len(content) + 6, 1, 1) + content
+        holder.oneway("signal").ice_invoke("sendStopSignal", Ice.OperationMode.Normal, stop_arguments(99))
         with self.assertRaises(Ice.UnknownLocalException):
             holder.data.ice_invoke("sendToEntity", Ice.OperationMode.Normal, EMPTY_ENCAPSULATION)
         with self.assertRaises(Ice.OperationNotExistException):
             holder.data.ice_invoke("noSuchOperation", Ice.OperationMode.Normal, EMPTY_ENCAPSULATION)
         self.assertFalse(self.assert_alive(holder, entity).latched)
         self.assertEqual(len(self.stops()), before, "what was no stop has stopped nothing")
+        holder.oneway("signal").ice_invoke("sendStopSignal", Ice.OperationMode.Normal, stop_arguments(1))
+        wait_until(lambda: self.stops()[before:] == ["stop: stop requested"], "this one was a stop")
+        self.rearm(holder, entity)
 
     def test_a_header_string_above_1024_bytes_ends_the_session_and_its_stop_counts(self):
         holder, entity = self.holder()
