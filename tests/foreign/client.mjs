@@ -100,8 +100,22 @@ say("joined", { name: facts.me.name, role: facts.me.role.name, signalEndpoint: f
 
 // Messages go twoway through a router, signals and beats oneway.
 const signals = FrontEndComm.ClientSessionPrx.uncheckedCast(signal.session.ice_oneway().ice_invocationTimeout(-1));
+// A router says nothing of a server that has died, but for a call that wants an answer. So one beat at a time asks for one.
+const asking = FrontEndComm.ClientSessionPrx.uncheckedCast(signal.session.ice_invocationTimeout(5000));
 let beats = 0;
-const beating = setInterval(() => signals.keepAlive(++beats), facts.watchdogBusyMs / 5);
+let asked = false;
+let leaving = false;
+function beat() {
+    beats += 1;
+    if (asked) return signals.keepAlive(beats);
+    asked = true;
+    return asking.keepAlive(beats).then(() => (asked = false), (error) => leaving || lost(error));
+}
+function lost(error) {
+    console.error(`the server behind the router is gone: ${error}`);
+    process.exit(3);
+}
+const beating = setInterval(beat, facts.watchdogBusyMs / 5);
 
 let held = new CommUtil.Lease(0, 0);
 let generation = 0;
@@ -159,6 +173,7 @@ await run(entity, 1);
 await send(entity, "RELEASE", { release: {} });
 say("released", { reason: (await told("leaseEnded")).reason.code });
 
+leaving = true;
 clearInterval(beating);
 signals.leave();
 await wait(({ closed }) => closed);

@@ -75,9 +75,11 @@ class NodeClientTest(unittest.TestCase):
         self.lab.end()
         keep_if_failed(self, self.lab.folder)
 
+    def command(self, password, entity="Counter"):
+        return ["node", WORK / "client.mjs", self.generated, ROOT / "api/proto", str(self.port), "ann", password, entity]
+
     def run_client(self, password):
-        done = subprocess.run(["node", "client.mjs", self.generated, ROOT / "api/proto", str(self.port), "ann", password, "Counter"],
-                              cwd=WORK, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(self.command(password), capture_output=True, text=True, timeout=60, check=False)
         return done.returncode, [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")], done.stderr
 
     def test_it_lists_checks_out_runs_stops_and_rearms_through_a_router_by_websocket(self):
@@ -98,6 +100,15 @@ class NodeClientTest(unittest.TestCase):
         self.assertEqual([line for line in self.lab.app.text().splitlines() if line.startswith("stop: ")],
                          ["stop: stop requested", "stop: released"])
         self.assertEqual(lines[-1]["what"], "left")
+
+    def test_a_server_that_dies_behind_the_router_is_noticed(self):
+        client = subprocess.Popen(self.command("word of ann", "Nobody"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.addCleanup(client.kill)
+        self.assertIn("joined", client.stdout.readline())
+        self.lab.server.kill()
+        _, errors = client.communicate(timeout=9)
+        self.assertEqual(client.returncode, 3, errors)
+        self.assertIn("the server behind the router is gone", errors)
 
     def test_a_wrong_password_is_said(self):
         status, lines, errors = self.run_client("wrong")
