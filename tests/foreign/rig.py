@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""What the tests of the clients in other languages have in common: a laboratory with users, and a robot application that
+counts (counter.cpp)."""
+import os
+import pathlib
+import re
+import shlex
+import subprocess
+import sys
+
+HERE = pathlib.Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+sys.path.insert(0, str(ROOT / "tools"))
+sys.dont_write_bytecode = True
+from laboratory import Laboratory, programs  # noqa: E402
+
+BIN = programs()
+USERS = {"ann": "operator", "bob": "operator", "chief": "admin", "guest": "observer", "robot": "entity"}
+
+
+def make_laboratory():
+    """Everything runs: axon-server with these users and with an endpoint for routers (lab.at["client-router"]), the robot
+    application (lab.app), its Entity Manager. Whoever calls ends it."""
+    low = 6000 + os.getpid() * 7 % 1900
+    lab = Laboratory(BIN, application=f"foreign-{os.getpid()}", ports=f"{low}-{low + 5}", environment="embedded")
+    try:
+        users = lab.folder / "users.cfg"
+        for user, role in USERS.items():
+            subprocess.run([BIN / "axon-server", "--users", users, "--add-user", user, "--user-role", role],
+                           input=f"word of {user}\n", text=True, check=True, capture_output=True)
+        (lab.folder / "ports.cfg").write_text(f"Axon.Ports = {lab.ports}\n")
+        config = lab.folder / "manager.cfg"
+        config.touch(0o600)
+        config.write_text("Axon.LeaseGrace=0.5\nAxon.User=robot\nAxon.Password=word of robot\n")
+        (lab.folder / "server.cfg").write_text("FrontEndServerRouter.Endpoints=127.0.0.1:0\n")
+        lab.start_server(None, "--users", users, "--config", lab.folder / "server.cfg")
+        lab.app = lab.start("app", "foreign-counter", HERE / "robot", lab.folder / "ports.cfg", lab.application)
+        lab.start_manager("", "--config", config)
+    except BaseException:
+        lab.end()
+        raise
+    return lab
+
+
+def compile_contracts(tool, into):
+    """By the very lines of the how-to that begin with `mkdir` and use this tool."""
+    page = (ROOT / "docs/how-to/foreign-client.md").read_text()
+    lines = next(block for block in re.findall("```\n(mkdir .*?)```", page, re.DOTALL) if tool in block)
+    subprocess.run(["bash", "-ec", re.sub(r"\bgenerated\b", shlex.quote(str(into)), lines)], cwd=ROOT, check=True)
