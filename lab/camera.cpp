@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <atomic>
 #include <condition_variable>
+#include <deque>
 #include <cstring>
 #include <mutex>
 #include <stdexcept>
@@ -194,6 +195,7 @@ class Cameras::Studio {
         if (due) next_ = age + kPeriod - (age % kPeriod);
         if (age < last_age_) next_ = Duration{};  // the world began anew
         last_age_ = age;
+        if (!stills_.empty()) beginStill();
         std::vector<std::size_t> views;
         for (std::size_t i = 0; i <= robots_; ++i) {
             if ((due && watchers_[i] > 0) || wanted_[i]) views.push_back(i);
@@ -211,24 +213,17 @@ class Cameras::Studio {
         copyWorld();
         for (const auto view : views) {
             wanted_[view] = false;
-            order_.push_back({view, age, false});
+            order_.push_back({view, age, {}});
         }
         lock.unlock();
         changed_.notify_all();
     }
 
-    Picture take(std::size_t view, std::span<const Track> tracks) {
-        std::unique_lock lock(mutex_);
-        changed_.wait(lock, [this] { return failure_ || (order_.empty() && !drawing_); });
-        if (failure_) throw std::runtime_error(*failure_);
-        copyWorld();
-        tracks_ = tracks;
-        still_.reset();
-        order_.push_back({view, last_age_, true});
-        changed_.notify_all();
-        changed_.wait(lock, [this] { return failure_ || still_; });
-        if (failure_) throw std::runtime_error(*failure_);
-        return std::move(*std::exchange(still_, nullptr));
+    std::future<void> take(std::size_t view, std::vector<Track> tracks, Use use) {
+        stills_.push_back(std::make_unique<Still>(view, std::move(tracks), std::move(use)));
+        auto done = stills_.back()->done.get_future();
+        beginStill();
+        return done;
     }
 
     std::optional<std::string> failure() const {
@@ -239,11 +234,33 @@ class Cameras::Studio {
     std::uint64_t leftOut() const { return left_out_; }
 
   private:
+    struct Still {
+        Still(std::size_t of, std::vector<Track> its_tracks, Use its_use)
+            : view(of), tracks(std::move(its_tracks)), use(std::move(its_use)) {}
+
+        std::size_t view;
+        std::vector<Track> tracks;
+        Use use;
+        std::promise<void> done;
+    };
     struct Order {
         std::size_t view;
         Duration age;
-        bool still;
+        std::unique_ptr<Still> still;  // none: for on_picture_
     };
+
+    /// Orders the next picture that was asked for by take(), if the drawing thread is free.
+    void beginStill() {
+        {
+            const std::lock_guard lock(mutex_);
+            if (!order_.empty() || drawing_) return;
+            copyWorld();
+            const auto view = stills_.front()->view;
+            order_.push_back({view, last_age_, std::move(stills_.front())});
+        }
+        stills_.pop_front();
+        changed_.notify_all();
+    }
 
     /// While nothing is ordered and nothing is drawn, the drawing thread does not look at the copies.
     void copyWorld() { view_.copyTo(model_.get(), data_.get()); }
@@ -256,37 +273,47 @@ class Cameras::Studio {
             changed_.wait(lock, [this] { return ending_ || !order_.empty(); });
             if (ending_) return;
             const auto orders = std::exchange(order_, {});
-            const auto tracks = std::exchange(tracks_, {});
+            auto failure = failure_;
             drawing_ = true;
             lock.unlock();
-            std::unique_ptr<Picture> still;
-            std::optional<std::string> failure;
-            try {
-                if (!renderer) {
-                    graphics = std::make_unique<Graphics>();
-                    renderer = std::make_unique<Renderer>(model_.get(), kOverviewWidth, kOverviewHeight);
-                }
-                for (const auto& order : orders) {
-                    auto picture = draw(*renderer, order, tracks);
+            for (const auto& order : orders) {
+                Picture picture;
+                try {
+                    if (failure) throw std::runtime_error(*failure);
+                    if (!renderer) {
+                        graphics = std::make_unique<Graphics>();
+                        renderer = std::make_unique<Renderer>(model_.get(), kOverviewWidth, kOverviewHeight);
+                    }
+                    picture = draw(*renderer, order);
                     ++drawn_;
-                    if (order.still)
-                        still = std::make_unique<Picture>(std::move(picture));
-                    else
-                        on_picture_(order.view, std::make_shared<const Picture>(std::move(picture)),
-                                    order.age);
+                } catch (const std::exception& error) {
+                    failure = error.what();
+                    if (order.still) order.still->done.set_exception(std::current_exception());
+                    continue;
                 }
-            } catch (const std::exception& error) {
-                failure = error.what();
+                if (order.still)
+                    give(*order.still, std::move(picture));
+                else
+                    on_picture_(order.view, std::make_shared<const Picture>(std::move(picture)), order.age);
             }
             lock.lock();
-            if (still) still_ = std::move(still);
-            if (failure) failure_ = failure;
+            failure_ = failure;
             drawing_ = false;
             changed_.notify_all();
         }
     }
 
-    Picture draw(Renderer& renderer, const Order& order, std::span<const Track> tracks) {
+    static void give(Still& still, Picture picture) {
+        try {
+            still.use(std::move(picture));
+            still.done.set_value();
+        } catch (...) {
+            still.done.set_exception(std::current_exception());
+        }
+    }
+
+    Picture draw(Renderer& renderer, const Order& order) {
+        const auto tracks = order.still ? std::span<const Track>(order.still->tracks) : std::span<const Track>();
         if (order.view < robots_) {
             return renderer.draw(model_.get(), data_.get(), PhysicsView::cameraName(order.view), kWidth,
                                  kHeight, 1, tracks);
@@ -314,6 +341,7 @@ class Cameras::Studio {
     // Of the thread that steps.
     Duration next_{};
     Duration last_age_{};
+    std::deque<std::unique_ptr<Still>> stills_;  // asked for, and not yet ordered
 
     // Of the stepping thread while order_ is empty and drawing_ is false, else of the drawing one.
     std::unique_ptr<mjModel, decltype(&mj_deleteModel)> model_;
@@ -323,8 +351,6 @@ class Cameras::Studio {
     mutable std::mutex mutex_;
     std::condition_variable changed_;
     std::vector<Order> order_;
-    std::span<const Track> tracks_;
-    std::unique_ptr<Picture> still_;
     std::optional<std::string> failure_;
     bool drawing_ = false;
     bool ending_ = false;
@@ -344,8 +370,8 @@ void Cameras::wantOne(std::size_t view) {
 void Cameras::offer(Duration age, bool keep_up) {
     studio_->offer(age, keep_up);
 }
-Picture Cameras::take(std::size_t view, std::span<const Track> tracks) {
-    return studio_->take(view, tracks);
+std::future<void> Cameras::take(std::size_t view, std::vector<Track> tracks, Use use) {
+    return studio_->take(view, std::move(tracks), std::move(use));
 }
 std::optional<std::string> Cameras::failure() const {
     return studio_->failure();

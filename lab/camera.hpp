@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 #include <functional>
+#include <future>
 #include <memory>
 #include <optional>
 #include <span>
@@ -36,7 +37,7 @@ struct Track {
 ///
 /// Threads: watch() and wantOne() from any thread; offer() and take() from the one that steps the physics;
 /// on_picture runs on the drawing thread and must not block. The physics must outlive this. Failure: without
-/// OSMesa there are no pictures; failure() tells why, take() throws std::runtime_error.
+/// OSMesa there are no pictures; failure() tells why, and so does the future of take().
 class Cameras {
   public:
     static constexpr int kWidth = 320;
@@ -62,8 +63,12 @@ class Cameras {
     /// `keep_up` false: pictures that the drawing thread has no time for are left out. True: it is waited
     /// for, so that none is missing however fast the laboratory's time goes.
     void offer(Duration age, bool keep_up);
-    /// At once, and waited for. 1280 x 960 for the overview.
-    Picture take(std::size_t view, std::span<const Track> tracks = {});
+    using Use = std::function<void(Picture picture)>;
+    /// One picture, 1280 x 960 for the overview, of the world as it is now, or at the first offer() after the
+    /// drawing thread has become free. `use` gets it on the drawing thread and may take its time. The future
+    /// is ready when `use` has returned; it throws std::runtime_error where there is no picture, and whatever
+    /// `use` has thrown.
+    std::future<void> take(std::size_t view, std::vector<Track> tracks, Use use);
 
     std::optional<std::string> failure() const;
     std::uint64_t drawn() const;

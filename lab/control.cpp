@@ -153,6 +153,7 @@ std::string Control::truth() const {
 Control::Reply Control::handle(std::string_view line) {
     Json answer{{"ok", true}};
     std::optional<Duration> until;
+    std::future<void> work;
     try {
         const auto request = Json::parse(line, nullptr, false);
         if (!request.is_object()) throw BadRequest(R"(expected one JSON object, such as {"do":"truth"})");
@@ -196,15 +197,18 @@ Control::Reply Control::handle(std::string_view line) {
         } else if (what == "forget-touches") {
             laboratory_.physics().forgetTouches();
         } else if (what == "picture" || what == "path") {
-            operator_.writePicture(text(request, "file"), what == "path");
+            work = operator_.writePicture(text(request, "file"), what == "path");
         } else {
             throw BadRequest(fmt::format("\"do\": \"{}\": expected one of {}", what, kKnown));
         }
     } catch (const std::exception& error) {
-        answer = Json{{"ok", false}, {"error", error.what()}};
-        until.reset();
+        return {failed(error), std::nullopt, {}};
     }
-    return {answer.dump(-1, ' ', false, Json::error_handler_t::replace), until};
+    return {answer.dump(-1, ' ', false, Json::error_handler_t::replace), until, std::move(work)};
+}
+
+std::string Control::failed(const std::exception& error) {
+    return Json{{"ok", false}, {"error", error.what()}}.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
 }  // namespace axon::lab

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <future>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -26,7 +27,7 @@ namespace axon::lab {
 /// (0 left, 1 right), "flat-battery"; an arm's "stuck-servo", "stuck-gripper" |
 /// | "truth" | | where everything is and what it touches |
 /// | "forget-touches" | | what the robots touched until now does not count |
-/// | "picture" | "file" | the room from above, as PNG |
+/// | "picture" | "file" | the room from above, as PNG; answered when the file is written |
 /// | "path" | "file" | the same with the ways that the robots went |
 ///
 /// No I/O but the pictures' files; threads: none, belongs to the one that steps the laboratory.
@@ -41,8 +42,9 @@ class Control {
         virtual void setSpeed(double factor) = 0;
         virtual double speed() const = 0;
         virtual void reset() = 0;
-        /// Throws std::runtime_error.
-        virtual void writePicture(const std::string& file, bool tracks) = 0;
+        /// The world goes on meanwhile. The future is ready when the file is written; it throws
+        /// std::runtime_error where that fails.
+        virtual std::future<void> writePicture(const std::string& file, bool tracks) = 0;
     };
 
     /// `world` is completed, with the names of everything. All must outlive this.
@@ -52,8 +54,11 @@ class Control {
     struct Reply {
         std::string line;               ///< without the line's end
         std::optional<Duration> until;  ///< the laboratory's age at which it is to be sent; none: now
+        std::future<void> work;         ///< where valid: it is to be sent when this is ready
     };
     Reply handle(std::string_view line);
+    /// The answer in the place of a Reply's `line` whose `work` has thrown this.
+    static std::string failed(const std::exception& error);
     /// The answer of "truth", also for --truth files.
     std::string truth() const;
 

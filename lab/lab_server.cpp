@@ -12,6 +12,7 @@
 #include <cerrno>
 #include <cmath>
 #include <cstdio>
+#include <future>
 #include <list>
 #include <numbers>
 #include <stdexcept>
@@ -174,7 +175,7 @@ class LabServer::Loop final : Control::Operator {
             } else if (!paused_) {
                 keepPace();
             }
-            answerSteps();
+            answerHeld();
             tellTime();  // also where time stands: the laboratory is not gone
             cameras_->offer(lab_.age(), keepUp());
         }
@@ -195,7 +196,8 @@ class LabServer::Loop final : Control::Operator {
         Descriptor socket;
         std::string in;
         std::string out;
-        std::optional<Duration> until;  // the answer in `held` is sent when the laboratory is that old
+        std::optional<Duration> until;  // the answer in `held` is sent when the laboratory is that old,
+        std::future<void> work;         // or when this is ready
         std::string held;
         bool broken = false;
     };
@@ -291,7 +293,7 @@ class LabServer::Loop final : Control::Operator {
             auto socket = acceptFrom(control_listener_);
             if (socket && control_clients_.size() < kMostControlClients)
                 control_clients_.push_back(
-                    {.socket = std::move(socket), .in = {}, .out = {}, .until = {}, .held = {}});
+                    {.socket = std::move(socket), .in = {}, .out = {}, .until = {}, .work = {}, .held = {}});
         }
     }
 
@@ -355,10 +357,10 @@ class LabServer::Loop final : Control::Operator {
         if (client.in.size() > kLongestRequest) client.broken = true;
     }
 
-    /// One after the other: what comes after a "step" waits for its end.
+    /// One after the other: what comes after a "step" or a "picture" waits for its end.
     void obey(ControlClient& client) {
         std::size_t end = 0;
-        while (!client.until && (end = client.in.find('\n')) != std::string::npos) {
+        while (!client.until && !client.work.valid() && (end = client.in.find('\n')) != std::string::npos) {
             auto line = client.in.substr(0, end);
             client.in.erase(0, end + 1);
             if (!line.empty() && line.back() == '\r') line.pop_back();
@@ -366,6 +368,9 @@ class LabServer::Loop final : Control::Operator {
             auto reply = control_.handle(line);
             if (reply.until && *reply.until > lab_.age()) {
                 client.until = reply.until;
+                client.held = std::move(reply.line);
+            } else if (reply.work.valid()) {
+                client.work = std::move(reply.work);
                 client.held = std::move(reply.line);
             } else {
                 client.out += reply.line + '\n';
@@ -381,15 +386,25 @@ class LabServer::Loop final : Control::Operator {
         return first;
     }
 
-    void answerSteps() {
+    void answerHeld() {
         for (auto& client : control_clients_) {
-            if (client.until && lab_.age() >= *client.until) {
+            const bool grown = client.until && lab_.age() >= *client.until;
+            const bool done = client.work.valid() &&
+                              client.work.wait_for(std::chrono::seconds{0}) == std::future_status::ready;
+            if (grown || done) {
                 client.until.reset();
+                if (done) finish(client);
                 client.out += client.held + '\n';
                 obey(client);
             }
             flush(client);
         }
+    }
+
+    static void finish(ControlClient& client) try {
+        client.work.get();
+    } catch (const std::exception& error) {
+        client.held = Control::failed(error);
     }
 
     static void flush(ControlClient& client) {
@@ -415,11 +430,10 @@ class LabServer::Loop final : Control::Operator {
         for (auto& track : tracks_) track.points.clear();
         std::fill(told_objects_.begin(), told_objects_.end(), std::nullopt);
     }
-    void writePicture(const std::string& file, bool tracks) override {
+    std::future<void> writePicture(const std::string& file, bool tracks) override {
         followTracks();
-        writePng(file, cameras_->take(cameras_->overview(),
-                                      tracks ? std::span<const Track>(tracks_) : std::span<const Track>()));
-        rebase();  // the first picture takes 100 ms
+        return cameras_->take(cameras_->overview(), tracks ? tracks_ : std::vector<Track>{},
+                              [file](const Picture& picture) { writePng(file, picture); });
     }
 
     // ---- truth

@@ -160,15 +160,16 @@ class ControlLine {
         const std::string line = request + "\n";
         EXPECT_TRUE(stream_->write(std::vector<std::uint8_t>(line.begin(), line.end())));
     }
+    /// Whether an answer has arrived.
+    bool said() {
+        std::array<std::uint8_t, 4096> chunk;
+        const int got = stream_->read(chunk);
+        if (got > 0) in_.append(chunk.begin(), chunk.begin() + got);
+        return in_.find('\n') != std::string::npos;
+    }
     std::string answer() {
-        std::size_t end = 0;
-        EXPECT_TRUE(waitUntil([&] {
-            std::array<std::uint8_t, 4096> chunk;
-            const int got = stream_->read(chunk);
-            if (got > 0) in_.append(chunk.begin(), chunk.begin() + got);
-            end = in_.find('\n');
-            return end != std::string::npos;
-        }));
+        EXPECT_TRUE(waitUntil([&] { return said(); }));
+        const auto end = in_.find('\n');
         const auto line = in_.substr(0, end);
         in_.erase(0, end + 1);
         return line;
@@ -302,6 +303,21 @@ TEST_F(WholeLab, TheHandsOfTheExperimenter) {
     refused(R"({"do":"picture","file":"/no/such/folder/p.png"})", "/no/such/folder");
     ok(R"({"do":"resume"})");
     refused(R"({"do":"step","ms":100})", "pause");
+}
+
+TEST_F(WholeLab, TheWorldGoesOnWhileAPictureIsDrawnAndWritten) {
+    serveAll({});
+    ControlLine painter(server_->address("control"));
+    ControlLine judge(server_->address("control"));
+    const auto before = member(judge.ask(R"({"do":"truth"})"), "time_s");
+    painter.say(R"({"do":"path","file":")" + truth_path_ + R"(.png"})" + "\n" + R"({"do":"truth"})");
+    while (member(judge.ask(R"({"do":"truth"})"), "time_s") < before + 0.016) {
+    }
+    EXPECT_FALSE(painter.said()) << "a picture of this size takes many times 16 ms";
+    EXPECT_NE(painter.answer().find("\"ok\":true"), std::string::npos);
+    EXPECT_GT(std::filesystem::file_size(truth_path_ + ".png"), 1000U) << "it is answered when it is written";
+    EXPECT_NE(painter.answer().find("time_s"), std::string::npos) << "what comes after it waits for it";
+    std::filesystem::remove(truth_path_ + ".png");
 }
 
 TEST_F(WholeLab, PicturesArePausedWithTheWorldButCanBeTaken) {

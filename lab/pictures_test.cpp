@@ -142,7 +142,8 @@ TEST(Cameras, SeeWhatStandsInFrontOfThem) {
         Physics physics(worldWithABlock(block));
         for (int i = 0; i < 50; ++i) physics.step();
         Cameras cameras(physics, 1, [](std::size_t, SharedPicture, Duration) {});
-        const auto picture = cameras.take(0);
+        Picture picture;
+        cameras.take(0, {}, [&](Picture taken) { picture = std::move(taken); }).get();
         ASSERT_EQ(picture.width, 320);
         ASSERT_EQ(picture.height, 240);
         ASSERT_EQ(picture.rgb.size(), 320U * 240 * 3);
@@ -157,6 +158,14 @@ TEST(Cameras, SeeWhatStandsInFrontOfThem) {
         EXPECT_NEAR(blobs[0][0].right - blobs[0][0].left, 18, 7);
         EXPECT_GT(blobs[0][0].bottom - blobs[0][0].top, blobs[0][0].right - blobs[0][0].left);
     }
+}
+
+TEST(Cameras, WhoeverTakesAPictureIsToldThatItCouldNotBeUsed) {
+    Physics physics(worldWithABlock());
+    Cameras cameras(physics, 1, [](std::size_t, SharedPicture, Duration) {});
+    auto taken = cameras.take(0, {}, [](const Picture& picture) { writePng("/no/such/folder/p.png", picture); });
+    EXPECT_THROW(taken.get(), std::runtime_error);
+    EXPECT_FALSE(cameras.failure()) << "the next picture is drawn all the same";
 }
 
 TEST(Cameras, DrawOnlyWhatSomebodyWatchesAndOnePerPeriod) {
@@ -180,7 +189,8 @@ TEST(Cameras, DrawOnlyWhatSomebodyWatchesAndOnePerPeriod) {
     cameras.watch(0, true);
     pass(250);
     cameras.watch(0, false);
-    const auto last = cameras.take(0);  // waits until all are drawn
+    auto last = cameras.take(0, {}, [](const Picture&) {});  // drawn after all that were ordered before
+    while (last.wait_for(std::chrono::milliseconds{1}) != std::future_status::ready) cameras.offer(age, true);
     EXPECT_GE(cameras.drawn(), 11U);
     EXPECT_LE(cameras.drawn(), 12U);
     pass(100);
