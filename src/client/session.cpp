@@ -496,7 +496,7 @@ Result<void> Client::Session::establish() {
                     return;
                 }
                 up_ = true;
-                core.onConnected(connection->me(), connection->entities());
+                core.onConnected(connection->me(), connection->entities(), connection->watchdogs());
             },
             Sends::Sender);
     }
@@ -697,6 +697,7 @@ TimePoint Client::Session::onHeartbeat() {
         may_beat_ = true;
         if (beat->second && options_.keep_running) {
             try {
+            if (!core.busy()) may_beat_ = true;  // nobody asks the program then
                 may_beat_ = options_.keep_running();
             } catch (const std::exception& error) {
                 log().warn("client: keep_running threw, which counts as no: {}", error.what());
