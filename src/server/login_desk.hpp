@@ -27,9 +27,9 @@ namespace axon::server {
 /// root's, is admin, everybody else operator; where the uid cannot be found out, operator. An Entity Manager
 /// needs no name then.
 ///
-/// Threads: one of its own does what takes time (verifying a password, reading /proc/net/tcp), so that Ice's
-/// threads never do; the answers are given on it. It serves one of each address in turn, so
-/// that who tries many passwords holds up himself. Bound: 4096 log-ins wait, of one address 256, then
+/// Threads: one of its own does what takes time (verifying a password, asking the kernel whose a connection
+/// is), so that Ice's threads never do; the answers are given on it. It serves one of each address in turn,
+/// so that who tries many passwords holds up himself. Bound: 4096 log-ins wait, of one address 256, then
 /// OVERLOADED. A password that was right once is known by a keyed digest, so that thousands that come back
 /// after a restart are not verified one by one. Life: close() before the gates' communicators are destroyed;
 /// it answers all that wait.
@@ -53,7 +53,7 @@ class LoginDesk final : public transport::Logins {
         const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
     Result<transport::LoggedIn> vouchedEntity(
         const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
-    /// A process of the server's own uid, or root's. Reads /proc/net/tcp.
+    /// A process of the server's own uid, or root's. Asks the kernel.
     bool mayVouch(const std::string& peer, const std::string& local) override;
     void close();
 
