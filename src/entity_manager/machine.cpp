@@ -723,6 +723,7 @@ void EntityManagerCore::Machine::tellStatus() {
     if (!server_up_ || !registration_) return;
     auto now = status();
     if (status_told_ == now) return;
+    if (state_ == EntityState::IDLE) status.reason = taken_;
     // Between two steps of a run it rests for a moment. Told each time, that is two broadcasts for each step.
     if (auto told = status_told_; told && told->state == EntityState::BUSY &&
                                   (now.state == EntityState::SLAVE || now.state == EntityState::COLLAB)) {

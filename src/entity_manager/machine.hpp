@@ -393,6 +393,7 @@ class EntityManagerCore::Machine {
 
     std::optional<Reading<proto::BasicProfile>> basic_;
     std::optional<Reading<proto::ServicesProfile>> services_;
+    std::string taken_;  // by whom from the last holder, and why, until it is granted again
     proto::BasicProfile basic_profile_;
     std::optional<Registration> registration_;  ///< once the profiles have been good
     TimePoint position_sent_{};

@@ -583,7 +583,8 @@ void CoreRig::sendStatus(const EntityStatus& status) {
     if (!status.holder.id.empty()) line += " holder=" + status.holder.id + " lease=" + shown(status.held);
     if (status.orphaned) line += " orphaned";
     if (status.waiting != 0) line += " waiting=" + std::to_string(status.waiting);
-    if (!status.reason.empty()) line += " \"" + status.reason.substr(0, status.reason.find('\n')) + '"';
+    if (status.state != EntityState::IDLE && !status.reason.empty())
+        line += " \"" + status.reason.substr(0, status.reason.find('\n')) + '"';
     note(std::move(line));
     statuses.push_back(status);
     for (auto& [name, belief] : clients)
