@@ -252,7 +252,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
     void stop(std::uint32_t generation, StopCause cause) override {
         if (cause == StopCause::Drill) {  // the Entity Interfacer's answer; the application is not called
             proto::EiToEm done;
-            done.mutable_stop_done()->set_stop_generation(generation);
+            done.mutable_stop_done()->set_drill(generation);
             done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
             answer(done);
             return;
