@@ -46,9 +46,12 @@ class MemoryLink final : public BackEndPort {
     void stop(std::uint32_t generation, StopCause cause) override {
         // What a client asked for by its stop; a drill, a reset or a lost lease is nobody's measurement.
         if (cause == StopCause::Requested) slot_.stopped(generation, nowNs());
-        asio::post(strand_, [this, generation] {
+        asio::post(strand_, [this, generation, drill = cause == StopCause::Drill] {
             proto::EiToEm done;
-            done.mutable_stop_done()->set_stop_generation(generation);
+            if (drill)
+                done.mutable_stop_done()->set_drill(generation);
+            else
+                done.mutable_stop_done()->set_stop_generation(generation);
             done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
             sink_.onLinkMessage(done);
         });

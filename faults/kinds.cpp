@@ -17,6 +17,7 @@ std::uint64_t Run::among(std::uint64_t least, std::uint64_t most) {
 const std::vector<Kind>& kinds() {
     static const std::vector<Kind> all = [] {
         auto both = stopKinds();
+        for (auto& kind : loginKinds()) both.push_back(std::move(kind));
         for (auto& kind : commandKinds()) both.push_back(std::move(kind));
         std::stable_sort(both.begin(), both.end(),
                          [](const Kind& a, const Kind& b) { return a.trial < b.trial; });

@@ -48,6 +48,8 @@ const Kind* findKind(const std::string& name);
 
 /// Those that end in a stop callback, or in what the client is told.
 std::vector<Kind> stopKinds();
+/// Those of clients that come to stop a robot.
+std::vector<Kind> loginKinds();
 /// Those that ask what a robot obeys; of them, those in which processes and connections end meanwhile.
 std::vector<Kind> commandKinds();
 std::vector<Kind> restartKinds();

@@ -223,8 +223,15 @@ void EntityManagerStation::stopSignal(std::uint64_t attempt, const Header& head,
         newClientUpdate(attempt, head, ClientChange::Lost);
         return;
     }
-    const bool drill = cause == StopCause::Drill;
-    if (drill && life.inbox.signalsFull()) return;
+    if (cause == StopCause::Drill) {
+        if (life.inbox.signalsFull()) return;
+        const auto number = life.gate.drill(head.sender.id, head.sequence);
+        if (!number) return;
+        stop(*number, cause);
+        wakeStrand(life.inbox.pushSignal(
+            Inbox::Signal::Passing, [this, head, number = *number] { life_->core.onDrill(head, number); }));
+        return;
+    }
     const auto generation = life.gate.raise(head.sender.id, head.sequence);
     if (!generation) {
         if (const auto known = life.gate.raisedBy(head.sender.id, head.sequence))
@@ -237,10 +244,9 @@ void EntityManagerStation::stopSignal(std::uint64_t attempt, const Header& head,
     signal_thread_ = true;
     stop(*generation, cause);
     signal_thread_ = false;
-    wakeStrand(life.inbox.pushSignal(drill ? Inbox::Signal::Drill : Inbox::Signal::Stop,
-                                     [this, head, cause, generation = *generation] {
-                                         life_->core.onStopSignal(head, cause, generation);
-                                     }));
+    wakeStrand(life.inbox.pushSignal(Inbox::Signal::Stop, [this, head, cause, generation = *generation] {
+        life_->core.onStopSignal(head, cause, generation);
+    }));
 }
 
 void EntityManagerStation::resetSignal(std::uint64_t attempt, const Header& head) {
@@ -340,6 +346,15 @@ void EntityManagerStation::stopDone(std::uint64_t link, std::uint32_t generation
     settle();
 }
 
+void EntityManagerStation::drillDone(std::uint64_t link, std::uint32_t number) {
+    if (life_->link != link) return;
+    proto::EiToEm message;
+    message.mutable_stop_done()->set_drill(number);
+    message.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+    life_->core.onLinkMessage(std::move(message));
+    settle();
+}
+
 void EntityManagerStation::applicationFrozen() {
     if (!life_ || life_->link == 0) return;
     life_->link_watchdog.feed(process_.now());
@@ -379,12 +394,12 @@ bool EntityManagerStation::send(const proto::EmToEi& message) {
 
 void EntityManagerStation::stop(std::uint32_t generation, StopCause cause) {
     auto& life = *life_;
-    observer_.stopGoesOut(entity_, generation, cause, signal_thread_);
+    if (cause != StopCause::Drill) observer_.stopGoesOut(entity_, generation, cause, signal_thread_);
     if (life.link != 0)
         life.link_signal->send(process_, [this, link = life.link, generation, cause] {
             application_.onStop(link, generation, cause);
         });
-    life.announced = std::max(life.announced, generation);
+    if (cause != StopCause::Drill) life.announced = std::max(life.announced, generation);
 }
 
 void EntityManagerStation::setBusy(bool busy) {

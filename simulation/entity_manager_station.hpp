@@ -69,6 +69,7 @@ class EntityManagerStation final : public entity_manager::BackEndPort, public en
     void linkAnswered(std::uint64_t attempt, std::uint64_t link);
     void linkMessage(std::uint64_t link, const std::string& bytes);
     void stopDone(std::uint64_t link, std::uint32_t generation);
+    void drillDone(std::uint64_t link, std::uint32_t number);
 
     // From the server, as this process.
     void welcomed(std::uint64_t attempt, ServerStation::EntitySession& session, const std::string& token);

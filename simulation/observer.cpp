@@ -182,11 +182,11 @@ void Observer::stopGoesOut(std::size_t number, std::uint32_t generation, StopCau
         violated(Invariant::Fence, entity.name + ": a stop has generation " + std::to_string(generation) +
                                        ", and " + std::to_string(entity.raised) + " was given before");
     entity.raised = std::max(entity.raised, generation);
-    if (cause != StopCause::Reset && cause != StopCause::Drill) {
+    if (cause != StopCause::Reset) {
         entity.voided = std::max(entity.voided, generation);
         entity.voided_order = ++order_;
     }
-    if (cause != StopCause::Drill) entity.stops_to_note.push_back(generation);
+    entity.stops_to_note.push_back(generation);
     if (latches(cause) && (signal || cause == StopCause::ClientLost)) {
         entity.latch_wanted = true;
         entity.latch_told = false;

@@ -179,8 +179,10 @@ void RobotApplication::readSignals() {
         auto& level = life_->level;
         if (signal.stop) {
             if (signal.cause == StopCause::Drill) {
-                level.announce(signal.generation);
-                acknowledge(signal.generation);
+                link.signal->send(process_,
+                                  [manager = manager_, number = link.number, drill = signal.generation] {
+                                      manager->drillDone(number, drill);
+                                  });
             } else if (link.baseline_known && signal.generation <= level.stopped()) {
                 acknowledge(level.stopped());
             } else {
@@ -194,7 +196,7 @@ void RobotApplication::readSignals() {
             if (!link.baseline_known) {
                 link.baseline_known = true;
                 level.adopt(signal.generation);
-            } else if (signal.generation > level.announced()) {
+            } else if (signal.generation > level.stopped()) {
                 level.raise(signal.generation, static_cast<int>(StopCause::Requested));
                 stopCallback(signal.generation, StopCause::Requested, true);
             }
@@ -385,7 +387,7 @@ void RobotApplication::begin(const std::string& id) {
         life_->tasks.erase(found);
         return;
     }
-    if (!level.settled() || level.announced() < task.generation) return;
+    if (!level.settled() || level.stopped() < task.generation) return;
     task.waits = false;
     task.moves = true;
     answer(task, proto::OK, "");

@@ -724,7 +724,8 @@ void SessionCore::orphan(const std::string& entity, bool left, const std::string
     const bool is_new = !mine.orphaned;
     mine.orphaned = true;
     mine.left = left;
-    mine.expires = now + (left ? std::min(mine.grace, kLeftPatience) : mine.grace + settings_.loss_notice);
+    mine.expires = now + (left ? std::min(mine.grace, kLeftPatience)
+                               : mine.grace + std::max(settings_.loss_notice, watchdogs_.idle));
     mine.question.reset();
     mine.asked_by.clear();
     if (is_new) {

@@ -231,6 +231,10 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
         const auto facts = connection->data_.session->setCallback(connection->data_.callback);
         connection->me_ = transport::fromIce(Axon::CommUtil::Sender(facts.me));
         connection->entities_ = facts.entities;
+        if (facts.watchdogBusyMs > 0)
+            connection->watchdogs_.busy = std::chrono::milliseconds{facts.watchdogBusyMs};
+        if (facts.watchdogIdleMs > 0)
+            connection->watchdogs_.idle = std::chrono::milliseconds{facts.watchdogIdleMs};
         const auto endpoint =
             facts.signalEndpoint.empty()
                 ? login.endpoint.text()

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "client/backlog.hpp"
+#include "client/server_link.hpp"
 #include "common/clock.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
@@ -72,6 +73,7 @@ class ServerConnection {
 
     const Sender& me() const { return me_; }
     int entities() const { return entities_; }
+    const Watchdogs& watchdogs() const { return watchdogs_; }
     std::uint64_t attempt() const { return attempt_; }
 
     /// Reset and Clear travel on the signal lane, all else on the data lane.
@@ -137,6 +139,7 @@ class ServerConnection {
     const std::shared_ptr<Backlog> backlog_ = std::make_shared<Backlog>();
     Sender me_;
     int entities_ = 0;
+    Watchdogs watchdogs_;
     std::uint64_t attempt_ = 0;
     bool routed_ = false;
     /// Through a router: a sign of life is on its way whose answer says that the server is there.

@@ -1,13 +1,22 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <chrono>
 #include <cstdint>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "common/clock.hpp"
 #include "common/routed.hpp"
 
 namespace axon::client {
+
+/// How long a client may be silent before its server gives it up: while an entity that it holds is BUSY, and
+/// otherwise. The server says so when the client joins (SessionFacts); the defaults are the server's.
+struct Watchdogs {
+    Duration busy = std::chrono::milliseconds{250};
+    Duration idle = std::chrono::seconds{10};
+};
 
 // Routing keys of the signal lane.
 inline constexpr const char* kMsgStop = "STOP";

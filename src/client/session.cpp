@@ -54,6 +54,13 @@ CoreSettings settingsOf(const Options& options) {
     return settings;
 }
 
+/// Of a router's endpoints, those that the credentials fit.
+Options settled(Options options) {
+    if (transport::isRouter(options.server))
+        options.server = transport::wayToRouter(options.server, transport::speaksTls(options.properties));
+    return options;
+}
+
 /// What others see as the holder when the program does not say: user@host.
 std::string userAtHost() {
     const passwd* user = ::getpwuid(::geteuid());
@@ -65,7 +72,7 @@ std::string userAtHost() {
 }  // namespace
 
 Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
-    : options_(std::move(options)),
+    : options_(settled(std::move(options))),
       time_(std::move(clock)),
       core_(settingsOf(options_), clock_, random_, *this, *this, marks_),
       direct_(clock_, static_cast<std::size_t>(std::max(options_.direct_paths, 0)),
@@ -496,7 +503,7 @@ Result<void> Client::Session::establish() {
                     return;
                 }
                 up_ = true;
-                core.onConnected(connection->me(), connection->entities());
+                core.onConnected(connection->me(), connection->entities(), connection->watchdogs());
             },
             Sends::Sender);
     }
@@ -690,6 +697,7 @@ TimePoint Client::Session::onHeartbeat() {
             heartbeat_at_ = TimePoint::min();
             core.onHeartbeatTimer();
             beat = std::exchange(beat_, std::nullopt);
+            if (!core.busy()) may_beat_ = true;  // nobody asks the program then
             for (const auto& [entity, path] : *direct_.paths()) paths.emplace_back(path, core.moving(entity));
         },
         Sends::Sender);

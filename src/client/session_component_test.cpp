@@ -252,7 +252,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
     void stop(std::uint32_t generation, StopCause cause) override {
         if (cause == StopCause::Drill) {  // the Entity Interfacer's answer; the application is not called
             proto::EiToEm done;
-            done.mutable_stop_done()->set_stop_generation(generation);
+            done.mutable_stop_done()->set_drill(generation);
             done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
             answer(done);
             return;
@@ -605,6 +605,40 @@ TEST_F(ClientTest, ALostServerIsToldAndTheClientComesBack) {
     const auto again = robot();
     ASSERT_TRUE(waitUntil([&] { return up == 1; }));
     drive(take(*me), *again);
+}
+
+TEST_F(ClientTest, KeepsItsSessionWithWatchdogsOfTheServerThatItHasReconnectedTo) {
+    auto settings = onLoopback();
+    settings.client_endpoint = server->clientAddress(Lane::Data);
+    settings.entity_endpoint = server->entityAddress(Lane::Data);
+    const auto me = client();
+    std::atomic<int> up{0}, down{0};
+    me->onConnection([&](bool connected, const std::string&) { ++(connected ? up : down); });
+    const SteadyClock clock{};
+    int restarts = 0;
+    // With a heartbeat every 2 s, as is right for the first server, the second loses its client within 1 s.
+    for (const auto& [busy, idle] : {std::pair{400ms, 1000ms}, std::pair{1500ms, 1500ms}}) {
+        server.reset();
+        settings.front_end.watchdog_busy = busy;
+        settings.front_end.watchdog_idle = idle;
+        server = std::make_unique<server::Server>(settings);
+        ++restarts;
+        ASSERT_TRUE(waitUntil([&] { return down == restarts && up == restarts; }));
+        const auto its_robot = robot();
+        const auto lives = [&](Duration time) {
+            const auto end = clock.now() + time;
+            return waitUntil([&] { return clock.now() > end || down > restarts; }) && down == restarts;
+        };
+        EXPECT_TRUE(lives(3 * idle)) << "without a lease";
+        const auto held = take(*me);
+        EXPECT_TRUE(lives(2 * idle)) << "with one";
+        const auto task = drive(held, *its_robot);
+        EXPECT_TRUE(lives(3 * busy)) << "with a task";
+        its_robot->endTask(proto::TASK_SUCCEEDED);
+        EXPECT_EQ(task.wait(5s).state, TaskState::Succeeded);
+        EXPECT_TRUE(lives(2 * idle)) << "after it";
+        its_robot->leave();
+    }
 }
 
 TEST_F(ClientTest, AnOperatorWhoIsNotThereStopsTheRobot) {

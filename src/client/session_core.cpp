@@ -14,6 +14,10 @@ namespace axon::client {
 namespace {
 
 constexpr std::size_t kChunkMax = 64 * 1024;
+/// Signs of life in each of the server's watchdogs (safety.md, "Watchdogs"), and no more of them than this,
+/// whatever it says.
+constexpr int kBeatsInWatchdog = 5;
+constexpr Duration kShortestBeat = std::chrono::milliseconds{10};
 
 bool parse(google::protobuf::MessageLite& message, std::string_view bytes) {
     return message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()));
@@ -190,10 +194,11 @@ void SessionCore::noteRefusal(const std::string& entity, LeaseNumber under, cons
 
 // ---- connection
 
-void SessionCore::onConnected(const Sender& self, int entities) {
+void SessionCore::onConnected(const Sender& self, int entities, const Watchdogs& watchdogs) {
     connected_ = true;
     self_ = self;
     promised_ = entities;
+    watchdogs_ = watchdogs;
     server_.feed(clock_.now());
     next_heartbeat_ = clock_.now();
     for (const auto& [entity, mine] : leases_) {
@@ -1123,7 +1128,11 @@ bool SessionCore::busy() const {
 
 void SessionCore::countMoving(const std::string& entity) {
     const auto known = entities_.find(entity);
-    const bool counts = leases_.count(entity) != 0 && known != entities_.end();
+    // The server goes by what the entity says: until that has let go of a client that released it, its
+    // watchdog is short.
+    const bool counts =
+        known != entities_.end() &&
+        (leases_.count(entity) != 0 || (!self_.id.empty() && known->second.facts.holder.id == self_.id));
     const auto keep = [&](std::set<std::string>& in, bool member) {
         if (member) {
             in.insert(entity);
@@ -1140,14 +1149,18 @@ void SessionCore::pace() {
     const auto now = clock_.now();
     // The server beats fast only while it sees an entity of ours BUSY; our own tasks begin a little earlier.
     server_.setBusy(!busy_.empty(), now);
-    if (busy()) next_heartbeat_ = std::min(next_heartbeat_, now + settings_.heartbeat_busy);
+    if (busy()) next_heartbeat_ = std::min(next_heartbeat_, now + beatPeriod(true));
+}
+
+Duration SessionCore::beatPeriod(bool fast) const {
+    return std::max((fast ? watchdogs_.busy : watchdogs_.idle) / kBeatsInWatchdog, kShortestBeat);
 }
 
 void SessionCore::onHeartbeatTimer() {
     const auto now = clock_.now();
     if (!connected_ || now < next_heartbeat_) return;
     const bool fast = busy();
-    next_heartbeat_ = now + (fast ? settings_.heartbeat_busy : settings_.heartbeat_idle);
+    next_heartbeat_ = now + beatPeriod(fast);
     link_.keepAlive(++beat_, fast);
 }
 

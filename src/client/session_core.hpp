@@ -80,16 +80,15 @@ class SessionObserver {
 /// Settings of one session's behaviour; the defaults are those of safety.md.
 struct CoreSettings {
     Duration timeout = std::chrono::seconds{5};  ///< of every request that waits for an answer
-    Duration heartbeat_busy = std::chrono::milliseconds{50};
-    Duration heartbeat_idle = std::chrono::seconds{2};
-    Duration server_silence_busy = std::chrono::seconds{1};  ///< 20 heartbeats missed
+    Duration server_silence_busy = std::chrono::seconds{1};  ///< 20 heartbeats of the server missed
     Duration server_silence_idle = std::chrono::seconds{10};
     std::size_t tasks_kept = 1024;  ///< finished tasks whose reports can still be asked for
     std::size_t runs_kept = 64;     ///< likewise of runs
     /// After a lost connection: how often a master that has not ended a run yet is asked what became of it.
     Duration outcome_again = std::chrono::seconds{1};
     bool resume = true;             ///< leases outlive the connection for their grace
-    /// How long after this client a server may notice that the connection is gone; the grace begins then.
+    /// How long after this client a server may notice that the connection is gone; the grace begins then. Its
+    /// idle watchdog, where that is longer.
     Duration loss_notice = std::chrono::seconds{10};
     /// A place in a wait list is asked for again this often; it is given up after three times as long.
     Duration wait_refresh = std::chrono::seconds{5};
@@ -148,7 +147,8 @@ class SessionCore {
                 SessionObserver& observer, SignalMarks& marks);
 
     // From the server. Profiles may come before onConnected: the handshake's reply can be overtaken by them.
-    void onConnected(const Sender& self, int entities);
+    /// `watchdogs`: of the server, for this client; a sign of life goes to it in a fifth of each.
+    void onConnected(const Sender& self, int entities, const Watchdogs& watchdogs = {});
     /// `for_good`: there will be no other connection, so nothing is kept.
     void onDisconnected(const std::string& reason, bool for_good = false);
     void onProfile(Presence presence, const Registration& registration, std::string_view profile);
@@ -197,7 +197,7 @@ class SessionCore {
     std::optional<RunReport> runReport(const Id128& id) const;
     /// A task or a run of this client is not final, or an entity that it holds is busy: heartbeats are fast.
     bool busy() const;
-    /// Held, and BUSY or driven otherwise, as far as is known here.
+    /// Held by this client as far as is known here or as its entity says, and BUSY or driven otherwise.
     bool moving(const std::string& entity) const { return moving_.count(entity) != 0; }
     std::uint64_t malformed() const { return malformed_; }
     std::size_t pendingRequests() const { return pending_.size(); }
@@ -435,6 +435,7 @@ class SessionCore {
     /// Whether the entity is held and moves; after each change of its state or its lease.
     void countMoving(const std::string& entity);
     void pace();
+    Duration beatPeriod(bool fast) const;
 
     // Constant after construction.
     const CoreSettings settings_;
@@ -449,6 +450,7 @@ class SessionCore {
     int promised_ = 0;
     int announced_ = 0;
     Watchdog server_;
+    Watchdogs watchdogs_;  // of the server, for this client
     std::int64_t sequence_ = 0;
     std::int64_t beat_ = 0;
     TimePoint next_heartbeat_ = TimePoint::max();
@@ -457,7 +459,7 @@ class SessionCore {
     NameIndex names_;
     std::unordered_map<std::string, KnownEntity> entities_;
     std::map<std::string, Lease> leases_;
-    std::set<std::string> moving_, busy_;  // held, and BUSY or driven otherwise; held and BUSY
+    std::set<std::string> moving_, busy_;  // held (countMoving), and BUSY or driven otherwise; held and BUSY
     std::unordered_map<Id128, TaskRecord> tasks_;
     std::size_t running_tasks_ = 0;
     std::deque<Id128> finished_tasks_;

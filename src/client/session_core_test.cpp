@@ -526,6 +526,106 @@ TEST_F(SessionCoreTest, HeartbeatsStayFastWhileAnEntityThatIsHeldIsBusy) {
     EXPECT_EQ(core.nextHeartbeat(), clock.now() + 2s) << "other people's robots do not count";
 }
 
+/// A client and the watchdog that its server has of it, over idle times and tasks.
+class WatchedWorld : public CoreWorld {
+  public:
+    explicit WatchedWorld(const Watchdogs& watchdogs) { begin(watchdogs); }
+    void begin(const Watchdogs& watchdogs) {
+        server.emplace(watchdogs.busy, watchdogs.idle, clock.now());
+        connect(watchdogs);
+    }
+    /// Beats come when they are due. They may be late by half of the watchdog, and must not be more than
+    /// twice as many as need be.
+    void live(Duration time) {
+        const auto end = clock.now() + time;
+        const auto before = link.beats.size();
+        for (;;) {
+            const auto next = std::min(core.nextHeartbeat(), end);
+            if (next > clock.now()) clock.advance(next - clock.now());
+            margin = std::min(margin, server->margin(clock.now()));
+            if (next == end) break;
+            core.onHeartbeatTimer();
+            server->feed(clock.now());
+        }
+        EXPECT_LE(link.beats.size() - before, static_cast<std::size_t>(10 * (time / server->timeout()) + 2));
+    }
+    void task(const Held& held) {
+        const auto task = core.run(held, "Driving", {}, {});
+        live(1ms);
+        server->setBusy(true, clock.now());
+        live(1ms);  // the status is under way
+        status(3, EntityState::BUSY, kMe, held.lease);
+        taskEvent(3, task, proto::TASK_RUNNING);
+        live(20 * server->timeout());
+        taskEvent(3, task, proto::TASK_SUCCEEDED);
+        live(20 * server->timeout());  // its status is late
+        status(3, EntityState::REG, kMe, held.lease);
+        server->setBusy(false, clock.now());
+    }
+    std::optional<Watchdog> server;
+    double margin = 1;
+};
+
+TEST(ServersWatchdogs, HeartbeatsKeepEachOfThemFedWithLeasesAndTasksAndAfterReconnection) {
+    const std::vector<Duration> busy_range{50ms, 51ms, 100ms, 250ms, 999ms, 2000ms};
+    const std::vector<Duration> idle_range{1000ms, 1001ms, 2000ms, 10s, 60s, 600s};
+    Watchdogs before;
+    for (const auto busy : busy_range) {
+        for (const auto idle : idle_range) {
+            if (busy > idle) continue;
+            const Watchdogs now{busy, idle};
+            WatchedWorld world(now);
+            world.live(3 * idle);
+            const auto held = world.take("Cyton", 1, std::chrono::milliseconds{10s});
+            world.live(3 * idle);
+            world.task(held);
+            world.live(3 * idle);
+            world.task(held);
+            // Another server, with the values of the turn before.
+            world.core.onDisconnected("the server has ended");
+            world.clock.advance(300ms);
+            world.begin(before);
+            ASSERT_EQ(world.link.sent.back().body.check_out().phase(), proto::RESUME_LEASE);
+            world.answerCheckOut(world.link.sent.back(), RefusalCode::Ok, 1, std::chrono::milliseconds{10s});
+            world.live(3 * before.idle);
+            world.task(held);
+            world.live(3 * before.idle);
+            EXPECT_GE(world.margin, 0.75) << busy / 1ms << " ms and " << idle / 1ms << " ms";
+            before = now;
+        }
+    }
+}
+
+TEST(ServersWatchdogs, NoneMakesAClientBeatWithoutPause) {
+    WatchedWorld world({1ms, 1ms});
+    world.advance(0ms);
+    EXPECT_EQ(world.core.nextHeartbeat(), world.clock.now() + 10ms);
+}
+
+TEST(ServersWatchdogs, ABusyEntityThatWasReleasedCountsUntilItHasLetGo) {
+    WatchedWorld world({250ms, 10s});
+    const auto held = world.take("Cyton");
+    world.status(3, EntityState::BUSY, kMe, held.lease);  // by a task of which this process knows nothing
+    world.core.release(held, [](const Result<void>&) {});
+    world.server->setBusy(true, world.clock.now());
+    world.live(2s);
+    EXPECT_GE(world.margin, 0.75);
+    world.status(3, EntityState::IDLE);
+    world.advance(50ms);
+    EXPECT_EQ(world.core.nextHeartbeat(), world.clock.now() + 2s);
+}
+
+TEST(ServersWatchdogs, ALeaseIsWaitedForAsLongAsTheServerMayNotHaveNoticedTheLoss) {
+    WatchedWorld world({250ms, 60s});
+    world.take("Cyton", 1, std::chrono::milliseconds{5s});
+    world.core.onDisconnected("the network is gone");
+    world.advance(64s);
+    EXPECT_THAT(world.observer.lost, IsEmpty())
+        << "the server gives the client up after 60 s, and then the grace of 5 s begins";
+    world.advance(2s);
+    EXPECT_THAT(world.observer.lost, SizeIs(1));
+}
+
 TEST_F(SessionCoreTest, ASilentServerIsNoticedSoonerWhileARobotMoves) {
     advance(9999ms);
     EXPECT_FALSE(core.serverSilent());

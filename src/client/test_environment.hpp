@@ -88,8 +88,8 @@ class CoreWorld {
   public:
     explicit CoreWorld(CoreSettings settings = {}) : core(settings, clock, random, link, observer, marks) {}
 
-    void connect() {
-        core.onConnected(kMe, 3);
+    void connect(const Watchdogs& watchdogs = {}) {
+        core.onConnected(kMe, 3, watchdogs);
         join(1, "PeopleBot");
         join(2, "PeopleBot");
         join(3, "Cyton");

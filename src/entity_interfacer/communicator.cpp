@@ -384,8 +384,11 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
         const auto& stop = message.stop();
         heard_ns_ = nanoseconds(now());
         if (stop.cause() == proto::STOP_DRILL) {
-            level_.announce(stop.stop_generation());
-            return acknowledge(link, stop.stop_generation());
+            proto::EiToEm done;
+            done.mutable_stop_done()->set_drill(stop.drill());
+            done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+            link.sendSignal(done);
+            return;
         }
         if (baseline_known_ && stop.stop_generation() <= level_.stopped())
             return owed_ ? void() : acknowledge(link, level_.stopped());
@@ -403,7 +406,7 @@ void Communicator::onSignal(Link& link, const proto::EmToEi& message) {
     if (!baseline_known_) {
         baseline_known_ = true;
         level_.adopt(beat.stop_generation());
-    } else if (beat.stop_generation() > level_.announced()) {
+    } else if (beat.stop_generation() > level_.stopped()) {
         // The level says that a stop was given which has not arrived as such.
         level_.raise(beat.stop_generation(), proto::STOP_REQUESTED);
         callStop({StopSignal::Cause::Requested, beat.stop_generation()});
@@ -461,7 +464,7 @@ void Communicator::standstill() {
     const auto link = currentLink();
     if (!link || stop_failed_) return;
     proto::EiToEm message;
-    message.mutable_stop_done()->set_stop_generation(level_.announced());
+    message.mutable_stop_done()->set_stop_generation(level_.stopped());
     message.mutable_stop_done()->set_stage(proto::StopReceipt::STANDSTILL);
     link->sendSignal(message);
 }
@@ -663,7 +666,7 @@ void Communicator::beat() {
     auto& beat = *message.mutable_beat();
     beat.set_sequence(++beat_sequence_);
     beat.set_busy(busy);
-    beat.set_stop_generation(level_.announced());
+    beat.set_stop_generation(level_.stopped());
     beat.set_stopped(level_.settled());
     const auto gap = manager_heard_.longest(now());
     beat.set_longest_gap_ms(

@@ -167,7 +167,7 @@ bool Task::Running::waitFor(std::chrono::nanoseconds time) {
 
 std::optional<Refusal> Task::Running::waitForStart() {
     level_.waitUntil(std::min(start_by, level_.clock().now() + kSettleTime), [this] {
-        return stopRequested() || (level_.settled() && level_.announced() >= generation);
+        return stopRequested() || (level_.settled() && level_.stopped() >= generation);
     });
     if (level_.stopped() > generation)
         return Refusal{RefusalCode::OldGeneration,
@@ -183,7 +183,7 @@ std::optional<Refusal> Task::Running::waitForStart() {
         return Refusal{RefusalCode::TimedOut,
                        "the robot application's stop callback has not returned: make it return at once",
                        {}};
-    if (level_.announced() < generation)
+    if (level_.stopped() < generation)
         return Refusal{
             RefusalCode::WrongState, "the signal lane has not announced this task's stop generation", {}};
     return std::nullopt;

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT
 #pragma once
-#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
@@ -13,8 +12,7 @@ namespace axon {
 
 /// The level that a stop raises, seen by every running task.
 ///
-/// Two counters of the Entity Manager's stops: `announced`, the newest generation heard of, and `stopped`,
-/// the newest whose stop was meant for the application; a drill raises only the first. Stops that this
+/// `stopped` is the newest generation of the Entity Manager's stops that was heard of. Stops that this
 /// library dispatches itself (fault, shutdown) raise the *epoch*. A task remembers generation and epoch of
 /// its dispatch and is stopped once `stopped` or the epoch is higher. `settled` is false from the moment a
 /// level rises until the application's stop callback has returned: no task starts in between. A callback that
@@ -28,7 +26,6 @@ class StopLevel {
     explicit StopLevel(const Clock& clock) : clock_(clock) {}
 
     const Clock& clock() const { return clock_; }
-    std::uint32_t announced() const { return announced_.load(std::memory_order_acquire); }
     std::uint32_t stopped() const { return stopped_.load(std::memory_order_acquire); }
     std::uint64_t epoch() const { return epoch_.load(std::memory_order_acquire); }
     int cause() const { return cause_.load(std::memory_order_acquire); }
@@ -36,17 +33,13 @@ class StopLevel {
 
     /// A new link begins at its Entity Manager's generation, whatever the former one's was.
     void adopt(std::uint32_t generation) {
-        change([&] { announced_ = stopped_ = generation; });
-    }
-    void announce(std::uint32_t generation) {
-        change([&] { announced_ = std::max(announced_.load(), generation); });
+        change([&] { stopped_ = generation; });
     }
     void raise(std::uint32_t generation, int cause) {
         change([&] {
             cause_ = cause;
             settled_ = false;
             stopped_ = generation;
-            announced_ = std::max(announced_.load(), generation);
         });
     }
     void raiseEpoch(int cause) {
@@ -107,7 +100,6 @@ class StopLevel {
     const Clock& clock_;
     std::mutex mutex_;
     std::condition_variable changed_;
-    std::atomic<std::uint32_t> announced_{0};
     std::atomic<std::uint32_t> stopped_{0};
     std::atomic<std::uint64_t> epoch_{0};
     std::atomic<int> cause_{0};

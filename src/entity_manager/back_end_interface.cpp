@@ -154,10 +154,16 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     void stop(std::uint32_t generation, StopCause cause) {
         if (const auto signal = signal_.load()) {
             proto::EmToEi message;
-            message.mutable_stop()->set_stop_generation(generation);
-            message.mutable_stop()->set_cause(static_cast<proto::StopCause>(cause));
+            auto& stop = *message.mutable_stop();
+            if (cause == StopCause::Drill) {
+                stop.set_drill(generation);
+            } else {
+                stop.set_stop_generation(generation);
+            }
+            stop.set_cause(static_cast<proto::StopCause>(cause));
             signal->write(message);
         }
+        if (cause == StopCause::Drill) return;
         announce(generation);  // after it, lest a beat arrives first and hides the cause
     }
 

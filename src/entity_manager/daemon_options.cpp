@@ -206,7 +206,10 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     } catch (const std::invalid_argument& error) {
         throw std::runtime_error(std::string("--server: ") + error.what());
     }
-    if (!options.server.router.empty()) options.server.tls = transport::isTlsRouter(options.server.router);
+    if (auto& router = options.server.router; !router.empty()) {
+        router = transport::wayToRouter(router, transport::speaksTls(options.ice_properties));
+        options.server.tls = transport::isTlsRouter(router);
+    }
     if (options.server.port == 0)
         throw std::runtime_error("--server: expected host:port with a port from 1 to 65535, as 127.0.0.1:10412, not '" + at + "'");
     if (options.server.tls && !transport::speaksTls(options.ice_properties))

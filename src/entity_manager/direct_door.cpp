@@ -9,6 +9,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "common/rate_limit.hpp"
 #include "entity_manager/server_communicators.hpp"
 #include "transport/adapter.hpp"
 #include "transport/communicator.hpp"
@@ -105,6 +106,8 @@ class SessionServant final : public slice::DirectSession {
         auto cause = transport::fromIce(ice_cause);
         if (cause != StopCause::Drill) cause = StopCause::Requested;
         if (its.sequence >= kServerSequences) its.sequence = 0;
+        // Its copy by the servers, where more are refused, is told.
+        if (cause == StopCause::Drill && !drills_.admit(clock_.now())) return;
         if (const auto events = events_.lock()) events->directStop(std::move(its), cause);
     }
     void sendResetSignal(slice::Head head, const Ice::Current& current) override {
@@ -160,6 +163,7 @@ class SessionServant final : public slice::DirectSession {
     const std::shared_ptr<IceLane> back_;
     const Clock& clock_;
     const std::weak_ptr<DirectEvents> events_;
+    RateLimit drills_{kDrillsPerSecond};
 };
 
 std::string toBytes(const Axon::CommUtil::Bytes& bytes) {

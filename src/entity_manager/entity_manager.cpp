@@ -121,10 +121,15 @@ Inbox::Verdict EntityManager::passSignal(Inbox::Signal kind, Inbox::Event event)
 
 Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
     const std::lock_guard in_order(signal_mutex_);
-    const bool drill = cause == StopCause::Drill;
-    // A generation that the strand never hears of would make every command an old one, so a drill that would be
-    // dropped raises none.
-    if (drill && inbox_.signalsFull()) return Inbox::Verdict::Dropped;
+    if (cause == StopCause::Drill) {
+        if (inbox_.signalsFull()) return Inbox::Verdict::Dropped;  // nobody would hear of the answer
+        const auto number = gate_.drill(head.sender.id, head.sequence);
+        if (!number) return Inbox::Verdict::Dropped;  // by the other path
+        back_end_.port->stop(*number, cause);
+        return inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head), number = *number] {
+            core_->onDrill(head, number);
+        });
+    }
     const auto generation = gate_.raise(head.sender.id, head.sequence);
     if (!generation) {  // the same stop by another path, or repeated because its receipt did not arrive
         const auto known = gate_.raisedBy(head.sender.id, head.sequence);
@@ -135,7 +140,7 @@ Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
                                  });
     }
     back_end_.port->stop(*generation, cause);
-    return inbox_.pushSignal(drill ? Inbox::Signal::Drill : Inbox::Signal::Stop,
+    return inbox_.pushSignal(Inbox::Signal::Stop,
                              [this, head = std::move(head), cause, generation = *generation] {
                                  core_->onStopSignal(head, cause, generation);
                              });

@@ -126,8 +126,8 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     const std::string name_;
     const Clock& clock_;
     Inbox inbox_;
-    std::mutex signal_mutex_;  // of the threads that bring signals: stops reach robot and inbox in the order of their
-                               // generations, and a drill that has found a slot keeps it
+    std::mutex signal_mutex_;  // of the threads that bring signals: stops reach robot and inbox in the order
+                               // of their generations
     StopGate gate_;
     BackEnd back_end_;
     const std::shared_ptr<ServerCommunicators> ice_;

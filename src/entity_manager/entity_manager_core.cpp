@@ -40,6 +40,9 @@ void EntityManagerCore::onClientMsg(const Header& head, std::string_view bytes) 
 void EntityManagerCore::onPeerRefusal(const Header& head, const Refusal& refusal) {
     machine_->onPeerRefusal(head, refusal);
 }
+void EntityManagerCore::onDrill(const Header& head, std::uint32_t number) {
+    machine_->onDrill(head, number);
+}
 void EntityManagerCore::onStopSignal(const Header& head, StopCause cause, std::uint32_t generation) {
     machine_->onStopSignal(head, cause, generation);
 }

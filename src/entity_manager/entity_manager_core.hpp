@@ -81,6 +81,9 @@ class EntityManagerCore {
     void onPeerRefusal(const Header& head, const Refusal& refusal);
     /// The signal thread has forwarded the stop to the EI already, under `generation` of the StopGate.
     void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
+    /// Likewise a drill, under `number` of StopGate::drill. It measures the way of a stop and changes
+    /// nothing.
+    void onDrill(const Header& head, std::uint32_t number);
     /// A stop that has been seen before, under `generation`: its receipt is told again.
     void onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation);
     void onResetSignal(const Header& head);

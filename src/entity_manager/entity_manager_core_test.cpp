@@ -66,9 +66,8 @@ TEST_F(Held, ADrillOfTheServerIsAnsweredToItAloneAndItsEndHasItsOwnRoutingKey) {
     rig.to_clients.clear();
     auto head = rig.headOf("drill-1");
     head.msg_type = kMsgDrill;
-    const auto raised = rig.gate.raise(head.sender.id, head.sequence);
-    rig.core().onStopSignal(head, StopCause::Drill, *raised);
-    rig.stopDone(*raised);
+    rig.core().onDrill(head, *rig.gate.drill(head.sender.id, head.sequence));
+    rig.drillDone(1);
     ASSERT_EQ(rig.to_clients.size(), 2U);
     for (const auto& told : rig.to_clients) {
         EXPECT_EQ(told.head.sender.id, "drill-1");
@@ -80,6 +79,66 @@ TEST_F(Held, ADrillOfTheServerIsAnsweredToItAloneAndItsEndHasItsOwnRoutingKey) {
     // The holder has not heard of it, and may go on.
     rig.task("client1", "next", "Turning");
     EXPECT_EQ(refusalOf(rig, "next"), proto::OK);
+}
+
+TEST_F(Held, DrillsChangeNothingHoweverManyThereAre) {
+    rig.task("client1", "run", "Turning");
+    rig.grant("run");
+    rig.stop("client2");  // remembered: the same stop by another path raises nothing
+    const auto sequence = rig.clients["client2"].sequence;
+    rig.stopDone(1);
+    rig.rearm("client1", "r2");
+    rig.task("client1", "again", "Turning");
+    rig.grant("again");
+    const auto generation = rig.gate.generation();
+    const auto statuses = rig.statuses.size();
+    const auto stops = rig.stops.size();
+    const auto journaled = [&] {
+        return std::count_if(
+            rig.journal.records.begin(), rig.journal.records.end(),
+            [](const JournalRecord& record) { return record.kind == JournalRecord::Kind::Stopped; });
+    };
+    const auto journal = journaled();
+    for (std::uint32_t i = 1; i <= 1000; ++i) {
+        rig.stop("client3", StopCause::Drill);
+        EXPECT_EQ(rig.gate.generation(), generation);
+        // The holder's messages are those of the newest generation, whether it has heard of the drill or not.
+        const auto told = rig.to_clients.size();
+        rig.setParam("client1", "s" + std::to_string(i), "Driving", "Speed=300");
+        for (auto at = told; at < rig.to_clients.size(); ++at)
+            EXPECT_NE(rig.to_clients[at].message.reply().refusal().code(), proto::OLD_GENERATION);
+        rig.drillDone(i);
+    }
+    EXPECT_EQ(rig.statuses.size(), statuses);
+    EXPECT_EQ(rig.stops.size(), stops);
+    EXPECT_EQ(journaled(), journal);
+    EXPECT_EQ(rig.core().state(), EntityState::BUSY);
+    rig.stop("client2", StopCause::Requested, sequence);
+    EXPECT_EQ(rig.gate.generation(), generation) << "drills do not push stops out of the memory";
+}
+
+TEST_F(Held, ADrillIsAnsweredOnceWhicheverOfNewsAndAnswerIsFirst) {
+    const auto returned = [&] {
+        return std::count_if(rig.to_clients.begin(), rig.to_clients.end(), [](const auto& told) {
+            return told.head.sender.id == "client3" &&
+                   told.message.receipt().stage() == proto::StopReceipt::CALLBACK_RETURNED;
+        });
+    };
+    const auto head = rig.headOf("client3");
+    const auto number = rig.gate.drill(head.sender.id, head.sequence);
+    ASSERT_TRUE(number);
+    EXPECT_FALSE(rig.gate.drill(head.sender.id, head.sequence)) << "the same by another path";
+    rig.drillDone(*number);
+    EXPECT_EQ(returned(), 0);
+    rig.core().onDrill(head, *number);
+    EXPECT_EQ(returned(), 1);
+    rig.drillDone(*number);
+    rig.drillDone(7);  // never given
+    EXPECT_EQ(returned(), 1);
+    // Without an application, and one on its way when the link comes.
+    rig.core().onLinkDown("gone");
+    rig.stop("client3", StopCause::Drill);
+    EXPECT_EQ(rig.to_clients.back().message.receipt().stage(), proto::StopReceipt::NO_APPLICATION);
 }
 
 TEST_F(Held, TheAnswerToADrillIsNoReceiptOfTheStopBeforeIt) {
@@ -95,7 +154,7 @@ TEST_F(Held, TheAnswerToADrillIsNoReceiptOfTheStopBeforeIt) {
     rig.stop("client2");
     const auto stop = rig.gate.generation();
     rig.stop("client3", StopCause::Drill);
-    rig.stopDone(rig.gate.generation());  // as when the callback of the stop has thrown
+    rig.drillDone(1);  // as when the callback of the stop has thrown
     EXPECT_EQ(returned(), 0);
     rig.stopDone(stop);
     EXPECT_EQ(returned(), 1);
@@ -127,13 +186,13 @@ TEST_F(Held, TheAnswerToADrillDoesNotLetTheRobotBeGivenToTheNext) {
     rig.stop("client2");
     const auto stop = rig.gate.generation();
     rig.stop("client3", StopCause::Drill);
-    rig.stopDone(rig.gate.generation());
+    rig.drillDone(1);
     proto::ToEntity bye;
     bye.mutable_release();
     rig.send("client1", bye);
     const auto released = rig.gate.generation();
     rig.stop("client3", StopCause::Drill);
-    rig.stopDone(rig.gate.generation());  // the application is still inside the callbacks of both stops
+    rig.drillDone(2);  // the application is still inside the callbacks of both stops
     rig.take("client2", "r2");
     EXPECT_EQ(rig.core().state(), EntityState::IDLE);
     rig.stopDone(stop);

@@ -7,20 +7,15 @@
 
 namespace axon::entity_manager {
 
-/// Which of the waiting signals makes room for one that must not be lost; kSignals = none. The newest generation must
-/// reach the strand, or every command would be an old one, and so must the newest stop; a new stop is both.
+/// Which of the waiting signals makes room for one that must not be lost; kSignals = none. The newest stop
+/// must reach the strand, or every command would be one of an old generation.
 std::size_t Inbox::victimFor(Signal kind) {
     std::size_t newest_stop = kSignals;
-    std::size_t newest_generation = kSignals;
-    for (std::size_t i = 0; i < kSignals && kind != Signal::Stop; ++i) {
-        if (signalAt(i).kind == Signal::Stop) newest_stop = newest_generation = i;
-        if (signalAt(i).kind == Signal::Drill) newest_generation = i;
-    }
+    for (std::size_t i = 0; i < kSignals && kind != Signal::Stop; ++i)
+        if (signalAt(i).kind == Signal::Stop) newest_stop = i;
     for (const auto first : {Signal::Peer, Signal::Passing})
         for (std::size_t i = 0; i < kSignals; ++i)
             if (signalAt(i).kind == first) return i;
-    for (std::size_t i = 0; i < kSignals; ++i)
-        if (signalAt(i).kind == Signal::Drill && i != newest_generation) return i;
     for (std::size_t i = kSignals; i-- > 0;)
         if (signalAt(i).kind == Signal::Stop && i != newest_stop) return i;
     return kSignals;
@@ -32,7 +27,7 @@ Inbox::Verdict Inbox::pushSignal(Signal kind, Event event) {
         const std::lock_guard lock(signal_mutex_);
         if (kind == Signal::Peer && peers_ == kPeerSignals) return Verdict::Dropped;
         if (signal_count_ == kSignals) {
-            if (kind == Signal::Passing || kind == Signal::Drill || kind == Signal::Peer) return Verdict::Dropped;
+            if (kind == Signal::Passing || kind == Signal::Peer) return Verdict::Dropped;
             auto at = victimFor(kind);
             if (at == kSignals) return Verdict::Overflow;
             victim = std::move(signalAt(at).event);

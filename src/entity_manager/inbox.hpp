@@ -34,8 +34,7 @@ class Inbox {
     enum class Signal : std::uint8_t {
         Stop,
         Client,   ///< a client was lost, came back, or has left
-        Drill,    ///< raises the generation as a stop does, and may be dropped
-        Passing,  ///< may be dropped: reset, clear, a repeated stop
+        Passing,  ///< may be dropped: reset, clear, a drill, a repeated stop
         Peer,     ///< of another entity, whose next one repeats it; at most kPeerSignals wait
     };
     static constexpr std::size_t kSignals = 64;
@@ -44,9 +43,10 @@ class Inbox {
     explicit Inbox(Bounds bounds) : bounds_(bounds) {}
     Inbox() : Inbox(Bounds{}) {}
 
-    /// Dropped: a passing one, a drill or a peer's found no slot. Overflow: one that may not be lost found nothing that may.
+    /// Dropped: a passing one or a peer's found no slot. Overflow: one that may not be lost found nothing
+    /// that may.
     Verdict pushSignal(Signal kind, Event event);
-    /// Whether a drill or a passing signal would be dropped now. False stays false until a signal is pushed.
+    /// Whether a passing signal would be dropped now. False stays false until a signal is pushed.
     bool signalsFull() const;
     /// Half of the bounds is for those who can wait (awaitRoom); the rest is left to those who cannot. One event alone always fits.
     enum class Share : std::uint8_t { Whole, Half };

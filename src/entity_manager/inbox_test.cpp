@@ -163,16 +163,6 @@ TEST_F(InboxTest, TheLossOfAClientTakesThePlaceOfAStopThatIsNotTheNewest) {
     EXPECT_EQ(seen, std::string(62, 's') + "NC");
 }
 
-TEST_F(InboxTest, TheNewestGenerationReachesTheStrandThoughADrillRaisedIt) {
-    Inbox inbox;
-    for (int i = 0; i < 63; ++i) inbox.pushSignal(Signal::Client, note('c'));
-    inbox.pushSignal(Signal::Drill, note('d'));
-    EXPECT_EQ(inbox.pushSignal(Signal::Client, note('C')), Inbox::Verdict::Overflow);
-    EXPECT_EQ(inbox.pushSignal(Signal::Stop, note('S')), Inbox::Verdict::AlreadyScheduled);
-    drain(inbox);
-    EXPECT_EQ(seen, std::string(63, 'c') + "S");
-}
-
 TEST_F(InboxTest, ASignalThatMayNotBeLostAndFindsNothingThatMayIsReported) {
     Inbox inbox;
     inbox.pushSignal(Signal::Stop, note('S'));

@@ -20,6 +20,7 @@ constexpr Duration kPositionPeriod = std::chrono::milliseconds{200};
 constexpr Duration kRestUntold = std::chrono::milliseconds{20};
 constexpr Duration kRawRefusalPeriod = std::chrono::milliseconds{200};
 constexpr std::size_t kOpenStops = 16;
+constexpr std::size_t kOpenDrills = 64;
 constexpr std::size_t kActiveTold = 1024;
 constexpr std::size_t kStreamName = 255;
 constexpr std::uint32_t kGenerationsReserved = 1000;
@@ -450,6 +451,7 @@ void EntityManagerCore::Machine::onLinkUp() {
     link_up_ = true;
     // It has stopped by itself when its last link ended: before all stops so far, those on their way here included.
     link_generation_ = commanded_ = confirmed_ = stop_gate_.generation();
+    link_drill_ = stop_gate_.drills();
     active_told_.clear();
     streams_off_ = false;  // a link begins with all of them on
     lingering_.clear();
@@ -468,15 +470,18 @@ void EntityManagerCore::Machine::onLinkDown(const std::string& reason) {
     incident.reason = {RefusalCode::Unavailable, "The link to the robot application was lost: " + reason, {}};
     lingering_.clear();
     application_busy_ = false;
-    for (auto& open : open_stops_) {
-        open.receipt.set_stage(proto::StopReceipt::NO_APPLICATION);
-        proto::ToClient message;
-        *message.mutable_receipt() = open.receipt;
-        message.mutable_receipt()->set_at_us(toMicroseconds(clock_.now()));
-        for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+    for (auto* all : {&open_stops_, &open_drills_}) {
+        for (auto& open : *all) {
+            open.receipt.set_stage(proto::StopReceipt::NO_APPLICATION);
+            proto::ToClient message;
+            *message.mutable_receipt() = open.receipt;
+            message.mutable_receipt()->set_at_us(toMicroseconds(clock_.now()));
+            for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+        }
+        all->clear();
     }
-    open_stops_.clear();
     early_done_.clear();
+    early_drills_.clear();
     fire(incident);
     settle();
 }
@@ -489,7 +494,10 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
     if (AXON_PLANTED(WatchdogFedByTheApplication)) server_watchdog_.feed(clock_.now());
     switch (message.body_case()) {
         case proto::EiToEm::kStopDone:
-            stopDone(message.stop_done());
+            if (message.stop_done().drill() != 0)
+                drillDone(message.stop_done().drill());
+            else
+                stopDone(message.stop_done());
             break;
         case proto::EiToEm::kBeat:
             if (message.beat().stopped()) confirmStop(message.beat().stop_generation());
@@ -715,6 +723,7 @@ EntityStatus EntityManagerCore::Machine::status() const {
     status.orphaned = lease_.orphaned();
     status.waiting = static_cast<std::int32_t>(wait_list_.size());
     if (state_ == EntityState::UNAV || state_ == EntityState::ERR) status.reason = reason_;
+    if (state_ == EntityState::IDLE) status.reason = taken_;
     return status;
 }
 
@@ -763,8 +772,9 @@ void EntityManagerCore::Machine::handled(std::uint32_t generation, bool internal
 
 void EntityManagerCore::Machine::stopApplication(Incident& incident) {
     if (AXON_PLANTED(LostServerDoesNotStop) && incident.event == Event::ServerDown) return;
-    incident.generation = AXON_PLANTED(ReleaseKeepsGeneration) && incident.event == Event::Release ? stop_gate_.generation() : stop_gate_.raise();
-    newest_real_ = std::max(newest_real_, incident.generation);
+    incident.generation = AXON_PLANTED(ReleaseKeepsGeneration) && incident.event == Event::Release
+                              ? stop_gate_.generation()
+                              : stop_gate_.raise();
     back_end_.stop(incident.generation, incident.cause);
     handled(incident.generation, true, incident.event != Event::Reset);
     if (incident.event != Event::Reset) application_busy_ = false;
@@ -780,24 +790,65 @@ void EntityManagerCore::Machine::onStopSignal(const Header& head, StopCause caus
     Incident incident{Event::Stop, &head};
     incident.cause = cause;
     incident.generation = generation;
-    if (cause == StopCause::Drill) {
-        // Not a row: a drill measures the way of a stop and changes nothing.
-        handled(generation, false, false);
-        acknowledge(incident);
-    } else {
-        newest_real_ = std::max(newest_real_, generation);
-        handled(generation, false, true);
-        incident.reason = {
-            RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
-        application_busy_ = false;
-        if (!AXON_PLANTED(StopNotInTheJournal)) note({.kind = JournalRecord::Kind::Stopped,
+    handled(generation, false, true);
+    incident.reason = {
+        RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
+    application_busy_ = false;
+    if (!AXON_PLANTED(StopNotInTheJournal))
+        note({.kind = JournalRecord::Kind::Stopped,
               .generation = generation,
               .who = named(head.sender),
               .code = toString(cause),
               .text = incident.reason.message});
-        fire(incident);
-    }
+    fire(incident);
     settle();
+}
+
+/// Neither a row of the table nor an event after which anything is due.
+void EntityManagerCore::Machine::onDrill(const Header& head, std::uint32_t number) {
+    if (quit_) return;
+    drill_ = std::max(drill_, number);
+    OpenStop open;
+    open.drill = number;
+    open.receipt = receiptOf(head, StopCause::Drill, generation_);
+    open.of_server = head.msg_type == kMsgDrill;
+    if (!head.sender.id.empty()) open.to.push_back(head.sender);
+    if (holder() != nullptr && holder()->id != head.sender.id && !open.of_server)
+        open.to.push_back(*holder());
+
+    proto::ToClient message;
+    *message.mutable_receipt() = open.receipt;
+    for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+    if (!link_up_ || number <= link_drill_) {
+        message.mutable_receipt()->set_stage(proto::StopReceipt::NO_APPLICATION);
+        for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+        return;
+    }
+    if (open_drills_.size() == kOpenDrills) open_drills_.pop_front();
+    open_drills_.push_back(std::move(open));
+    if (std::erase(early_drills_, number) > 0) drillDone(number);
+}
+
+void EntityManagerCore::Machine::drillDone(std::uint32_t number) {
+    if (number > stop_gate_.drills()) {
+        ++counters_.unexpected;
+        return;
+    }
+    if (number > drill_) {  // the answer was faster than the news
+        if (early_drills_.size() < kOpenDrills) early_drills_.push_back(number);
+        return;
+    }
+    const auto found = std::find_if(open_drills_.begin(), open_drills_.end(),
+                                    [&](const OpenStop& open) { return open.drill == number; });
+    if (found == open_drills_.end()) return;
+    const auto open = std::move(*found);
+    open_drills_.erase(found);
+    proto::ToClient message;
+    auto& receipt = *message.mutable_receipt() = open.receipt;
+    receipt.set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+    receipt.set_at_us(toMicroseconds(clock_.now()));
+    receipt.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
+    for (const auto& to : open.to) tell(to, open.of_server ? kMsgDrill : kMsgReceipt, message, Lane::Signal);
 }
 
 void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
@@ -837,9 +888,7 @@ void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
     auto& receipt = open.receipt;
     receipt = receiptOf(*incident.head, incident.cause, incident.generation);
     if (!incident.head->sender.id.empty()) open.to.push_back(incident.head->sender);
-    open.of_server = incident.cause == StopCause::Drill && incident.head->msg_type == kMsgDrill;
-    if (holder() != nullptr && holder()->id != incident.head->sender.id && !open.of_server)
-        open.to.push_back(*holder());
+    if (holder() != nullptr && holder()->id != incident.head->sender.id) open.to.push_back(*holder());
 
     proto::ToClient message;
     *message.mutable_receipt() = receipt;
@@ -870,8 +919,7 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
         const auto fault = std::string(cutUtf8(done.fault(), kReasonMax));
         warning_ = "the stop callback of the robot application threw, and is called again: " + fault;
         for (auto& open : open_stops_) {
-            if (open.receipt.cause() == proto::STOP_DRILL ||
-                open.receipt.stop_generation() > done.stop_generation() ||
+            if (open.receipt.stop_generation() > done.stop_generation() ||
                 open.receipt.stage() >= proto::StopReceipt::CALLBACK_RETURNED)
                 continue;
             open.receipt.set_fault(fault);
@@ -881,14 +929,7 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
         }
         return;
     }
-    // The answer to a drill says nothing of a stop before it whose callback has not returned, or has thrown.
-    const bool drill = done.stage() == proto::StopReceipt::CALLBACK_RETURNED &&
-                       std::any_of(open_stops_.begin(), open_stops_.end(), [&](const OpenStop& open) {
-                           return open.receipt.stop_generation() == done.stop_generation() &&
-                                  open.receipt.cause() == proto::STOP_DRILL;
-                       });
     for (auto& open : open_stops_) {
-        if (drill && open.receipt.cause() != proto::STOP_DRILL) continue;
         // The Entity Interfacer answers the newest of several stops for all of them.
         if (open.receipt.stop_generation() > done.stop_generation() || open.receipt.stage() >= done.stage())
             continue;
@@ -897,13 +938,11 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
         *message.mutable_receipt() = open.receipt;
         message.mutable_receipt()->set_at_us(now);
         message.mutable_receipt()->set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
-        for (const auto& to : open.to)
-            tell(to, open.of_server ? kMsgDrill : kMsgReceipt, message, Lane::Signal);
+        for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
     }
     while (!open_stops_.empty() && open_stops_.front().receipt.stage() >= proto::StopReceipt::STANDSTILL)
         open_stops_.pop_front();
-    if (done.stage() >= proto::StopReceipt::CALLBACK_RETURNED && (!drill || confirmed_ >= newest_real_))
-        confirmStop(done.stop_generation());
+    if (done.stage() >= proto::StopReceipt::CALLBACK_RETURNED) confirmStop(done.stop_generation());
 }
 
 void EntityManagerCore::Machine::confirmStop(std::uint32_t generation) {

@@ -48,6 +48,7 @@ class EntityManagerCore::Machine {
     void onClientMsg(const Header& head, std::string_view bytes);
     void onPeerRefusal(const Header& head, const Refusal& refusal);
     void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
+    void onDrill(const Header& head, std::uint32_t number);
     void onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation);
     void onSignal(Event event, const Header& head);
     void onClientUpdate(const Header& head, ClientChange change);
@@ -112,7 +113,8 @@ class EntityManagerCore::Machine {
     struct OpenStop {
         proto::StopReceipt receipt;
         std::vector<Sender> to;
-        bool of_server = false;  ///< a drill of the entity server itself, which reads no payload
+        std::uint32_t drill = 0;  ///< its number, where it is one
+        bool of_server = false;   ///< a drill of the entity server itself, which reads no payload
     };
     /// A question to the robot application: a parameter or a resource.
     struct Question {
@@ -172,6 +174,7 @@ class EntityManagerCore::Machine {
     void stopApplication(Incident& incident);
     void acknowledge(const Incident& incident);
     void stopDone(const proto::StopDone& done);
+    void drillDone(std::uint32_t number);
     void confirmStop(std::uint32_t generation);
     proto::StopReceipt receiptOf(const Header& head, StopCause cause, std::uint32_t generation) const;
     /// Every stop that has been given is confirmed by the robot application, those on their way here
@@ -390,6 +393,7 @@ class EntityManagerCore::Machine {
     bool busy_told_ = false;
     bool quit_ = false;
     std::string reason_;
+    std::string taken_;  // by whom from the last holder, and why, until it is granted again
 
     std::optional<Reading<proto::BasicProfile>> basic_;
     std::optional<Reading<proto::ServicesProfile>> services_;
@@ -422,9 +426,12 @@ class EntityManagerCore::Machine {
     std::vector<proto::StopDone> early_done_;  ///< answers to stops above generation_
     std::uint32_t commanded_ = 0;              ///< newest stop that the robot application must have been told
     std::uint32_t confirmed_ = 0;              ///< newest stop whose callback has returned
-    std::uint32_t newest_real_ = 0;            ///< newest stop that is no drill
     std::uint32_t link_generation_ = 0;        ///< stops up to this one the application has never been sent
     std::deque<OpenStop> open_stops_;
+    std::deque<OpenStop> open_drills_;
+    std::vector<std::uint32_t> early_drills_;  ///< answered above drill_
+    std::uint32_t drill_ = 0;                  ///< newest drill that was heard of here
+    std::uint32_t link_drill_ = 0;             ///< drills up to this one the application has never been sent
 
     std::optional<collaboration::Collaboration> run_;  ///< of which this entity is the master
     std::optional<Membership> member_;                 ///< of the run in which it takes part

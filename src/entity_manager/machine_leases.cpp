@@ -328,6 +328,7 @@ void EntityManagerCore::Machine::grantWhenStanding(Claim claim, proto::CheckOutP
         lease_.resume(claim.client, claim.request_id);
     else
         lease_.grant(claim);
+    taken_.clear();
     note({.kind = resumes ? JournalRecord::Kind::Resumed : JournalRecord::Kind::Granted,
           .who = named(claim.client)});
     if (resumes) attendTasks();
@@ -356,6 +357,7 @@ void EntityManagerCore::Machine::takeOver(const Claim& claim, proto::CheckOutPha
               .who = named(claim.client),
               .code = std::string(refusalName(why.code)),
               .text = why.message});
+        taken_ = why.message;
         fire(taken);
     }
     grantWhenStanding(claim, phase);

@@ -479,10 +479,12 @@ TEST_F(Ownership, OnlyAdministratorsTakeOverAndTheLoserIsToldAtOnce) {
     EXPECT_EQ(ended("client1")->reason().holder(), "admin@lab");
     EXPECT_NE(ended("client1")->reason().message().find("fire"), std::string::npos);
     EXPECT_EQ(holder(), "");
+    EXPECT_EQ(rig.statuses.back().reason, "admin@lab took it over: fire") << "for the server's log";
     checkOut("client2", "r4");
     EXPECT_EQ(code("client2"), proto::RESERVED);
     standStill();
     EXPECT_EQ(holder(), "admin");
+    EXPECT_EQ(rig.statuses.back().reason, "");
     EXPECT_EQ(std::count_if(rig.journal.records.begin(), rig.journal.records.end(),
                             [](const JournalRecord& record) {
                                 return record.kind == JournalRecord::Kind::TakenOver &&

@@ -6,15 +6,17 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "common/planted_bug.hpp"
 
 namespace axon::entity_manager {
 
 /// The stop generation, shared by the signal thread that raises it and the strand that reads it. A stop is
-/// known by its sender and sequence number, which counts from 1: the same stop that arrives by two paths raises
-/// the generation once (architecture, section 7), and one without such a number is always new. Threads: any. The mutex is the signal lane's own and is held for a
-/// comparison of a few strings.
+/// known by its sender and sequence number, which counts from 1: the same stop that arrives by two paths
+/// raises the generation once (architecture, section 7), and one without such a number is always new.
+/// Threads: any. The mutex is the signal lane's own and is held for a comparison of a few strings. Drills
+/// have numbers and a memory of their own, so that they change nothing here.
 class StopGate {
   public:
     explicit StopGate(std::uint32_t first = 0) : generation_(first) {}
@@ -25,16 +27,25 @@ class StopGate {
     std::optional<std::uint32_t> raise(const std::string& sender, std::int64_t sequence) {
         if (sequence <= 0) return raise();
         const std::lock_guard lock(mutex_);
-        if (find(sender, sequence) != nullptr && !AXON_PLANTED(StopNotIdempotent)) return std::nullopt;
+        if (stops_.find(sender, sequence) != nullptr && !AXON_PLANTED(StopNotIdempotent)) return std::nullopt;
         const auto generation = raise();
-        recent_[next_] = {sender, sequence, generation};
-        next_ = (next_ + 1) % recent_.size();
+        stops_.add({sender, sequence, generation});
         return generation;
     }
+    /// The number of this drill if it is new.
+    std::optional<std::uint32_t> drill(const std::string& sender, std::int64_t sequence) {
+        const std::lock_guard lock(mutex_);
+        if (sequence > 0 && drills_seen_.find(sender, sequence) != nullptr) return std::nullopt;
+        const auto number = drills_.fetch_add(1, std::memory_order_acq_rel) + 1;
+        if (sequence > 0) drills_seen_.add({sender, sequence, number});
+        return number;
+    }
+    /// How many drills there have been.
+    std::uint32_t drills() const { return drills_.load(std::memory_order_acquire); }
     /// The generation that this stop raised when it was new; nothing if that is too long ago.
     std::optional<std::uint32_t> raisedBy(const std::string& sender, std::int64_t sequence) {
         const std::lock_guard lock(mutex_);
-        const auto* seen = find(sender, sequence);
+        const auto* seen = stops_.find(sender, sequence);
         return seen != nullptr ? std::optional(seen->generation) : std::nullopt;
     }
     /// Before anything else uses it: an earlier life has told generations up to this one.
@@ -56,16 +67,27 @@ class StopGate {
         std::int64_t sequence = 0;
         std::uint32_t generation = 0;
     };
-    const Seen* find(const std::string& sender, std::int64_t sequence) const {
-        for (const auto& seen : recent_)
-            if (sequence > 0 && seen.sequence == sequence && seen.sender == sender) return &seen;
-        return nullptr;
-    }
+    /// The newest few.
+    struct Recent {
+        std::array<Seen, 32> seen;
+        std::size_t next = 0;
+
+        const Seen* find(const std::string& sender, std::int64_t sequence) const {
+            for (const auto& one : seen)
+                if (sequence > 0 && one.sequence == sequence && one.sender == sender) return &one;
+            return nullptr;
+        }
+        void add(Seen one) {
+            seen[next] = std::move(one);
+            next = (next + 1) % seen.size();
+        }
+    };
     std::atomic<std::uint32_t> generation_;
     std::atomic<bool> spares_client_loss_{false};
     std::mutex mutex_;
-    std::array<Seen, 32> recent_;  // guarded by mutex_
-    std::size_t next_ = 0;         // guarded by mutex_
+    Recent stops_;        // guarded by mutex_
+    Recent drills_seen_;  // guarded by mutex_
+    std::atomic<std::uint32_t> drills_{0};
 };
 
 }  // namespace axon::entity_manager

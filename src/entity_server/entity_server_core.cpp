@@ -7,6 +7,7 @@
 #include <unordered_set>
 #include <utility>
 
+#include "common/entity_name.hpp"
 #include "common/life_signs.hpp"
 #include "common/utf8.hpp"
 
@@ -104,6 +105,14 @@ Refusal noSuchPeer(const Header& head) {
             "no entity " + head.entity.substr(0, 64) + " is connected; 'axon ls' shows those that are there", {}};
 }
 
+/// Like it, and one that isEntityName().
+std::string otherName(std::string name) {
+    const auto hash = name.rfind('#');
+    if (hash == std::string::npos) return "Robot " + name.substr(0, 8);
+    name[hash] = ' ';
+    return validUtf8(name);
+}
+
 void mend(std::string& text) {
     text = cutUtf8(validUtf8(text), kTextMax);
 }
@@ -114,6 +123,13 @@ Result<void> check(const Registration& registration, std::size_t profile_bytes,
         return refuse(RefusalCode::BadName,
                       "the entity's name must have 1 to 256 characters; mend <entity_name> in the "
                       "basic profile");
+    }
+    if (!isEntityName(registration.name)) {
+        return refuse(RefusalCode::BadName, "'" + validUtf8(registration.name) +
+                                                "' is how people call another entity, by NAME#NUMBER or its "
+                                                "UUID: expected a name that is neither; "
+                                                "fix: rename it in the basic profile, such as '" +
+                                                otherName(registration.name) + "'");
     }
     for (const auto* text :
          {&registration.name, &registration.category, &registration.type, &registration.direct_endpoint}) {
@@ -283,8 +299,14 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         const bool busy = status.state == EntityState::BUSY;
         const auto& before = session->record->status;
         if (before.holder.id != status.holder.id) {
-            line = status.holder.id.empty() ? session->name + " is free, released by " + before.holder.name
-                                            : session->name + " is checked out by " + status.holder.name;
+            if (!status.holder.id.empty()) {
+                line = session->name + " is checked out by " + status.holder.name;
+            } else if (status.state == EntityState::IDLE && !status.reason.empty()) {
+                line =
+                    "audit: " + session->name + " is taken from " + before.holder.name + ": " + status.reason;
+            } else {
+                line = session->name + " is free, released by " + before.holder.name;
+            }
         }
         late = before.holder.id != status.holder.id && !status.orphaned && !front_ends_.serves(status.holder.id);
         if (late) given = status;

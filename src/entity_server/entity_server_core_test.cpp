@@ -234,6 +234,9 @@ TEST_F(EntityServerTest, RefusesBadRegistrations) {
     EXPECT_EQ(refusal(registration("no uuid")), RefusalCode::Malformed);
     EXPECT_EQ(refusal(registration(kFirst, "")), RefusalCode::BadName);
     EXPECT_EQ(refusal(registration(kFirst, std::string(257, 'x'))), RefusalCode::BadName);
+    EXPECT_EQ(refusal(registration(kFirst, "PeopleBot#2")), RefusalCode::BadName)
+        << "the second that is called PeopleBot";
+    EXPECT_EQ(refusal(registration(kFirst, kSecond)), RefusalCode::BadName) << "another entity's UUID";
     auto frantic = registration(kFirst);
     frantic.heartbeat_busy_ms = 1;
     EXPECT_EQ(refusal(frantic), RefusalCode::OutOfRange);
@@ -491,6 +494,26 @@ TEST_F(EntityServerTest, AStatusOnTheSignalLaneIsRefused) {
     const auto peer = join(kFirst);
     core.refuseOnSignalLane(peer.session, kMsgStatus);
     EXPECT_THAT(peer.data->lines, ElementsAre("refused WRONG_STATE"));
+}
+
+TEST_F(EntityServerTest, WhoLostAnEntityToWhomIsAudited) {
+    const auto peer = join(kFirst);
+    const auto tell = [&](EntityState state, const char* holder, const char* reason) {
+        EntityStatus out;
+        out.state = state;
+        out.reason = reason;
+        if (*holder != '\0') out.holder = {std::string("session of ") + holder, holder, Role::Operator};
+        core.sendStatus(peer.session, out);
+    };
+    notes.clear();
+    tell(EntityState::REG, "client1", "");
+    tell(EntityState::IDLE, "", "admin@lab took it over: fire");
+    tell(EntityState::REG, "admin@lab", "");
+    tell(EntityState::IDLE, "", "");
+    EXPECT_THAT(notes,
+                ElementsAre("Robot is checked out by client1",
+                            "audit: Robot is taken from client1: admin@lab took it over: fire",
+                            "Robot is checked out by admin@lab", "Robot is free, released by admin@lab"));
 }
 
 TEST_F(EntityServerTest, WarnsOnceAMinuteOfAnEntityThatIsNearlyLost) {

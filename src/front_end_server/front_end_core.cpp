@@ -18,6 +18,7 @@ class FrontEndCore::Client {
           token(std::move(its_token)),
           data(std::move(its_data)),
           rate(settings.messages_per_second),
+          drill_rate(settings.drills_per_second),
           watchdog(settings.watchdog_busy, settings.watchdog_idle, now),
           next_heartbeat(now + settings.heartbeat_idle),
           fed(now) {
@@ -29,7 +30,7 @@ class FrontEndCore::Client {
     const std::string token;
     const std::shared_ptr<ClientOutbox> data;
 
-    RateLimit rate;
+    RateLimit rate, drill_rate;
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
     LifeSigns signs;                                 // written without a lock
     std::atomic<std::size_t> told{0};                // entities, when it joined
@@ -185,6 +186,20 @@ bool FrontEndCore::flooded(const ClientRef& client) {
     return true;
 }
 
+/// Refused then: a stop never is.
+bool FrontEndCore::drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities) {
+    if (client->drill_rate.admit(clock_.now(),
+                                 static_cast<std::uint32_t>(std::max<std::size_t>(entities, 1))))
+        return false;
+    client->signalOutbox()->newRefusalMsg(
+        head,
+        refuse(RefusalCode::Overloaded,
+               "more drills than " + std::to_string(settings_.drills_per_second) +
+                   " entities in a second; fix: let more time pass between them (axon drill --every S)"));
+    flooded(client);
+    return true;
+}
+
 // Who did what, for those who ask afterwards. A forced take-over is inside a payload: the Entity Manager says
 // it.
 void FrontEndCore::audit(const char* what, const Sender& who,
@@ -251,6 +266,7 @@ void FrontEndCore::sendStopSignal(const ClientRef& client, Header head, StopCaus
     // What only servers may say is not taken from a client.
     if (cause != StopCause::Drill) cause = StopCause::Requested;
     if (head.sequence >= kServerSequences) head.sequence = 0;
+    if (cause == StopCause::Drill && drillsTooMuch(client, head, stopTargets(head.entity))) return;
     topic_.stopSignal(head, cause);
     const auto targets = stopTargets(head.entity);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
@@ -265,6 +281,7 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     head.entity.clear();
     if (cause != StopCause::Drill) cause = StopCause::Requested;
     if (head.sequence >= kServerSequences) head.sequence = 0;
+    if (cause == StopCause::Drill && drillsTooMuch(client, head, entities.size())) return;
     topic_.stopSignals(head, entities, cause);
     const auto known = [&](const std::string& entity) { return known_.find(entity, kSignal) != nullptr; };
     const auto targets = std::count_if(entities.begin(), entities.end(), known);

@@ -39,6 +39,9 @@ struct CoreSettings {
     std::size_t clients_remembered = 1024;  ///< that are gone, and might be granted an entity late
     std::uint32_t messages_per_second =
         100'000;  ///< control messages of one client, and signals; above is a flood
+    /// Entities that one client may drill in a second; what begins within is carried out, and the next
+    /// refused.
+    std::uint32_t drills_per_second = kDrillsPerSecond;
 };
 
 /// How a session ended.
@@ -147,6 +150,7 @@ class FrontEndCore {
     template <class Send>
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     bool flooded(const ClientRef& client);
+    bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
     void audit(const char* what, const Sender& who, const std::vector<std::string>& entities) const;
     std::size_t pushAll(ClientOutbox& to);
     std::size_t stopTargets(const std::string& entity) const;

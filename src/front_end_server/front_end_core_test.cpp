@@ -29,6 +29,7 @@ namespace axon::front_end_server {
 namespace {
 
 using namespace std::chrono_literals;
+using testing::Contains;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
@@ -449,6 +450,29 @@ TEST_F(FrontEndTest, SaysForTheAuditWhoStoppedAndRearmed) {
                                    HasSubstr("audit: rearm by client1 (operator, " + peer.id() + ") to e1")));
     core.sendToEntityDataSeq(peer.client, rearm, "");
     EXPECT_EQ(notes.size(), 3U) << "whatever the operation";
+}
+
+TEST_F(FrontEndTest, DrillsAreLimitedForEachClientAndStopsAreNot) {
+    entity("e1");
+    entity("e2");
+    const auto peer = join();
+    const auto other = join();
+    topic.take();
+    const auto drill = [&](const auto& who, int times) {
+        for (int i = 0; i < times; ++i) core.sendStopSignal(who.client, to("e1"), StopCause::Drill);
+        return topic.take().size();
+    };
+    EXPECT_EQ(drill(peer, 500), 500U);
+    core.sendStopSignals(peer.client, to(""), std::vector<std::string>(600, "e2"), StopCause::Drill);
+    EXPECT_EQ(topic.take().size(), 1U) << "what begins within is carried out";
+    peer.signal->take();
+    EXPECT_EQ(drill(peer, 10), 0U);
+    EXPECT_THAT(peer.signal->take(), Contains("refused OVERLOADED").Times(10));
+    EXPECT_EQ(drill(other, 10), 10U) << "each has its own";
+    core.sendStopSignal(peer.client, to("e1"), StopCause::Requested);
+    EXPECT_EQ(topic.take().size(), 1U);
+    pass(1s);
+    EXPECT_EQ(drill(peer, 10), 10U);
 }
 
 TEST_F(FrontEndTest, WarnsOnceAMinuteOfAClientThatIsNearlyLost) {

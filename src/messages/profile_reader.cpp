@@ -12,6 +12,7 @@
 #include <system_error>
 #include <utility>
 
+#include "common/entity_name.hpp"
 #include "messages/composites.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -830,6 +831,10 @@ proto::BasicProfile readBasic(const XmlElement& root, Findings& findings) {
     proto::BasicProfile profile;
     profile.set_name(reader.name("name"));
     if (!profile.name().empty()) reader.nameIt(profile.name());
+    if (!isEntityName(profile.name()))
+        reader.error(reader.lineOf("name"), "name",
+                     "a name that cannot mean another entity: no UUID, and no '#' with a number at its end",
+                     "rename it; NAME#2 is the second of the entities that are called NAME");
     if (const auto category = reader.choice("category", kCategories, true)) profile.set_category(*category);
     if (const auto type = reader.choice("type", kMobilities, true)) profile.set_type(*type);
     profile.set_descr(reader.text("descr"));

@@ -72,6 +72,21 @@ TEST(ProfileReader, UnknownAttributesAndElementsAreWarningsThatSuggestTheRightNa
                       HasSubstr("warning: extra in BasicProfile \"Arm\"")));
 }
 
+TEST(ProfileReader, AnEntityIsNotCalledByWhatMeansAnotherOne) {
+    const auto found = [](const std::string& name) {
+        const auto read =
+            readBasicProfile("<BasicProfile name=\"" + name +
+                                 "\" category=\"ROBOT\" type=\"MOBILE\" xpos=\"0\" ypos=\"0\" zpos=\"0\"/>",
+                             "b.xml");
+        return read.findings.empty() ? std::string() : read.findings.front().toString();
+    };
+    EXPECT_EQ(found("Q"), "");
+    EXPECT_EQ(found("Q #"), "");
+    EXPECT_THAT(found("Q#2"), HasSubstr("b.xml:1"));
+    EXPECT_THAT(found("Q#2"), HasSubstr("no '#' with a number at its end"));
+    EXPECT_THAT(found("00000001-1111-4111-8111-111111111111"), HasSubstr("no UUID"));
+}
+
 TEST(ProfileReader, HintsForEditorsAreNoFindings) {
     const auto reading = readBasicProfile(
         "<BasicProfile xmlns:xsi='http://www.w3.org/2001/XMLSchema-instance' "

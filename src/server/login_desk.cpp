@@ -21,6 +21,7 @@ namespace {
 constexpr std::size_t kWaitingMax = 4096;
 constexpr std::size_t kWaitingOfOneMax = 256;
 constexpr std::size_t kUserShown = 64;
+constexpr std::size_t kPasswordMax = 511;  // hashPassword()
 constexpr const char* kBehindARouter = "somebody behind a router";
 
 /// For logs and refusals.
@@ -97,11 +98,15 @@ void LoginDesk::entity(LoginRequest request, Answer answer) {
 void LoginDesk::enqueue(Door door, LoginRequest request, Answer answer) {
     const auto address = request.peer.substr(0, request.peer.rfind(':'));
     std::optional<Refusal> refusal;
+    const auto digest = users_ && !request.user.empty() ? digestOf(request.password) : std::nullopt;
     {
         const std::lock_guard lock(mutex_);
         const auto its = jobs_.find(address);
         if (closed_) {
             refusal = refuse(RefusalCode::Unavailable, "the server is shutting down");
+        } else if (waiting_ < kWaitingMax && digest && isKnown(request.user, *digest)) {
+            of_known_.push_back({door, std::move(request), address, std::move(answer)});
+            ++waiting_;
         } else if (waiting_ >= kWaitingMax ||
                    (its != jobs_.end() && its->second.size() >= kWaitingOfOneMax)) {
             refusal = refuse(RefusalCode::Overloaded, "too many wait to log in; try again in a moment");
@@ -121,16 +126,22 @@ void LoginDesk::run() {
         bool closed = false;
         {
             std::unique_lock lock(mutex_);
-            changed_.wait(lock, [this] { return closed_ || !turns_.empty(); });
-            if (turns_.empty()) return;
-            const auto its = jobs_.find(turns_.front());
-            turns_.pop_front();
-            job = std::move(its->second.front());
-            its->second.pop_front();
-            if (its->second.empty()) {
-                jobs_.erase(its);
+            changed_.wait(lock, [this] { return closed_ || !turns_.empty() || !of_known_.empty(); });
+            if (!of_known_.empty()) {
+                job = std::move(of_known_.front());
+                of_known_.pop_front();
+            } else if (turns_.empty()) {
+                return;
             } else {
-                turns_.push_back(its->first);
+                const auto its = jobs_.find(turns_.front());
+                turns_.pop_front();
+                job = std::move(its->second.front());
+                its->second.pop_front();
+                if (its->second.empty()) {
+                    jobs_.erase(its);
+                } else {
+                    turns_.push_back(its->first);
+                }
             }
             --waiting_;
             closed = closed_;
@@ -242,20 +253,31 @@ Result<LoggedIn> LoginDesk::admit(UserRole role, Door door, const std::string& u
     return LoggedIn{user, Role::Operator};
 }
 
-LoginDesk::Digest LoginDesk::digestOf(const std::string& password) const {
+std::optional<LoginDesk::Digest> LoginDesk::digestOf(const std::string& password) const {
+    if (password.size() > kPasswordMax) return std::nullopt;
     Digest digest{};
     crypto_generichash(digest.data(), digest.size(), reinterpret_cast<const unsigned char*>(password.data()),
                        password.size(), key_.data(), key_.size());
     return digest;
 }
 
+bool LoginDesk::isKnown(const std::string& user, const Digest& digest) const {
+    const auto found = known_.find(user);
+    return found != known_.end() &&
+           sodium_memcmp(found->second.first.data(), digest.data(), digest.size()) == 0;
+}
+
 std::optional<UserRole> LoginDesk::verify(const std::string& user, const std::string& password) {
     const auto digest = digestOf(password);
-    if (const auto found = known_.find(user);
-        found != known_.end() && sodium_memcmp(found->second.first.data(), digest.data(), digest.size()) == 0)
-        return found->second.second;
+    if (digest) {
+        const std::lock_guard lock(mutex_);
+        if (isKnown(user, *digest)) return known_.at(user).second;
+    }
     const auto role = users_->verify(user, password);
-    if (role) known_[user] = {digest, *role};
+    if (role && digest) {
+        const std::lock_guard lock(mutex_);
+        known_[user] = {*digest, *role};
+    }
     return role;
 }
 

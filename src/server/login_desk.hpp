@@ -27,12 +27,13 @@ namespace axon::server {
 /// root's, is admin, everybody else operator; where the uid cannot be found out, operator. An Entity Manager
 /// needs no name then.
 ///
-/// Threads: one of its own does what takes time (verifying a password, reading /proc/net/tcp), so that Ice's
-/// threads never do; the answers are given on it. It serves one of each address in turn, so
-/// that who tries many passwords holds up himself. Bound: 4096 log-ins wait, of one address 256, then
+/// Threads: one of its own does what takes time (verifying a password, asking the kernel whose a connection
+/// is), so that Ice's threads never do; the answers are given on it. It serves one of each address in turn,
+/// so that who tries many passwords holds up himself. Bound: 4096 log-ins wait, of one address 256, then
 /// OVERLOADED. A password that was right once is known by a keyed digest, so that thousands that come back
-/// after a restart are not verified one by one. Life: close() before the gates' communicators are destroyed;
-/// it answers all that wait.
+/// after a restart are not verified one by one, and whoever comes with it is heard before those that must be
+/// verified: an operator who wants to stop a robot does not wait behind somebody who tries passwords. Life:
+/// close() before the gates' communicators are destroyed; it answers all that wait.
 class LoginDesk final : public transport::Logins {
   public:
     using Note = std::function<void(const std::string& line)>;
@@ -53,7 +54,7 @@ class LoginDesk final : public transport::Logins {
         const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
     Result<transport::LoggedIn> vouchedEntity(
         const std::string& user, const std::optional<transport::PeerCertificate>& certificate = {}) override;
-    /// A process of the server's own uid, or root's. Reads /proc/net/tcp.
+    /// A process of the server's own uid, or root's. Asks the kernel.
     bool mayVouch(const std::string& peer, const std::string& local) override;
     void close();
 
@@ -77,7 +78,9 @@ class LoginDesk final : public transport::Logins {
                                             const std::optional<transport::PeerCertificate>& certificate,
                                             const std::string& peer) const;
     std::optional<UserRole> verify(const std::string& user, const std::string& password);
-    Digest digestOf(const std::string& password) const;
+    /// Nothing for one that is longer than any password.
+    std::optional<Digest> digestOf(const std::string& password) const;
+    bool isKnown(const std::string& user, const Digest& digest) const;
 
     // Constant after construction.
     const std::optional<Users> users_;
@@ -86,11 +89,12 @@ class LoginDesk final : public transport::Logins {
     Digest key_{};
     // Of its thread only.
     LoginGuard guard_;
-    std::map<std::string, std::pair<Digest, UserRole>> known_;
 
     std::mutex mutex_;
     std::condition_variable changed_;
     // Guarded by mutex_:
+    std::map<std::string, std::pair<Digest, UserRole>> known_;
+    std::deque<Job> of_known_;                     // before the others
     std::map<std::string, std::deque<Job>> jobs_;  // of each address that has any
     std::deque<std::string> turns_;                // those addresses, next first
     std::size_t waiting_ = 0;                      // jobs of all

@@ -117,6 +117,25 @@ TEST_F(LoginDeskTest, TheRoleIsThatOfTheFile) {
     EXPECT_TRUE(entity("left", "secret1").ok());
 }
 
+TEST_F(LoginDeskTest, WhoWasRightBeforeDoesNotWaitBehindThoseThatMustBeVerified) {
+    withUsers();
+    ASSERT_TRUE(client("client1", "secret1").ok());
+    constexpr int kTries = 100;
+    std::atomic<int> tried{0};
+    std::promise<void> all;
+    for (int i = 0; i < kTries; ++i)
+        desk->client(
+            {"user" + std::to_string(i), "a guess", "10.0.0.1:" + std::to_string(i + 1), "10.0.0.9:10410"},
+            [&](const Result<LoggedIn>& who) {
+                EXPECT_FALSE(who.ok());
+                if (++tried == kTries) all.set_value();
+            });
+    EXPECT_TRUE(client("client1", "secret1").ok());
+    EXPECT_LT(tried, kTries / 2) << "each took the time of a hash";
+    EXPECT_FALSE(client("client1", "secret2").ok());
+    all.get_future().wait();
+}
+
 TEST_F(LoginDeskTest, AClientsCertificateIsItsUserAndTheFileSaysWhatItMayDo) {
     withUsers();
     EXPECT_EQ(certified("boss", "client").value().user, "boss");

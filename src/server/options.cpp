@@ -86,9 +86,9 @@ void addUser(const std::string& file, const std::string& name, const std::string
 
 void readConfiguration(const std::string& file, ServerSettings& settings) {
     const auto properties = transport::readProperties(file);
-    const auto milliseconds = [](Duration& to, long most) {
-        return [&to, most](const std::string& where, const std::string& text) {
-            to = std::chrono::milliseconds{number(where, text, 10, most)};
+    const auto milliseconds = [](Duration& to, long least, long most) {
+        return [&to, least, most](const std::string& where, const std::string& text) {
+            to = std::chrono::milliseconds{number(where, text, least, most)};
         };
     };
     const auto endpoint = [](std::string& to) {
@@ -110,8 +110,8 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         {"EntityServerSignal.PublishedEndpoints", published("EntityServerSignal")},
         {"FrontEndServerRouter.Endpoints", endpoint(settings.client_router_endpoint)},
         {"EntityServerRouter.Endpoints", endpoint(settings.entity_router_endpoint)},
-        {"FrontEndServer.WatchdogBusyMs", milliseconds(settings.front_end.watchdog_busy, 2000)},
-        {"FrontEndServer.WatchdogIdleMs", milliseconds(settings.front_end.watchdog_idle, 600'000)},
+        {"FrontEndServer.WatchdogBusyMs", milliseconds(settings.front_end.watchdog_busy, 50, 2000)},
+        {"FrontEndServer.WatchdogIdleMs", milliseconds(settings.front_end.watchdog_idle, 1000, 600'000)},
         {"FrontEndServer.ClientsMax",
          [&](const auto& where, const auto& text) {
              settings.front_end.clients_max = static_cast<std::size_t>(number(where, text, 1, 1'000'000));
@@ -170,6 +170,12 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         }
         found->second(file + ": " + key, value);
     }
+    if (settings.front_end.watchdog_busy > settings.front_end.watchdog_idle)
+        throw std::runtime_error(
+            file +
+            ": FrontEndServer.WatchdogBusyMs is longer than FrontEndServer.WatchdogIdleMs: expected the "
+            "watchdog "
+            "of a running task to be the shorter one; fix: lower the first or raise the second");
 }
 
 Parsed parseOptions(int argc, char** argv) {

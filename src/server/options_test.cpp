@@ -82,6 +82,28 @@ TEST(ServerOptions, ReadsUsersAndDrillPeriodFromTheFile) {
     std::filesystem::remove_all(folder);
 }
 
+TEST(ServerOptions, WatchdogsAreWhatAClientCanKeepUpWith) {
+    std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";
+    const std::string folder = ::mkdtemp(name.data());
+    const auto file = folder + "/server.cfg";
+    const auto with = [&](const std::string& busy, const std::string& idle) {
+        std::ofstream(file) << "FrontEndServer.WatchdogBusyMs=" << busy
+                            << "\nFrontEndServer.WatchdogIdleMs=" << idle << "\n";
+        return complaint({"--config", file});
+    };
+    for (const auto& [busy, idle] : {std::pair{"50", "1000"}, std::pair{"2000", "2000"},
+                                     std::pair{"2000", "600000"}, std::pair{"50", "600000"}})
+        EXPECT_EQ(with(busy, idle), "accepted");
+    EXPECT_THAT(with("49", "10000"),
+                HasSubstr("FrontEndServer.WatchdogBusyMs: '49': expected a number from 50 to 2000"));
+    EXPECT_THAT(with("2001", "10000"), HasSubstr("from 50 to 2000"));
+    EXPECT_THAT(with("250", "999"),
+                HasSubstr("FrontEndServer.WatchdogIdleMs: '999': expected a number from 1000 to 600000"));
+    EXPECT_THAT(with("250", "600001"), HasSubstr("from 1000 to 600000"));
+    EXPECT_THAT(with("2000", "1999"), HasSubstr("fix: lower the first or raise the second"));
+    std::filesystem::remove_all(folder);
+}
+
 TEST(ServerOptions, GlobalServicesLieBesideTheConfigurationUnlessAFolderIsNamed) {
     EXPECT_EQ(parse({}).options->settings.global_services, "globalservices");
     std::string name = std::filesystem::temp_directory_path() / "axon-options-XXXXXX";

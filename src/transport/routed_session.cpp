@@ -3,10 +3,12 @@
 
 #include <Glacier2/Router.h>
 
+#include <algorithm>
 #include <atomic>
 #include <mutex>
 #include <stdexcept>
 #include <utility>
+#include <vector>
 
 #include "transport/router_servants.hpp"
 
@@ -157,8 +159,43 @@ bool isRouter(const std::string& server) {
     return server.find('/') != std::string::npos && server.rfind("ssl://", 0) != 0;
 }
 
+namespace {
+
+/// "Axon.Clients/router", "tcp -h …", "ssl -h …": the identity with its options, then the endpoints. A ':' in
+/// quotes is part of an address.
+std::vector<std::string> partsOf(const std::string& proxy) {
+    std::vector<std::string> parts(1);
+    bool quoted = false;
+    for (const char c : proxy) {
+        if (c == '"') quoted = !quoted;
+        if (c == ':' && !quoted) {
+            parts.emplace_back();
+        } else {
+            parts.back() += c;
+        }
+    }
+    return parts;
+}
+
+bool isSecureEndpoint(const std::string& endpoint) {
+    const auto begin = std::min(endpoint.find_first_not_of(" \t"), endpoint.size());
+    const auto kind = endpoint.substr(begin, endpoint.find_first_of(" \t", begin) - begin);
+    return kind == "ssl" || kind == "wss";
+}
+
+}  // namespace
+
+std::string wayToRouter(const std::string& router, bool has_certificate) {
+    const auto parts = partsOf(router);
+    std::string chosen = parts.front();
+    for (std::size_t i = 1; i < parts.size(); ++i)
+        if (isSecureEndpoint(parts[i]) == has_certificate) chosen += ":" + parts[i];
+    return chosen == parts.front() ? router : chosen;
+}
+
 bool isTlsRouter(const std::string& router) {
-    return router.find(":ssl ") != std::string::npos;
+    const auto parts = partsOf(router);
+    return std::any_of(parts.begin() + 1, parts.end(), isSecureEndpoint);
 }
 
 std::shared_ptr<Ice::ObjectPrx> routerProxy(const Ice::Communicator& communicator, const std::string& text) {

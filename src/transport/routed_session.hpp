@@ -42,6 +42,11 @@ void openRoutedSession(const std::shared_ptr<Ice::ObjectPrx>& router, const Rout
 /// "Axon.Clients/router:tcp -h 127.0.0.1 -p 10414" and not "127.0.0.1:10410".
 bool isRouter(const std::string& server);
 
+/// The same proxy with those of its endpoints that somebody should use who has a certificate to show, or has
+/// none: TLS where it can, never plain beside it, because Ice takes any of those that are there. A proxy
+/// without a choice stays as it is.
+std::string wayToRouter(const std::string& router, bool has_certificate);
+
 /// Whether such a one is reached by TLS.
 bool isTlsRouter(const std::string& router);
 

@@ -31,9 +31,9 @@ using test::waitUntil;
 
 class DirectPathTest : public ::testing::Test {
   protected:
-    void SetUp() override {
+    void SetUp() override { startServer({}); }
+    void startServer(server::ServerSettings settings) {
         const auto any_port = test::loopbackAddress() + ":0";
-        server::ServerSettings settings;
         settings.client_endpoint = settings.client_signal_endpoint = any_port;
         settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
         server_ = std::make_unique<server::Server>(settings);
@@ -41,7 +41,7 @@ class DirectPathTest : public ::testing::Test {
     /// Clients are told of relays where the Entity Manager listens: first that of data, then that of signals.
     void startManager(bool offered = true, bool with_gates = true) {
         const auto at = server_->entityAddress(Lane::Data);
-        entity_manager::CoreSettings core;
+        entity_manager::CoreSettings core = core_;
         core.application = "peoplebot";
         manager_ = EntityManager::create(
             executor_.get_executor(), ice_, core,
@@ -119,6 +119,7 @@ class DirectPathTest : public ::testing::Test {
     SystemRandom random_;
     test::MemoryStore storage_;
     test::MemoryRobot::Seen seen_;
+    entity_manager::CoreSettings core_;  // of the Entity Manager
     test::MemoryRobot* application_ = nullptr;
     std::unique_ptr<server::Server> server_;
     std::vector<std::unique_ptr<TcpGate>> gates_;
@@ -243,6 +244,34 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
     for (const auto& gate : gates_) gate->hold(false);
     EXPECT_TRUE(waitUntil([&] { return direct(held); }));
     EXPECT_EQ(seen_.count(), 1U);
+}
+
+TEST_F(DirectPathTest, TheSessionsWithTheServerKeepTheirShortWatchdogsFedBesideThePath) {
+    server::ServerSettings settings;
+    settings.front_end.watchdog_busy = 200ms;
+    settings.front_end.watchdog_idle = 1000ms;
+    startServer(settings);
+    core_.server_watchdog_busy = 200ms;
+    core_.server_watchdog_idle = 500ms;
+    startManager();
+    const auto held = take();
+    std::atomic<int> lost{0};
+    client_->onConnection([&](bool, const std::string&) { ++lost; });
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    const auto lives = [&](Duration time) {
+        const auto end = clock_.now() + time;
+        return waitUntil([&] { return clock_.now() > end || lost > 0; }) && lost == 0;
+    };
+    EXPECT_TRUE(lives(3s));
+    const auto task = held.run("Drive");
+    ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::BUSY; }));
+    EXPECT_TRUE(lives(1s));
+    EXPECT_EQ(task.report().state, client::TaskState::Running);
+    ASSERT_TRUE(held.clear().ok());
+    EXPECT_EQ(task.wait(client::Seconds{5}).state, client::TaskState::Stopped);
+    EXPECT_TRUE(lives(3s));
+    EXPECT_EQ(seen_.stops, 0);
+    EXPECT_TRUE(direct(held));
 }
 
 TEST_F(DirectPathTest, SilenceOfAnIdlePathIsSeenByTheFirstMessageThatGoesIntoIt) {

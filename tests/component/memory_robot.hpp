@@ -79,6 +79,10 @@ class MemoryRobot final : public entity_manager::BackEndPort {
     void stop(std::uint32_t generation, StopCause cause) override {
         if (cause == StopCause::Requested) ++seen_.stops;
         proto::EiToEm done;
+        if (cause == StopCause::Drill) {
+            done.mutable_stop_done()->set_drill(generation);
+            return answer(std::move(done));
+        }
         done.mutable_stop_done()->set_stop_generation(generation);
         done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
         answer(std::move(done));

@@ -39,6 +39,12 @@ def free_ports(count):
     return ports
 
 
+def connections_to(port):
+    """How many processes of this machine are connected to this port of 127.0.0.1."""
+    lines = pathlib.Path("/proc/net/tcp").read_text().splitlines()[1:]
+    return sum(1 for line in lines if line.split()[2] == f"0100007F:{port:04X}" and line.split()[3] == "01")
+
+
 class RoutersTest(unittest.TestCase):
     serial = 0
 
@@ -216,21 +222,72 @@ Axon.Ports={self.lab.ports}
         """`line` with the certificate of `whose` instead of a user."""
         self.write(name, line + (self.lab.folder / f"certs/{kind}-{whose}.cfg").read_text())
 
-    def test_over_tls_everybody_is_who_his_certificate_says(self):
+    def issue(self, *kinds):
         certs = self.lab.folder / "certs"
-        for words in (["init"], ["issue", "--router", "127.0.0.1"], ["issue", "--entity", "Greeter"],
-                      ["issue", "--entity", "Other"], ["issue", "--client", "client2"]):
+        for words in (["init"], ["issue", "--router", "127.0.0.1"], *(["issue", *kind] for kind in kinds)):
             status, _, errors = self.lab.axon("certs", *words, "--folder", str(certs))
             self.assertEqual(status, 0, errors)
-        for name, server in (("clientrouter", "client-router"), ("entityrouter", "entity-router")):
-            file = self.lab.folder / f"{name}.cfg"
-            at = f"tcp -h 127.0.0.1 -p {self.ports[server]}"
-            self.over_tls(f"{name}.cfg", "router", "127.0.0.1", f"""{file.read_text()}
+
+    def secure_router(self, name, server, endpoints):
+        """The router of the configuration `name` at `endpoints`, which takes certificates as well as passwords."""
+        at = f"tcp -h 127.0.0.1 -p {self.ports[server]}"
+        lines = [line if not line.startswith("Glacier2.Client.Endpoints=") else f"Glacier2.Client.Endpoints={endpoints}"
+                 for line in (self.lab.folder / f"{name}.cfg").read_text().splitlines()]
+        self.over_tls(f"{name}.cfg", "router", "127.0.0.1", "\n".join(lines) + f"""
 Glacier2.SSLSessionManager=SSLSessionManager:{at}
 Glacier2.SSLPermissionsVerifier=SSLPermissionsVerifier:{at}
 Ice.Plugin.IceSSL=IceSSL:createIceSSL
 IceSSL.VerifyPeer=2
-""".replace("Glacier2.Client.Endpoints=tcp", "Glacier2.Client.Endpoints=ssl"))
+""")
+
+    def test_of_two_endpoints_the_one_is_used_that_the_credentials_fit_and_tls_where_both_do(self):
+        self.issue(["--entity", "Greeter"], ["--client", "client2"])
+        tls = dict(zip(("clients", "entities"), free_ports(2)))
+        endpoints = {}
+        for name, server, way in (("clientrouter", "client-router", "clients"), ("entityrouter", "entity-router", "entities")):
+            endpoints[way] = [f"tcp -h 127.0.0.1 -p {self.ports[way]}", f"ssl -h 127.0.0.1 -p {tls[way]}"]
+            self.secure_router(name, server, ":".join(endpoints[way]))
+        self.start_server()
+        self.client_router = self.start_router("clientrouter")
+        self.entity_router = self.start_router("entityrouter")
+        self.app = self.lab.start("hello", "hello-entity", ROOT / "examples/01_hello_entity", self.lab.folder / "ports.cfg")
+        password = {"clients": "Axon.User=client2\nAxon.Password=word of client2\n",
+                    "entities": "Axon.User=hello\nAxon.Password=word of hello\n"}
+        entity = f"Axon.Application=Greeter\nAxon.Ports={self.lab.ports}\n"
+
+        def write(name, kind, whose, way, order, with_password, with_certificate):
+            proxy = f"Axon.{way.capitalize()}/router:" + ":".join(endpoints[way][::order])
+            text = f"Ice.Default.Router={proxy}\n" + (password[way] if with_password else "")
+            text += entity if way == "entities" else ""
+            if with_certificate:
+                self.over_tls(name, kind, whose, text)
+            else:
+                self.write(name, text)
+
+        for order in (1, -1):
+            for with_password, with_certificate in ((True, False), (False, True), (True, True)):
+                case = f"order {order}, password {with_password}, certificate {with_certificate}"
+                write("entitygl2client.cfg", "entity", "Greeter", "entities", order, with_password, with_certificate)
+                write("client.cfg", "client", "client2", "clients", order, with_password, with_certificate)
+                manager = self.lab.start(f"em-{len(self.lab.processes)}", "axon-entity-manager", "--config",
+                                         self.lab.folder / "entitygl2client.cfg")
+                self.lab.wait_for_entity("Greeter")
+                status, _, errors = self.lab.axon("checkout", "Greeter")  # its agent stays
+                self.assertEqual(status, 0, case + errors)
+                self.assertIn("client2", str(self.lab.entities()[0]["holder"]), case)
+                for way in ("clients", "entities"):
+                    self.assertEqual(connections_to(self.ports[way]) == 0, with_certificate, f"{case}: {way}")
+                    self.assertEqual(connections_to(tls[way]) > 0, with_certificate, f"{case}: {way}")
+                self.assertEqual(self.lab.axon("release", "Greeter")[0], 0)
+                self.lab.axon("agent", "stop")
+                manager.end()
+                wait_until(lambda: sum(connections_to(port) for port in (*tls.values(), self.ports["clients"],
+                                                                         self.ports["entities"])) == 0, "all have gone")
+
+    def test_over_tls_everybody_is_who_his_certificate_says(self):
+        self.issue(["--entity", "Greeter"], ["--entity", "Other"], ["--client", "client2"])
+        for name, server, way in (("clientrouter", "client-router", "clients"), ("entityrouter", "entity-router", "entities")):
+            self.secure_router(name, server, f"ssl -h 127.0.0.1 -p {self.ports[way]}")
         clients = f"Ice.Default.Router=Axon.Clients/router:ssl -h 127.0.0.1 -p {self.ports['clients']}\n"
         entities = (f"Ice.Default.Router=Axon.Entities/router:ssl -h 127.0.0.1 -p {self.ports['entities']}\n"
                     f"Axon.Application=Greeter\nAxon.Ports={self.lab.ports}\n")

@@ -223,6 +223,13 @@ void CoreRig::stopDone(std::uint32_t stopped, proto::StopReceipt::Stage stage) {
     fromApplication(std::move(message));
 }
 
+void CoreRig::drillDone(std::uint32_t number) {
+    proto::EiToEm message;
+    message.mutable_stop_done()->set_drill(number);
+    message.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+    fromApplication(std::move(message));
+}
+
 Header CoreRig::headOf(const std::string& client) {
     // A client that joins is told the present status of every entity.
     const auto [at, joined] = clients.try_emplace(client);
@@ -299,12 +306,15 @@ void CoreRig::stop(const std::string& client, StopCause cause, std::int64_t sequ
         core_->onClientUpdate(head, ClientChange::Lost);
         return;
     }
-    const auto raised = gate.raise(head.sender.id, head.sequence);
+    const bool drill = cause == StopCause::Drill;
+    const auto raised =
+        drill ? gate.drill(head.sender.id, head.sequence) : gate.raise(head.sender.id, head.sequence);
     if (!raised) {
         note("gate: seen before");
         return;
     }
     stop(*raised, cause);
+    if (drill) return core_->onDrill(head, *raised);
     core_->onStopSignal(head, cause, *raised);
 }
 
@@ -556,6 +566,7 @@ bool CoreRig::send(const proto::EmToEi& message) {
 }
 
 void CoreRig::stop(std::uint32_t raised, StopCause cause) {
+    if (cause == StopCause::Drill) return note("application: DRILL " + std::to_string(raised));
     note("application: STOP gen=" + std::to_string(raised) + " (" + toString(cause) + ')');
     stops.emplace_back(raised, cause);
 }
@@ -583,7 +594,8 @@ void CoreRig::sendStatus(const EntityStatus& status) {
     if (!status.holder.id.empty()) line += " holder=" + status.holder.id + " lease=" + shown(status.held);
     if (status.orphaned) line += " orphaned";
     if (status.waiting != 0) line += " waiting=" + std::to_string(status.waiting);
-    if (!status.reason.empty()) line += " \"" + status.reason.substr(0, status.reason.find('\n')) + '"';
+    if (status.state != EntityState::IDLE && !status.reason.empty())
+        line += " \"" + status.reason.substr(0, status.reason.find('\n')) + '"';
     note(std::move(line));
     statuses.push_back(status);
     for (auto& [name, belief] : clients)

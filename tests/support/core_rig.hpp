@@ -78,6 +78,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     void update(const std::string& task, proto::TaskState state, double progress = -1);
     void stopDone(std::uint32_t stopped,
                   proto::StopReceipt::Stage stage = proto::StopReceipt::CALLBACK_RETURNED);
+    void drillDone(std::uint32_t number);
 
     // The clients' side.
     Header headOf(const std::string& client);

@@ -80,6 +80,8 @@ void application(CoreRig& rig, Words& words) {
         return rig.stopDone(generation, words.next() == "standstill" ? proto::StopReceipt::STANDSTILL
                                                                      : proto::StopReceipt::CALLBACK_RETURNED);
     }
+    if (verb == "drilled")
+        return rig.drillDone(static_cast<std::uint32_t>(std::stoul(words.need("a number"))));
     if (verb == "answers") {
         message.mutable_answer()->set_request(std::stoul(words.need("a number")));
         if (const auto code = words.next(); !code.empty() && code != "OK") {
