@@ -282,6 +282,31 @@ TEST_F(Verbs, ARefusedCheckOutNamesTheHolderAndRunsNothing) {
     EXPECT_TRUE(station->run_arguments.empty());
 }
 
+TEST_F(Verbs, NobodyIsToldToAskAHolderWhoIsLostOrIsOneself) {
+    const auto mend = [&] {
+        EXPECT_EQ(perform("run", runCyton()), kRefused);
+        return seen.last("error")->at("mend").get<std::string>();
+    };
+    station->check_out_refusal = {RefusalCode::AlreadyHeld, "Cyton is held by cl2@lab", "cl2@lab"};
+    EXPECT_THAT(mend(), HasSubstr("ask cl2@lab"));
+    station->entities_[2].orphaned = true;
+    EXPECT_THAT(mend(), AllOf(HasSubstr("lost its connection"), HasSubstr("axon checkout Cyton --wait")));
+    station->entities_[2].orphaned = false;
+    station->check_out_refusal.holder = station->self().name;
+    EXPECT_THAT(mend(), AllOf(HasSubstr("another command of yours"), Not(HasSubstr("ask "))));
+    station->my_role = Role::Observer;
+    EXPECT_THAT(mend(), HasSubstr("log in as an operator"));
+}
+
+TEST_F(Verbs, ADirectoryIsNoFileAndIsCalledADirectory) {
+    for (const auto* verb : {"upload", "send"}) {
+        Json args{{"file", "/"}};
+        EXPECT_THAT(findVerb(verb)->prepare(args), HasSubstr("found a directory at \"/\"")) << verb;
+    }
+    Json args{{"file", "/nowhere"}};
+    EXPECT_THAT(findVerb("upload")->prepare(args), HasSubstr("found none at"));
+}
+
 TEST_F(Verbs, WrongParametersAreRefusedBeforeTheCheckOut) {
     auto args = runCyton();
     args["parameters"] = {"speed=3"};
