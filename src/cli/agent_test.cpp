@@ -126,8 +126,8 @@ TEST_F(Served, ABrokenConnectionCancelsTheTaskThatItFollowed) {
     ASSERT_TRUE(sendLine(raw.get(), {{"verb", "run"}, {"args", kRunCyton}}));
     ASSERT_TRUE(axon::test::waitUntil([&] { return !station->tasks().list.empty(); }));
     raw = Descriptor();
-    EXPECT_TRUE(
-        axon::test::waitUntil([&] { return station->tasks().list.front().report.state == TaskState::Cancelled; }));
+    EXPECT_TRUE(axon::test::waitUntil(
+        [&] { return station->tasks().list.front().report.state == TaskState::Cancelled; }));
     EXPECT_EQ(station->held().size(), 1U);
 }
 
@@ -263,7 +263,8 @@ TEST_F(Invoked, VerbsAboutWhatIsKeptSayThatNothingIs) {
     EXPECT_EQ(seen.last("notice")->at("message"), "nothing is checked out here");
     EXPECT_EQ(invoker.perform(*findVerb("cancel"), {{"entity", "Cyton"}}, seen), kRefused);
     EXPECT_EQ(seen.last("error")->at("mend"), "axon checkout Cyton");
-    EXPECT_EQ(invoker.perform(*findVerb("wait"), {{"task", {"3f2a"}}}, seen), kRefused) << "its end is not known";
+    EXPECT_EQ(invoker.perform(*findVerb("wait"), {{"task", {"3f2a"}}}, seen), kRefused)
+        << "its end is not known";
     EXPECT_EQ(seen.last("error")->at("code"), "UNKNOWN_TASK");
     EXPECT_EQ(invoker.perform(*findVerb("wait"), Json::object(), seen), kDone);
     EXPECT_EQ(invoker.perform(*findVerb("agent"), {{"action", "status"}}, seen), kDone);

@@ -19,7 +19,8 @@ std::string nameList(const std::vector<std::string_view>& names) {
     return alternatives(list);
 }
 
-/// The one of `things` that a person means by `name`. `eligible`: whether it may be named instead of one that there is not.
+/// The one of `things` that a person means by `name`. `eligible`: whether it may be named instead of one that
+/// there is not.
 template <class Thing, class NameOf, class Eligible>
 Result<const Thing*> findByName(const std::vector<Thing>& things, std::string_view name, NameOf nameOf,
                                 RefusalCode unknown, const std::string& owner, const std::string& kind,
@@ -41,7 +42,7 @@ Result<const Thing*> findByName(const std::vector<Thing>& things, std::string_vi
     if (const auto near = nearNames(name, names); !near.empty()) {
         message += ": did you mean " + alternatives(near) + "?";
     } else if (names.empty()) {
-        message += ", nor any other";
+        message += things.empty() ? ", nor any other" : ", nor any other that can be set";
     } else if (names.size() <= 8) {
         message += "; it has " + nameList(names);
     }
@@ -138,7 +139,8 @@ Result<std::vector<Argument>> readArguments(const Service& service, const std::v
         if (number && !meta.units.empty()) {
             // No unit has a digit, unless it is this parameter's own: 0x10 is a number that nobody can read.
             const auto measure = splitMeasure(value);
-            if (measure && (measure->units == meta.units || measure->units.find_first_of("0123456789") == std::string::npos)) {
+            if (measure && (measure->units == meta.units ||
+                            measure->units.find_first_of("0123456789") == std::string::npos)) {
                 value = measure->number;
                 units = measure->units;
             }

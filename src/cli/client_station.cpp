@@ -29,7 +29,8 @@ struct Begun {
     }
 };
 
-/// The oldest that is over goes; those that are not are as many as the entities let wait. Whether one has gone.
+/// The oldest that is over goes; those that are not are as many as the entities let wait. Whether one has
+/// gone.
 template <class Handle>
 bool keepNewest(std::deque<Handle>& handles, Handle handle, std::size_t most) {
     handles.push_back(std::move(handle));

@@ -282,11 +282,12 @@ int Invoker::perform(const Verb& verb, Json args, Events& events) {
             return start(verb, args, events);
         case Runs::Kept: {
             const auto names = args.find("entity");
-            if (const auto task = args.find("task"); names == args.end() && task != args.end() && !task->empty()) {
-                const Refusal refusal{
-                    RefusalCode::UnknownTask,
-                    "no task " + inQuotes(task->front().get<std::string>()) + " is kept here: nothing is checked out",
-                    {}};
+            if (const auto task = args.find("task");
+                names == args.end() && task != args.end() && !task->empty()) {
+                const Refusal refusal{RefusalCode::UnknownTask,
+                                      "no task " + inQuotes(task->front().get<std::string>()) +
+                                          " is kept here: nothing is checked out",
+                                      {}};
                 events.emit(errorEvent(refusal));
                 return exitOf(refusal);
             }

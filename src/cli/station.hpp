@@ -129,8 +129,8 @@ class Station {
                                     const std::vector<Argument>& arguments, Seconds not_after,
                                     std::function<void(const TaskReport&)> update) = 0;
     virtual KeptTasks tasks() const = 0;
-    /// `update` is called with each change of each task, of those too that are asked for later, until the handle is
-    /// dropped. What tasks() gives afterwards may be newer than what is still to be told.
+    /// `update` is called with each change of each task, of those too that are asked for later, until the
+    /// handle is dropped. What tasks() gives afterwards may be newer than what is still to be told.
     virtual std::shared_ptr<void> followTasks(std::function<void(const KeptTask&)> update) = 0;
     virtual Result<void> control(const std::string& task, TaskAction action) = 0;
 

@@ -68,7 +68,8 @@ std::string allowedText(const Json& parameter) {
 
 /// `precision_ms`: what is shorter cannot be told apart from nothing.
 std::string stageText(const Json& milliseconds, double precision_ms = 0) {
-    if (milliseconds.is_number() && milliseconds.get<double>() < precision_ms) return "< " + duration(precision_ms / 1000);
+    if (milliseconds.is_number() && milliseconds.get<double>() < precision_ms)
+        return "< " + duration(precision_ms / 1000);
     return milliseconds.is_number() ? duration(milliseconds.get<double>() / 1000) : "-";
 }
 
@@ -496,16 +497,15 @@ void PersonView::showTasks(const Json& event) {
                    {lowerCase(state), state == "SUCCEEDED"         ? Tint::Green
                                       : task.value("final", false) ? Tint::Red
                                                                    : Tint::Cyan},
-                   {task.value("progress", -1.0) < 0
-                        ? ""
-                        : percent(task["progress"].get<double>())},
+                   {task.value("progress", -1.0) < 0 ? "" : percent(task["progress"].get<double>())},
                    {task["reason"].is_object() ? textOf(task["reason"], "message") : textOf(task, "feedback"),
                     Tint::Dim}});
     }
     wipe();
     out_ << table.text(terminal_.colour);
     if (forgotten > 0)
-        out_ << paint(fmt::format("{} older {} over and no longer listed", forgotten, forgotten == 1 ? "is" : "are"),
+        out_ << paint(fmt::format("{} older {} over and no longer listed", forgotten,
+                                  forgotten == 1 ? "is" : "are"),
                       Tint::Dim)
              << '\n';
     out_ << std::flush;

@@ -169,10 +169,11 @@ Opened openAtGate(const LaneHome& home, const std::string& endpoint, const Login
         try {
             throw;
         } catch (const Ice::ObjectNotExistException&) {
-            throw Axon::CommUtil::RequestRefused(
-                static_cast<int>(RefusalCode::Malformed),
-                "a program that speaks Ice answers there, and it is not where clients log in. Is it the port of the Entity "
-                "Managers, or of the signal lane? axon-server says its addresses when it starts: ready client=HOST:PORT …");
+            throw Axon::CommUtil::RequestRefused(static_cast<int>(RefusalCode::Malformed),
+                                                 "a program that speaks Ice answers there, and it is not "
+                                                 "where clients log in. Is it the port of the Entity "
+                                                 "Managers, or of the signal lane? axon-server says its "
+                                                 "addresses when it starts: ready client=HOST:PORT …");
         }
     }
 }

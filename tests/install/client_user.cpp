@@ -2,7 +2,8 @@
 #include <axon/client.hpp>
 #include <cstdio>
 
-// Nothing listens at port 1: what is shown is that the library compiles, links and answers in another project.
+// Nothing listens at port 1: what is shown is that the library compiles, links and answers in another
+// project.
 int main() {
     axon::client::Options options;
     options.server = "127.0.0.1:1";

@@ -233,8 +233,8 @@ class Completer {
                 return ids;
             }
             case Takes::Task: {
-                // Of the entity before it, where the verb is about one. A task that is over can be neither controlled
-                // nor waited for.
+                // Of the entity before it, where the verb is about one. A task that is over can be neither
+                // controlled nor waited for.
                 Collected seen;
                 auto args = Json::object();
                 if (!operand.repeated && !given.empty()) args["entity"] = given[0];

@@ -57,10 +57,10 @@ std::string prepareUpload(Json& args) {
     const auto status = std::filesystem::status(file, error);
     if (!std::filesystem::is_regular_file(status)) {
         return "expected a file to upload, found " +
-               std::string(std::filesystem::is_directory(status)  ? "a directory"
-                           : std::filesystem::exists(status)      ? "something that is no file"
+               std::string(std::filesystem::is_directory(status) ? "a directory"
+                           : std::filesystem::exists(status)     ? "something that is no file"
                            : status.type() == std::filesystem::file_type::not_found ? "none"
-                                                                  : error.message()) +
+                                                                                    : error.message()) +
                " at " + inQuotes(file.string(), 200);
     }
     args["file"] = std::filesystem::absolute(file, error).string();

@@ -12,7 +12,8 @@ namespace axon::cli {
 
 namespace {
 
-/// What to do where the code of the refusal alone does not tell: it depends on who asks, and who the holder is.
+/// What to do where the code of the refusal alone does not tell: it depends on who asks, and who the holder
+/// is.
 std::string mendFor(const Session& session, const Refusal& refusal, const std::string& entity) {
     const auto x = entity.empty() ? std::string("ENTITY") : shellWord(entity);
     const bool held = refusal.code == RefusalCode::AlreadyHeld || refusal.code == RefusalCode::Reserved;
@@ -24,10 +25,11 @@ std::string mendFor(const Session& session, const Refusal& refusal, const std::s
     const auto wait = "wait until it is free: axon checkout " + x + " --wait";
     const auto found = session.station->find(entity);
     if (found && found->orphaned)
-        return refusal.holder + " has lost its connection, and " + x + " is free when that is not back in time; " + wait;
+        return refusal.holder + " has lost its connection, and " + x +
+               " is free when that is not back in time; " + wait;
     if (refusal.holder == self.name)
-        return "another command of yours holds it: end that one, or axon release " + x + " where it was checked out; or " +
-               wait;
+        return "another command of yours holds it: end that one, or axon release " + x +
+               " where it was checked out; or " + wait;
     return {};
 }
 

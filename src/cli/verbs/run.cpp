@@ -16,7 +16,8 @@ constexpr std::chrono::seconds kCancelGrace{2};
 /// Follows one task: shows each change, cancels when the user has had enough or the time is up.
 class Follower {
   public:
-    /// To its end; `until_admitted`: until the Entity Manager lets it wait or the robot's application has begun it.
+    /// To its end; `until_admitted`: until the Entity Manager lets it wait or the robot's application has
+    /// begun it.
     Follower(Session& session, std::string task, std::string entity, Json units, Clock::time_point started,
              bool until_admitted)
         : session_(session),
@@ -68,8 +69,10 @@ class Follower {
             session_.events.emit(event);
             return false;
         }
-        // Who does not follow it wants to know one thing, and a request that nobody has answered is not queued.
-        if (until_admitted_ && !event.at("accepted").get<bool>() && !event.at("final").get<bool>()) return true;
+        // A user who does not follow the task wants one answer, and a request that nobody has answered is not
+        // queued yet.
+        if (until_admitted_ && !event.at("accepted").get<bool>() && !event.at("final").get<bool>())
+            return true;
         event.erase("exit");
         event.erase("accepted");
         event["elapsed_s"] = Seconds(Clock::now() - started_).count();
@@ -81,14 +84,16 @@ class Follower {
     /// DISPATCHED is no answer yet: the robot's application may still refuse it.
     bool sayIfAdmitted(const Json& event) {
         const auto state = event.at("state").get<std::string>();
-        if (!event.at("accepted").get<bool>() || state == client::toString(TaskState::Dispatched)) return false;
+        if (!event.at("accepted").get<bool>() || state == client::toString(TaskState::Dispatched))
+            return false;
         const auto id = task_.substr(0, 8);
         const bool waits = state == client::toString(TaskState::Queued);
         session_.events.emit(
             {{"event", "notice"},
-             {"message", (waits ? "the task waits for its turn, and the robot has not been asked yet: axon wait "
-                                : "the task goes on: axon wait ") +
-                             id + " waits for its end, axon cancel " + shellWord(entity_) + " " + id + " ends it"}});
+             {"message",
+              (waits ? "the task waits for its turn, and the robot has not been asked yet: axon wait "
+                     : "the task goes on: axon wait ") +
+                  id + " waits for its end, axon cancel " + shellWord(entity_) + " " + id + " ends it"}});
         return true;
     }
 
@@ -107,7 +112,8 @@ int run(Session& session) {
                        "axon checkout " + shellWord(name));
     }
     if (detached && session.args.contains("wait")) {
-        return misused(session, "--wait cancels a task that this command follows, and --detach does not follow it",
+        return misused(session,
+                       "--wait cancels a task that this command follows, and --detach does not follow it",
                        "axon run … --detach, then axon wait --for SECONDS");
     }
     const auto found = session.station->find(name);
@@ -159,9 +165,11 @@ extern const Verb kRun{
     "  axon run PeopleBot Driving Distance=1000mm 'Range Threshold=500'\n"
     "  axon run PeopleBot Driving distance=1000 range_threshold=500   the same\n"
     "  axon run PeopleBot Driving Distance=1000 --json | tail -1      the final report\n"
-    "  axon run PeopleBot Driving Distance=1000 --detach && axon wait begin it, do something else, wait for its end\n"
+    "  axon run PeopleBot Driving Distance=1000 --detach              begin it, and do something else\n"
+    "  axon wait                                                      until it has ended\n"
     "Ctrl-C cancels the task. Without axon checkout the entity is checked out for this run only.\n"
-    "--detach ends with status 0 when the robot has begun the task, or its Entity Manager lets it wait behind others.\n"
+    "--detach ends with status 0 when the robot has begun the task, or its Entity Manager lets it wait "
+    "behind others.\n"
     "A task that is refused is not detached: the reason is shown, and the status is that of any refusal.\n",
     Runs::Holder,
     {{"entity", Takes::Entity, true, false, "Which entity"},

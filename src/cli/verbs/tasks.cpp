@@ -23,7 +23,9 @@ std::string entityOf(const std::string& id, const std::vector<Entity>& all) {
 Refusal ambiguous(const std::vector<TaskReport>& candidates) {
     std::string list;
     for (const auto& task : candidates) list += "\n  " + task.id + "  " + task.service;
-    return {RefusalCode::UnknownTask, "several tasks may be meant; name one by the beginning of its id:" + list, {}};
+    return {RefusalCode::UnknownTask,
+            "several tasks may be meant; name one by the beginning of its id:" + list,
+            {}};
 }
 
 /// The task that is meant: by the beginning of its id, or the only one of the entity that is not over.
@@ -105,8 +107,8 @@ std::shared_ptr<void> followInMailbox(Session& session, const std::string& only)
     });
 }
 
-/// Shows changes of tasks in the order in which they came about: nothing of a task after its end, which may have been
-/// shown before its last changes arrive.
+/// Shows changes of tasks in the order in which they came about: nothing of a task after its end, which may
+/// have been shown before its last changes arrive.
 class Changes {
   public:
     explicit Changes(Session& session) : session_(session) {}
@@ -130,7 +132,8 @@ class Changes {
         event["entity"] = name;
         event["units"] = ends ? unitsOfService(entity, event.at("service")) : Json::object();
         if (const auto code = event.at("code").get<int>(); code != 0) {
-            const auto error = errorEvent({static_cast<RefusalCode>(code), {}, event.at("reason").value("holder", "")}, name);
+            const auto error = errorEvent(
+                {static_cast<RefusalCode>(code), {}, event.at("reason").value("holder", "")}, name);
             if (error.contains("mend")) event["mend"] = error["mend"];
         }
         event.erase("code");
@@ -140,7 +143,7 @@ class Changes {
     }
 
   private:
-    /// Of what a result is said in. An entity that does not tell leaves them out.
+    /// The units of its results; none where the entity does not tell its services.
     Json unitsOfService(const std::string& entity, const std::string& service) {
         const auto [at, unknown] = units_.try_emplace({entity, service}, Json::object());
         if (!unknown) return at->second;
@@ -159,7 +162,8 @@ class Changes {
 int tasks(Session& session) {
     const bool follow = session.args.value("follow", false);
     if (!follow && session.args.contains("for"))
-        return misused(session, "--for says how long to follow, and needs --follow", "axon tasks --follow --for 60");
+        return misused(session, "--for says how long to follow, and needs --follow",
+                       "axon tasks --follow --for 60");
     std::string only;
     if (const auto name = session.args.value("entity", ""); !name.empty()) {
         const auto entity = session.station->find(name);
@@ -186,7 +190,8 @@ int tasks(Session& session) {
     return session.mailbox->takeInterrupt() ? kInterrupted : kDone;
 }
 
-/// The tasks that are to be waited for, in the order in which they were named; none named = all that are not over.
+/// The tasks that are to be waited for, in the order in which they were named; none named = all that are not
+/// over.
 Result<std::vector<KeptTask>> awaited(Session& session) {
     const auto kept = session.station->tasks();
     const auto names = session.args.value("task", std::vector<std::string>{});
@@ -265,20 +270,21 @@ std::vector<Operand> taskOperands() {
 
 }  // namespace
 
-extern const Verb kTasks{
-    "tasks",
-    "Show the tasks that were begun under axon checkout",
-    "  axon tasks\n"
-    "  axon tasks PeopleBot\n"
-    "  axon tasks --follow                       each change from now on, until Ctrl-C\n"
-    "  axon tasks --follow --for 60 --json       for a minute, as JSON lines\n"
-    "Every task that is running or waiting is listed, and the newest 256 of all; how many older ones are over and\n"
-    "no longer listed stands below the list. The list ends with the agent, when everything has been released.\n",
-    Runs::Kept,
-    {{"entity", Takes::Entity, false, false, "Only this entity's"}},
-    {{"follow", Takes::Nothing, "Then show each change, of new tasks too"},
-     {"for", Takes::Duration, "Follow for so many seconds, then end"}},
-    tasks};
+extern const Verb kTasks{"tasks",
+                         "Show the tasks that were begun under axon checkout",
+                         "  axon tasks\n"
+                         "  axon tasks PeopleBot\n"
+                         "  axon tasks --follow                       each change from now on, until Ctrl-C\n"
+                         "  axon tasks --follow --for 60 --json       for a minute, as JSON lines\n"
+                         "Every task that is running or waiting is listed, and the newest 256 of all; how "
+                         "many older ones are over and\n"
+                         "no longer listed stands below the list. The list ends with the agent, when "
+                         "everything has been released.\n",
+                         Runs::Kept,
+                         {{"entity", Takes::Entity, false, false, "Only this entity's"}},
+                         {{"follow", Takes::Nothing, "Then show each change, of new tasks too"},
+                          {"for", Takes::Duration, "Follow for so many seconds, then end"}},
+                         tasks};
 
 extern const Verb kWait{
     "wait",
@@ -288,7 +294,8 @@ extern const Verb kWait{
     "  axon wait                    until none is running or waiting\n"
     "  axon wait 3f2a               the task whose id begins so (axon tasks)\n"
     "  axon wait 3f2a --for 30      at most 30 s; a task that has not ended goes on, and the status is 4\n"
-    "Shows each change as axon run does. The status is that of the first task, as they were named, that did not\n"
+    "Shows each change as axon run does. The status is that of the first task, as they were named, that did "
+    "not\n"
     "succeed. A task that has ended before is reported at once. Ctrl-C ends the waiting, and no task.\n",
     Runs::Kept,
     {{"task", Takes::Task, false, true, "Beginning of a task's id; none = all that are not over"}},

@@ -10,8 +10,8 @@
 
 using namespace axon;
 using namespace axon::cli;
-using testing::ElementsAre;
 using testing::AllOf;
+using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::Not;
 
@@ -148,11 +148,12 @@ TEST_F(Verbs, DetachWaitsForTheAdmission) {
     args["detach"] = true;
     using State = TaskState;
     // Before anybody has answered the library says QUEUED.
-    const std::pair<Refusal, int> refused[] = {{{RefusalCode::Latched, "It has been stopped.", {}}, kRefused},
-                                               {{RefusalCode::MissingDependency, "Distance has no value.", {}}, kRefused},
-                                               {{RefusalCode::QueueFull, "64 tasks wait.", {}}, kRefused},
-                                               {{RefusalCode::Denied, "too far", {}}, kRefused},
-                                               {{RefusalCode::TimedOut, "no answer", {}}, kNotConfirmed}};
+    const std::pair<Refusal, int> refused[] = {
+        {{RefusalCode::Latched, "It has been stopped.", {}}, kRefused},
+        {{RefusalCode::MissingDependency, "Distance has no value.", {}}, kRefused},
+        {{RefusalCode::QueueFull, "64 tasks wait.", {}}, kRefused},
+        {{RefusalCode::Denied, "too far", {}}, kRefused},
+        {{RefusalCode::TimedOut, "no answer", {}}, kNotConfirmed}};
     for (const auto& [reason, exit] : refused) {
         for (const auto before : {State::Queued, State::Dispatched}) {
             seen.events.clear();
@@ -196,10 +197,11 @@ TEST_F(Verbs, WaitEndsWithTheTaskAndWithItsStatus) {
     auto args = runCyton();
     args["detach"] = true;
     station->script = {{TaskState::Running, 0.5, "", {}, {}, kAccepted}};
-    for (const auto& [state, exit] : std::vector<std::pair<TaskState, int>>{{TaskState::Succeeded, kDone},
-                                                                            {TaskState::Stopped, kStopped},
-                                                                            {TaskState::Failed, kRefused},
-                                                                            {TaskState::Unknown, kNotConfirmed}}) {
+    for (const auto& [state, exit] :
+         std::vector<std::pair<TaskState, int>>{{TaskState::Succeeded, kDone},
+                                                {TaskState::Stopped, kStopped},
+                                                {TaskState::Failed, kRefused},
+                                                {TaskState::Unknown, kNotConfirmed}}) {
         mailbox = std::make_shared<Mailbox>();
         ASSERT_EQ(perform("run", args), kDone);
         // The end comes while the verb looks at what there is, and after it.
@@ -215,7 +217,8 @@ TEST_F(Verbs, WaitEndsWithTheTaskAndWithItsStatus) {
     mailbox = std::make_shared<Mailbox>();
     ASSERT_EQ(perform("run", args), kDone);
     seen.on_event = [this](const Json& event) {
-        if (event.at("event") == "task" && event.at("state") == "RUNNING") station->goOn(TaskState::Succeeded);
+        if (event.at("event") == "task" && event.at("state") == "RUNNING")
+            station->goOn(TaskState::Succeeded);
     };
     EXPECT_EQ(perform("wait", Json::object()), kDone);
     EXPECT_EQ(seen.last("task")->at("state"), "SUCCEEDED");

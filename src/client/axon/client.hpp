@@ -255,7 +255,8 @@ struct Receipt {
     std::optional<Seconds> server, manager, callback_returned, standstill;
     bool no_application = false;  ///< no robot application is linked: there was nothing to stop
     std::string fault;  ///< the application's stop callback threw this; it is called again until it returns
-    Seconds precision{0};  ///< of the times: the step of a laboratory's time (AXON_CLOCK), in which nothing shorter can be told
+    Seconds precision{0};  ///< of the times: the step of a laboratory's time (AXON_CLOCK), in which nothing
+                           ///< shorter can be told
     /// The EM and, where there is an application, its stop callback have answered.
     bool confirmed() const { return manager && (callback_returned || no_application); }
 };
