@@ -12,9 +12,10 @@ int main(int argc, char** argv) try {
     auto turns_done = interfacer.stream("turns");
     interfacer.onParameter([](const std::string&, const axon::Parameter& parameter) {
         return parameter.name == "Speed" && parameter.integer() == 7 ? axon::Decision::deny("at 7 it rattles")
-                                                                      : axon::Decision::grant();
+                                                                     : axon::Decision::grant();
     });
-    interfacer.onText([&](const std::string& text, const std::string&) { interfacer.sendInfoMsg("heard: " + text); });
+    interfacer.onText(
+        [&](const std::string& text, const std::string&) { interfacer.sendInfoMsg("heard: " + text); });
     interfacer.onRaw([&](const std::vector<std::string>& blocks, const std::string&) {
         std::string all;
         for (const auto& block : blocks) all += block;
