@@ -18,6 +18,7 @@ endif()
 function(axon_library name)
   cmake_parse_arguments(L "" "" "SOURCES;HEADERS;LINK;PRIVATE_LINK" ${ARGN})
   add_library(${name} STATIC ${L_SOURCES} ${L_HEADERS})
+  target_compile_features(${name} PUBLIC cxx_std_20) # its headers need it, whatever a project that links it compiles with
   target_link_libraries(${name} PUBLIC ${L_LINK} PRIVATE axon_options ${L_PRIVATE_LINK})
   target_include_directories(${name} PUBLIC "$<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/src>")
 endfunction()

@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
 """Shows that check_invariants.py and check_docs.py can fail: one small tree for each rule; and what unless_stalled does."""
+import argparse
 import contextlib
 import importlib.machinery
 import importlib.util
 import io
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -16,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.dont_write_bytecode = True
 import check_docs  # noqa: E402
 import check_invariants  # noqa: E402
+import demo  # noqa: E402
 import stalls  # noqa: E402
 
 _loader = importlib.machinery.SourceFileLoader("unless_stalled", str(Path(__file__).with_name("unless_stalled")))
@@ -39,6 +42,33 @@ class TreeCase(unittest.TestCase):
         file = self.root / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")
+
+
+class Demo(unittest.TestCase):
+    def test_a_speed_that_no_laboratory_has_is_refused_before_anything_starts(self):
+        for speed in ("0", "abc", "1000", "-1", "", "1e3", "0.001"):
+            done = subprocess.run([Path(__file__).resolve().parent.parent / "demo", f"--speed={speed}"], stdin=subprocess.DEVNULL,
+                                  capture_output=True, text=True, timeout=60, check=False)
+            self.assertEqual(done.returncode, 2, done)
+            self.assertEqual(done.stdout, "")
+            self.assertIn(f"demo: expected --speed=N with a number N from 0.01 to 100, found '{speed}'\nfix: ", done.stderr)
+
+    def test_the_usual_ports_are_taken_by_keep_alone_and_only_where_all_are_free(self):
+        with socket.socket() as other:
+            other.bind(("127.0.0.1", 0))
+            other.listen()
+            taken = other.getsockname()[1]
+            self.assertFalse(demo.all_free([taken]))
+            story = demo.Story.__new__(demo.Story)
+            story.options = argparse.Namespace(keep=True, cluster=False)
+            story.lab = argparse.Namespace(at={"client": "127.0.0.1:10410"})
+            self.assertFalse(story.takes_usual([taken]))
+            self.assertEqual(story.where(), "")
+            story.lab.at["client"] = f"127.0.0.1:{taken}"
+            self.assertIn(f"export AXON_SERVER=127.0.0.1:{taken}", story.where())
+        self.assertTrue(story.takes_usual([taken]))
+        story.options.keep = False
+        self.assertFalse(story.takes_usual([taken]))
 
 
 class UnlessStalled(TreeCase):

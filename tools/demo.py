@@ -11,6 +11,7 @@ import os
 import pathlib
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -25,7 +26,21 @@ DEFAULT_PORTS = {"client": "127.0.0.1:10410", "client-signal": "127.0.0.1:10411"
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 TRANSPORT = ROOT / "lab" / "globalservices" / "transport.xml"
 MAP = ROOT / "lab" / "worlds" / "transport.map"
+ROBOT_PORTS = [first + number for first in (8100, 8101, 8201, 8301, 8401) for number in range(2)]  # of axon-lab in this world
+CLUSTER_PORTS = range(10420, 10620)  # of axon-cluster without --base-port
 BINDINGS = ["--bind", "0=PeopleBot", "--bind", "1=Cyton"]
+
+
+def all_free(ports):
+    """Whether nobody on this machine listens at one of them."""
+    for port in ports:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the programs do
+            try:
+                probe.bind(("127.0.0.1", int(port)))
+            except OSError:
+                return False
+    return True
 
 
 class Story:
@@ -68,17 +83,22 @@ class Story:
 
     # -- the laboratory -----------------------------------------------------------------------------------------
 
+    def takes_usual(self, ports):
+        """With --keep the ports are the usual ones, so that the commands to try need nothing more; but not what somebody has."""
+        return self.options.keep and all_free(ports)
+
     def start_laboratory(self):
         begin = time.monotonic()
         lab = self.lab
-        self.world = lab.start_world(port=FIRST_ROBOT_PORT if self.options.keep else 0)
+        self.world = lab.start_world(port=FIRST_ROBOT_PORT if self.takes_usual(ROBOT_PORTS) else 0)
         shutil.copy(TRANSPORT, lab.services_folder)
         if self.options.cluster:
-            lab.start_cluster(shape=() if self.options.keep else ("--base-port", 0))
+            lab.start_cluster(shape=() if self.takes_usual(CLUSTER_PORTS) else ("--base-port", 0))
             for program in lab.server.status["programs"]:
                 self.say(f"   {program['name']:<21} {program['role']}: {' '.join(program['ports'].values())}")
         else:
-            lab.start_server(DEFAULT_PORTS if self.options.keep else None)
+            usual = self.takes_usual(at.rsplit(":", 1)[1] for at in DEFAULT_PORTS.values())
+            lab.start_server(DEFAULT_PORTS if usual else None)
             self.say(f"   axon-server           clients at {lab.at['client']}, entities at {lab.at['entity']}")
         lab.start_transport()
         for name in self.world.names:
@@ -139,7 +159,8 @@ class Story:
         self.say("   stopped in mid-drive; the receipt, in milliseconds since the request:")
         for stage in ("server", "manager", "callback_returned", "standstill"):
             if receipt.get(f"{stage}_ms") is not None:
-                self.say(f"     {stage.replace('_', ' '):<18} {receipt[f'{stage}_ms']:8.2f}")
+                ms, step = receipt[f"{stage}_ms"], receipt.get("precision_ms", 0)
+                self.say(f"     {stage.replace('_', ' '):<18} {f'< {step:g}' if ms < step else f'{ms:.2f}':>8}")
         if outcome["exit"] != 0:
             raise Failed(f"the stop was not confirmed: {receipt}")
         wait_until(lambda: abs(self.truth("PeopleBot")["speed_m_s"]) < 0.02, "the robot stands", 2)  # it decelerates
@@ -172,7 +193,8 @@ class Story:
     def where(self):
         """What a terminal has to be told beside the path."""
         if not self.options.cluster:
-            return ""
+            at = self.lab.at["client"]
+            return "" if at == DEFAULT_PORTS["client"] else f"\n  export AXON_SERVER={at}     (another server has the usual port)"
         return (f"\n  export AXON_CONFIG={self.lab.env['AXON_CONFIG']}"
                 f"\n  axon-cluster status --folder {self.lab.server.folder}     (also: kill fe1, restart fe1)")
 

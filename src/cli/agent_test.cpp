@@ -124,10 +124,10 @@ TEST_F(Served, ABrokenConnectionCancelsTheTaskThatItFollowed) {
     serve(milliseconds(60'000), true);
     ASSERT_TRUE(station->checkOut({station->entities_[2].id}));
     ASSERT_TRUE(sendLine(raw.get(), {{"verb", "run"}, {"args", kRunCyton}}));
-    ASSERT_TRUE(axon::test::waitUntil([&] { return !station->tasks().empty(); }));
+    ASSERT_TRUE(axon::test::waitUntil([&] { return !station->tasks().list.empty(); }));
     raw = Descriptor();
-    EXPECT_TRUE(
-        axon::test::waitUntil([&] { return station->tasks().front().state == TaskState::Cancelled; }));
+    EXPECT_TRUE(axon::test::waitUntil(
+        [&] { return station->tasks().list.front().report.state == TaskState::Cancelled; }));
     EXPECT_EQ(station->held().size(), 1U);
 }
 
@@ -263,6 +263,10 @@ TEST_F(Invoked, VerbsAboutWhatIsKeptSayThatNothingIs) {
     EXPECT_EQ(seen.last("notice")->at("message"), "nothing is checked out here");
     EXPECT_EQ(invoker.perform(*findVerb("cancel"), {{"entity", "Cyton"}}, seen), kRefused);
     EXPECT_EQ(seen.last("error")->at("mend"), "axon checkout Cyton");
+    EXPECT_EQ(invoker.perform(*findVerb("wait"), {{"task", {"3f2a"}}}, seen), kRefused)
+        << "its end is not known";
+    EXPECT_EQ(seen.last("error")->at("code"), "UNKNOWN_TASK");
+    EXPECT_EQ(invoker.perform(*findVerb("wait"), Json::object(), seen), kDone);
     EXPECT_EQ(invoker.perform(*findVerb("agent"), {{"action", "status"}}, seen), kDone);
     EXPECT_EQ(seen.last("agent")->at("running"), false);
 }

@@ -19,15 +19,17 @@ std::string nameList(const std::vector<std::string_view>& names) {
     return alternatives(list);
 }
 
-/// The one of `things` that a person means by `name`.
-template <class Thing, class NameOf>
+/// The one of `things` that a person means by `name`. `eligible`: whether it may be named instead of one that
+/// there is not.
+template <class Thing, class NameOf, class Eligible>
 Result<const Thing*> findByName(const std::vector<Thing>& things, std::string_view name, NameOf nameOf,
-                                RefusalCode unknown, const std::string& owner, const std::string& kind) {
+                                RefusalCode unknown, const std::string& owner, const std::string& kind,
+                                Eligible eligible) {
     std::vector<std::string_view> names;
     std::vector<const Thing*> similar;
     for (const auto& thing : things) {
         if (nameOf(thing) == name) return &thing;
-        names.push_back(nameOf(thing));
+        if (eligible(thing)) names.push_back(nameOf(thing));
         if (sameToAPerson(nameOf(thing), name)) similar.push_back(&thing);
     }
     if (similar.size() == 1) return similar.front();
@@ -40,11 +42,17 @@ Result<const Thing*> findByName(const std::vector<Thing>& things, std::string_vi
     if (const auto near = nearNames(name, names); !near.empty()) {
         message += ": did you mean " + alternatives(near) + "?";
     } else if (names.empty()) {
-        message += ", nor any other";
+        message += things.empty() ? ", nor any other" : ", nor any other that can be set";
     } else if (names.size() <= 8) {
         message += "; it has " + nameList(names);
     }
     return Refusal{unknown, message};
+}
+
+constexpr auto kAny = [](const auto&) { return true; };
+
+bool maySet(const Parameter& parameter) {
+    return parameter.type != "OUTPUT" && parameter.type != "FEEDBACK";
 }
 
 }  // namespace
@@ -57,7 +65,7 @@ bool sameToAPerson(std::string_view a, std::string_view b) {
 Result<const Service*> findService(const std::vector<Service>& services, std::string_view name) {
     auto by_name = findByName(
         services, name, [](const Service& s) -> std::string_view { return s.name; },
-        RefusalCode::UnknownService, "the entity", "service");
+        RefusalCode::UnknownService, "the entity", "service", kAny);
     if (by_name) return by_name;
     for (const auto& service : services) {
         if (!service.global_id.empty() && service.global_id == name) return &service;
@@ -69,19 +77,19 @@ Result<const client::GlobalService*> findGlobalService(const std::vector<client:
                                                        std::string_view name) {
     return findByName(
         services, name, [](const client::GlobalService& s) -> std::string_view { return s.name; },
-        RefusalCode::UnknownService, "the server", "global service");
+        RefusalCode::UnknownService, "the server", "global service", kAny);
 }
 
 Result<const Parameter*> findParameter(const Service& service, std::string_view name) {
     return findByName(
         service.parameters, name, [](const Parameter& p) -> std::string_view { return p.name; },
-        RefusalCode::UnknownParameter, inQuotes(service.name), "parameter");
+        RefusalCode::UnknownParameter, inQuotes(service.name), "parameter", maySet);
 }
 
 Result<const client::Resource*> findResource(const Service& service, std::string_view name) {
     return findByName(
         service.resources, name, [](const client::Resource& r) -> std::string_view { return r.name; },
-        RefusalCode::UnknownResource, inQuotes(service.name), "resource");
+        RefusalCode::UnknownResource, inQuotes(service.name), "resource", kAny);
 }
 
 std::optional<Measure> splitMeasure(std::string_view text) {
@@ -129,7 +137,10 @@ Result<std::vector<Argument>> readArguments(const Service& service, const std::v
         std::string units;
         const bool number = meta.data_type == "INT" || meta.data_type == "DBL";
         if (number && !meta.units.empty()) {
-            if (const auto measure = splitMeasure(value)) {
+            // No unit has a digit, unless it is this parameter's own: 0x10 is a number that nobody can read.
+            const auto measure = splitMeasure(value);
+            if (measure && (measure->units == meta.units ||
+                            measure->units.find_first_of("0123456789") == std::string::npos)) {
                 value = measure->number;
                 units = measure->units;
             }

@@ -76,6 +76,25 @@ TEST(ReadArguments, KeepsEmptyValuesAndFurtherEqualsSigns) {
     EXPECT_EQ(textAt(arguments->at(0), 1), "a=b");
 }
 
+TEST(ReadArguments, AValueThatIsNoNumberStaysWhatTheUserWrote) {
+    const auto arguments = readArguments(FakeStation().services_.front(), {"Distance=0x10"});
+    ASSERT_TRUE(arguments);
+    EXPECT_EQ(std::get<std::string>(arguments->front().values.front()), "0x10") << "the refusal shows it";
+    EXPECT_EQ(arguments->front().units, "");
+}
+
+TEST(ReadArguments, NamesNoParameterThatOnlyTheRobotSets) {
+    auto service = FakeStation().services_.front();
+    Parameter room;
+    room.name = "Room";
+    room.type = "OUTPUT";
+    service.parameters.push_back(room);
+    const auto refused = readArguments(service, {"Roon=3"});
+    ASSERT_FALSE(refused);
+    EXPECT_EQ(refused.refusal().message.find("Room"), std::string::npos) << refused.refusal().message;
+    EXPECT_TRUE(readArguments(service, {"Room=3"})) << "the robot's side says why not";
+}
+
 TEST(ReadArguments, NamesTheNearOnesOfAnUnknownParameter) {
     const auto arguments = readArguments(driving(), {"Distanz=1"});
     ASSERT_FALSE(arguments);

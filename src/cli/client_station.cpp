@@ -2,6 +2,7 @@
 #include "cli/client_station.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <deque>
 #include <map>
 #include <mutex>
@@ -14,14 +15,31 @@ using client::Client;
 using client::Run;
 using client::Task;
 
-/// The oldest that is over goes; those that are not are as many as the entities let wait.
+using Clock = std::chrono::steady_clock;
+
+/// A task and its times.
+struct Begun {
+    Task task;
+    Clock::time_point at;
+    std::optional<Seconds> took;
+
+    TaskReport report() const { return task.report(); }
+    KeptTask kept(TaskReport report) const {
+        return {std::move(report), took.value_or(Seconds(Clock::now() - at))};
+    }
+};
+
+/// The oldest that is over goes; those that are not are as many as the entities let wait. Whether one has
+/// gone.
 template <class Handle>
-void keepNewest(std::deque<Handle>& handles, Handle handle, std::size_t most) {
+bool keepNewest(std::deque<Handle>& handles, Handle handle, std::size_t most) {
     handles.push_back(std::move(handle));
-    if (handles.size() <= most) return;
+    if (handles.size() <= most) return false;
     const auto over = std::find_if(handles.begin(), handles.end(),
                                    [](const Handle& one) { return client::isFinal(one.report().state); });
-    if (over != handles.end()) handles.erase(over);
+    if (over == handles.end()) return false;
+    handles.erase(over);
+    return true;
 }
 
 /// Check-outs and tasks by name, and one callback of the library spread to those who listen.
@@ -123,23 +141,38 @@ class ClientStation final : public Station {
                             std::function<void(const TaskReport&)> update) override {
         const auto held = heldBy(entity);
         if (!held) return notHolder(entity);
+        const auto at = Clock::now();
         const auto task = held->run(service, arguments, not_after);
         {
             const std::lock_guard lock(mutex_);
-            keepNewest(tasks_, task, kTasksKept);
+            if (keepNewest(tasks_, Begun{task, at, {}}, kTasksKept)) ++tasks_forgotten_;
         }
-        task.onUpdate(std::move(update));
+        task.onUpdate([this, update = std::move(update)](const TaskReport& report) {
+            update(report);
+            tellFollowers(report);
+        });
         return task.id();
     }
 
-    std::vector<TaskReport> tasks() const override {
-        std::vector<TaskReport> reports;
-        for (const auto& task : copyOfTasks()) reports.push_back(task.report());
-        return reports;
+    KeptTasks tasks() const override {
+        const std::lock_guard lock(mutex_);
+        KeptTasks kept;
+        for (const auto& begun : tasks_) kept.list.push_back(begun.kept(begun.report()));
+        kept.forgotten = tasks_forgotten_;
+        return kept;
+    }
+
+    std::shared_ptr<void> followTasks(std::function<void(const KeptTask&)> update) override {
+        auto follower = std::make_shared<const Follower>(std::move(update));
+        const std::lock_guard lock(mutex_);
+        std::erase_if(followers_, [](const auto& one) { return one.expired(); });
+        followers_.push_back(follower);
+        return std::const_pointer_cast<Follower>(follower);
     }
 
     Result<void> control(const std::string& id, TaskAction action) override {
-        for (const auto& task : copyOfTasks()) {
+        for (const auto& begun : copyOfTasks()) {
+            const auto& task = begun.task;
             if (task.id() != id) continue;
             switch (action) {
                 case TaskAction::Pause:
@@ -166,7 +199,7 @@ class ClientStation final : public Station {
         if (!run) return run.refusal();
         {
             const std::lock_guard lock(mutex_);
-            keepNewest(runs_, run.value(), kTasksKept);
+            keepNewest(runs_, run.value(), kRunsKept);
         }
         run->onUpdate(std::move(update));
         return run->id();
@@ -209,7 +242,10 @@ class ClientStation final : public Station {
     }
 
   private:
-    static constexpr std::size_t kTasksKept = 64;
+    static constexpr std::size_t kTasksKept = 256;
+    static constexpr std::size_t kRunsKept = 64;
+
+    using Follower = std::function<void(const KeptTask&)>;
 
     struct Room {
         Entity entity;
@@ -300,7 +336,25 @@ class ClientStation final : public Station {
         for (const auto& listener : present) call(*listener);
     }
 
-    std::deque<Task> copyOfTasks() const {
+    void tellFollowers(const TaskReport& report) {
+        KeptTask kept{report, Seconds{0}};
+        std::vector<std::shared_ptr<const Follower>> present;
+        {
+            const std::lock_guard lock(mutex_);
+            const auto begun = std::find_if(tasks_.begin(), tasks_.end(),
+                                            [&](const Begun& one) { return one.task.id() == report.id; });
+            if (begun != tasks_.end()) {
+                kept = begun->kept(report);
+                if (client::isFinal(report.state)) begun->took = kept.elapsed;
+            }
+            for (const auto& weak : followers_) {
+                if (auto follower = weak.lock()) present.push_back(std::move(follower));
+            }
+        }
+        for (const auto& follower : present) (*follower)(kept);
+    }
+
+    std::deque<Begun> copyOfTasks() const {
         const std::lock_guard lock(mutex_);
         return tasks_;
     }
@@ -313,7 +367,9 @@ class ClientStation final : public Station {
     mutable std::mutex mutex_;
     // guarded by mutex_
     std::map<std::string, Room> rooms_;  // by entity
-    std::deque<Task> tasks_;
+    std::deque<Begun> tasks_;
+    std::size_t tasks_forgotten_ = 0;
+    std::vector<std::weak_ptr<const Follower>> followers_;
     std::deque<Run> runs_;
     const std::unique_ptr<Client> client_;  // last, so that it is destroyed first: its callbacks use the rest
 };

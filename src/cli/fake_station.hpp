@@ -59,7 +59,7 @@ class FakeStation : public Station {
         services_ = {driving};
     }
 
-    Sender self() const override { return {"me", "ana@lab", Role::Operator}; }
+    Sender self() const override { return {"me", "ana@lab", my_role}; }
     std::string server() const override { return "127.0.0.1:10410"; }
     bool connected() const override { return is_connected; }
     std::vector<Entity> entities() const override { return entities_; }
@@ -219,6 +219,7 @@ class FakeStation : public Station {
             report.feedback = step.feedback;
             report.reason = step.reason;
             report.results = step.results;
+            report.accepted = report.accepted || step.accepted;
             update(report);
         }
         {
@@ -229,9 +230,33 @@ class FakeStation : public Station {
         if (on_run) on_run();
         return report.id;
     }
-    std::vector<TaskReport> tasks() const override {
+    KeptTasks tasks() const override {
         const std::lock_guard lock(mutex_);
-        return last_ ? std::vector{*last_} : std::vector<TaskReport>{};
+        KeptTasks kept{others, forgotten_tasks};
+        if (last_) kept.list.push_back({*last_, Seconds(1.5)});
+        return kept;
+    }
+    std::shared_ptr<void> followTasks(std::function<void(const KeptTask&)> update) override {
+        auto kept = std::make_shared<const std::function<void(const KeptTask&)>>(std::move(update));
+        {
+            const std::lock_guard lock(mutex_);
+            follower_ = kept;
+        }
+        if (on_follow) on_follow();
+        return std::const_pointer_cast<std::function<void(const KeptTask&)>>(kept);
+    }
+    /// What becomes of the task of the last run(), told to who follows.
+    void goOn(TaskState state, const Refusal& reason = {}) {
+        std::shared_ptr<const std::function<void(const KeptTask&)>> follower;
+        TaskReport report;
+        {
+            const std::lock_guard lock(mutex_);
+            last_->state = state;
+            last_->reason = reason;
+            report = *last_;
+            follower = follower_.lock();
+        }
+        if (follower) (*follower)({report, Seconds(2)});
     }
     Result<void> control(const std::string&, TaskAction action) override {
         std::function<void(const TaskReport&)> update;
@@ -368,10 +393,15 @@ class FakeStation : public Station {
         std::string feedback;
         Refusal reason;
         std::map<std::string, std::vector<Value>> results;
+        bool accepted = false;
     };
     std::vector<Step> script;
+    std::vector<KeptTask> others;  ///< before the one of run()
+    std::size_t forgotten_tasks = 0;
+    std::function<void()> on_follow;
     std::vector<std::pair<std::uint64_t, std::string>> samples;
     Refusal check_out_refusal;
+    Role my_role = Role::Operator;
     std::string lost_id, direct_id, says;
     std::string asks;  ///< who wants the arm
     std::vector<client::WatchdogMargin> watchdogs;
@@ -409,13 +439,17 @@ class FakeStation : public Station {
     std::optional<RunReport> last_run_;
     std::function<void(const RunReport&)> run_update_;
     std::optional<TaskReport> last_;
+    std::weak_ptr<const std::function<void(const KeptTask&)>> follower_;
     std::function<void(const TaskReport&)> update_;
 };
 
 /// Keeps what a verb emitted.
 class Recorded final : public Events {
   public:
-    void emit(const Json& event) override { events.push_back(event); }
+    void emit(const Json& event) override {
+        events.push_back(event);
+        if (on_event) on_event(event);
+    }
     const Json* last(const std::string& kind) const {
         for (auto at = events.rbegin(); at != events.rend(); ++at) {
             if (at->value("event", "") == kind) return &*at;
@@ -423,6 +457,7 @@ class Recorded final : public Events {
         return nullptr;
     }
     std::vector<Json> events;
+    std::function<void(const Json&)> on_event;
 };
 
 }  // namespace axon::cli

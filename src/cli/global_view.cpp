@@ -43,7 +43,7 @@ std::string barOf(const Json& step, std::size_t width) {
     if (!step.at("state").is_string()) return {};
     const auto part = textOf(step, "state") == "SUCCEEDED" ? 1.0 : step.value("progress", -1.0);
     if (part < 0) return {};
-    return (width > 0 ? progressBar(part, width) + " " : "") + fmt::format("{:3.0f} %", part * 100);
+    return (width > 0 ? progressBar(part, width) + " " : "") + percent(part);
 }
 
 std::string timeOf(const Json& step, double elapsed) {
@@ -400,7 +400,7 @@ void PersonView::showRunLines(const Json& event) {
         auto text =
             duration(event.value("elapsed_s", 0.0)) + "  " + whatOf(step) + "  " + stepState(step, false).text;
         if (textOf(step, "state") == "RUNNING" && step.value("progress", -1.0) >= 0)
-            text += fmt::format(" {:.0f} %", step.at("progress").get<double>() * 100);
+            text += percent(step.at("progress").get<double>());
         if (const auto remark = remarkOf(step).text; !remark.empty()) text += "  " + remark;
         say(text);
     }

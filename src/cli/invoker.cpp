@@ -22,6 +22,7 @@
 #include "cli/agent_link.hpp"
 #include "cli/verbs/holding.hpp"
 #include "cli/words.hpp"
+#include "messages/text.hpp"
 
 extern char** environ;
 
@@ -281,6 +282,15 @@ int Invoker::perform(const Verb& verb, Json args, Events& events) {
             return start(verb, args, events);
         case Runs::Kept: {
             const auto names = args.find("entity");
+            if (const auto task = args.find("task");
+                names == args.end() && task != args.end() && !task->empty()) {
+                const Refusal refusal{RefusalCode::UnknownTask,
+                                      "no task " + inQuotes(task->front().get<std::string>()) +
+                                          " is kept here: nothing is checked out",
+                                      {}};
+                events.emit(errorEvent(refusal));
+                return exitOf(refusal);
+            }
             if (names == args.end() || names->empty()) {
                 // Nothing is held, so nothing is left to release and there are no tasks.
                 if (std::string_view(verb.name) == "agent") {

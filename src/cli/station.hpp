@@ -59,6 +59,18 @@ struct Question {
 
 enum class TaskAction { Pause, Resume, Cancel };
 
+/// A task that was asked for here.
+struct KeptTask {
+    TaskReport report;
+    Seconds elapsed{0};  ///< from the request to its end, or until now
+};
+
+/// Oldest first: every task that is not over, and the newest of those that are.
+struct KeptTasks {
+    std::vector<KeptTask> list;
+    std::size_t forgotten = 0;  ///< how many are over and no longer in the list
+};
+
 /// What a verb needs of a connection to Axon: the client library with its check-outs and tasks found by name,
 /// so that a verb that comes later (`axon pause`) reaches what an earlier one began (`axon run --detach`).
 ///
@@ -116,8 +128,10 @@ class Station {
     virtual Result<std::string> run(const std::string& entity, const std::string& service,
                                     const std::vector<Argument>& arguments, Seconds not_after,
                                     std::function<void(const TaskReport&)> update) = 0;
-    /// The tasks that were asked for here, oldest first: all that are not final, and the last ones that are.
-    virtual std::vector<TaskReport> tasks() const = 0;
+    virtual KeptTasks tasks() const = 0;
+    /// `update` is called with each change of each task, of those too that are asked for later, until the
+    /// handle is dropped. What tasks() gives afterwards may be newer than what is still to be told.
+    virtual std::shared_ptr<void> followTasks(std::function<void(const KeptTask&)> update) = 0;
     virtual Result<void> control(const std::string& task, TaskAction action) = 0;
 
     virtual Result<GlobalServices> globalServices() const = 0;

@@ -66,7 +66,10 @@ std::string allowedText(const Json& parameter) {
     return {};
 }
 
-std::string stageText(const Json& milliseconds) {
+/// `precision_ms`: what is shorter cannot be told apart from nothing.
+std::string stageText(const Json& milliseconds, double precision_ms = 0) {
+    if (milliseconds.is_number() && milliseconds.get<double>() < precision_ms)
+        return "< " + duration(precision_ms / 1000);
     return milliseconds.is_number() ? duration(milliseconds.get<double>() / 1000) : "-";
 }
 
@@ -107,6 +110,10 @@ std::string lowerCase(std::string text) {
     std::transform(text.begin(), text.end(), text.begin(),
                    [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
     return text;
+}
+
+std::string percent(double part) {
+    return fmt::format("{:3.0f} %", std::max(0.0, part) * 100);  // nor is anything at -0 %
 }
 
 std::string progressBar(double part, std::size_t width) {
@@ -461,7 +468,7 @@ void PersonView::showTask(const Json& event) {
     if (!terminal_.live && state == "DISPATCHED") return;
     std::string text = who + "  ";
     if (part >= 0) {
-        text += progressBar(part, 30) + fmt::format(" {:3.0f} %", part * 100);
+        text += progressBar(part, 30) + " " + percent(part);
     } else {
         text += lowerCase(state);
     }
@@ -479,7 +486,8 @@ void PersonView::showTask(const Json& event) {
 
 void PersonView::showTasks(const Json& event) {
     const auto& list = event.at("tasks");
-    if (list.empty()) return say("no tasks were begun here");
+    const auto forgotten = event.value("forgotten", std::size_t{0});
+    if (list.empty() && forgotten == 0) return say("no tasks were begun here");
     Table table({"ID", "ENTITY", "SERVICE", "STATE", "PROGRESS", "REASON"});
     for (const auto& task : list) {
         const auto state = textOf(task, "state");
@@ -489,21 +497,25 @@ void PersonView::showTasks(const Json& event) {
                    {lowerCase(state), state == "SUCCEEDED"         ? Tint::Green
                                       : task.value("final", false) ? Tint::Red
                                                                    : Tint::Cyan},
-                   {task.value("progress", -1.0) < 0
-                        ? ""
-                        : fmt::format("{:.0f} %", task["progress"].get<double>() * 100)},
+                   {task.value("progress", -1.0) < 0 ? "" : percent(task["progress"].get<double>())},
                    {task["reason"].is_object() ? textOf(task["reason"], "message") : textOf(task, "feedback"),
                     Tint::Dim}});
     }
     wipe();
-    out_ << table.text(terminal_.colour) << std::flush;
+    out_ << table.text(terminal_.colour);
+    if (forgotten > 0)
+        out_ << paint(fmt::format("{} older {} over and no longer listed", forgotten,
+                                  forgotten == 1 ? "is" : "are"),
+                      Tint::Dim)
+             << '\n';
+    out_ << std::flush;
 }
 
 void PersonView::showUpload(const Json& event) {
     const auto total = event.value("total", 0.0);
     const auto part = total > 0 ? event.value("sent", 0.0) / total : 1.0;
-    progress(fmt::format("{}  {} {:3.0f} %  {} of {}", textOf(event, "resource"), progressBar(part, 30),
-                         part * 100, byteCount(event.value("sent", 0.0)), byteCount(total)),
+    progress(fmt::format("{}  {} {}  {} of {}", textOf(event, "resource"), progressBar(part, 30),
+                         percent(part), byteCount(event.value("sent", 0.0)), byteCount(total)),
              part);
 }
 
@@ -515,13 +527,14 @@ void PersonView::showReceipts(const Json& event) {
         const bool confirmed = receipt.value("confirmed", false);
         const bool no_application = receipt.value("no_application", false);
         const auto state = textOf(receipt, "state");
+        const auto precision = receipt.value("precision_ms", 0.0);
         std::string verdict = confirmed ? "✓ confirmed" : "✗ NOT CONFIRMED";
         if (confirmed && no_application) verdict = "✓ no application, nothing to stop";
         table.add({{textOf(receipt, "call"), Tint::Bold},
-                   {stageText(receipt.at("server_ms"))},
-                   {stageText(receipt.at("manager_ms"))},
-                   {stageText(receipt.at("callback_returned_ms"))},
-                   {stageText(receipt.at("standstill_ms"))},
+                   {stageText(receipt.at("server_ms"), precision)},
+                   {stageText(receipt.at("manager_ms"), precision)},
+                   {stageText(receipt.at("callback_returned_ms"), precision)},
+                   {stageText(receipt.at("standstill_ms"), precision)},
                    {state, stateTint(state)},
                    {verdict, confirmed ? Tint::Green : Tint::Red}});
     }

@@ -10,7 +10,9 @@
 
 using namespace axon;
 using namespace axon::cli;
+using testing::AllOf;
 using testing::HasSubstr;
+using testing::Not;
 
 namespace {
 
@@ -133,6 +135,19 @@ TEST_F(View, PrintsProgressNowAndThenWhereLinesCannotBeRedrawn) {
               "  Distance = 998 mm\n");
 }
 
+TEST_F(View, NothingIsAtMinusZeroPercent) {
+    EXPECT_EQ(shown({taskEvent(TaskState::Running, -0.0, "", 0.1)}),
+              "PeopleBot Driving  [----------------------------]   0 %  100 ms\n");
+}
+
+TEST_F(View, SaysHowManyTasksTheListLeavesOut) {
+    auto task = taskEvent(TaskState::Running, 0.5, "", 0.1);
+    task["id"] = "3f2a1b4c-0000-4000-8000-000000000001";
+    task["reason"] = nullptr;
+    EXPECT_THAT(shown({{{"event", "tasks"}, {"tasks", Json::array({task})}, {"forgotten", 12}}}),
+                HasSubstr("12 older are over and no longer listed\n"));
+}
+
 TEST_F(View, RedrawsProgressOnATerminalAndTakesItAway) {
     Terminal terminal;
     terminal.live = true;
@@ -175,6 +190,18 @@ TEST_F(View, ShowsTheReceiptOfAStopStageByStage) {
     EXPECT_THAT(err.str(), HasSubstr("not every stop is confirmed"));
     EXPECT_THAT(err.str(),
                 HasSubstr("the stop callback of Cyton is called again and again: it threw: no brake"));
+}
+
+TEST_F(View, WhatTheClockCannotTellIsNotZero) {
+    Receipt receipt;
+    receipt.name = "PeopleBot";
+    receipt.server = Seconds(0);
+    receipt.manager = receipt.callback_returned = Seconds(0.008);
+    receipt.precision = Seconds(0.004);
+    auto json = toJson(receipt);
+    json["call"] = "PeopleBot";
+    EXPECT_THAT(shown({{{"event", "receipts"}, {"receipts", Json::array({json})}, {"confirmed", true}}}),
+                AllOf(HasSubstr("< 4.0 ms"), HasSubstr("  8.0 ms"), Not(HasSubstr("0.0 ms"))));
 }
 
 TEST_F(View, ShowsErrorsWithCodeHolderAndMend) {

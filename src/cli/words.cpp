@@ -76,8 +76,9 @@ std::string mendFor(const Refusal& refusal, const std::string& entity) {
         case RefusalCode::NotConnected:
             return "axon doctor shows what is wrong";
         case RefusalCode::Unavailable:
+            return "axon doctor shows what is wrong with it, and what to do";
         case RefusalCode::RobotLost:
-            return "start the robot's application, or see why it is away: axon doctor";
+            return "look at the robot: its application lives, and the robot does not answer it";
         default:
             return {};
     }
@@ -152,11 +153,31 @@ Json toJson(const TaskReport& report) {
               {"service", report.service},
               {"state", client::toString(report.state)},
               {"final", client::isFinal(report.state)},
-              {"progress", report.progress < 0 ? -1 : report.progress},
+              {"progress", report.progress < 0 ? -1 : report.progress + 0.0},
               {"feedback", report.feedback},
               {"results", toJson(report.results)},
               {"reason", reasonOf(report.reason)}};
     return json;
+}
+
+Json taskEvent(const TaskReport& report, const std::string& entity, Seconds elapsed) {
+    auto event = toJson(report);
+    event["entity_id"] = report.entity;
+    event["entity"] = entity;
+    event["elapsed_s"] = elapsed.count();
+    if (!report.reason.ok()) {
+        const auto error = errorEvent(report.reason, entity);
+        if (error.contains("mend")) event["mend"] = error["mend"];
+    }
+    return event;
+}
+
+Json unitsOf(const Service& service) {
+    auto units = Json::object();
+    for (const auto& parameter : service.parameters) {
+        if (!parameter.units.empty()) units[parameter.name] = parameter.units;
+    }
+    return units;
 }
 
 Json toJson(const StepReport& step) {
@@ -171,7 +192,7 @@ Json toJson(const StepReport& step) {
             {"preced", step.preced},
             {"compensation", step.compensation},
             {"state", step.state ? Json(client::toString(*step.state)) : Json(nullptr)},
-            {"progress", step.progress < 0 ? -1 : step.progress},
+            {"progress", step.progress < 0 ? -1 : step.progress + 0.0},
             {"feedback", step.feedback},
             {"parameters", toJson(step.parameters)},
             {"results", toJson(step.results)},
@@ -303,6 +324,7 @@ Json toJson(const Receipt& receipt) {
             {"manager_ms", milliseconds(receipt.manager)},
             {"callback_returned_ms", milliseconds(receipt.callback_returned)},
             {"standstill_ms", milliseconds(receipt.standstill)},
+            {"precision_ms", receipt.precision.count() * 1000},
             {"no_application", receipt.no_application},
             {"fault", receipt.fault}};
 }

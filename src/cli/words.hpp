@@ -13,6 +13,10 @@ Json toJson(const Value& value);
 Json toJson(const Entity& entity, bool yours);
 Json toJson(const Service& service);
 Json toJson(const TaskReport& report);
+/// A "task" event, complete but for "units": the entity by the name it is called, "elapsed_s", and the mend.
+Json taskEvent(const TaskReport& report, const std::string& entity, Seconds elapsed);
+/// {parameter: its unit}, of those that have one.
+Json unitsOf(const Service& service);
 Json toJson(const Receipt& receipt);
 /// A step of a run; without the members of "run" and "run_record" events that are not its own.
 Json toJson(const StepReport& step);

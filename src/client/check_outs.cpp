@@ -648,7 +648,10 @@ void SessionCore::onCheckOutDue(Id128 id) {
 
 std::optional<HandOverRequest> SessionCore::question(const Held& held) const {
     const auto* mine = lease(held);
-    return mine == nullptr ? std::nullopt : mine->question;
+    if (mine == nullptr || !mine->question) return std::nullopt;
+    auto question = *mine->question;
+    question.answer_within = std::max(Seconds(mine->answer_until - clock_.now()), Seconds(0));
+    return question;
 }
 
 void SessionCore::onHandOver(const std::string& entity, const proto::HandOverRequest& request) {
@@ -668,6 +671,7 @@ void SessionCore::onHandOver(const std::string& entity, const proto::HandOverReq
     }
     const bool known = lease.question && lease.asked_by == request.request_id();
     lease.question = question;
+    lease.answer_until = clock_.now() + std::chrono::duration_cast<Duration>(question.answer_within);
     lease.asked_by = request.request_id();
     if (lease.policy.refuse) {
         static_cast<void>(answerHandOver(held, false, "Its holder does not hand it over.").ok());

@@ -432,6 +432,10 @@ TEST_F(CheckOutsTest, TheHolderIsToldAndAnswersOnce) {
     ASSERT_THAT(observer.hand_overs, SizeIs(1));
     EXPECT_EQ(observer.hand_overs[0].by, "client2@lab");
     EXPECT_EQ(core.question(held)->reason, "a demonstration");
+    const auto within = observer.hand_overs[0].answer_within;
+    advance(2s);
+    EXPECT_DOUBLE_EQ(core.question(held)->answer_within.count(), within.count() - 2)
+        << "what is left of the time";
     ASSERT_TRUE(core.answerHandOver(held, false, "in the middle of something").ok());
     ASSERT_THAT(link.sent, SizeIs(1));
     const auto& said = link.sent[0].body.hand_over_answer();

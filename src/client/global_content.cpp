@@ -160,7 +160,7 @@ StepReport fromProto(const proto::StepStatus& status) {
     out.service = status.service();
     out.preced = status.preced();
     out.state = taskStateFromProto(status.state());
-    out.progress = status.progress();
+    out.progress = status.progress() + 0.0;  // makes -0 a 0
     out.feedback = status.feedback();
     out.parameters = fromProto(status.params());
     out.results = fromProto(status.results());

@@ -166,7 +166,15 @@ Opened openAtGate(const LaneHome& home, const std::string& endpoint, const Login
     } catch (...) {
         if (const auto connection = gate->ice_getCachedConnection())
             connection->close(Ice::ConnectionClose::Forcefully);
-        throw;
+        try {
+            throw;
+        } catch (const Ice::ObjectNotExistException&) {
+            throw Axon::CommUtil::RequestRefused(static_cast<int>(RefusalCode::Malformed),
+                                                 "a program that speaks Ice answers there, and it is not "
+                                                 "where clients log in. Is it the port of the Entity "
+                                                 "Managers, or of the signal lane? axon-server says its "
+                                                 "addresses when it starts: ready client=HOST:PORT …");
+        }
     }
 }
 

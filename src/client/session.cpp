@@ -1284,7 +1284,10 @@ Result<std::vector<Receipt>> Client::Session::stop(const std::vector<std::string
                   [promise](Answer answer) { promise->set_value(std::move(answer)); });
     });
     mayWait();  // after the stop has left: misuse is no reason not to stop
-    return future.get();
+    auto answer = future.get();
+    if (answer && dynamic_cast<const SharedClock*>(&clock_) != nullptr)
+        for (auto& receipt : answer.value()) receipt.precision = SharedClockPage::kStep;
+    return answer;
 }
 
 Result<std::vector<DrillReport>> Client::Session::drill(const std::vector<std::string>& names, int count,

@@ -1008,7 +1008,9 @@ void SessionCore::onTaskEvent(const std::string& entity, const proto::TaskEvent&
     }
     if (!follows(report.state, *state)) return;
     report.state = *state;
-    if (event.progress() >= 0) report.progress = std::max(report.progress, event.progress());
+    report.accepted = report.accepted || *state < TaskState::Succeeded;
+    if (event.progress() >= 0)
+        report.progress = std::max(report.progress, event.progress() + 0.0);  // makes -0 a 0
     if (!event.feedback().empty()) report.feedback = event.feedback();
     for (const auto& param : event.results()) {
         auto& values = report.results[param.name()];

@@ -265,6 +265,7 @@ class SessionCore {
         HandOverPolicy policy;
         std::string asked_by;  // request id of `question`
         std::optional<HandOverRequest> question;
+        TimePoint answer_until{};  // of `question`
         bool orphaned = false;
         bool left = false;  // orphaned because the entity is gone, not the connection
         TimePoint expires;  // while orphaned

@@ -5,6 +5,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "client/content.hpp"
 #include "client/test_environment.hpp"
 
@@ -396,7 +398,11 @@ TEST_F(SessionCoreTest, ATaskGoesThroughItsStates) {
     EXPECT_EQ(core.task(task)->state, TaskState::Queued);
     EXPECT_EQ(link.sent[0].body.task().task_id(), task.bytes());
     EXPECT_DOUBLE_EQ(link.sent[0].body.task().not_after_s(), 2);
+    EXPECT_FALSE(core.task(task)->accepted) << "nobody has answered";
     taskEvent(3, task, proto::TASK_DISPATCHED);
+    EXPECT_TRUE(core.task(task)->accepted);
+    taskEvent(3, task, proto::TASK_RUNNING, -0.0);
+    EXPECT_FALSE(std::signbit(core.task(task)->progress)) << "nobody is at -0 %";
     taskEvent(3, task, proto::TASK_RUNNING, 0.25);
     EXPECT_EQ(core.task(task)->state, TaskState::Running);
     EXPECT_DOUBLE_EQ(core.task(task)->progress, 0.25);
@@ -404,7 +410,7 @@ TEST_F(SessionCoreTest, ATaskGoesThroughItsStates) {
     taskEvent(3, task, proto::TASK_RUNNING);
     taskEvent(3, task, proto::TASK_SUCCEEDED, 1);
     EXPECT_EQ(core.task(task)->state, TaskState::Succeeded);
-    EXPECT_THAT(observer.tasks, SizeIs(5));
+    EXPECT_THAT(observer.tasks, SizeIs(6));
     advance(10s);
     EXPECT_EQ(core.task(task)->state, TaskState::Succeeded);
 }

@@ -21,6 +21,7 @@ namespace axon {
 struct SharedClockPage {
     static constexpr std::string_view kMagic = "AXONCLK2";
     static constexpr Duration kGoneAfter = std::chrono::seconds{5};
+    static constexpr Duration kStep = std::chrono::milliseconds{4};
 
     char magic[8];                      ///< written last: who sees it sees the rest
     std::atomic<std::int64_t> time_ns;  ///< the laboratory's time; written after told_ns, read before it

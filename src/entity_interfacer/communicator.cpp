@@ -697,7 +697,8 @@ void Communicator::checkSilence() {
         next_beat_ = std::min(next_beat_, time + 2ms);
         return;
     }
-    watched_->cut("the Entity Manager has been silent for " + std::to_string(timeout.count()) + " ms");
+    watched_->cut("the Entity Manager has been silent for " + std::to_string(timeout.count()) +
+                  " ms: it hangs, or this machine is overloaded");
     stop_wake_.wake();
 }
 

@@ -40,7 +40,14 @@ void Link::condemn(const std::string& reason) {
 
 void Link::cut(const std::string& reason) {
     condemn(reason);
-    closed_.store(true, std::memory_order_release);
+    if (!closed_.exchange(true, std::memory_order_acq_rel)) {
+        // Best effort: it is lost where the other side has gone or the socket is full.
+        proto::EiToEm last;
+        last.mutable_end()->set_reason(this->reason());
+        std::string frame;
+        if (appendFrame(frame, last.SerializeAsString()))
+            static_cast<void>(::send(signal_.get(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL));
+    }
     ::shutdown(signal_.get(), SHUT_RDWR);
     ::shutdown(data_.get(), SHUT_RDWR);
 }

@@ -47,7 +47,8 @@ class Link {
     /// Lost: nothing that arrives counts any more, no task of it begins. Last words can still be sent until
     /// the cut, which must follow.
     void condemn(const std::string& reason);
-    /// Ends both connections; the stop thread sees it as end of file. The first reason counts.
+    /// Tells the manager the reason, where the socket takes it, and ends both connections; the stop thread
+    /// sees it as end of file. The first reason counts.
     void cut(const std::string& reason);
     std::string reason() const;
     bool lost() const { return lost_.load(std::memory_order_acquire); }

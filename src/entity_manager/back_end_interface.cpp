@@ -53,6 +53,7 @@ constexpr std::size_t kQueueBytes = 4 * 1024 * 1024;
 constexpr std::size_t kQueueRaw = 256;        // frames of raw data, of which the oldest are dropped
 constexpr std::size_t kWriteAtOnce = 65'536;  // what the queue no longer has cannot be dropped
 constexpr Duration kLastWords = 50ms;
+constexpr std::size_t kPartingMax = 300;
 constexpr int kPriority = 6;  // SO_PRIORITY: the highest that needs no privilege
 
 /// The signal connection for those who may not wait for the strand. A duplicate descriptor, so that it
@@ -202,7 +203,11 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         std::deque<Queued> queued;
         std::size_t queued_bytes = 0, queued_raw = 0;
         std::string writing;
-        bool ending = false;  // the signal connection has ended, last words on the other are awaited
+        bool signal_ended = false,
+             data_ended = false;  // after one of them last words on the other are awaited
+        std::string parting;      // why the application ends the link, in its own words
+
+        bool ending() const { return signal_ended || data_ended; }
     };
 
     /// One connection on which Hello has been said and Welcome is awaited.
@@ -447,20 +452,28 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
             asio::buffer(peer->signal_bytes),
             [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
                 if (self->peer_ != peer) return;
-                if (error) return self->awaitLastWords(peer);
+                if (error) return self->ended(peer, peer->signal_ended);
                 peer->signal_reader.feed({peer->signal_bytes.data(), count});
                 if (self->deliver(peer, peer->signal_reader, true)) self->readSignal(peer);
             });
     }
 
-    /// An application that ends the link says why on the data connection, whose end may be read later than
-    /// that of the signal connection. The application has stopped by itself.
-    void awaitLastWords(const std::shared_ptr<Peer>& peer) {
-        peer->ending = true;
+    /// One of the two connections. An application that ends the link says why on the signal connection, and
+    /// what became of its tasks on the data connection; their ends may be read in either order. The
+    /// application has stopped by itself.
+    void ended(const std::shared_ptr<Peer>& peer, bool& connection) {
+        const bool last = peer->ending() && !connection;
+        if (std::exchange(connection, true)) return;
+        if (last) return closed(peer);
         look_timer_.expires_after(kLastWords);
         look_timer_.async_wait([self = shared_from_this(), peer](const asio::error_code& error) {
-            if (!error) self->lost(peer, "the robot application has closed the link");
+            if (!error) self->closed(peer);
         });
+    }
+
+    void closed(const std::shared_ptr<Peer>& peer) {
+        lost(peer, peer->parting.empty() ? "the robot application has closed the link"
+                                         : "the robot application has ended the link: " + peer->parting);
     }
 
     void readData(const std::shared_ptr<Peer>& peer) {
@@ -468,7 +481,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
             asio::buffer(peer->data_bytes),
             [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
                 if (self->peer_ != peer) return;
-                if (error) return self->lost(peer, "the robot application has closed the link");
+                if (error) return self->ended(peer, peer->data_ended);
                 peer->data_reader.feed({peer->data_bytes.data(), count});
                 if (self->deliver(peer, peer->data_reader, false)) self->readData(peer);
             });
@@ -480,7 +493,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         while (peer_ == peer && reader.next(payload)) {
             proto::EiToEm message;
             const bool parsed = message.ParseFromString(payload);
-            const bool is_signal = message.has_beat() || message.has_stop_done();
+            const bool is_signal = message.has_beat() || message.has_stop_done() || message.has_end();
             if (!parsed || message.has_welcome() ||
                 (is_signal != signal && message.body_case() != proto::EiToEm::BODY_NOT_SET)) {
                 lost(peer, "the robot application has sent a malformed message");
@@ -491,6 +504,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 signs_.heard(now());
                 told_ = {std::chrono::milliseconds{message.beat().longest_gap_ms()},
                          std::chrono::milliseconds{message.beat().allowed_ms()}};
+            } else if (message.has_end()) {
+                peer->parting = message.end().reason().substr(0, kPartingMax);
             } else if (message.body_case() != proto::EiToEm::BODY_NOT_SET) {
                 events_.onLinkMessage(message);
             }
@@ -522,7 +537,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         asio::async_write(peer->data, asio::buffer(peer->writing),
                           [self = shared_from_this(), peer](const asio::error_code& error, std::size_t) {
                               if (self->peer_ != peer) return;
-                              if (error) return self->lost(peer, "the robot application has closed the link");
+                              if (error) return self->ended(peer, peer->data_ended);
                               peer->writing.clear();
                               if (!peer->queued.empty()) self->writeNext(peer);
                           });
@@ -551,7 +566,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
     void onBeatTimer() {
-        if (closed_ || !peer_ || peer_->ending) return;
+        if (closed_ || !peer_ || peer_->ending()) return;
         const auto peer = peer_;
         beat();
         const auto time = now();
@@ -562,6 +577,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 const auto ms =
                     std::chrono::duration_cast<std::chrono::milliseconds>(watchdog_.timeout()).count();
                 asio::post(strand_, [self = shared_from_this(), peer, ms] {
+                    // It was this process that hung, and the application has said so.
+                    if (!peer->parting.empty()) return self->closed(peer);
                     self->lost(peer,
                                "the robot application has been silent for " + std::to_string(ms) + " ms");
                 });
@@ -582,7 +599,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     void beatAt(TimePoint due) {
         beat_timer_.at(due, [weak = weak_from_this(), peer = peer_] {
             const auto self = weak.lock();
-            if (self && self->peer_ == peer && !peer->ending) self->onBeatTimer();
+            if (self && self->peer_ == peer && !peer->ending()) self->onBeatTimer();
         });
     }
 

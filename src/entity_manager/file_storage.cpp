@@ -77,8 +77,15 @@ std::string safeName(std::string_view name) {
 }
 
 void makeFolder(const fs::path& folder) {
-    fs::create_directories(folder);
-    fs::permissions(folder, fs::perms::owner_all);
+    try {
+        fs::create_directories(folder);
+        fs::permissions(folder, fs::perms::owner_all);
+    } catch (const fs::filesystem_error& error) {
+        throw std::runtime_error("the state folder " + folder.string() +
+                                 " cannot be made or used: " + error.code().message() +
+                                 "; fix: make it a folder of this user, or name another with "
+                                 "--state DIR (Axon.State)");
+    }
 }
 
 constexpr std::chrono::seconds kTryAgain{1};

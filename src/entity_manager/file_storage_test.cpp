@@ -53,6 +53,22 @@ struct Folder : testing::Test {
     fs::path folder;
 };
 
+TEST_F(Folder, OneThatCannotBeMadeIsNamedWithWhatToDo) {
+    std::ofstream(folder / "file") << "x";
+    try {
+        const FileStorage storage(folder / "file" / "state");
+        FAIL() << "it was made";
+    } catch (const std::runtime_error& error) {
+        const std::string said = error.what();
+        EXPECT_EQ(said.find("the state folder " + (folder / "file" / "state").string() +
+                            " cannot be made or used: "),
+                  0U)
+            << said;
+        EXPECT_NE(said.find("fix: "), std::string::npos) << said;
+        EXPECT_EQ(said.find("filesystem error"), std::string::npos) << said;
+    }
+}
+
 TEST_F(Folder, AValueSurvivesAndNoKeyLeavesTheFolder) {
     FileStorage(folder / "s").save("../../etc/uuid", "one");
     FileStorage storage(folder / "s");

@@ -120,9 +120,12 @@ std::map<std::string, ServicesFolder::Contents::Mark> ServicesFolder::Contents::
         };
         found[name] = {status.st_dev, status.st_ino, status.st_size, ns(status.st_mtim), ns(status.st_ctim)};
     }
-    if (failure) trouble = failure.message();
-    if (std::exchange(trouble_, trouble) != trouble && !trouble.empty())
-        note_("global services: " + folder_.string() + ": " + trouble + "; clients are offered none");
+    if (failure == std::errc::no_such_file_or_directory)
+        trouble = "clients are offered none; to offer some, put their profiles into " + folder_.string() +
+                  ", which does not exist yet";
+    else if (failure)
+        trouble = folder_.string() + " cannot be read (" + failure.message() + "); clients are offered none";
+    if (std::exchange(trouble_, trouble) != trouble && !trouble.empty()) note_("global services: " + trouble);
     return found;
 }
 

@@ -118,7 +118,8 @@ std::pair<std::string_view, std::string_view> splitUnits(std::string_view text) 
 
 /// Exact names first, in the order the lists are given; then the only candidate that differs in case alone.
 Result<int> findIndex(std::string_view wanted, const std::vector<std::vector<std::string_view>>& lists,
-                      RefusalCode code, const std::string& what, const std::string& where) {
+                      RefusalCode code, const std::string& what, const std::string& where,
+                      const std::vector<std::string_view>* offered = nullptr) {
     for (const auto& list : lists) {
         for (std::size_t i = 0; i < list.size(); ++i)
             if (!wanted.empty() && list[i] == wanted) return static_cast<int>(i);
@@ -134,21 +135,24 @@ Result<int> findIndex(std::string_view wanted, const std::vector<std::vector<std
     }
     if (matches.size() == 1) return matches.front();
 
-    const auto& names = lists.front();
+    const auto& names = offered == nullptr ? lists.front() : *offered;
     std::string message = "no " + what + " " + inQuotes(wanted) + " " + where;
     std::vector<std::string> candidates;
     if (matches.empty()) {
         std::vector<std::string_view> all;
-        for (const auto& list : lists) all.insert(all.end(), list.begin(), list.end());
+        if (offered != nullptr)
+            all = *offered;
+        else
+            for (const auto& list : lists) all.insert(all.end(), list.begin(), list.end());
         candidates = nearNames(wanted, all);
     } else {
         for (std::size_t i = 0; i < matches.size() && i < 8; ++i)
-            candidates.emplace_back(names[static_cast<std::size_t>(matches[i])]);
+            candidates.emplace_back(lists.front()[static_cast<std::size_t>(matches[i])]);
     }
     if (!candidates.empty()) {
         message += "; did you mean " + alternatives(candidates) + "?";
     } else if (names.empty()) {
-        message += "; it has none";
+        message += lists.front().empty() ? "; it has none" : "; it has none that can be set";
     } else {
         message += "; it has ";
         for (std::size_t i = 0; i < names.size() && i < 8; ++i)
@@ -418,8 +422,13 @@ const proto::Service* findService(const proto::ServicesProfile& profile, std::st
 }
 
 Result<int> findParamIndex(const proto::Service& service, std::string_view name) {
+    // A parameter that only the robot sets is no suggestion.
+    std::vector<std::string_view> settable;
+    for (const auto& param : service.params())
+        if (param.type() != proto::OUTPUT && param.type() != proto::FEEDBACK)
+            settable.emplace_back(param.name());
     return findIndex(name, {namesOf(service.params())}, RefusalCode::UnknownParameter, "parameter",
-                     "in service " + inQuotes(service.name()));
+                     "in service " + inQuotes(service.name()), &settable);
 }
 
 Result<int> findResourceIndex(const proto::Service& service, std::string_view name) {

@@ -277,6 +277,19 @@ TEST(FindParam, WorksAsForServices) {
     EXPECT_EQ(findResourceIndex(service, "image").refusal().code, RefusalCode::UnknownResource);
 }
 
+TEST(FindParam, OffersNoneThatOnlyTheRobotSets) {
+    proto::Service service;
+    service.set_name("Walk");
+    auto& room = *service.add_params();
+    room.set_name("Room");
+    room.set_type(proto::OUTPUT);
+    EXPECT_EQ(findParamIndex(service, "Room").value(), 0);
+    EXPECT_THAT(findParamIndex(service, "Roon").refusal().message, HasSubstr("it has none that can be set"));
+    service.add_params()->set_name("Speed");
+    EXPECT_THAT(findParamIndex(service, "Roon").refusal().message, HasSubstr("it has \"Speed\""));
+    EXPECT_EQ(findParamIndex(service, "Speed").value(), 1);
+}
+
 TEST(InQuotes, ShowsAnythingSafely) {
     EXPECT_EQ(inQuotes("a\n\x01\xFF"), "\"a???\"");
     EXPECT_EQ(inQuotes("\xC3\xA9\xC3\xA9", 3), "\"\xC3\xA9...\"") << "cut at the edge of a character";

@@ -723,6 +723,9 @@ TEST(Link, ASilentManagerStopsTheRobotWithinTheWatchdog) {
     EXPECT_LT(stops.lastAt() - at, 100ms * kSlow + 400ms);  // axon-faults measures the promise, 100 ms
     go.set_value();
     ASSERT_TRUE(waitUntil([&] { return manager.downs >= 1; }));
+    // Whoever reads the log must not look for the fault in the robot application.
+    EXPECT_NE(manager.downReason().find("the Entity Manager has been silent"), std::string::npos)
+        << manager.downReason();
     ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
 }
 
@@ -1090,6 +1093,8 @@ TEST(Link, DestructionStopsAndTheManagerIsTold) {
     }
     EXPECT_EQ(stops.count(Cause::Shutdown), 1U);
     ASSERT_TRUE(waitUntil([&] { return manager.downs == 1; }));
+    EXPECT_EQ(manager.downReason(),
+              "the robot application has ended the link: the robot application shuts down");
     ASSERT_TRUE(manager.finalOf(id));
     EXPECT_EQ(manager.finalOf(id)->state(), proto::TASK_STOPPED);
 }

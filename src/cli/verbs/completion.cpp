@@ -232,6 +232,20 @@ class Completer {
                 }
                 return ids;
             }
+            case Takes::Task: {
+                // Of the entity before it, where the verb is about one. A task that is over can be neither
+                // controlled nor waited for.
+                Collected seen;
+                auto args = Json::object();
+                if (!operand.repeated && !given.empty()) args["entity"] = given[0];
+                session_.perform("tasks", args, seen);
+                std::vector<std::string> ids;
+                if (const auto* list = seen.first("tasks")) {
+                    for (const auto& task : list->at("tasks"))
+                        if (!task.at("final")) ids.push_back(task.at("id").get<std::string>().substr(0, 8));
+                }
+                return ids;
+            }
             default:
                 return {};
         }

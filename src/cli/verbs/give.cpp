@@ -54,8 +54,14 @@ int set(Session& session) {
 std::string prepareUpload(Json& args) {
     std::error_code error;
     const std::filesystem::path file = args.at("file").get<std::string>();
-    if (!std::filesystem::is_regular_file(file, error)) {
-        return "expected a file to upload, found none at " + inQuotes(file.string(), 200);
+    const auto status = std::filesystem::status(file, error);
+    if (!std::filesystem::is_regular_file(status)) {
+        return "expected a file to upload, found " +
+               std::string(std::filesystem::is_directory(status) ? "a directory"
+                           : std::filesystem::exists(status)     ? "something that is no file"
+                           : status.type() == std::filesystem::file_type::not_found ? "none"
+                                                                                    : error.message()) +
+               " at " + inQuotes(file.string(), 200);
     }
     args["file"] = std::filesystem::absolute(file, error).string();
     return {};
@@ -139,6 +145,9 @@ std::string prepareSend(Json& args) {
     } else {
         const auto path = args.at("file").get<std::string>();
         std::ifstream opened;
+        std::error_code unknown;
+        if (path != "-" && std::filesystem::is_directory(path, unknown))
+            return "expected a file to send, found a directory at " + inQuotes(path, 200);
         if (path != "-") opened.open(path, std::ios::binary);
         std::istream& in = path == "-" ? std::cin : opened;
         if (!in) return "cannot read " + inQuotes(path, 200);

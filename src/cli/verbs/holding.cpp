@@ -10,8 +10,35 @@
 
 namespace axon::cli {
 
+namespace {
+
+/// What to do where the code of the refusal alone does not tell: it depends on who asks, and who the holder
+/// is.
+std::string mendFor(const Session& session, const Refusal& refusal, const std::string& entity) {
+    const auto x = entity.empty() ? std::string("ENTITY") : shellWord(entity);
+    const bool held = refusal.code == RefusalCode::AlreadyHeld || refusal.code == RefusalCode::Reserved;
+    if (!session.station || !(held || refusal.code == RefusalCode::NotHolder)) return {};
+    const auto self = session.station->self();
+    if (self.role == Role::Observer)
+        return "an observer looks on and holds nothing: log in as an operator, with --user";
+    if (!held || refusal.holder.empty()) return {};
+    const auto wait = "wait until it is free: axon checkout " + x + " --wait";
+    const auto found = session.station->find(entity);
+    if (found && found->orphaned)
+        return refusal.holder + " has lost its connection, and " + x +
+               " is free when that is not back in time; " + wait;
+    if (refusal.holder == self.name)
+        return "another command of yours holds it: end that one, or axon release " + x +
+               " where it was checked out; or " + wait;
+    return {};
+}
+
+}  // namespace
+
 int refuse(Session& session, const Refusal& refusal, const std::string& entity) {
-    session.events.emit(errorEvent(refusal, entity));
+    auto event = errorEvent(refusal, entity);
+    if (const auto mend = mendFor(session, refusal, entity); !mend.empty()) event["mend"] = mend;
+    session.events.emit(event);
     return exitOf(refusal);
 }
 

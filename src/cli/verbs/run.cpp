@@ -13,23 +13,19 @@ using Deadline = std::optional<Clock::time_point>;
 /// How long a cancelled task may take to say that it has ended.
 constexpr std::chrono::seconds kCancelGrace{2};
 
-Json unitsOf(const Service& service) {
-    auto units = Json::object();
-    for (const auto& parameter : service.parameters) {
-        if (!parameter.units.empty()) units[parameter.name] = parameter.units;
-    }
-    return units;
-}
-
-/// Follows one task to its end: shows each change, cancels when the user has had enough or the time is up.
+/// Follows one task: shows each change, cancels when the user has had enough or the time is up.
 class Follower {
   public:
-    Follower(Session& session, std::string task, std::string entity, Json units, Clock::time_point started)
+    /// To its end; `until_admitted`: until the Entity Manager lets it wait or the robot's application has
+    /// begun it.
+    Follower(Session& session, std::string task, std::string entity, Json units, Clock::time_point started,
+             bool until_admitted)
         : session_(session),
           task_(std::move(task)),
           entity_(std::move(entity)),
           units_(std::move(units)),
-          started_(started) {}
+          started_(started),
+          until_admitted_(until_admitted) {}
 
     int follow(Deadline wait_until) {
         Deadline deadline = wait_until;
@@ -37,9 +33,13 @@ class Follower {
         while (true) {
             if (const auto event = session_.mailbox->wait(deadline)) {
                 const bool report = show(*event);
-                if (!report || !event->value("final", false)) continue;
-                const auto exit = event->at("exit").get<int>();
-                return ended_by != kDone && exit != kDone ? ended_by : exit;
+                if (!report) continue;
+                if (event->value("final", false)) {
+                    const auto exit = event->at("exit").get<int>();
+                    return ended_by != kDone && exit != kDone ? ended_by : exit;
+                }
+                if (until_admitted_ && ended_by == kDone && sayIfAdmitted(*event)) return kDone;
+                continue;
             }
             const bool interrupted = session_.mailbox->takeInterrupt();
             if (ended_by != kDone) {
@@ -62,19 +62,6 @@ class Follower {
         }
     }
 
-    /// Until it is accepted (or refused).
-    int detach(Deadline deadline) {
-        while (const auto event = session_.mailbox->wait(deadline)) {
-            if (!show(*event)) continue;
-            if (event->value("final", false)) return event->at("exit").get<int>();
-            session_.events.emit({{"event", "notice"},
-                                  {"message", "the task goes on: axon tasks shows it, axon cancel " +
-                                                  shellWord(entity_) + " ends it"}});
-            return kDone;
-        }
-        return refuse(session_, {RefusalCode::TimedOut, "nothing was heard of the task", {}}, entity_);
-    }
-
   private:
     /// Whether it was a report of the task.
     bool show(Json event) {
@@ -82,10 +69,31 @@ class Follower {
             session_.events.emit(event);
             return false;
         }
+        // A user who does not follow the task wants one answer, and a request that nobody has answered is not
+        // queued yet.
+        if (until_admitted_ && !event.at("accepted").get<bool>() && !event.at("final").get<bool>())
+            return true;
         event.erase("exit");
+        event.erase("accepted");
         event["elapsed_s"] = Seconds(Clock::now() - started_).count();
         event["units"] = units_;
         session_.events.emit(event);
+        return true;
+    }
+
+    /// DISPATCHED is no answer yet: the robot's application may still refuse it.
+    bool sayIfAdmitted(const Json& event) {
+        const auto state = event.at("state").get<std::string>();
+        if (!event.at("accepted").get<bool>() || state == client::toString(TaskState::Dispatched))
+            return false;
+        const auto id = task_.substr(0, 8);
+        const bool waits = state == client::toString(TaskState::Queued);
+        session_.events.emit(
+            {{"event", "notice"},
+             {"message",
+              (waits ? "the task waits for its turn, and the robot has not been asked yet: axon wait "
+                     : "the task goes on: axon wait ") +
+                  id + " waits for its end, axon cancel " + shellWord(entity_) + " " + id + " ends it"}});
         return true;
     }
 
@@ -93,6 +101,7 @@ class Follower {
     const std::string task_, entity_;
     const Json units_;
     const Clock::time_point started_;
+    const bool until_admitted_;
 };
 
 int run(Session& session) {
@@ -101,6 +110,11 @@ int run(Session& session) {
     if (detached && !session.kept) {
         return misused(session, "--detach needs a check-out that outlives this command",
                        "axon checkout " + shellWord(name));
+    }
+    if (detached && session.args.contains("wait")) {
+        return misused(session,
+                       "--wait cancels a task that this command follows, and --detach does not follow it",
+                       "axon run … --detach, then axon wait --for SECONDS");
     }
     const auto found = session.station->find(name);
     if (!found) return refuse(session, found.refusal(), name);
@@ -126,20 +140,14 @@ int run(Session& session) {
     const auto task = session.station->run(
         entity.id, service.value()->name, arguments.value(), Seconds(session.args.value("not-after", 0.0)),
         [mailbox, entity_name = holding->call()](const TaskReport& report) {
-            auto event = toJson(report);
-            event["entity_id"] = report.entity;
-            event["entity"] = entity_name;
+            auto event = taskEvent(report, entity_name, {});
             event["exit"] = exitOf(report.state, report.reason);
-            if (!report.reason.ok()) {
-                const auto error = errorEvent(report.reason, entity_name);
-                if (error.contains("mend")) event["mend"] = error["mend"];
-            }
+            event["accepted"] = report.accepted;
             mailbox->post(std::move(event), !client::isFinal(report.state));
         });
     if (!task) return refuse(session, task.refusal(), name);
 
-    Follower follower(session, task.value(), holding->call(), unitsOf(*service.value()), started);
-    if (detached) return follower.detach(Clock::now() + std::chrono::seconds(5));
+    Follower follower(session, task.value(), holding->call(), unitsOf(*service.value()), started, detached);
     Deadline deadline;
     if (session.args.contains("wait")) {
         deadline = started +
@@ -157,7 +165,12 @@ extern const Verb kRun{
     "  axon run PeopleBot Driving Distance=1000mm 'Range Threshold=500'\n"
     "  axon run PeopleBot Driving distance=1000 range_threshold=500   the same\n"
     "  axon run PeopleBot Driving Distance=1000 --json | tail -1      the final report\n"
-    "Ctrl-C cancels the task. Without axon checkout the entity is checked out for this run only.\n",
+    "  axon run PeopleBot Driving Distance=1000 --detach              begin it, and do something else\n"
+    "  axon wait                                                      until it has ended\n"
+    "Ctrl-C cancels the task. Without axon checkout the entity is checked out for this run only.\n"
+    "--detach ends with status 0 when the robot has begun the task, or its Entity Manager lets it wait "
+    "behind others.\n"
+    "A task that is refused is not detached: the reason is shown, and the status is that of any refusal.\n",
     Runs::Holder,
     {{"entity", Takes::Entity, true, false, "Which entity"},
      {"service", Takes::Service, true, false, "Name or global id of the service"},
@@ -165,7 +178,7 @@ extern const Verb kRun{
       "PARAMETER=VALUE; again for a parameter of several values"}},
     {{"wait", Takes::Duration, "Cancel the task when it has not ended after so many seconds (exit 4)"},
      {"not-after", Takes::Duration, "Refuse the task when it could not begin within so many seconds"},
-     {"detach", Takes::Nothing, "Do not follow it; needs axon checkout"}},
+     {"detach", Takes::Nothing, "Do not follow it once it is admitted; needs axon checkout"}},
     run};
 
 }  // namespace axon::cli

@@ -5,7 +5,7 @@
 
 namespace axon::cli {
 
-extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, kWatch, kTasks, kPause,
+extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, kWatch, kTasks, kWait, kPause,
     kResume, kCancel, kStop, kDrill, kHandover, kRearm, kReset, kClear, kProfile, kDoctor, kAgent,
     kBench, kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
     kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory;
@@ -25,6 +25,7 @@ const std::vector<const Verb*>& verbs() {
         &kSend,        //
         &kWatch,       //
         &kTasks,       //
+        &kWait,        //
         &kPause,       //
         &kResume,      //
         &kCancel,      //

@@ -10,8 +10,10 @@
 
 using namespace axon;
 using namespace axon::cli;
+using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
+using testing::Not;
 
 namespace {
 
@@ -135,11 +137,177 @@ TEST_F(Verbs, DetachNeedsACheckOutThatOutlivesIt) {
     EXPECT_THAT(station->journalNow(), ElementsAre());
 }
 
+namespace {
+constexpr bool kAccepted = true;
+}
+
+TEST_F(Verbs, DetachWaitsForTheAdmission) {
+    kept = true;
+    ASSERT_TRUE(station->checkOut({cyton()}));
+    auto args = runCyton();
+    args["detach"] = true;
+    using State = TaskState;
+    // Before anybody has answered the library says QUEUED.
+    const std::pair<Refusal, int> refused[] = {
+        {{RefusalCode::Latched, "It has been stopped.", {}}, kRefused},
+        {{RefusalCode::MissingDependency, "Distance has no value.", {}}, kRefused},
+        {{RefusalCode::QueueFull, "64 tasks wait.", {}}, kRefused},
+        {{RefusalCode::Denied, "too far", {}}, kRefused},
+        {{RefusalCode::TimedOut, "no answer", {}}, kNotConfirmed}};
+    for (const auto& [reason, exit] : refused) {
+        for (const auto before : {State::Queued, State::Dispatched}) {
+            seen.events.clear();
+            station->script = {{State::Queued, -1, "", {}, {}},
+                               {before, -1, "", {}, {}, before == State::Dispatched},
+                               {State::Refused, -1, "", reason, {}}};
+            EXPECT_EQ(perform("run", args), exit) << reason.message;
+            EXPECT_EQ(seen.events.back()["state"], "REFUSED");
+            EXPECT_EQ(seen.events.back()["reason"]["message"], reason.message);
+            EXPECT_NE(seen.events.front()["state"], "QUEUED") << "nobody had answered";
+            EXPECT_EQ(seen.last("notice"), nullptr);
+        }
+    }
+    station->script = {{State::Queued, -1, "", {}, {}},
+                       {State::Dispatched, -1, "", {}, {}, kAccepted},
+                       {State::Running, -1, "", {}, {}, kAccepted}};
+    EXPECT_EQ(perform("run", args), kDone);
+    EXPECT_EQ(seen.last("task")->at("state"), "RUNNING");
+    EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("axon wait abcdef00"));
+    station->script = {{State::Queued, -1, "", {}, {}}, {State::Queued, -1, "", {}, {}, kAccepted}};
+    EXPECT_EQ(perform("run", args), kDone);
+    EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("waits for its turn"));
+}
+
+TEST_F(Verbs, ATaskWhoseAdmissionIsInterruptedIsCancelled) {
+    kept = true;
+    ASSERT_TRUE(station->checkOut({cyton()}));
+    station->script = {{TaskState::Dispatched, -1, "", {}, {}, kAccepted}};
+    station->on_run = [this] { mailbox->interrupt(); };
+    auto args = runCyton();
+    args["detach"] = true;
+    EXPECT_EQ(perform("run", args), kInterrupted);
+    EXPECT_EQ(seen.last("task")->at("state"), "CANCELLED");
+    args["wait"] = 3.0;
+    EXPECT_EQ(perform("run", args), kUsage) << "nobody would cancel it when the time is up";
+}
+
+TEST_F(Verbs, WaitEndsWithTheTaskAndWithItsStatus) {
+    kept = true;
+    ASSERT_TRUE(station->checkOut({cyton()}));
+    auto args = runCyton();
+    args["detach"] = true;
+    station->script = {{TaskState::Running, 0.5, "", {}, {}, kAccepted}};
+    for (const auto& [state, exit] :
+         std::vector<std::pair<TaskState, int>>{{TaskState::Succeeded, kDone},
+                                                {TaskState::Stopped, kStopped},
+                                                {TaskState::Failed, kRefused},
+                                                {TaskState::Unknown, kNotConfirmed}}) {
+        mailbox = std::make_shared<Mailbox>();
+        ASSERT_EQ(perform("run", args), kDone);
+        // The end comes while the verb looks at what there is, and after it.
+        station->on_follow = [this, end = state] { station->goOn(end); };
+        EXPECT_EQ(perform("wait", {{"task", {"abcd"}}}), exit) << client::toString(state);
+        EXPECT_EQ(seen.last("task")->at("state"), client::toString(state));
+        EXPECT_EQ(seen.last("task")->at("entity"), "Cyton");
+        EXPECT_EQ(seen.last("task")->at("units")["Distance"], "mm");
+        station->on_follow = {};
+        EXPECT_EQ(perform("wait", {{"task", {"abcd"}}}), exit) << "it has ended before";
+        EXPECT_EQ(perform("wait", Json::object()), kDone) << "nothing is left to wait for";
+    }
+    mailbox = std::make_shared<Mailbox>();
+    ASSERT_EQ(perform("run", args), kDone);
+    seen.on_event = [this](const Json& event) {
+        if (event.at("event") == "task" && event.at("state") == "RUNNING")
+            station->goOn(TaskState::Succeeded);
+    };
+    EXPECT_EQ(perform("wait", Json::object()), kDone);
+    EXPECT_EQ(seen.last("task")->at("state"), "SUCCEEDED");
+}
+
+TEST_F(Verbs, WaitLeavesTheTaskAloneWhenItsTimeIsUpOrItIsInterrupted) {
+    kept = true;
+    ASSERT_TRUE(station->checkOut({cyton()}));
+    auto args = runCyton();
+    args["detach"] = true;
+    station->script = {{TaskState::Running, 0.5, "", {}, {}, kAccepted}};
+    ASSERT_EQ(perform("run", args), kDone);
+    EXPECT_EQ(perform("wait", {{"for", 0.0}}), kNotConfirmed);
+    EXPECT_EQ(seen.last("error")->at("code"), "TIMED_OUT");
+    mailbox->interrupt();
+    EXPECT_EQ(perform("wait", Json::object()), kInterrupted);
+    EXPECT_THAT(seen.last("notice")->at("message").get<std::string>(), HasSubstr("the task goes on"));
+    EXPECT_THAT(station->journalNow(), ElementsAre("checkOut"));
+    EXPECT_EQ(perform("wait", {{"task", {"0000"}}}), kRefused);
+    EXPECT_EQ(seen.last("error")->at("code"), "UNKNOWN_TASK");
+    auto other = station->tasks().list.front();
+    other.report.id = "abcdef11-0000-4000-8000-00000000000c";
+    station->others = {other};
+    EXPECT_EQ(perform("wait", {{"task", {"abcd"}}}), kRefused);
+    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr(other.report.id));
+}
+
+TEST_F(Verbs, TasksSayHowManyAreNoLongerListedAndFollow) {
+    kept = true;
+    ASSERT_TRUE(station->checkOut({cyton()}));
+    auto args = runCyton();
+    args["detach"] = true;
+    station->script = {{TaskState::Running, 0.5, "", {}, {}, kAccepted}};
+    ASSERT_EQ(perform("run", args), kDone);
+    station->forgotten_tasks = 12;
+    EXPECT_EQ(perform("tasks", Json::object()), kDone);
+    EXPECT_EQ(seen.last("tasks")->at("forgotten"), 12);
+    EXPECT_EQ(seen.last("tasks")->at("tasks").at(0).at("elapsed_s"), 1.5);
+    EXPECT_EQ(perform("tasks", {{"for", 1.0}}), kUsage);
+    seen.on_event = [this](const Json& event) {
+        if (event.at("event") == "tasks") {
+            station->goOn(TaskState::Failed, {RefusalCode::Failed, "a wheel is off", {}});
+            station->goOn(TaskState::Running);  // late: it has been told as failed
+            mailbox->post({{"event", "text"}});
+        } else if (event.at("event") == "text") {
+            mailbox->interrupt();
+        }
+    };
+    seen.events.clear();
+    EXPECT_EQ(perform("tasks", {{"follow", true}}), kInterrupted);
+    seen.on_event = {};
+    ASSERT_NE(seen.last("task"), nullptr);
+    EXPECT_EQ(seen.last("task")->at("state"), "FAILED");
+    EXPECT_EQ(seen.last("task")->at("reason")["message"], "a wheel is off");
+    seen.events.clear();
+    EXPECT_EQ(perform("tasks", {{"entity", "Cyton"}, {"follow", true}, {"for", 0.0}}), kDone);
+    EXPECT_EQ(seen.events.size(), 1U);
+}
+
 TEST_F(Verbs, ARefusedCheckOutNamesTheHolderAndRunsNothing) {
     station->check_out_refusal = {RefusalCode::AlreadyHeld, "Cyton is held by cl2@lab", "cl2@lab"};
     EXPECT_EQ(perform("run", runCyton()), kRefused);
     EXPECT_EQ(seen.events.back()["holder"], "cl2@lab");
     EXPECT_TRUE(station->run_arguments.empty());
+}
+
+TEST_F(Verbs, NobodyIsToldToAskAHolderWhoIsLostOrIsOneself) {
+    const auto mend = [&] {
+        EXPECT_EQ(perform("run", runCyton()), kRefused);
+        return seen.last("error")->at("mend").get<std::string>();
+    };
+    station->check_out_refusal = {RefusalCode::AlreadyHeld, "Cyton is held by cl2@lab", "cl2@lab"};
+    EXPECT_THAT(mend(), HasSubstr("ask cl2@lab"));
+    station->entities_[2].orphaned = true;
+    EXPECT_THAT(mend(), AllOf(HasSubstr("lost its connection"), HasSubstr("axon checkout Cyton --wait")));
+    station->entities_[2].orphaned = false;
+    station->check_out_refusal.holder = station->self().name;
+    EXPECT_THAT(mend(), AllOf(HasSubstr("another command of yours"), Not(HasSubstr("ask "))));
+    station->my_role = Role::Observer;
+    EXPECT_THAT(mend(), HasSubstr("log in as an operator"));
+}
+
+TEST_F(Verbs, ADirectoryIsNoFileAndIsCalledADirectory) {
+    for (const auto* verb : {"upload", "send"}) {
+        Json args{{"file", "/"}};
+        EXPECT_THAT(findVerb(verb)->prepare(args), HasSubstr("found a directory at \"/\"")) << verb;
+    }
+    Json args{{"file", "/nowhere"}};
+    EXPECT_THAT(findVerb("upload")->prepare(args), HasSubstr("found none at"));
 }
 
 TEST_F(Verbs, WrongParametersAreRefusedBeforeTheCheckOut) {
@@ -231,7 +399,7 @@ TEST_F(Verbs, ALostCheckOutIsNamedAsTheReason) {
 TEST_F(Verbs, CancelFindsTheOnlyTask) {
     kept = true;
     ASSERT_TRUE(station->checkOut({cyton()}));
-    station->script = {{TaskState::Running, 0.1, "", {}, {}}};
+    station->script = {{TaskState::Running, 0.1, "", {}, {}, kAccepted}};
     auto args = runCyton();
     args["detach"] = true;
     EXPECT_EQ(perform("run", args), kDone);
@@ -327,6 +495,16 @@ TEST(Completion, OffersWhatFitsTheWord) {
     EXPECT_EQ(offered({"axon", "upload", "Cyton", "Driving", "Map", "x"}), "__files__");
     EXPECT_EQ(offered({"axon", "stop", "Cyton", "--d"}), "--deadline");
     EXPECT_EQ(offered({"axon", "agent", "s"}), "status\nstop");
+    EXPECT_EQ(offered({"axon", "wait", ""}), "");
+    TaskReport task;
+    task.id = "abcdef00-0000-4000-8000-00000000000a";
+    task.entity = station->entities_[2].id;
+    task.state = TaskState::Running;
+    station->others = {{task, Seconds(1)}};
+    EXPECT_EQ(offered({"axon", "wait", "ab"}), "abcdef00");
+    EXPECT_EQ(offered({"axon", "cancel", "Cyton", ""}), "abcdef00");
+    EXPECT_EQ(offered({"axon", "cancel", "PeopleBot#1", ""}), "");
+    EXPECT_EQ(offered({"axon", "tasks", "--f"}), "--for\n--follow");
     EXPECT_EQ(offered({"axon", "checkout", "--wait", "Cy"}), "Cyton") << "--wait takes no word of its own";
     EXPECT_EQ(offered({"axon", "checkout", "Cyton", "--hand-over", ""}), "ask\nyield\nrefuse");
     EXPECT_EQ(offered({"axon", "handover", "Cyton", ""}), "accept\nrefuse");

@@ -113,7 +113,8 @@ struct TaskReport {
     double progress = -1;  ///< 0 to 1; negative = not known
     std::string feedback;
     std::map<std::string, std::vector<Value>> results;
-    Refusal reason;  ///< why it failed, was stopped, refused …
+    Refusal reason;         ///< why it failed, was stopped, refused …
+    bool accepted = false;  ///< the Entity Manager has taken it: it waits there for its turn, or has begun
 };
 
 // Global services: what several entities do together (docs/reference/profiles.md).
@@ -254,6 +255,8 @@ struct Receipt {
     std::optional<Seconds> server, manager, callback_returned, standstill;
     bool no_application = false;  ///< no robot application is linked: there was nothing to stop
     std::string fault;  ///< the application's stop callback threw this; it is called again until it returns
+    Seconds precision{0};  ///< of the times: the step of a laboratory's time (AXON_CLOCK), in which nothing
+                           ///< shorter can be told
     /// The EM and, where there is an application, its stop callback have answered.
     bool confirmed() const { return manager && (callback_returned || no_application); }
 };
@@ -277,7 +280,7 @@ struct HandOverPolicy {
 /// Somebody asks for an entity that this client holds.
 struct HandOverRequest {
     std::string by, reason;
-    Seconds answer_within{0};
+    Seconds answer_within{0};  ///< from when it is told, or asked for by CheckOut::handOverRequest()
     bool yield = false;      ///< what silence means
     bool withdrawn = false;  ///< who asked has gone, or the time was up: nothing is left to answer
 };
