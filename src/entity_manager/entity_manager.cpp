@@ -81,6 +81,7 @@ void EntityManager::offerDirect(const DirectSettings& settings) {
 
 void EntityManager::start() {
     asio::post(strand_, [self = shared_from_this()] {
+        self->core_->start();
         self->back_end_.start();
         self->afterEvents();
     });
@@ -276,6 +277,12 @@ void EntityManager::onLinkDown(const std::string& reason) {
 
 void EntityManager::onLinkRefused(const Refusal& refusal) {
     spdlog::warn("{}: no link to the robot application: {} ({})", name_, refusal.message, refusalName(refusal.code));
+}
+
+void EntityManager::onLinkSought(const SearchReport& report) {
+    spdlog::warn("{}: {}{}{}", name_, report.finding, report.fix.empty() ? "" : "; fix: ", report.fix);
+    core_->onApplicationSought(report.finding);
+    afterEvents();
 }
 
 void EntityManager::onLinkSlow(const std::string& what) {

@@ -15,6 +15,12 @@ EntityManagerCore::EntityManagerCore(CoreSettings settings, const Clock& clock, 
 
 EntityManagerCore::~EntityManagerCore() = default;
 
+void EntityManagerCore::start() {
+    machine_->start();
+}
+void EntityManagerCore::onApplicationSought(const std::string& finding) {
+    machine_->onApplicationSought(finding);
+}
 void EntityManagerCore::onLinkUp() {
     machine_->onLinkUp();
 }

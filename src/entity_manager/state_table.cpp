@@ -236,7 +236,8 @@ Refusal refusalFor(EntityState state, Event event, const std::string& reason) {
                     {}};
         case S::INIT:
             return {RefusalCode::Unavailable,
-                    cannot + ": its profiles are being read. Try again in a moment.",
+                    cannot + (reason.empty() ? ": its profiles are being read. Try again in a moment."
+                                             : because + "."),
                     {}};
         case S::ERR:
             return {RefusalCode::Unavailable,

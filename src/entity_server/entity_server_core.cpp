@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "common/life_signs.hpp"
+#include "common/snapshot.hpp"
 #include "common/utf8.hpp"
 
 namespace axon::entity_server {
@@ -29,8 +30,9 @@ class EntityServerCore::Session {
     // Written once, before `registered` is; read by others only after it.
     std::shared_ptr<EntityOutbox> signal;
     std::string entity;
-    std::string name;
     std::atomic<bool> registered{false};
+
+    Snapshot<std::string> name;  // of its newest registration
 
     RateLimit rate;
     LifeSigns signs;  // written without a lock
@@ -215,7 +217,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         if (session->entity.empty()) {
             if (const auto other = registered_.find(registration.entity); other != registered_.end()) {
                 return refuse(RefusalCode::Duplicate,
-                              "entity " + registration.entity + " ('" + other->second->name +
+                              "entity " + registration.entity + " ('" + *other->second->name.load() +
                                   "') is connected already; if the state folder of an Entity Manager was "
                                   "copied, delete "
                                   "the file uuid in the copy, and it makes a new one");
@@ -233,8 +235,8 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
                                                            " entities; raise EntityServer.EntitiesMax");
             }
             session->entity = registration.entity;
-            session->name = registration.name;
         }
+        session->name.store(std::make_shared<const std::string>(registration.name));
         auto record =
             session->record ? std::make_shared<Record>(*session->record) : std::make_shared<Record>();
         const bool busy = record->status.state == EntityState::BUSY;
@@ -283,8 +285,9 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         const bool busy = status.state == EntityState::BUSY;
         const auto& before = session->record->status;
         if (before.holder.id != status.holder.id) {
-            line = status.holder.id.empty() ? session->name + " is free, released by " + before.holder.name
-                                            : session->name + " is checked out by " + status.holder.name;
+            const auto name = *session->name.load();
+            line = status.holder.id.empty() ? name + " is free, released by " + before.holder.name
+                                            : name + " is checked out by " + status.holder.name;
         }
         late = before.holder.id != status.holder.id && !status.orphaned && !front_ends_.serves(status.holder.id);
         if (late) given = status;
@@ -353,7 +356,7 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 
 void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message) {
     if (!session->registered || flooded(session)) return;
-    head.sender = {session->entity, session->name, Role::Operator};
+    head.sender = {session->entity, *session->name.load(), Role::Operator};
     if (const auto peer = atHome(head.entity, lane)) return deliver(peer->outbox(lane), head, message);
     const auto at = elsewhere(head.entity, lane);
     if (!at) return session->outbox(lane).newRefusalMsg(head, noSuchPeer(head));
@@ -397,7 +400,7 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
     if (session->registered) {
         leaveToPublisher(session->entity);
         pending_();
-        note_(session->name + " left: " + why);
+        note_(*session->name.load() + " left: " + why);
     }
 }
 
@@ -646,7 +649,7 @@ TimePoint EntityServerCore::onTimer() {
             if (now >= session->warn_again) {
                 if (const auto gap = session->signs.longest(now); gap.part() >= LifeSigns::kWarnFrom) {
                     session->warn_again = now + LifeSigns::kWarnAgain;
-                    warnings.push_back(session->name + " is late: " + describe(gap));
+                    warnings.push_back(*session->name.load() + " is late: " + describe(gap));
                 }
             }
             if (session->next_heartbeat <= now) {
@@ -702,7 +705,7 @@ void EntityServerCore::settleDrills(TimePoint now, std::vector<std::string>& cha
         session->drill = 0;
         if (took == Duration{}) {
             lines.push_back(
-                session->name + " has not answered a drill within " +
+                *session->name.load() + " has not answered a drill within " +
                 std::to_string(
                     std::chrono::duration_cast<std::chrono::milliseconds>(settings_.drill_answer).count()) +
                 " ms: how long a stop takes there is unknown");
@@ -781,7 +784,7 @@ std::vector<std::string> EntityServerCore::margins() const {
     const std::lock_guard lock(mutex_);
     const auto now = clock_.now();
     for (const auto& [entity, session] : registered_) {
-        lines.push_back(session->name + ": " + describe(session->signs.longest(now)) +
+        lines.push_back(*session->name.load() + ": " + describe(session->signs.longest(now)) +
                         (session->stop_latency_us > 0
                              ? "; a stop takes " + std::to_string(session->stop_latency_us) + " us"
                              : ""));
@@ -887,10 +890,15 @@ void EntityServerCore::publishOne(const std::string& entity, const RecordRef& be
     if (!now) return;
     if (!same_session) {
         presence(Presence::Joined, now->registration, *now->profile);
-        note_(now->registration.name + " joined (" + entity + ")");
     } else if (again || now->registration != before->registration || *now->profile != *before->profile) {
         presence(Presence::Changed, now->registration, *now->profile);
     }
+    const bool was_ready = same_session && !before->profile->empty();
+    if (!now->profile->empty() && !was_ready)
+        note_(now->registration.name + " joined (" + entity + ")");
+    else if (!same_session)
+        note_(now->registration.name + " is connected and not ready (" + entity +
+              "); axon ls --all shows why");
     if (again || !same_session || now->status != before->status) {
         topic_.entityUpdate(now->status, ++publications_);
     }
