@@ -363,6 +363,7 @@ void EntityManager::afterEvents() {
     if (const bool latched = core_->latched(); std::exchange(latched_, latched) != latched)
         spdlog::info("{}: {}", name_, latched ? "stopped and latched" : "rearmed");
     if (const auto warning = core_->takeWarning(); !warning.empty()) spdlog::warn("{}: {}", name_, warning);
+    if (const auto news = core_->takeNews(); !news.empty()) spdlog::info("{}: {}", name_, news);
     armTimer();
 }
 

@@ -108,4 +108,8 @@ std::string EntityManagerCore::takeWarning() {
     return machine_->takeWarning();
 }
 
+std::string EntityManagerCore::takeNews() {
+    return machine_->takeNews();
+}
+
 }  // namespace axon::entity_manager

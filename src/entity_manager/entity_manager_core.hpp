@@ -125,6 +125,8 @@ class EntityManagerCore {
     /// Something for the operator's log: the server has been silent for a good part of what its watchdog
     /// allows. Once a minute at most; empty otherwise. Look after onTimer().
     std::string takeWarning();
+    /// Likewise, of what is as it should be.
+    std::string takeNews();
 
   private:
     class Machine;

@@ -180,6 +180,88 @@ TEST_F(NotReady, AStopLatchesAnEntityThatIsNotReady) {
     EXPECT_TRUE(rig.core().latched());
 }
 
+// -- profiles that change while it is held
+
+std::string withName(const char* profile, const std::string& name) {
+    std::string text = profile;
+    text.replace(text.find("\"Rig\""), 5, '"' + name + '"');
+    return text;
+}
+
+TEST_F(Held, AProfileThatChangesMeanwhileIsKeptAndUploadedAtTheRelease) {
+    rig.to_application.clear();
+    rig.upload(false, withName(test::kRigBasicProfile, "Second"));
+    rig.upload(false, withName(test::kRigBasicProfile, "Third"));
+    ASSERT_EQ(rig.to_application.size(), 2U);
+    EXPECT_EQ(rig.to_application[0].profile_error().code(), proto::WRONG_STATE);
+    EXPECT_NE(rig.to_application[0].profile_error().message().find("kept, and uploaded at its release"),
+              std::string::npos);
+    EXPECT_NE(rig.core().takeNews().find("basic.xml has changed while the entity is checked out"),
+              std::string::npos);
+    EXPECT_EQ(rig.core().state(), EntityState::REG);
+
+    rig.to_application.clear();
+    rig.takeLines();
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+    ASSERT_EQ(rig.to_application.size(), 1U);
+    EXPECT_EQ(rig.to_application[0].profile_error().code(), proto::OK);
+    EXPECT_NE(rig.to_application[0].profile_error().message().find("uploaded now"), std::string::npos);
+    EXPECT_NE(rig.core().takeNews().find("uploaded now"), std::string::npos);
+    const auto lines = rig.takeLines();
+    EXPECT_TRUE(std::any_of(lines.begin(), lines.end(),
+                            [](const auto& line) { return line.starts_with("server: profile Third "); }));
+    // Once.
+    rig.stopDone(rig.gate.generation());
+    rig.to_application.clear();
+    rig.take("client1", "r2");
+    rig.send("client1", release);
+    EXPECT_TRUE(rig.to_application.empty());
+}
+
+TEST_F(Held, TheNextInTheWaitListGetsTheEntityWithTheProfileThatWasKept) {
+    proto::ToEntity waits;
+    waits.mutable_check_out()->set_phase(proto::TAKE);
+    waits.mutable_check_out()->set_request_id(idOf("r2"));
+    waits.mutable_check_out()->set_wait(true);
+    rig.send("client2", waits);
+    rig.upload(true, R"(<ServiceProfile count="1"><Service name="Dancing" type="SMPL"/></ServiceProfile>)");
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    rig.stopDone(rig.gate.generation());
+    ASSERT_NE(rig.core().held(), nullptr);
+    EXPECT_EQ(rig.core().held()->holder.id, "client2");
+    const auto& grant = rig.to_clients.back().message.check_out();
+    ASSERT_EQ(grant.services().services_size(), 1);
+    EXPECT_EQ(grant.services().services(0).name(), "Dancing");
+}
+
+TEST_F(Held, ABrokenProfileIsToldAtOnceAndPutsTheEntityOutOfServiceOnlyAtTheRelease) {
+    rig.to_application.clear();
+    rig.upload(true, "<ServiceProfile");
+    ASSERT_EQ(rig.to_application.size(), 1U);
+    EXPECT_EQ(rig.to_application[0].profile_error().code(), proto::WRONG_STATE);
+    EXPECT_NE(rig.to_application[0].profile_error().message().find("services.xml:1: error"),
+              std::string::npos);
+    EXPECT_EQ(rig.core().state(), EntityState::REG);
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    EXPECT_EQ(rig.core().state(), EntityState::ERR);
+}
+
+TEST_F(Held, AProfileThatWasKeptIsForgottenWithTheLink) {
+    rig.upload(false, withName(test::kRigBasicProfile, "Second"));
+    rig.core().onLinkDown("pulled");
+    rig.linkUp();
+    rig.uploadProfiles();  // what the application has now
+    EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+    for (const auto& line : rig.takeLines()) EXPECT_FALSE(line.starts_with("server: profile Second")) << line;
+}
+
 TEST_F(Held, StopVoidsAFullQueueAndTheQueueTakesNoMoreThanItsBound) {
     rig.task("client1", "run", "Turning");
     rig.grant("run");

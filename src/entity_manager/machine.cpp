@@ -489,6 +489,7 @@ void EntityManagerCore::Machine::onLinkDown(const std::string& reason) {
     link_up_ = false;
     sought_.clear();
     profiles_due_.reset();
+    kept_profiles_.clear();  // the next link begins with what the application has then
     reason_ = "the link to the robot application is down: " + reason;
     Incident incident{Event::LinkDown};
     incident.cause = StopCause::LinkLost;
@@ -522,7 +523,11 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             if (message.beat().stopped()) confirmStop(message.beat().stop_generation());
             break;
         case proto::EiToEm::kProfile: {
-            if (findRow(state_, Event::ProfileUploaded) != nullptr) readProfile(message.profile());
+            if (findRow(state_, Event::ProfileUploaded) == nullptr) {
+                keepProfile(*message.mutable_profile());
+                break;
+            }
+            readProfile(message.profile());
             Incident incident{Event::ProfileUploaded};
             incident.reason = {
                 RefusalCode::Unavailable, "Its profiles are being read anew. Try again in a moment.", {}};
@@ -604,6 +609,31 @@ void EntityManagerCore::Machine::readProfile(const proto::ProfileUpload& upload)
         services_ = readServicesProfile(upload.xml(), upload.file_name());
     else
         basic_ = readBasicProfile(upload.xml(), upload.file_name());
+}
+
+/// The services that a holder was granted do not change under its hands.
+void EntityManagerCore::Machine::keepProfile(proto::ProfileUpload& upload) {
+    auto refusal = refusalFor(state_, Event::ProfileUploaded);
+    const auto errors = upload.services() ? errorsOf(readServicesProfile(upload.xml(), upload.file_name()))
+                                          : errorsOf(readBasicProfile(upload.xml(), upload.file_name()));
+    if (!errors.empty()) refusal.message += " fix: correct its errors before that.\n" + cutReason(errors);
+    tellOfProfiles(refusal);
+    news_ = upload.file_name() + " has changed while the entity is checked out: kept for its release" +
+            (errors.empty() ? "" : ", and it has errors: " + cutReason(errors));
+    kept_profiles_[upload.services()].Swap(&upload);
+}
+
+/// At the release, before the next who waits is given the entity.
+void EntityManagerCore::Machine::takeKeptProfiles() {
+    if (kept_profiles_.empty() || findRow(state_, Event::KeptProfileTaken) == nullptr) return;
+    std::string names;
+    for (const auto& [services, upload] : std::exchange(kept_profiles_, {})) {
+        names += (names.empty() ? "" : " and ") + upload.file_name();
+        readProfile(upload);
+    }
+    news_ = names + ": the profile that was kept is uploaded now, at the release";
+    tellOfProfiles({RefusalCode::Ok, news_, {}});
+    fire(Event::KeptProfileTaken);
 }
 
 void EntityManagerCore::Machine::considerProfiles() {
@@ -1036,7 +1066,6 @@ void EntityManagerCore::Machine::reply(const Sender& to, const std::string& requ
 
 /// Each kind of request is refused with its own kind of answer.
 void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal& refusal) {
-    if (incident.event == Event::ProfileUploaded) return tellOfProfiles(refusal);
     if (incident.head == nullptr || !isRequest(incident.event)) {
         ++counters_.unexpected;
         return;

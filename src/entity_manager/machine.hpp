@@ -72,6 +72,7 @@ class EntityManagerCore::Machine {
     EntityStatus status() const;
     const CoreCounters& counters() const { return counters_; }
     std::string takeWarning() { return std::exchange(warning_, {}); }
+    std::string takeNews() { return std::exchange(news_, {}); }
 
   private:
     /// One event on its way through a row.
@@ -158,6 +159,8 @@ class EntityManagerCore::Machine {
     /// An answer to the robot application's profiles, for its log; OK where nothing is wrong.
     void tellOfProfiles(const Refusal& refusal);
     void readProfile(const proto::ProfileUpload& upload);
+    void keepProfile(proto::ProfileUpload& upload);
+    void takeKeptProfiles();
     void considerProfiles();
     void expireProfiles();
     void seekServer();
@@ -405,12 +408,14 @@ class EntityManagerCore::Machine {
     Registration registration_;  ///< under the application's name until the profiles have been good
     bool ready_ = false;         ///< they have been
     std::optional<TimePoint> profiles_due_;  ///< in INIT: what has not been uploaded by then is missing
+    /// Uploaded while the entity was held: by whether it is the services profile.
+    std::map<bool, proto::ProfileUpload> kept_profiles_;
     TimePoint position_sent_{};
     bool position_waits_ = false;
     Watchdog server_watchdog_;
     LifeSigns server_signs_;
     TimePoint server_warn_again_{};
-    std::string warning_;
+    std::string warning_, news_;
     std::optional<EntityStatus> status_told_;
     std::optional<TimePoint> rest_told_at_;  ///< when it is told that a step has ended, if no other has begun by then
 

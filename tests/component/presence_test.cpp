@@ -195,6 +195,24 @@ TEST_F(PresenceTest, AnApplicationWhoseProfileIsBrokenFromTheBeginningIsSeenInEr
     EXPECT_THAT(client_->entities(), IsEmpty());
 }
 
+TEST_F(PresenceTest, AProfileThatIsEditedWhileTheEntityIsHeldArrivesAtItsRelease) {
+    startApplication(kBasic, kServices);
+    startManager("greeter");
+    ASSERT_TRUE(client_->waitFor("Greeter", client::Seconds{10}).ok()) << said();
+    const auto held = client_->checkOut("Greeter");
+    ASSERT_TRUE(held.ok()) << held.refusal().message;
+    application_->uploadBasicProfile(
+        file("basic.xml",
+             R"(<BasicProfile name="Greeter" category="MACHINE" type="STATIONARY" descr="greets better"/>)"));
+    EXPECT_TRUE(applicationLogged("kept, and uploaded at its release"));
+    EXPECT_EQ(client_->find("Greeter")->descr, "greets");
+    ASSERT_TRUE(held->release().ok());
+    EXPECT_TRUE(waitUntil([&] { return client_->find("Greeter")->descr == "greets better"; }));
+    EXPECT_TRUE(applicationLogged("uploaded now, at the release"));
+    ASSERT_TRUE(client_->waitFor("Greeter", client::Seconds{10}).ok());
+    EXPECT_TRUE(client_->checkOut("Greeter").ok());
+}
+
 TEST_F(PresenceTest, AServerThatIsNotReachableIsReportedBeforeAnyApplicationIsThere) {
     const auto gone = server_->entityAddress(Lane::Data);
     client_.reset();

@@ -8,6 +8,7 @@ The robot application is the shuttle of examples/05_collaboration, with a copy o
 """
 import os
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
@@ -31,6 +32,7 @@ class PresenceTest(unittest.TestCase):
         self.addCleanup(self.tidy)
         self.folder = self.lab.folder / "example"
         shutil.copytree(EXAMPLE, self.folder)
+        self.basic = self.folder / "shuttle" / "basic.xml"
         self.services = self.folder / "shuttle" / "services.xml"
 
     def tidy(self):
@@ -96,6 +98,24 @@ class PresenceTest(unittest.TestCase):
         self.services.write_text(good)
         self.lab.wait_for_entity("Shuttle")
         self.assertEqual(list(self.listed("--all")), ["Shuttle"], "the same entity under its own name")
+
+    def test_a_profile_that_is_edited_while_the_entity_is_held_arrives_at_the_release(self):
+        self.lab.start_server()
+        application = self.start_application()
+        manager = self.lab.start_manager()
+        self.lab.wait_for_entity("Shuttle")
+        status, _, errors = self.lab.axon("checkout", "Shuttle")
+        self.assertEqual(status, 0, errors)
+        self.basic.write_text(re.sub('descr="[^"]*"', 'descr="Edited."', self.basic.read_text()))
+        wait_until(lambda: "kept, and uploaded at its release" in application.text(), "the application's log says that it is kept")
+        self.assertIn("kept for its release", manager.text())
+        self.assertNotEqual(self.listed()["Shuttle"]["descr"], "Edited.")
+        status, _, errors = self.lab.axon("release", "Shuttle")
+        self.assertEqual(status, 0, errors)
+        wait_until(lambda: self.listed().get("Shuttle", {}).get("descr") == "Edited.", "the edited profile")
+        wait_until(lambda: "uploaded now, at the release" in application.text(), "the application's log says that it is uploaded")
+        self.assertIn("uploaded now, at the release", manager.text())
+        self.lab.wait_for_entity("Shuttle")
 
     def test_a_server_that_is_not_there_is_reported_without_any_application(self):
         if self.lab.environment == "cluster":
