@@ -53,7 +53,7 @@ TEST_F(SessionCoreTest, AnEntityWithoutAProfileIsListedOnlyWithAllAndJoinsWhenIt
     status(4, EntityState::IDLE);
     EXPECT_EQ(observer.entities.back().first, Presence::Changed);
 
-    // Its Entity Manager has begun anew, at another entity server, before this one was missed.
+    // Its Entity Manager has started again, at another entity server, before this one was missed.
     core.onProfile(Presence::Changed, {uuid(4), "greeter", "", ""}, "");
     EXPECT_EQ(observer.entities.back().first, Presence::Left);
     EXPECT_THAT(core.entities(), SizeIs(3));

@@ -136,7 +136,6 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       stop_gate_(stop_gate),
       journal_(journal),
       uuid_(loadUuid(storage, random)),
-      reason_("waiting for the robot application " + inQuotes(settings_.application)),
       server_watchdog_(settings_.server_watchdog_busy, settings_.server_watchdog_idle, clock.now()),
       lease_(storage, random),
       generation_(firstGeneration(storage, stop_gate)),
@@ -788,7 +787,11 @@ TimePoint EntityManagerCore::Machine::serverWarnAt() const {
 /// Why an entity in UNAV, INIT or ERR is there; empty in the other states, and in INIT as long as all goes
 /// well.
 std::string EntityManagerCore::Machine::whyNotReady() const {
-    if (state_ == EntityState::UNAV) return reason_ + (sought_.empty() ? "" : "; " + sought_);
+    if (state_ == EntityState::UNAV) {
+        if (reason_.empty() && sought_.empty())
+            return "waiting for the robot application " + inQuotes(settings_.application);
+        return reason_ + (reason_.empty() || sought_.empty() ? "" : "; ") + sought_;
+    }
     return state_ == EntityState::INIT || state_ == EntityState::ERR ? reason_ : std::string();
 }
 
