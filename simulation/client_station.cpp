@@ -143,7 +143,7 @@ void ClientStation::lost(std::uint64_t attempt, const char* reason) {
 void ClientStation::newBasicPrflMsg(std::uint64_t attempt, Presence presence,
                                     const Registration& registration, const std::string& profile) {
     if (!hears(attempt)) return;
-    life_->desk.onEntity(presence, registration.entity, registration.name);
+    life_->desk.onEntity(presence, registration.entity, registration.name, !profile.empty());
     life_->core.onProfile(presence, registration, profile);
     settle();
 }

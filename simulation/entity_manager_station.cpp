@@ -131,6 +131,7 @@ void EntityManagerStation::start() {
     entity_manager::CoreSettings settings;
     settings.application = application_.process().name();
     life_ = std::make_unique<Life>(*this, std::move(settings));
+    life_->core.start();
     lookIn(Duration{});
     settle();
 }

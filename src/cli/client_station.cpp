@@ -50,7 +50,7 @@ class ClientStation final : public Station {
     Sender self() const override { return client_->self(); }
     std::string server() const override { return client_->server(); }
     bool connected() const override { return client_->connected(); }
-    std::vector<Entity> entities() const override { return client_->entities(); }
+    std::vector<Entity> entities(Listed listed) const override { return client_->entities(listed); }
     Result<Entity> find(const std::string& name) const override { return client_->find(name); }
     Result<std::vector<Service>> services(const std::string& entity) const override {
         return client_->services(entity);

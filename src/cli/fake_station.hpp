@@ -62,7 +62,11 @@ class FakeStation : public Station {
     Sender self() const override { return {"me", "ana@lab", my_role}; }
     std::string server() const override { return "127.0.0.1:10410"; }
     bool connected() const override { return is_connected; }
-    std::vector<Entity> entities() const override { return entities_; }
+    std::vector<Entity> entities(Listed listed = Listed::Ready) const override {
+        auto list = entities_;
+        if (listed == Listed::Ready) std::erase_if(list, [](const Entity& one) { return !one.ready; });
+        return list;
+    }
     Result<Entity> find(const std::string& name) const override {
         std::vector<Entity> found;
         for (const auto& one : entities_) {

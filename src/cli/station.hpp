@@ -21,6 +21,7 @@ using client::Entity;
 using client::GlobalService;
 using client::GlobalServices;
 using client::HandOverRequest;
+using client::Listed;
 using client::Parameter;
 using client::Receipt;
 using client::RunHistory;
@@ -85,7 +86,7 @@ class Station {
     virtual std::string server() const = 0;
     virtual bool connected() const = 0;
 
-    virtual std::vector<Entity> entities() const = 0;
+    virtual std::vector<Entity> entities(Listed listed = Listed::Ready) const = 0;
     virtual Result<Entity> find(const std::string& name) const = 0;
     virtual Result<std::vector<Service>> services(const std::string& entity) const = 0;
     virtual Result<Details> details(const std::string& entity) const = 0;

@@ -299,10 +299,17 @@ void PersonView::show(const Json& event) {
 
 void PersonView::showEntities(const Json& event) {
     const auto& list = event.at("entities");
+    const auto sayHidden = [&] {
+        if (const auto hidden = event.value("not_ready", 0); hidden > 0)
+            say(paint(std::to_string(hidden) + (hidden == 1 ? " entity is" : " entities are") +
+                          " not ready: axon ls --all shows why",
+                      Tint::Dim));
+    };
     if (list.empty()) {
-        return say("no entities at " + textOf(event, "server") +
-                   " yet: start a robot's application and its "
-                   "axon-entity-manager");
+        say("no entities at " + textOf(event, "server") +
+            " yet: start a robot's application and its "
+            "axon-entity-manager");
+        return sayHidden();
     }
     std::vector<std::string> head{"NAME",  "CATEGORY", "TYPE", "STATE", "HOLDER",
                                   "LATCH", "WAITING",  "STOP", "REASON"};
@@ -328,6 +335,7 @@ void PersonView::showEntities(const Json& event) {
     }
     wipe();
     out_ << table.text(terminal_.colour) << std::flush;
+    sayHidden();
 }
 
 void PersonView::showEntity(const Json& event) {
@@ -336,9 +344,13 @@ void PersonView::showEntity(const Json& event) {
     const auto state = textOf(entity, "state");
     const auto holder = holderText(entity);
     wipe();
-    out_ << paint(call, Tint::Bold) << "  " << textOf(entity, "category") << ' ' << textOf(entity, "type")
-         << "  " << paint(state, stateTint(state)) << "  " << (holder.empty() ? "free" : "held by " + holder)
-         << '\n';
+    if (entity.value("ready", true)) {
+        out_ << paint(call, Tint::Bold) << "  " << textOf(entity, "category") << ' ' << textOf(entity, "type")
+             << "  " << paint(state, stateTint(state)) << "  "
+             << (holder.empty() ? "free" : "held by " + holder) << '\n';
+    } else {
+        out_ << paint(call, Tint::Bold) << "  not ready  " << paint(state, stateTint(state)) << '\n';
+    }
     if (entity.value("yours", false))
         out_ << "  "
              << paint(entity.value("direct", false) ? "messages go straight to its Entity Manager"

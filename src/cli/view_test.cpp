@@ -101,6 +101,27 @@ TEST_F(View, ListsEntitiesWithHolderAndLatch) {
               "Cyton        ROBOT     STATIONARY  IDLE   -\n");
 }
 
+TEST_F(View, SaysThatEntitiesAreNotReady) {
+    EXPECT_EQ(
+        shown({{{"event", "entities"}, {"server", "s"}, {"entities", Json::array()}, {"not_ready", 2}}}),
+        "no entities at s yet: start a robot's application and its axon-entity-manager\n"
+        "2 entities are not ready: axon ls --all shows why\n");
+    out.str("");
+    auto entity = FakeStation::entity("44444444-0000-4000-8000-000000000004", "greeter");
+    entity.ready = false;
+    entity.category = entity.type = "";
+    entity.state = EntityState::UNAV;
+    entity.reason = "waiting";
+    auto json = toJson(entity, false);
+    json["call"] = "greeter";
+    EXPECT_EQ(shown({{{"event", "entities"}, {"server", "s"}, {"entities", {json}}, {"not_ready", 0}}}),
+              "NAME     STATE  HOLDER  REASON\n"
+              "greeter  UNAV   -       waiting\n");
+    out.str("");
+    EXPECT_THAT(shown({{{"event", "entity"}, {"entity", json}, {"services", Json::array()}}}),
+                testing::StartsWith("greeter  not ready  UNAV\n  waiting\n"));
+}
+
 TEST_F(View, ShowsWhatAServiceTakesAndWhatIsMissing) {
     const FakeStation station;
     auto entity = toJson(station.entities_[2], false);

@@ -93,6 +93,7 @@ Json toJson(const Value& value) {
 Json toJson(const Entity& entity, bool yours) {
     Json json{{"id", entity.id},
               {"name", entity.name},
+              {"ready", entity.ready},
               {"category", entity.category},
               {"type", entity.type},
               {"descr", entity.descr},
@@ -418,9 +419,13 @@ int exitOf(RunState state, const Refusal& reason) {
 
 std::string callName(const Entity& entity, const std::vector<Entity>& all) {
     std::vector<std::string> same;
+    bool taken = false;  // by one that is ready, and this one is not
     for (const auto& other : all) {
-        if (other.name == entity.name) same.push_back(other.id);
+        if (other.name != entity.name) continue;
+        if (other.ready == entity.ready) same.push_back(other.id);
+        taken = taken || other.ready != entity.ready;
     }
+    if (!entity.ready) return taken || same.size() > 1 ? entity.id.substr(0, 8) : entity.name;
     if (same.size() < 2) return entity.name;
     std::sort(same.begin(), same.end());
     const auto place = std::find(same.begin(), same.end(), entity.id) - same.begin();

@@ -11,6 +11,7 @@ namespace axon::client {
 namespace {
 
 constexpr std::size_t kShortestPrefix = 4;
+constexpr std::size_t kPrefixShown = 8;
 constexpr std::size_t kCandidatesShown = 8;
 
 std::string lower(std::string_view text) {
@@ -23,44 +24,49 @@ std::string lower(std::string_view text) {
 
 }  // namespace
 
-void NameIndex::put(const std::string& id, const std::string& name) {
+void NameIndex::put(const std::string& id, const std::string& name, bool ready) {
     const auto known = names_.find(id);
     if (known != names_.end()) {
-        if (known->second == name) return;
+        if (known->second == Known{name, ready}) return;
         remove(id);
     }
-    names_[id] = name;
-    by_name_[name].insert(id);
+    names_[id] = {name, ready};
+    (ready ? by_name_ : unready_)[name].insert(id);
 }
 
 void NameIndex::remove(const std::string& id) {
     const auto known = names_.find(id);
     if (known == names_.end()) return;
-    const auto same = by_name_.find(known->second);
+    auto& names = known->second.ready ? by_name_ : unready_;
+    const auto same = names.find(known->second.name);
     same->second.erase(id);
-    if (same->second.empty()) by_name_.erase(same);
+    if (same->second.empty()) names.erase(same);
     names_.erase(known);
 }
 
 void NameIndex::clear() {
     names_.clear();
     by_name_.clear();
+    unready_.clear();
 }
 
 std::vector<std::string> NameIndex::ids() const {
     std::vector<std::string> all;
     all.reserve(names_.size());
-    for (const auto& [id, name] : names_) all.push_back(id);
+    for (const auto& [id, known] : names_) all.push_back(id);
     return all;
 }
 
 std::string NameIndex::label(const std::string& id) const {
     const auto known = names_.find(id);
     if (known == names_.end()) return id;
-    const auto& same = by_name_.at(known->second);
-    if (same.size() == 1) return known->second;
+    const auto& [name, ready] = known->second;
+    if (!ready)
+        return by_name_.contains(name) || unready_.at(name).size() > 1 ? id.substr(0, kPrefixShown) : name;
+    const auto& same = by_name_.at(name);
+    if (same.size() == 1) return name;
     const auto place = std::distance(same.begin(), same.find(id)) + 1;
-    return known->second + "#" + std::to_string(place);
+    return name + "#" + std::to_string(place);
 }
 
 Refusal NameIndex::ambiguous(std::string_view text, const std::vector<std::string>& candidates) const {
@@ -79,13 +85,17 @@ Refusal NameIndex::ambiguous(std::string_view text, const std::vector<std::strin
 }
 
 Result<std::string> NameIndex::resolve(std::string_view text) const {
-    auto meant = resolveAll(text);
-    if (!meant) return meant.refusal();
-    if (meant.value().size() > 1) return ambiguous(text, meant.value());
-    return std::move(meant.value().front());
+    auto candidates = meant(text, Scope::ReadyFirst);
+    if (!candidates) return candidates.refusal();
+    if (candidates->size() > 1) return ambiguous(text, candidates.value());
+    return std::move(candidates->front());
 }
 
 Result<std::vector<std::string>> NameIndex::resolveAll(std::string_view text) const {
+    return meant(text, Scope::All);
+}
+
+Result<std::vector<std::string>> NameIndex::meant(std::string_view text, Scope scope) const {
     if (text.empty()) {
         return Refusal{
             RefusalCode::UnknownEntity, "An empty name means no entity. Give a name or a UUID.", {}};
@@ -94,9 +104,13 @@ Result<std::vector<std::string>> NameIndex::resolveAll(std::string_view text) co
     if (names_.count(folded) != 0) return std::vector{folded};
     if (names_.count(std::string(text)) != 0) return std::vector{std::string(text)};
 
-    if (const auto same = by_name_.find(std::string(text)); same != by_name_.end()) {
-        return std::vector<std::string>(same->second.begin(), same->second.end());
+    std::vector<std::string> same_name;
+    for (const auto* names : {&by_name_, &unready_}) {
+        if (!same_name.empty() && scope == Scope::ReadyFirst) break;
+        if (const auto same = names->find(std::string(text)); same != names->end())
+            same_name.insert(same_name.end(), same->second.begin(), same->second.end());
     }
+    if (!same_name.empty()) return same_name;
 
     if (const auto hash = text.rfind('#'); hash != std::string_view::npos && hash + 1 < text.size()) {
         std::size_t place = 0;
@@ -125,9 +139,13 @@ Result<std::vector<std::string>> NameIndex::resolveAll(std::string_view text) co
 
     std::vector<std::string> folded_same;
     std::vector<std::string_view> all_names;
-    for (const auto& [name, ids] : by_name_) {
-        all_names.push_back(name);
-        if (equalIgnoringCase(name, text)) folded_same.insert(folded_same.end(), ids.begin(), ids.end());
+    for (const auto* names : {&by_name_, &unready_}) {
+        const bool enough = !folded_same.empty() && scope == Scope::ReadyFirst;
+        for (const auto& [name, ids] : *names) {
+            if (names == &by_name_ || !by_name_.contains(name)) all_names.push_back(name);
+            if (!enough && equalIgnoringCase(name, text))
+                folded_same.insert(folded_same.end(), ids.begin(), ids.end());
+        }
     }
     if (!folded_same.empty()) return folded_same;
 

@@ -14,7 +14,9 @@ namespace axon::client {
 /// PeopleBots), so a name can be refused with the candidates. A value; no threads of its own.
 class NameIndex {
   public:
-    void put(const std::string& id, const std::string& name);
+    /// A name that a `ready` entity has means no other: what is not ready is called by it only where no ready
+    /// entity is, and otherwise by its UUID (Entity::ready).
+    void put(const std::string& id, const std::string& name, bool ready = true);
     void remove(const std::string& id);
     void clear();
 
@@ -23,19 +25,29 @@ class NameIndex {
     /// ambiguous. AMBIGUOUS_ENTITY names the candidates, UNKNOWN_ENTITY the nearest names.
     Result<std::string> resolve(std::string_view text) const;
 
-    /// Likewise, but all that an ambiguous name may mean: for a stop.
+    /// Likewise, but all that an ambiguous name may mean, ready or not: for a stop.
     Result<std::vector<std::string>> resolveAll(std::string_view text) const;
 
     bool contains(const std::string& id) const { return names_.count(id) != 0; }
     std::vector<std::string> ids() const;
-    /// As a person would have to write it: the name, with #n where several share it.
+    /// As a person would have to write it: the name, with #n where several share it, or the beginning of the
+    /// UUID.
     std::string label(const std::string& id) const;
 
   private:
+    struct Known {
+        std::string name;
+        bool ready = true;
+        bool operator==(const Known&) const = default;
+    };
+    /// UUIDs in order, which gives #n its meaning.
+    using ByName = std::map<std::string, std::set<std::string>>;
+    enum class Scope { ReadyFirst, All };
+    Result<std::vector<std::string>> meant(std::string_view text, Scope scope) const;
     Refusal ambiguous(std::string_view text, const std::vector<std::string>& candidates) const;
 
-    std::map<std::string, std::string> names_;              // by UUID
-    std::map<std::string, std::set<std::string>> by_name_;  // UUIDs in order, which gives #n its meaning
+    std::map<std::string, Known> names_;  // by UUID
+    ByName by_name_, unready_;
 };
 
 }  // namespace axon::client

@@ -35,6 +35,30 @@ TEST_F(NameIndexTest, FindsByNameNumberUuidAndPrefix) {
     EXPECT_EQ(resolved(uuid(2).substr(0, 8)), uuid(2));
 }
 
+TEST_F(NameIndexTest, WhatIsNotReadyIsFoundWhereNothingReadyIsMeant) {
+    index.put(uuid(4), "Cyton", false);
+    index.put(uuid(5), "Greeter", false);
+    EXPECT_EQ(resolved("Cyton"), uuid(3))
+        << "an Entity Manager that waits for its application makes no name ambiguous";
+    EXPECT_EQ(resolved("cyton"), uuid(3));
+    EXPECT_EQ(index.label(uuid(3)), "Cyton");
+    EXPECT_EQ(index.label(uuid(4)), uuid(4).substr(0, 8));
+    EXPECT_EQ(resolved(index.label(uuid(4))), uuid(4));
+    EXPECT_EQ(resolved("Greeter"), uuid(5));
+    EXPECT_EQ(resolved("greeter"), uuid(5));
+    EXPECT_EQ(index.label(uuid(5)), "Greeter");
+    EXPECT_THAT(index.resolve("Greetr").refusal().message, HasSubstr("\"Greeter\""));
+    // In doubt a stop stops.
+    EXPECT_THAT(index.resolveAll("Cyton").value(), ElementsAre(uuid(3), uuid(4)));
+    EXPECT_THAT(index.resolveAll("cyton").value(), ElementsAre(uuid(3), uuid(4)));
+
+    index.put(uuid(4), "Cyton");  // it has become ready
+    EXPECT_EQ(resolved("Cyton"), "AMBIGUOUS_ENTITY");
+    EXPECT_EQ(index.label(uuid(4)), "Cyton#2");
+    index.remove(uuid(5));
+    EXPECT_EQ(resolved("Greeter"), "UNKNOWN_ENTITY");
+}
+
 TEST_F(NameIndexTest, AnAmbiguousNameIsRefusedWithTheCandidates) {
     const auto refusal = index.resolve("PeopleBot").refusal();
     EXPECT_EQ(refusal.code, RefusalCode::AmbiguousEntity);

@@ -742,7 +742,8 @@ TimePoint Client::Session::onStopTimer() {
 void Client::Session::newProfile(std::uint64_t attempt, Presence presence, const Registration& registration,
                                  std::string_view profile) {
     withDesk([&](StopDesk& desk) {
-        if (attempt == listening_) desk.onEntity(presence, registration.entity, registration.name);
+        if (attempt == listening_)
+            desk.onEntity(presence, registration.entity, registration.name, !profile.empty());
     });
     DirectLinks::Closing closing;
     onCore(attempt, [&](SessionCore& core) {
@@ -1331,8 +1332,8 @@ Result<Entity> Client::Session::waitFor(std::string_view name, Seconds time) con
     while (true) {
         const auto left = clock_.realTimeUntil(until);
         auto found = core_.find(name);
-        if (found && found->state != EntityState::UNAV && found->state != EntityState::INIT &&
-            found->state != EntityState::ERR) {
+        if (found && found->ready && found->state != EntityState::UNAV && found->state != EntityState::INIT &&
+            found->state != EntityState::ENVCONN && found->state != EntityState::ERR) {
             return found;
         }
         if (!found && found.refusal().code == RefusalCode::AmbiguousEntity) return found;
@@ -1418,8 +1419,8 @@ std::string Client::server() const {
     return session_->options().server;
 }
 
-std::vector<Entity> Client::entities() const {
-    return session_->look([](const SessionCore& core) { return core.entities(); });
+std::vector<Entity> Client::entities(Listed listed) const {
+    return session_->look([&](const SessionCore& core) { return core.entities(listed); });
 }
 
 Result<Entity> Client::find(std::string_view name) const {

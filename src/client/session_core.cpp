@@ -256,7 +256,7 @@ void SessionCore::onDisconnected(const std::string& reason, bool for_good) {
     promised_ = 0;
     for (auto& [id, known] : gone) {
         marks_.forget(id);
-        if (known.announced) observer_.onEntity(Presence::Left, known.facts);
+        if (known.announced && known.facts.ready) observer_.onEntity(Presence::Left, known.facts);
     }
     moving_.clear();
     busy_.clear();
@@ -301,7 +301,7 @@ void SessionCore::onProfile(Presence presence, const Registration& registration,
         marks_.forget(id);
         countMoving(id);
         pace();  // the server beats slowly again
-        if (announced) observer_.onEntity(Presence::Left, facts);
+        if (announced && facts.ready) observer_.onEntity(Presence::Left, facts);
         return;
     }
 
@@ -319,9 +319,13 @@ void SessionCore::onProfile(Presence presence, const Registration& registration,
     facts.x_mm = basic.xpos();
     facts.y_mm = basic.ypos();
     facts.z_mm = basic.zpos();
-    names_.put(id, registration.name);
+    const bool was_told = std::exchange(facts.ready, !profile.empty()) && !joined;
+    names_.put(id, registration.name, facts.ready);
     if (joined) ++announced_;
-    observer_.onEntity(joined ? Presence::Joined : Presence::Changed, facts);
+    if (facts.ready)
+        observer_.onEntity(was_told ? Presence::Changed : Presence::Joined, facts);
+    else if (was_told)
+        observer_.onEntity(Presence::Left, facts);
     if (joined && connected_) {
         sendResume(id);
         sendWatches(id);
@@ -365,7 +369,7 @@ void SessionCore::onStatus(const EntityStatus& status) {
     }
     wakeParked();
     pace();
-    if (known.announced) observer_.onEntity(Presence::Changed, facts);
+    tellChanged(known);
 }
 
 void SessionCore::onServiceRecord(const Header& head, std::string_view record) {
@@ -392,10 +396,17 @@ void SessionCore::onService(const std::string& entity, const proto::Service& ser
     observer_.onService({entity, mine->second.number}, fromProto(service));
 }
 
-std::vector<Entity> SessionCore::entities() const {
-    std::vector<Entity> all;
-    for (const auto& id : names_.ids()) all.push_back(entities_.at(id).facts);
-    return all;
+void SessionCore::tellChanged(const KnownEntity& known) {
+    if (known.announced && known.facts.ready) observer_.onEntity(Presence::Changed, known.facts);
+}
+
+std::vector<Entity> SessionCore::entities(Listed listed) const {
+    std::vector<Entity> list;
+    for (const auto& id : names_.ids()) {
+        const auto& facts = entities_.at(id).facts;
+        if (facts.ready || listed == Listed::All) list.push_back(facts);
+    }
+    return list;
 }
 
 Result<Entity> SessionCore::find(std::string_view name) const {
@@ -489,7 +500,7 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes, bool o
             known->second.facts.x_mm = message.position().xpos();
             known->second.facts.y_mm = message.position().ypos();
             known->second.facts.z_mm = message.position().zpos();
-            if (known->second.announced) observer_.onEntity(Presence::Changed, known->second.facts);
+            tellChanged(known->second);
             break;
         }
         case proto::ToClient::kHandOver:
@@ -595,7 +606,7 @@ void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& sta
         facts.orphaned = status.orphaned();
         facts.waiting = static_cast<int>(status.waiting());
         countMoving(head.entity);
-        if (known->second.announced) observer_.onEntity(Presence::Changed, facts);
+        tellChanged(known->second);
     }
     for (const auto& event : status.tasks()) onTaskEvent(head.entity, event);
     for (const auto& event : status.ended()) onTaskEvent(head.entity, event);

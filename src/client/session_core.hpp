@@ -50,6 +50,7 @@ struct Held {
 class SessionObserver {
   public:
     virtual ~SessionObserver() = default;
+    /// Of those that are ready: one that becomes so joins.
     virtual void onEntity(Presence presence, const Entity& entity) = 0;
     virtual void onTask(const TaskReport& report) = 0;
     virtual void onRun(const RunReport& /*report*/) {}
@@ -179,7 +180,7 @@ class SessionCore {
     const Sender& self() const { return self_; }
     /// Every entity that the server promised at the connection has been told of.
     bool complete() const { return connected_ && announced_ >= promised_; }
-    std::vector<Entity> entities() const;
+    std::vector<Entity> entities(Listed listed = Listed::Ready) const;
     Result<Entity> find(std::string_view name) const;
     Result<Entity> entity(const std::string& id) const;
     /// The shortest name that means only this entity.
@@ -256,6 +257,8 @@ class SessionCore {
         Entity facts;
         bool announced = false;  // a status can come before the profile
     };
+    /// To the observer, of an entity that it knows.
+    void tellChanged(const KnownEntity& known);
     struct Lease {
         LeaseNumber number;
         std::string key, root;

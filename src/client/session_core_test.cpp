@@ -17,6 +17,7 @@ using namespace std::chrono_literals;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 using ::testing::SizeIs;
 
 class SessionCoreTest : public ::testing::Test, public CoreWorld {
@@ -30,6 +31,57 @@ class SessionCoreTest : public ::testing::Test, public CoreWorld {
         return link.take();
     }
 };
+
+// ---- entities that are not ready
+
+TEST_F(SessionCoreTest, AnEntityWithoutAProfileIsListedOnlyWithAllAndJoinsWhenItIsReady) {
+    observer.entities.clear();
+    core.onProfile(Presence::Joined, {uuid(4), "greeter", "", ""}, "");
+    core.onStatus({uuid(4), EntityState::UNAV, false, 0, {}, {}, "waiting for the robot application"});
+    EXPECT_THAT(core.entities(), SizeIs(3));
+    ASSERT_THAT(core.entities(Listed::All), SizeIs(4));
+    EXPECT_THAT(observer.entities, IsEmpty());
+    const auto found = core.find("greeter");
+    ASSERT_TRUE(found);
+    EXPECT_FALSE(found->ready);
+    EXPECT_EQ(found->state, EntityState::UNAV);
+    EXPECT_EQ(found->reason, "waiting for the robot application");
+
+    join(4, "Greeter");
+    ASSERT_THAT(observer.entities, SizeIs(1));
+    EXPECT_EQ(observer.entities[0].first, Presence::Joined);
+    EXPECT_TRUE(observer.entities[0].second.ready);
+    EXPECT_THAT(core.entities(), SizeIs(4));
+    status(4, EntityState::IDLE);
+    EXPECT_EQ(observer.entities.back().first, Presence::Changed);
+
+    // Its Entity Manager has started again, at another entity server, before this one was missed.
+    core.onProfile(Presence::Changed, {uuid(4), "greeter", "", ""}, "");
+    EXPECT_EQ(observer.entities.back().first, Presence::Left);
+    EXPECT_THAT(core.entities(), SizeIs(3));
+    const auto told = observer.entities.size();
+    core.onProfile(Presence::Left, {uuid(4), "greeter", "", ""}, "");
+    EXPECT_THAT(observer.entities, SizeIs(told));
+}
+
+TEST_F(SessionCoreTest, TheEntityItselfSaysWhyItCannotBeCheckedOutBeforeItIsReady) {
+    core.onProfile(Presence::Joined, {uuid(4), "greeter", "", ""}, "");
+    Answer<std::vector<Held>> answer;
+    core.checkOut({"greeter"}, answer.taker());
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].head.entity, uuid(4));
+    answerCheckOut(link.sent[0], RefusalCode::Unavailable);
+    EXPECT_EQ(answer.refusal.code, RefusalCode::Unavailable);
+}
+
+TEST_F(SessionCoreTest, AQueryNeverMeansAnEntityThatIsNotReady) {
+    core.onProfile(Presence::Joined, {uuid(4), "greeter", "", ""}, "");
+    core.onStatus({uuid(4), EntityState::IDLE, false, 0, {}, {}, {}});
+    Answer<std::vector<Held>> answer;
+    core.checkOut(parseQuery("1 STATIONARY").value(), {}, answer.taker());
+    EXPECT_EQ(answer.refusal.code, RefusalCode::Unavailable);
+    EXPECT_THAT(answer.refusal.message, Not(HasSubstr("greeter")));
+}
 
 // ---- check-out
 

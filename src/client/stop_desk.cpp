@@ -38,12 +38,12 @@ void StopDesk::onDisconnected() {
     names_.clear();
 }
 
-void StopDesk::onEntity(Presence presence, const std::string& id, const std::string& name) {
+void StopDesk::onEntity(Presence presence, const std::string& id, const std::string& name, bool ready) {
     listAll();  // by the names that they have now
     if (presence == Presence::Left) {
         names_.remove(id);
     } else {
-        names_.put(id, name);
+        names_.put(id, name, ready);
         for (const auto sequence : everything_) add(orders_.at(sequence), id);
     }
 }

@@ -48,7 +48,7 @@ class StopDesk {
 
     void onConnected(const Sender& self);
     void onDisconnected();
-    void onEntity(Presence presence, const std::string& id, const std::string& name);
+    void onEntity(Presence presence, const std::string& id, const std::string& name, bool ready = true);
     /// newStopAccepted: the servers' stage, of one entity or ("") of all that the order names, and how many
     /// entities it reached. `sequence` is that of the order.
     void onStopAccepted(std::int64_t sequence, const std::string& entity, int entities);

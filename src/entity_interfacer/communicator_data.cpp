@@ -153,7 +153,7 @@ void Communicator::watchProfiles() {
             profile.send = fits;
         }
         if (fits)
-            log(LogLevel::Info, file.string() + " has changed: uploaded again");
+            log(LogLevel::Info, file.string() + " has changed: it is uploaded again");
         else
             log(LogLevel::Error, file.string() + ": expected at most 1020 KiB: shorten it");
     }
@@ -351,9 +351,14 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
                 channel->wanted = all_streams_ || wanted_streams_.contains(name);
             return;
         }
-        case proto::EmToEi::kProfileError:
-            return log(LogLevel::Error,
-                       "the Entity Manager cannot use the profiles: " + message.profile_error().message());
+        case proto::EmToEi::kProfileError: {
+            const auto& said = message.profile_error();
+            if (said.code() == proto::OK) return log(LogLevel::Info, said.message());
+            const bool later = said.code() == proto::WRONG_STATE;
+            return log(later ? LogLevel::Warning : LogLevel::Error,
+                       std::string("the Entity Manager cannot use the profiles") + (later ? " now: " : ": ") +
+                           said.message());
+        }
         case proto::EmToEi::kHello:
         case proto::EmToEi::kBeat:
         case proto::EmToEi::kStop:

@@ -96,11 +96,14 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
           events_(events),
           look_timer_(strand_),
           beat_timer_(strand_, clock_),
+          search_({settings_.application, settings_.instance, settings_.where, settings_.ports_from},
+                  settings_.report_after),
           watchdog_(settings_.watchdog_busy, settings_.watchdog_idle, now()) {}
 
     void start() {
         if (closed_ || started_) return;
         started_ = true;
+        search_.begin(now());
         lookIn(Duration::zero());
     }
 
@@ -238,6 +241,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         if (closed_ || peer_ || linking_) return;
         ports_.clear();
         const auto time = now();
+        if (const auto report = search_.report(time)) events_.onLinkSought(*report);
         const auto& range = settings_.where.ports;
         const bool whole = time >= next_whole_look_;
         if (whole) {
@@ -380,8 +384,11 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 pass_over_[signal->port] = now() + (signal->closed ? kPassClosed : kPassStranger);
         } else if (welcome->refusal().code() != proto::OK) {
             pass_over_[signal->port] = now() + kPassOtherApplication;
-            if (welcome->application() == settings_.application &&
-                welcome->refusal().code() != proto::UNKNOWN_ENTITY) {
+            const bool ours = welcome->application() == settings_.application &&
+                              welcome->refusal().code() != proto::UNKNOWN_ENTITY;
+            search_.met(signal->port, welcome->application(), welcome->instance(),
+                        ours ? welcome->refusal().message() : std::string(), now());
+            if (ours) {
                 pass_over_.erase(signal->port);  // ours, and its other Entity Manager may go at any time
                 refused(
                     {static_cast<RefusalCode>(welcome->refusal().code()), welcome->refusal().message(), {}});
@@ -427,6 +434,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         peer_->data_reader.setLimit(kFrameMax);
         last_good_ = signal->port;
         last_refusal_ = {};
+        search_.end();
         backoff_ = kFirstBackoff / 2;
         next_whole_look_ = {};
         look_timer_.cancel();
@@ -617,6 +625,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     void lost(const std::shared_ptr<Peer>& peer, const std::string& reason) {
         if (closed_ || peer_ != peer) return;
         dropPeer();
+        search_.begin(now());
         lookIn(kFirstBackoff);
         events_.onLinkDown(reason);
     }
@@ -647,6 +656,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     TimePoint next_whole_look_{};
     Refusal last_refusal_;
     std::shared_ptr<Peer> peer_;
+    ApplicationSearch search_;
     Watchdog watchdog_;
     LifeSigns signs_;
     LifeSigns::Gap told_;  // by the application: what it heard of us

@@ -8,6 +8,7 @@
 
 #include "common/ids.hpp"
 #include "common/port_range.hpp"
+#include "entity_manager/application_search.hpp"
 #include "entity_manager/ports.hpp"
 #include "entity_manager/stop_gate.hpp"
 
@@ -21,10 +22,12 @@ struct BackEndSettings {
     std::string application;  ///< the robot application's name, as its Entity Interfacer was given it
     std::string instance;     ///< empty = any instance
     LinkPorts where;          ///< of ports.cfg
+    std::string ports_from;   ///< which file or option said so, for people
     std::string manager;      ///< who we are, for the messages that a second Entity Manager gets
     std::chrono::milliseconds watchdog_busy{250};
     std::chrono::milliseconds watchdog_idle{500};
     bool beyond_loopback = false;  ///< the link has no authentication
+    Duration report_after = ApplicationSearch::kFirst;  ///< looking for the application in vain
 };
 
 /// Whom the link tells. Called on the strand, never from within a call of BackEndInterface.
@@ -38,6 +41,8 @@ class BackEndEvents {
     /// For the operator: our application is there and does not want us (ALREADY_HELD, NOT_SUPPORTED), or a
     /// message was larger than a frame (TOO_LARGE). Told when the reason changes.
     virtual void onLinkRefused(const Refusal&) {}
+    /// For the operator: the application has not been found for a while. Repeated, less and less often.
+    virtual void onLinkSought(const SearchReport&) {}
     /// For the operator: the application's beats come late, once a minute at most.
     virtual void onLinkSlow(const std::string&) {}
 };
@@ -49,7 +54,8 @@ class BackEndEvents {
 /// States: looking → linking (first connection welcome) → linked → looking. While looking it tries the first
 /// 32 ports of the range and the last good one every 100 ms, and the whole range with backoff (50 ms to 1 s):
 /// a robot application listens on its first free port, so it is found within the shorter period. Listeners
-/// that are not our application are passed over for a while.
+/// that are not our application are passed over for a while. What is there instead is reported after
+/// `report_after` and again with back-off (onLinkSought).
 ///
 /// Threads: everything on the strand it is given, but stop(), which any thread may call: it writes to the
 /// signal connection at once, past the strand and everything queued. Ownership: destroyed on the strand, or

@@ -186,9 +186,14 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     options.back_end.application = options.core.application;
     options.back_end.manager = "axon-entity-manager, process " + std::to_string(::getpid());
     options.back_end.instance = chosen(instance, "Axon.Instance", "");
-    if (const auto from = chosen(ports_file, "Axon.PortsFile", ""); !from.empty()) options.back_end.where = accepted(readPorts(from));
-    if (const auto range = chosen(ports, "Axon.Ports", ""); !range.empty())
+    if (const auto from = chosen(ports_file, "Axon.PortsFile", ""); !from.empty()) {
+        options.back_end.where = accepted(readPorts(from));
+        options.back_end.ports_from = from;
+    }
+    if (const auto range = chosen(ports, "Axon.Ports", ""); !range.empty()) {
         options.back_end.where.ports = accepted(parsePorts("Axon.Ports = " + range, "--ports")).ports;
+        options.back_end.ports_from = ports.empty() ? "Axon.Ports in " + config : "--ports";
+    }
     options.back_end.where.address = chosen(address, "Axon.Address", options.back_end.where.address);
 
     if (file.contains(kRouter) && file.contains("Axon.Server"))

@@ -81,6 +81,7 @@ void EntityManager::offerDirect(const DirectSettings& settings) {
 
 void EntityManager::start() {
     asio::post(strand_, [self = shared_from_this()] {
+        self->core_->start();
         self->back_end_.start();
         self->afterEvents();
     });
@@ -283,6 +284,12 @@ void EntityManager::onLinkRefused(const Refusal& refusal) {
     spdlog::warn("{}: no link to the robot application: {} ({})", name_, refusal.message, refusalName(refusal.code));
 }
 
+void EntityManager::onLinkSought(const SearchReport& report) {
+    spdlog::warn("{}: {}{}{}", name_, report.finding, report.fix.empty() ? "" : "; fix: ", report.fix);
+    core_->onApplicationSought(report.finding);
+    afterEvents();
+}
+
 void EntityManager::onLinkSlow(const std::string& what) {
     spdlog::warn("{}: the robot application: {}; above that the link is given up. This machine is overloaded",
                  name_, what);
@@ -361,6 +368,7 @@ void EntityManager::afterEvents() {
     if (const bool latched = core_->latched(); std::exchange(latched_, latched) != latched)
         spdlog::info("{}: {}", name_, latched ? "stopped and latched" : "rearmed");
     if (const auto warning = core_->takeWarning(); !warning.empty()) spdlog::warn("{}: {}", name_, warning);
+    if (const auto news = core_->takeNews(); !news.empty()) spdlog::info("{}: {}", name_, news);
     armTimer();
 }
 

@@ -102,6 +102,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     void onLinkDown(const std::string& reason) override;
     void onLinkMessage(const proto::EiToEm& message) override;
     void onLinkRefused(const Refusal& refusal) override;
+    void onLinkSought(const SearchReport& report) override;
     void onLinkSlow(const std::string& what) override;
 
     /// To the robot, and into the inbox. The executor, whose lock everything takes, is woken after it.

@@ -15,6 +15,12 @@ EntityManagerCore::EntityManagerCore(CoreSettings settings, const Clock& clock, 
 
 EntityManagerCore::~EntityManagerCore() = default;
 
+void EntityManagerCore::start() {
+    machine_->start();
+}
+void EntityManagerCore::onApplicationSought(const std::string& finding) {
+    machine_->onApplicationSought(finding);
+}
 void EntityManagerCore::onLinkUp() {
     machine_->onLinkUp();
 }
@@ -103,6 +109,10 @@ const CoreCounters& EntityManagerCore::counters() const {
 
 std::string EntityManagerCore::takeWarning() {
     return machine_->takeWarning();
+}
+
+std::string EntityManagerCore::takeNews() {
+    return machine_->takeNews();
 }
 
 }  // namespace axon::entity_manager

@@ -31,6 +31,8 @@ struct CoreSettings {
     std::uint64_t resource_window = 512 * 1024;  ///< bytes a client may send ahead
     Duration answer_within =
         std::chrono::seconds{10};  ///< what the robot application is asked; then TIMED_OUT
+    Duration profiles_within =
+        std::chrono::seconds{3};  ///< after the link is up; then what has not been uploaded is missing
 };
 
 /// What has been dropped without an answer, because there is nobody to answer or because the answer would be
@@ -65,8 +67,14 @@ class EntityManagerCore {
     EntityManagerCore(const EntityManagerCore&) = delete;
     EntityManagerCore& operator=(const EntityManagerCore&) = delete;
 
+    /// From now on it wants a session with the server, whatever becomes of the robot application: until that
+    /// has uploaded valid profiles the entity is registered there as one that is not ready (ADR 0023).
+    void start();
+
     // From the link to the robot application.
     void onLinkUp();
+    /// It has been looked for in vain: what was found instead, for whoever asks why the entity is UNAV.
+    void onApplicationSought(const std::string& finding);
     void onLinkDown(const std::string& reason);
     void onLinkMessage(const proto::EiToEm& message);
     /// The same without a copy of bulk data; the message is left in some valid state.
@@ -120,6 +128,8 @@ class EntityManagerCore {
     /// Something for the operator's log: the server has been silent for a good part of what its watchdog
     /// allows. Once a minute at most; empty otherwise. Look after onTimer().
     std::string takeWarning();
+    /// Likewise, of what is as it should be.
+    std::string takeNews();
 
   private:
     class Machine;

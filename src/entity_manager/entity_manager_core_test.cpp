@@ -47,6 +47,221 @@ struct Held : testing::Test {
     CoreRig rig;
 };
 
+// -- before it is ready
+
+struct NotReady : testing::Test {
+    NotReady() {
+        rig.core().start();
+        rig.core().onServerUp();
+    }
+    /// What the application was told of its profiles, newest last.
+    std::vector<std::pair<proto::RefusalCode, std::string>> toldOfProfiles() const {
+        std::vector<std::pair<proto::RefusalCode, std::string>> told;
+        for (const auto& message : rig.to_application)
+            if (message.has_profile_error())
+                told.emplace_back(message.profile_error().code(), message.profile_error().message());
+        return told;
+    }
+    static bool has(const std::string& text, const std::string& part) {
+        return text.find(part) != std::string::npos;
+    }
+    CoreRig rig;
+};
+
+TEST_F(NotReady, TheServerIsWantedAtOnceAndTheEntityIsRegisteredWithoutAProfile) {
+    const auto lines = rig.takeLines();
+    EXPECT_EQ(lines.at(0), "server: wanted");
+    EXPECT_EQ(lines.at(1), "server: not ready rig");
+    ASSERT_FALSE(rig.statuses.empty());
+    EXPECT_EQ(rig.statuses.back().state, EntityState::UNAV);
+    EXPECT_TRUE(has(rig.statuses.back().reason, "waiting for the robot application \"rig\""));
+    rig.linkUp();
+    EXPECT_EQ(rig.statuses.back().state, EntityState::INIT);
+    EXPECT_EQ(rig.statuses.back().reason, "") << "all goes well";
+    rig.uploadProfiles();
+    EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+    EXPECT_EQ(rig.statuses.back().state, EntityState::IDLE);
+    bool ready = false;
+    for (const auto& line : rig.takeLines()) ready = ready || has(line, "server: profile Rig ROBOT/MOBILE");
+    EXPECT_TRUE(ready);
+}
+
+TEST_F(NotReady, ACheckOutIsRefusedWithWhatTheSearchForTheApplicationHasFound) {
+    rig.core().onApplicationSought("none is found; found there: \"other\" (port 5500)");
+    EXPECT_TRUE(has(rig.statuses.back().reason, "found there: \"other\""));
+    rig.take("client1", "r1");
+    ASSERT_FALSE(rig.to_clients.empty());
+    const auto& refusal = rig.to_clients.back().message.check_out().refusal();
+    EXPECT_EQ(refusal.code(), proto::UNAVAILABLE);
+    EXPECT_TRUE(has(refusal.message(), "found there: \"other\"")) << refusal.message();
+    rig.linkUp();
+    rig.core().onApplicationSought("late news");
+    EXPECT_EQ(rig.core().status().reason, "");
+    rig.core().onLinkDown("pulled");
+    EXPECT_FALSE(has(rig.core().status().reason, "other"));
+}
+
+TEST_F(NotReady, AnApplicationThatUploadsOneProfileOnlyIsToldAfterThreeSeconds) {
+    for (const bool services : {false, true}) {
+        rig.to_application.clear();
+        rig.linkUp();
+        rig.upload(services, services ? test::kRigServicesProfile : test::kRigBasicProfile);
+        rig.advance(std::chrono::milliseconds{2999});
+        EXPECT_TRUE(toldOfProfiles().empty());
+        EXPECT_EQ(rig.core().takeWarning(), "");
+        rig.advance(std::chrono::milliseconds{1});
+        EXPECT_EQ(rig.core().state(), EntityState::INIT);
+        const std::string missing = services ? "no basic profile" : "no services profile";
+        ASSERT_EQ(toldOfProfiles().size(), 1U);
+        EXPECT_EQ(toldOfProfiles()[0].first, proto::MALFORMED);
+        EXPECT_TRUE(has(toldOfProfiles()[0].second, missing)) << toldOfProfiles()[0].second;
+        EXPECT_TRUE(has(toldOfProfiles()[0].second, "fix: "));
+        EXPECT_TRUE(has(rig.core().takeWarning(), missing));
+        EXPECT_TRUE(has(rig.statuses.back().reason, missing)) << rig.statuses.back().reason;
+        rig.take("client1", "r1");
+        EXPECT_TRUE(has(rig.to_clients.back().message.check_out().refusal().message(), missing));
+        rig.advance(std::chrono::seconds{60});
+        EXPECT_EQ(toldOfProfiles().size(), 1U);
+        rig.upload(!services, services ? test::kRigBasicProfile : test::kRigServicesProfile);
+        EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+        EXPECT_EQ(rig.core().status().reason, "");
+        rig.core().onLinkDown("pulled");
+    }
+}
+
+TEST_F(NotReady, AnApplicationWithoutAnyProfileIsTold) {
+    rig.linkUp();
+    rig.advance(std::chrono::seconds{3});
+    EXPECT_TRUE(has(rig.statuses.back().reason, "has uploaded no profile"));
+    EXPECT_EQ(rig.statuses.back().state, EntityState::INIT);
+}
+
+TEST_F(NotReady, ABrokenProfileAloneIsAnErrorThatAlsoNamesWhatIsMissing) {
+    rig.linkUp();
+    rig.upload(false, "<BasicProfile/>");
+    rig.advance(std::chrono::seconds{3});
+    EXPECT_EQ(rig.core().state(), EntityState::ERR);
+    EXPECT_EQ(rig.statuses.back().state, EntityState::ERR);
+    EXPECT_TRUE(has(rig.statuses.back().reason, "basic.xml:1: error"));
+    EXPECT_TRUE(has(rig.statuses.back().reason, "no services profile"));
+    ASSERT_EQ(toldOfProfiles().size(), 1U);
+    EXPECT_EQ(toldOfProfiles()[0].second, rig.statuses.back().reason);
+}
+
+TEST_F(NotReady, ProfilesThatAreBrokenFromTheBeginningAreToldToEverybody) {
+    rig.linkUp();
+    rig.upload(false, "<BasicProfile/>");
+    rig.upload(true, test::kRigServicesProfile);
+    EXPECT_EQ(rig.statuses.back().state, EntityState::ERR);
+    EXPECT_TRUE(has(rig.statuses.back().reason, "basic.xml:1: error"));
+}
+
+TEST_F(NotReady, APositionThatIsToldBeforeTheProfilesIsNotLostByTheRegistration) {
+    rig.core().onServerDown("gone");
+    rig.linkUp();
+    proto::EiToEm moved;
+    moved.mutable_position()->set_xpos(7);
+    rig.fromApplication(moved);
+    rig.core().onServerUp();
+    rig.takeLines();
+    rig.uploadProfiles();
+    bool told = false;
+    for (const auto& line : rig.takeLines())
+        told = told || has(line, "server: profile Rig ROBOT/MOBILE (7, 0, 0)");
+    EXPECT_TRUE(told);
+}
+
+TEST_F(NotReady, AStopLatchesAnEntityThatIsNotReady) {
+    rig.stop("client1");
+    EXPECT_TRUE(rig.statuses.back().latched);
+    EXPECT_EQ(rig.to_clients.back().message.receipt().stage(), proto::StopReceipt::NO_APPLICATION);
+    rig.linkUp();
+    rig.uploadProfiles();
+    EXPECT_TRUE(rig.core().latched());
+}
+
+// -- profiles that change while it is held
+
+std::string withName(const char* profile, const std::string& name) {
+    std::string text = profile;
+    text.replace(text.find("\"Rig\""), 5, '"' + name + '"');
+    return text;
+}
+
+TEST_F(Held, AProfileThatChangesMeanwhileIsKeptAndUploadedAtTheRelease) {
+    rig.to_application.clear();
+    rig.upload(false, withName(test::kRigBasicProfile, "Second"));
+    rig.upload(false, withName(test::kRigBasicProfile, "Third"));
+    ASSERT_EQ(rig.to_application.size(), 2U);
+    EXPECT_EQ(rig.to_application[0].profile_error().code(), proto::WRONG_STATE);
+    EXPECT_NE(rig.to_application[0].profile_error().message().find("kept, and uploaded at its release"),
+              std::string::npos);
+    EXPECT_NE(rig.core().takeNews().find("basic.xml has changed while the entity is checked out"),
+              std::string::npos);
+    EXPECT_EQ(rig.core().state(), EntityState::REG);
+
+    rig.to_application.clear();
+    rig.takeLines();
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+    ASSERT_EQ(rig.to_application.size(), 1U);
+    EXPECT_EQ(rig.to_application[0].profile_error().code(), proto::OK);
+    EXPECT_NE(rig.to_application[0].profile_error().message().find("uploaded now"), std::string::npos);
+    EXPECT_NE(rig.core().takeNews().find("uploaded now"), std::string::npos);
+    const auto lines = rig.takeLines();
+    EXPECT_TRUE(std::any_of(lines.begin(), lines.end(),
+                            [](const auto& line) { return line.starts_with("server: profile Third "); }));
+    // Once.
+    rig.stopDone(rig.gate.generation());
+    rig.to_application.clear();
+    rig.take("client1", "r2");
+    rig.send("client1", release);
+    EXPECT_TRUE(rig.to_application.empty());
+}
+
+TEST_F(Held, TheNextInTheWaitListGetsTheEntityWithTheProfileThatWasKept) {
+    proto::ToEntity waits;
+    waits.mutable_check_out()->set_phase(proto::TAKE);
+    waits.mutable_check_out()->set_request_id(idOf("r2"));
+    waits.mutable_check_out()->set_wait(true);
+    rig.send("client2", waits);
+    rig.upload(true, R"(<ServiceProfile count="1"><Service name="Dancing" type="SMPL"/></ServiceProfile>)");
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    rig.stopDone(rig.gate.generation());
+    ASSERT_NE(rig.core().held(), nullptr);
+    EXPECT_EQ(rig.core().held()->holder.id, "client2");
+    const auto& grant = rig.to_clients.back().message.check_out();
+    ASSERT_EQ(grant.services().services_size(), 1);
+    EXPECT_EQ(grant.services().services(0).name(), "Dancing");
+}
+
+TEST_F(Held, ABrokenProfileIsToldAtOnceAndPutsTheEntityOutOfServiceOnlyAtTheRelease) {
+    rig.to_application.clear();
+    rig.upload(true, "<ServiceProfile");
+    ASSERT_EQ(rig.to_application.size(), 1U);
+    EXPECT_EQ(rig.to_application[0].profile_error().code(), proto::WRONG_STATE);
+    EXPECT_NE(rig.to_application[0].profile_error().message().find("services.xml:1: error"),
+              std::string::npos);
+    EXPECT_EQ(rig.core().state(), EntityState::REG);
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    EXPECT_EQ(rig.core().state(), EntityState::ERR);
+}
+
+TEST_F(Held, AProfileThatWasKeptIsForgottenWithTheLink) {
+    rig.upload(false, withName(test::kRigBasicProfile, "Second"));
+    rig.core().onLinkDown("pulled");
+    rig.linkUp();
+    rig.uploadProfiles();  // what the application has now
+    EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+    for (const auto& line : rig.takeLines()) EXPECT_FALSE(line.starts_with("server: profile Second")) << line;
+}
+
 TEST_F(Held, StopVoidsAFullQueueAndTheQueueTakesNoMoreThanItsBound) {
     rig.task("client1", "run", "Turning");
     rig.grant("run");

@@ -59,12 +59,20 @@ std::uint32_t firstGeneration(Storage& storage, StopGate& gate) {
 }
 
 template <class Message>
-std::string errorsOf(const std::optional<Reading<Message>>& reading) {
+std::string errorsOf(const Reading<Message>& reading) {
     std::string text;
-    for (const auto& finding : reading->findings)
+    for (const auto& finding : reading.findings)
         if (finding.severity == Finding::Severity::Error)
             text += (text.empty() ? "" : "\n") + finding.toString();
     return text;
+}
+
+/// At the end of a line, where it is too long.
+std::string cutReason(std::string text) {
+    if (text.size() <= kReasonMax) return text;
+    const auto line = text.rfind('\n', kReasonMax);
+    text.resize(line == std::string::npos ? kReasonMax : line);
+    return text + "\n… and more";
 }
 
 Event eventOf(const proto::ToEntity& message) {
@@ -129,7 +137,6 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       stop_gate_(stop_gate),
       journal_(journal),
       uuid_(loadUuid(storage, random)),
-      reason_("waiting for the robot application " + inQuotes(settings_.application)),
       server_watchdog_(settings_.server_watchdog_busy, settings_.server_watchdog_idle, clock.now()),
       lease_(storage, random),
       generation_(firstGeneration(storage, stop_gate)),
@@ -138,6 +145,14 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
     // A person stopped the robot, and that this process was killed since is no word of a person.
     latched_ = latch_kept_ = !storage.load(kRearmedKey).has_value();
+    registration_.entity = uuid_;
+    registration_.name = settings_.application;
+    const auto fifth = [](Duration watchdog) {
+        return static_cast<std::int32_t>(
+            std::chrono::duration_cast<std::chrono::milliseconds>(watchdog).count() / 5);
+    };
+    registration_.heartbeat_busy_ms = fifth(settings_.server_watchdog_busy);
+    registration_.heartbeat_idle_ms = fifth(settings_.server_watchdog_idle);
     if (!AXON_PLANTED(GenerationsNotReserved))
         storage.save(kGenerationKey, std::to_string(generation_ + kGenerationsReserved));
     reserved_ = generation_ + kGenerationsReserved;
@@ -213,7 +228,7 @@ void EntityManagerCore::Machine::noteRefusal(const Sender& who, LeaseNumber unde
 void EntityManagerCore::Machine::fire(Incident& incident) {
     const auto* row = findRow(state_, incident.event);
     if (row == nullptr) {
-        refuse(incident, refusalFor(state_, incident.event, reason_));
+        refuse(incident, refusalFor(state_, incident.event, whyNotReady()));
         return;
     }
     const auto before = state_;
@@ -235,7 +250,7 @@ void EntityManagerCore::Machine::process(Event event, const Header& head, proto:
         // Free, but the sender may have held it: that is the reason it can act upon.
         const bool was_held = state_ == EntityState::IDLE && needsOf(event).holder;
         refuse(incident,
-               was_held ? lease_.check(head.sender, head.held) : refusalFor(state_, event, reason_));
+               was_held ? lease_.check(head.sender, head.held) : refusalFor(state_, event, whyNotReady()));
         return;
     }
     if (const auto refusal = guard(event, head); !refusal.ok()) {
@@ -291,16 +306,14 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
         case Action::AwaitProfiles:
             basic_.reset();
             services_.reset();
+            profiles_due_ = clock_.now() + settings_.profiles_within;
             break;
         case Action::ConsiderProfiles:
             considerProfiles();
             break;
-        case Action::ReportProfiles: {
-            proto::EmToEi message;
-            *message.mutable_profile_error() = toProto(Refusal{RefusalCode::Malformed, reason_, {}});
-            back_end_.send(message);
+        case Action::ReportProfiles:
+            tellOfProfiles({RefusalCode::Malformed, reason_, {}});
             break;
-        }
         case Action::SeekServer:
             seekServer();
             break;
@@ -445,10 +458,21 @@ void EntityManagerCore::Machine::settle() {
 // -- the link to the robot application
 // ------------------------------------------------------------------------------
 
+void EntityManagerCore::Machine::start() {
+    if (!quit_) server_.wantConnection(true);
+}
+
+void EntityManagerCore::Machine::onApplicationSought(const std::string& finding) {
+    if (quit_ || link_up_) return;
+    sought_ = finding;
+    tellStatus();
+}
+
 void EntityManagerCore::Machine::onLinkUp() {
     if (quit_) return;
     if (link_up_) onLinkDown("the robot application has connected anew");
     link_up_ = true;
+    sought_.clear();
     // It has stopped by itself when its last link ended: before all stops so far, those on their way here included.
     link_generation_ = commanded_ = confirmed_ = stop_gate_.generation();
     link_drill_ = stop_gate_.drills();
@@ -464,6 +488,9 @@ void EntityManagerCore::Machine::onLinkUp() {
 void EntityManagerCore::Machine::onLinkDown(const std::string& reason) {
     if (quit_) return;
     link_up_ = false;
+    sought_.clear();
+    profiles_due_.reset();
+    kept_profiles_.clear();  // the next link begins with what the application has then
     reason_ = "the link to the robot application is down: " + reason;
     Incident incident{Event::LinkDown};
     incident.cause = StopCause::LinkLost;
@@ -503,13 +530,11 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             if (message.beat().stopped()) confirmStop(message.beat().stop_generation());
             break;
         case proto::EiToEm::kProfile: {
-            const auto& upload = message.profile();
-            if (findRow(state_, Event::ProfileUploaded) != nullptr) {
-                if (upload.services())
-                    services_ = readServicesProfile(upload.xml(), upload.file_name());
-                else
-                    basic_ = readBasicProfile(upload.xml(), upload.file_name());
+            if (findRow(state_, Event::ProfileUploaded) == nullptr) {
+                keepProfile(*message.mutable_profile());
+                break;
             }
+            readProfile(message.profile());
             Incident incident{Event::ProfileUploaded};
             incident.reason = {
                 RefusalCode::Unavailable, "Its profiles are being read anew. Try again in a moment.", {}};
@@ -580,17 +605,54 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
     settle();
 }
 
+void EntityManagerCore::Machine::tellOfProfiles(const Refusal& refusal) {
+    proto::EmToEi message;
+    *message.mutable_profile_error() = toProto(refusal);
+    back_end_.send(message);
+}
+
+void EntityManagerCore::Machine::readProfile(const proto::ProfileUpload& upload) {
+    if (upload.services())
+        services_ = readServicesProfile(upload.xml(), upload.file_name());
+    else
+        basic_ = readBasicProfile(upload.xml(), upload.file_name());
+}
+
+/// The services that a holder was granted do not change under its hands.
+void EntityManagerCore::Machine::keepProfile(proto::ProfileUpload& upload) {
+    auto refusal = refusalFor(state_, Event::ProfileUploaded);
+    const auto errors = upload.services() ? errorsOf(readServicesProfile(upload.xml(), upload.file_name()))
+                                          : errorsOf(readBasicProfile(upload.xml(), upload.file_name()));
+    if (!errors.empty()) refusal.message += " fix: correct its errors before that.\n" + cutReason(errors);
+    tellOfProfiles(refusal);
+    news_ = upload.file_name() + " has changed while the entity is checked out: kept for its release" +
+            (errors.empty() ? "" : ", and it has errors: " + cutReason(errors));
+    kept_profiles_[upload.services()].Swap(&upload);
+}
+
+/// At the release, before the next who waits is given the entity.
+void EntityManagerCore::Machine::takeKeptProfiles() {
+    if (kept_profiles_.empty() || findRow(state_, Event::KeptProfileTaken) == nullptr) return;
+    std::string names;
+    for (const auto& [services, upload] : std::exchange(kept_profiles_, {})) {
+        names += (names.empty() ? "" : " and ") + upload.file_name();
+        readProfile(upload);
+    }
+    news_ = names + ": the profile that was kept is uploaded now, at the release";
+    tellOfProfiles({RefusalCode::Ok, news_, {}});
+    fire(Event::KeptProfileTaken);
+}
+
 void EntityManagerCore::Machine::considerProfiles() {
-    if (!basic_ || !services_) return;
+    if (!basic_ || !services_) {
+        if (!profiles_due_) profiles_due_ = clock_.now() + settings_.profiles_within;
+        return;
+    }
+    profiles_due_.reset();
     if (!basic_->ok() || !services_->ok()) {
-        const auto basic = errorsOf(basic_);
-        const auto services = errorsOf(services_);
-        reason_ = basic + (basic.empty() || services.empty() ? "" : "\n") + services;
-        if (reason_.size() > kReasonMax) {
-            const auto line = reason_.rfind('\n', kReasonMax);
-            reason_.resize(line == std::string::npos ? kReasonMax : line);
-            reason_ += "\n… and more";
-        }
+        const auto basic = errorsOf(*basic_);
+        const auto services = errorsOf(*services_);
+        reason_ = cutReason(basic + (basic.empty() || services.empty() ? "" : "\n") + services);
         fire(Event::ProfilesBad);
         return;
     }
@@ -607,29 +669,49 @@ void EntityManagerCore::Machine::considerProfiles() {
     for (const auto& [service, active] : active_told_) {
         [[maybe_unused]] const auto known = profiler_.setActive(service, active);  // not all are in this profile
     }
-    Registration registration;
-    registration.entity = uuid_;
-    registration.name = basic_profile_.name();
-    registration.category = proto::Category_Name(basic_profile_.category());
-    registration.type = proto::Mobility_Name(basic_profile_.type());
-    const auto fifth = [](Duration watchdog) {
-        return static_cast<std::int32_t>(
-            std::chrono::duration_cast<std::chrono::milliseconds>(watchdog).count() / 5);
-    };
-    registration.heartbeat_busy_ms = fifth(settings_.server_watchdog_busy);
-    registration.heartbeat_idle_ms = fifth(settings_.server_watchdog_idle);
-    registration_ = std::move(registration);
+    registration_.name = basic_profile_.name();
+    registration_.category = proto::Category_Name(basic_profile_.category());
+    registration_.type = proto::Mobility_Name(basic_profile_.type());
+    ready_ = true;
     switchStreams(watches_.present());
     fire(Event::ProfilesGood);
 }
 
+/// An application that uploads too little would wait in INIT for ever without a word.
+void EntityManagerCore::Machine::expireProfiles() {
+    if (!profiles_due_ || clock_.now() < *profiles_due_) return;
+    profiles_due_.reset();
+    if (state_ != EntityState::INIT) return;
+    std::string missing = "the robot application " + inQuotes(settings_.application) + " has uploaded ";
+    if (!basic_ && !services_)
+        missing +=
+            "no profile; fix: give its Entity Interfacer both (uploadBasicProfile, uploadServiceProfile)";
+    else if (!services_)
+        missing +=
+            "its basic profile and no services profile; fix: give its Entity Interfacer that too "
+            "(uploadServiceProfile)";
+    else
+        missing +=
+            "its services profile and no basic profile; fix: give its Entity Interfacer that too "
+            "(uploadBasicProfile)";
+    const auto errors = basic_ ? errorsOf(*basic_) : services_ ? errorsOf(*services_) : std::string();
+    if (!errors.empty()) {
+        reason_ = cutReason(errors) + "\n" + missing;
+        fire(Event::ProfilesBad);
+        return;
+    }
+    reason_ = warning_ = missing;
+    tellOfProfiles({RefusalCode::Malformed, missing, {}});
+    tellStatus();
+}
+
 void EntityManagerCore::Machine::sendPosition() {
     const auto now = clock_.now();
-    if (!position_waits_ || !registration_ || !server_up_) return;
+    if (!position_waits_ || !ready_ || !server_up_) return;
     if (now < position_sent_ + kPositionPeriod) return;
     position_sent_ = now;
     position_waits_ = false;
-    server_.sendBasicPrfl(*registration_, basic_profile_);
+    server_.sendBasicPrfl(registration_, basic_profile_);
 }
 
 void EntityManagerCore::Machine::applicationStatus(const proto::StatusNote& note) {
@@ -654,18 +736,18 @@ void EntityManagerCore::Machine::applicationStatus(const proto::StatusNote& note
 // -----------------------------------------------------------------------------------------------------
 
 void EntityManagerCore::Machine::seekServer() {
-    if (!registration_) return;
     if (std::exchange(server_silent_, false)) server_.wantConnection(false);
     server_.wantConnection(true);
     if (server_up_ && state_ == EntityState::ENVCONN) fire(serverUpEvent());
 }
 
 void EntityManagerCore::Machine::registerEntity() {
-    if (!registration_) return;
-    server_.sendBasicPrfl(*registration_, basic_profile_);
+    status_told_.reset();
+    // Without a profile the entity is registered as one that is not ready (ADR 0023).
+    server_.sendBasicPrfl(registration_, ready_ ? basic_profile_ : proto::BasicProfile());
+    if (!ready_) return;
     position_sent_ = clock_.now();
     position_waits_ = false;
-    status_told_.reset();
 }
 
 void EntityManagerCore::Machine::onServerUp() {
@@ -710,6 +792,17 @@ TimePoint EntityManagerCore::Machine::serverWarnAt() const {
     return std::max(at, server_warn_again_);
 }
 
+/// Why an entity in UNAV, INIT or ERR is there; empty in the other states, and in INIT as long as all goes
+/// well.
+std::string EntityManagerCore::Machine::whyNotReady() const {
+    if (state_ == EntityState::UNAV) {
+        if (reason_.empty() && sought_.empty())
+            return "waiting for the robot application " + inQuotes(settings_.application);
+        return reason_ + (reason_.empty() || sought_.empty() ? "" : "; ") + sought_;
+    }
+    return state_ == EntityState::INIT || state_ == EntityState::ERR ? reason_ : std::string();
+}
+
 EntityStatus EntityManagerCore::Machine::status() const {
     EntityStatus status;
     status.entity = uuid_;
@@ -722,14 +815,13 @@ EntityStatus EntityManagerCore::Machine::status() const {
     }
     status.orphaned = lease_.orphaned();
     status.waiting = static_cast<std::int32_t>(wait_list_.size());
-    if (state_ == EntityState::UNAV || state_ == EntityState::ERR) status.reason = reason_;
-    if (state_ == EntityState::IDLE) status.reason = taken_;
+    status.reason = state_ == EntityState::IDLE ? taken_ : whyNotReady();
     return status;
 }
 
 void EntityManagerCore::Machine::tellStatus() {
     const auto rest_told_at = std::exchange(rest_told_at_, std::nullopt);
-    if (!server_up_ || !registration_) return;
+    if (!server_up_) return;
     auto now = status();
     if (status_told_ == now) return;
     // Between two steps of a run it rests for a moment. Told each time, that is two broadcasts for each step.
@@ -1015,12 +1107,6 @@ void EntityManagerCore::Machine::reply(const Sender& to, const std::string& requ
 
 /// Each kind of request is refused with its own kind of answer.
 void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal& refusal) {
-    if (incident.event == Event::ProfileUploaded) {
-        proto::EmToEi message;
-        *message.mutable_profile_error() = toProto(refusal);
-        back_end_.send(message);
-        return;
-    }
     if (incident.head == nullptr || !isRequest(incident.event)) {
         ++counters_.unexpected;
         return;
@@ -1121,7 +1207,7 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
     if (holder() != nullptr) status.set_holder(named(*holder()));
     status.set_orphaned(lease_.orphaned());
     status.set_waiting(static_cast<std::uint32_t>(wait_list_.size()));
-    if (state_ == EntityState::UNAV || state_ == EntityState::ERR) status.set_reason(reason_);
+    status.set_reason(whyNotReady());
     status.set_request_id(incident.body->status_request().request_id());
     if (incident.body->status_request().with_services())
         *status.mutable_services() = profiler_.profile().services();
@@ -1236,6 +1322,7 @@ void EntityManagerCore::Machine::onTimer() {
     expireAnswers();
     expireSpared();
     expireCollaboration();
+    expireProfiles();
     sendPosition();
     settle();
 }
@@ -1263,8 +1350,8 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     }
     for (const auto& farewell : farewells_) next = std::min(next, farewell.again);
     if (rest_told_at_) next = std::min(next, *rest_told_at_);
-    if (position_waits_ && server_up_ && registration_)
-        next = std::min(next, position_sent_ + kPositionPeriod);
+    if (profiles_due_) next = std::min(next, *profiles_due_);
+    if (position_waits_ && server_up_ && ready_) next = std::min(next, position_sent_ + kPositionPeriod);
     return next;
 }
 

@@ -40,7 +40,9 @@ class EntityManagerCore::Machine {
             ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate,
             Journal* journal);
 
+    void start();
     void onLinkUp();
+    void onApplicationSought(const std::string& finding);
     void onLinkDown(const std::string& reason);
     void onLinkMessage(proto::EiToEm& message);
     void onServerUp();
@@ -71,6 +73,7 @@ class EntityManagerCore::Machine {
     EntityStatus status() const;
     const CoreCounters& counters() const { return counters_; }
     std::string takeWarning() { return std::exchange(warning_, {}); }
+    std::string takeNews() { return std::exchange(news_, {}); }
 
   private:
     /// One event on its way through a row.
@@ -155,13 +158,20 @@ class EntityManagerCore::Machine {
     void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal);
 
     // States, profiles, server.
+    /// An answer to the robot application's profiles, for its log; OK where nothing is wrong.
+    void tellOfProfiles(const Refusal& refusal);
+    void readProfile(const proto::ProfileUpload& upload);
+    void keepProfile(proto::ProfileUpload& upload);
+    void takeKeptProfiles();
     void considerProfiles();
+    void expireProfiles();
     void seekServer();
     /// A lease that outlived the session with the server is found again.
     Event serverUpEvent() const {
         return lease_.held() && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
     }
     void registerEntity();
+    std::string whyNotReady() const;
     void tellStatus();
     void serverLost(const std::string& reason);
     void sendPosition();
@@ -394,17 +404,22 @@ class EntityManagerCore::Machine {
     bool quit_ = false;
     std::string reason_;
     std::string taken_;  // by whom from the last holder, and why, until it is granted again
+    std::string sought_;  ///< in UNAV: what the search for the application has found instead
 
     std::optional<Reading<proto::BasicProfile>> basic_;
     std::optional<Reading<proto::ServicesProfile>> services_;
     proto::BasicProfile basic_profile_;
-    std::optional<Registration> registration_;  ///< once the profiles have been good
+    Registration registration_;  ///< under the application's name until the profiles have been good
+    bool ready_ = false;         ///< they have been
+    std::optional<TimePoint> profiles_due_;  ///< in INIT: what has not been uploaded by then is missing
+    /// Uploaded while the entity was held: by whether it is the services profile.
+    std::map<bool, proto::ProfileUpload> kept_profiles_;
     TimePoint position_sent_{};
     bool position_waits_ = false;
     Watchdog server_watchdog_;
     LifeSigns server_signs_;
     TimePoint server_warn_again_{};
-    std::string warning_;
+    std::string warning_, news_;
     std::optional<EntityStatus> status_told_;
     std::optional<TimePoint> rest_told_at_;  ///< when it is told that a step has ended, if no other has begun by then
 

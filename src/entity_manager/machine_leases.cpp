@@ -447,6 +447,7 @@ void EntityManagerCore::Machine::passOn() {
         }
         fire(expired);
     }
+    takeKeptProfiles();
     if (state_ == EntityState::IDLE && !waiting_grant_ && !lease_.reservation()) {
         // Who asked for this very lease is before those who wait for any: its end answers the question.
         if (const auto question = hand_over_.take())

@@ -60,6 +60,8 @@ std::vector<Row> makeRows() {
     rows.add({S::INIT}, E::ProfileUploaded, {A::ConsiderProfiles}, kStay);
     rows.add({S::ERR, S::ENVCONN, S::IDLE}, E::ProfileUploaded,
              {A::DismissWaiting, A::TellStatus, A::ConsiderProfiles}, to(S::INIT));
+    // Who waits for the entity gets it with its new profiles.
+    rows.add({S::IDLE}, E::KeptProfileTaken, {A::TellStatus, A::ConsiderProfiles}, to(S::INIT));
     rows.add({S::INIT}, E::ProfilesGood, {A::TellStatus, A::SeekServer}, to(S::ENVCONN));
     rows.add({S::INIT}, E::ProfilesBad, {A::ReportProfiles, A::TellStatus}, to(S::ERR));
 
@@ -221,10 +223,9 @@ Refusal refusalFor(EntityState state, Event event, const std::string& reason) {
     const std::string because = reason.empty() ? "" : ": " + reason;
     const std::string cannot = std::string("The entity cannot ") + wish(event) + " now";
     if (event == E::ProfileUploaded)
-        return {
-            RefusalCode::WrongState,
-            cannot + ": it is checked out. Upload again after its release, or restart the robot application.",
-            {}};
+        return {RefusalCode::WrongState,
+                cannot + ": it is checked out. The new profile is kept, and uploaded at its release.",
+                {}};
     if (!isRequest(event))
         return {RefusalCode::WrongState,
                 std::string(toString(event)) + " is not expected in " + toString(state) + ".",
@@ -236,7 +237,8 @@ Refusal refusalFor(EntityState state, Event event, const std::string& reason) {
                     {}};
         case S::INIT:
             return {RefusalCode::Unavailable,
-                    cannot + ": its profiles are being read. Try again in a moment.",
+                    cannot + (reason.empty() ? ": its profiles are being read. Try again in a moment."
+                                             : because + "."),
                     {}};
         case S::ERR:
             return {RefusalCode::Unavailable,
@@ -318,6 +320,7 @@ const char* toString(Event event) {
     static constexpr std::array<const char*, kEvents> kNames{"LinkUp",
                                                              "LinkDown",
                                                              "ProfileUploaded",
+                                                             "KeptProfileTaken",
                                                              "ProfilesGood",
                                                              "ProfilesBad",
                                                              "TaskGranted",

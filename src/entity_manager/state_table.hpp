@@ -18,6 +18,7 @@ enum class Event : std::uint8_t {
     LinkUp,
     LinkDown,
     ProfileUploaded,
+    KeptProfileTaken,  ///< uploaded while the entity was held, and taken at the release
     ProfilesGood,
     ProfilesBad,
     TaskGranted,

@@ -9,6 +9,7 @@
 
 #include "common/entity_name.hpp"
 #include "common/life_signs.hpp"
+#include "common/snapshot.hpp"
 #include "common/utf8.hpp"
 
 namespace axon::entity_server {
@@ -30,8 +31,9 @@ class EntityServerCore::Session {
     // Written once, before `registered` is; read by others only after it.
     std::shared_ptr<EntityOutbox> signal;
     std::string entity;
-    std::string name;
     std::atomic<bool> registered{false};
+
+    Snapshot<std::string> name;  // of its newest registration
 
     RateLimit rate;
     LifeSigns signs;  // written without a lock
@@ -231,7 +233,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
         if (session->entity.empty()) {
             if (const auto other = registered_.find(registration.entity); other != registered_.end()) {
                 return refuse(RefusalCode::Duplicate,
-                              "entity " + registration.entity + " ('" + other->second->name +
+                              "entity " + registration.entity + " ('" + *other->second->name.load() +
                                   "') is connected already; if the state folder of an Entity Manager was "
                                   "copied, delete "
                                   "the file uuid in the copy, and it makes a new one");
@@ -249,8 +251,8 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
                                                            " entities; raise EntityServer.EntitiesMax");
             }
             session->entity = registration.entity;
-            session->name = registration.name;
         }
+        session->name.store(std::make_shared<const std::string>(registration.name));
         auto record =
             session->record ? std::make_shared<Record>(*session->record) : std::make_shared<Record>();
         const bool busy = record->status.state == EntityState::BUSY;
@@ -299,13 +301,13 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         const bool busy = status.state == EntityState::BUSY;
         const auto& before = session->record->status;
         if (before.holder.id != status.holder.id) {
+            const auto name = *session->name.load();
             if (!status.holder.id.empty()) {
-                line = session->name + " is checked out by " + status.holder.name;
+                line = name + " is checked out by " + status.holder.name;
             } else if (status.state == EntityState::IDLE && !status.reason.empty()) {
-                line =
-                    "audit: " + session->name + " is taken from " + before.holder.name + ": " + status.reason;
+                line = "audit: " + name + " is taken from " + before.holder.name + ": " + status.reason;
             } else {
-                line = session->name + " is free, released by " + before.holder.name;
+                line = name + " is free, released by " + before.holder.name;
             }
         }
         late = before.holder.id != status.holder.id && !status.orphaned && !front_ends_.serves(status.holder.id);
@@ -375,7 +377,7 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 
 void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message) {
     if (!session->registered || flooded(session)) return;
-    head.sender = {session->entity, session->name, Role::Operator};
+    head.sender = {session->entity, *session->name.load(), Role::Operator};
     if (const auto peer = atHome(head.entity, lane)) return deliver(peer->outbox(lane), head, message);
     const auto at = elsewhere(head.entity, lane);
     if (!at) return session->outbox(lane).newRefusalMsg(head, noSuchPeer(head));
@@ -419,7 +421,7 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
     if (session->registered) {
         leaveToPublisher(session->entity);
         pending_();
-        note_(session->name + " left: " + why);
+        note_(*session->name.load() + " left: " + why);
     }
 }
 
@@ -668,7 +670,7 @@ TimePoint EntityServerCore::onTimer() {
             if (now >= session->warn_again) {
                 if (const auto gap = session->signs.longest(now); gap.part() >= LifeSigns::kWarnFrom) {
                     session->warn_again = now + LifeSigns::kWarnAgain;
-                    warnings.push_back(session->name + " is late: " + describe(gap));
+                    warnings.push_back(*session->name.load() + " is late: " + describe(gap));
                 }
             }
             if (session->next_heartbeat <= now) {
@@ -724,7 +726,7 @@ void EntityServerCore::settleDrills(TimePoint now, std::vector<std::string>& cha
         session->drill = 0;
         if (took == Duration{}) {
             lines.push_back(
-                session->name + " has not answered a drill within " +
+                *session->name.load() + " has not answered a drill within " +
                 std::to_string(
                     std::chrono::duration_cast<std::chrono::milliseconds>(settings_.drill_answer).count()) +
                 " ms: how long a stop takes there is unknown");
@@ -803,7 +805,7 @@ std::vector<std::string> EntityServerCore::margins() const {
     const std::lock_guard lock(mutex_);
     const auto now = clock_.now();
     for (const auto& [entity, session] : registered_) {
-        lines.push_back(session->name + ": " + describe(session->signs.longest(now)) +
+        lines.push_back(*session->name.load() + ": " + describe(session->signs.longest(now)) +
                         (session->stop_latency_us > 0
                              ? "; a stop takes " + std::to_string(session->stop_latency_us) + " us"
                              : ""));
@@ -909,10 +911,15 @@ void EntityServerCore::publishOne(const std::string& entity, const RecordRef& be
     if (!now) return;
     if (!same_session) {
         presence(Presence::Joined, now->registration, *now->profile);
-        note_(now->registration.name + " joined (" + entity + ")");
     } else if (again || now->registration != before->registration || *now->profile != *before->profile) {
         presence(Presence::Changed, now->registration, *now->profile);
     }
+    const bool was_ready = same_session && !before->profile->empty();
+    if (!now->profile->empty() && !was_ready)
+        note_(now->registration.name + " joined (" + entity + ")");
+    else if (!same_session)
+        note_(now->registration.name + " is connected and not ready (" + entity +
+              "); axon ls --all shows why");
     if (again || !same_session || now->status != before->status) {
         topic_.entityUpdate(now->status, ++publications_);
     }

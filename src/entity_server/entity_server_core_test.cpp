@@ -28,6 +28,7 @@ namespace axon::entity_server {
 namespace {
 
 using namespace std::chrono_literals;
+using testing::Contains;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
@@ -200,6 +201,25 @@ class EntityServerTest : public testing::Test {
                               if (publish_at_once) core.publishPending();
                           }};
 };
+
+TEST_F(EntityServerTest, AnEntityWithoutAProfileIsPublishedAndCanBeStoppedAndJoinsWhenItHasOne) {
+    auto peer = connect();
+    ASSERT_TRUE(core.sendBasicPrfl(peer.session, registration(kFirst, "application"), "").ok());
+    EXPECT_THAT(topic.take(), ElementsAre("joined application", "status UNAV"));
+    EXPECT_THAT(notes.back(), HasSubstr("application is connected and not ready"));
+    Header head;
+    head.sender.id = "somebody";
+    core.stopSignal(head, StopCause::Requested);
+    EXPECT_THAT(peer.signal->lines, Contains(HasSubstr("stop")));
+    ASSERT_TRUE(core.sendBasicPrfl(peer.session, registration(kFirst, "Robot"), "profile").ok());
+    EXPECT_THAT(topic.take(), ElementsAre("changed Robot"));
+    EXPECT_THAT(notes.back(), HasSubstr("Robot joined"));
+    // By its present name, too, where it speaks to others.
+    const auto other = join(kSecond);
+    head.entity = kSecond;
+    core.sendToPeer(peer.session, Lane::Data, head, "hello");
+    EXPECT_THAT(other.data->lines, Contains("msg Robot hello"));
+}
 
 TEST_F(EntityServerTest, PublishesJoiningChangingAndLeaving) {
     const auto peer = join(kFirst);

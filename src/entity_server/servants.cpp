@@ -283,6 +283,8 @@ void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registrati
     }
     const auto& its_session = session_.of(current);
     auto its = fromIce(std::move(registration));
+    // An entity that is not ready is called by the name of its application, which need not be its own.
+    if (!certified_.empty() && toView(profile).empty()) its.name = certified_;
     if (!certified_.empty() && its.name != certified_) {
         const auto refusal = "the certificate that was shown is the entity '" + certified_ +
                              "'s; expected its name in the basic profile, not '" + its.name +

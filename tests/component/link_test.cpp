@@ -61,6 +61,8 @@ class Manager : public BackEndEvents {
         settings.instance = instance;
         settings.where = {ports, test::loopbackAddress()};
         settings.manager = "test " + application;
+        settings.ports_from = "the test";
+        settings.report_after = 20ms;
         settings.watchdog_busy = busy * kSlow;
         settings.watchdog_idle = idle * kSlow;
         link_ = std::make_unique<BackEndInterface>(strand_, settings, gate, clock_, random_, *this);
@@ -134,6 +136,14 @@ class Manager : public BackEndEvents {
         }
         if (on_message) on_message(message);
     }
+    void onLinkSought(const entity_manager::SearchReport& report) override {
+        const std::lock_guard lock(mutex_);
+        sought_ = report;
+    }
+    entity_manager::SearchReport sought() {
+        const std::lock_guard lock(mutex_);
+        return sought_;
+    }
     void onLinkRefused(const Refusal& refusal) override {
         const std::lock_guard lock(mutex_);
         refusal_ = refusal;
@@ -202,6 +212,7 @@ class Manager : public BackEndEvents {
     std::vector<proto::EiToEm> messages_;
     std::string down_reason_;
     Refusal refusal_;
+    entity_manager::SearchReport sought_;
     std::thread thread_;
 };
 
@@ -363,6 +374,31 @@ TEST(Link, AFarPortOfTheWholeRangeIsFound) {
     EntityInterfacer interfacer(options("Far", 7990, 8000));
     interfacer.start();
     ASSERT_TRUE(waitUntil([&] { return manager.linked(); }, 4s));
+}
+
+TEST(Link, AManagerWithAMisspeltNameNamesTheApplicationsThatAreThere) {
+    EntityInterfacer interfacer(options("Greeter"));
+    interfacer.start();
+    Manager manager("Greetr");
+    ASSERT_TRUE(waitUntil([&] {
+        return manager.sought().finding.find("found there: \"Greeter\" (port 55") != std::string::npos;
+    })) << manager.sought().finding;
+    const auto report = manager.sought();
+    EXPECT_NE(report.finding.find("no robot application \"Greetr\" is found at " + test::loopbackAddress() +
+                                  ", ports 5500 to 5600 (the test)"),
+              std::string::npos)
+        << report.finding;
+    EXPECT_NE(report.fix.find("did you mean \"Greeter\"?"), std::string::npos) << report.fix;
+}
+
+TEST(Link, ASecondManagerSaysThatTheApplicationIsLinkedWithTheFirst) {
+    EntityInterfacer interfacer(options("Taken"));
+    interfacer.start();
+    Manager first("Taken");
+    ASSERT_TRUE(waitUntil([&] { return first.linked(); }));
+    Manager second("Taken");
+    ASSERT_TRUE(waitUntil([&] { return second.sought().finding.find("declines") != std::string::npos; }));
+    EXPECT_NE(second.sought().finding.find("test Taken"), std::string::npos) << second.sought().finding;
 }
 
 TEST(Link, ProfilesAndStatementsArriveOnLinkUp) {

@@ -3,7 +3,6 @@
 // not, and what each side says of it.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <spdlog/sinks/base_sink.h>
 #include <spdlog/spdlog.h>
 #include <sys/stat.h>
 #include <axon/client.hpp>
@@ -18,6 +17,7 @@
 #include "component/raw_peers.hpp"
 #include "server/server.hpp"
 #include "server/users.hpp"
+#include "support/log_lines.hpp"
 #include "support/loopback.hpp"
 
 namespace axon::test {
@@ -30,34 +30,6 @@ namespace fs = std::filesystem;
 using Properties = std::map<std::string, std::string>;
 
 constexpr const char* kEntity = "00000000-0000-4000-8000-000000000001";
-
-/// Every line that any part of the process logs.
-class LogLines final : public spdlog::sinks::base_sink<std::mutex> {
-  public:
-    bool has(const std::string& part) {
-        const std::lock_guard lock(mutex_);
-        for (const auto& line : lines_)
-            if (line.find(part) != std::string::npos) return true;
-        return false;
-    }
-    std::string all() {
-        const std::lock_guard lock(mutex_);
-        std::string text;
-        for (const auto& line : lines_) text += line + "\n";
-        return text;
-    }
-    void clear() {
-        const std::lock_guard lock(mutex_);
-        lines_.clear();
-    }
-
-  private:
-    void sink_it_(const spdlog::details::log_msg& message) override {
-        lines_.emplace_back(message.payload.data(), message.payload.size());
-    }
-    void flush_() override {}
-    std::vector<std::string> lines_;
-};
 
 /// The client library's logger, and thereby IceSSL's of the whole process, is the one that is there before
 /// it.
@@ -148,6 +120,21 @@ TEST_F(Tls, TheRightCertificatesListAndStop) {
     EXPECT_EQ(client->self().name.rfind("client1@", 0), 0U) << client->self().name;
     static_cast<void>(client->stop({"PeopleBot"}, client::Seconds{0.2}));
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested client1@"); }));
+}
+
+TEST_F(Tls, AnEntityThatIsNotReadyGoesByTheNameOfItsCertificate) {
+    const server::Server server(settings());
+    RawEntity robot(server.entityAddress(Lane::Data), kEntity, "name-of-its-application", "", "",
+                    entityCertificate("PeopleBot"));
+    robot.data()->sendBasicPrfl(transport::toIce(robot.registration), transport::toRange(""));
+    auto connected = client::Client::connect(options(server, clientCertificate()));
+    ASSERT_TRUE(connected) << connected.refusal().message;
+    const auto client = std::move(connected).value();
+    EXPECT_TRUE(client->entities().empty());
+    const auto all = client->entities(client::Listed::All);
+    ASSERT_EQ(all.size(), 1U);
+    EXPECT_EQ(all.front().name, "PeopleBot");
+    EXPECT_FALSE(all.front().ready);
 }
 
 TEST_F(Tls, EachPeerIsToldASignalLaneOfTheProtocolThatItCameBy) {

@@ -582,6 +582,7 @@ void CoreRig::wantConnection(bool now) {
 }
 
 void CoreRig::sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) {
+    if (profile.ByteSizeLong() == 0) return note("server: not ready " + registration.name);
     char position[96];
     std::snprintf(position, sizeof position, "(%g, %g, %g)", profile.xpos(), profile.ypos(), profile.zpos());
     note("server: profile " + registration.name + ' ' + registration.category + '/' + registration.type +

@@ -15,13 +15,19 @@ bool isHeld(const std::vector<Entity>& held, const Entity& entity) {
 }
 
 int ls(Session& session) {
-    auto all = session.station->entities();
+    auto all = session.station->entities(Listed::All);
+    const bool listed_all = session.args.value("all", false);
     const auto held = session.station->held();
     std::sort(all.begin(), all.end(), [](const Entity& a, const Entity& b) {
         return std::tie(a.name, a.id) < std::tie(b.name, b.id);
     });
     auto list = Json::array();
+    int hidden = 0;
     for (const auto& entity : all) {
+        if (!entity.ready && !listed_all) {
+            ++hidden;
+            continue;
+        }
         auto json = toJson(entity, isHeld(held, entity));
         json["call"] = callName(entity, all);
         json["direct"] = session.station->direct(entity.id);
@@ -31,6 +37,7 @@ int ls(Session& session) {
                          {"server", session.station->server()},
                          {"self", session.station->self().name},
                          {"uuid", session.args.value("uuid", false)},
+                         {"not_ready", hidden},
                          {"entities", std::move(list)}});
     return kDone;
 }
@@ -41,7 +48,7 @@ int info(Session& session) {
     if (!entity) return refuse(session, entity.refusal(), name);
     Json json{{"event", "entity"},
               {"entity", toJson(entity.value(), isHeld(session.station->held(), entity.value()))}};
-    json["entity"]["call"] = callName(entity.value(), session.station->entities());
+    json["entity"]["call"] = callName(entity.value(), session.station->entities(Listed::All));
     json["entity"]["direct"] = session.station->direct(entity->id);
     const auto details = session.station->details(entity->id);
     auto list = Json::array();
@@ -68,14 +75,17 @@ int info(Session& session) {
 
 }  // namespace
 
-extern const Verb kLs{"ls",
-                      "List the entities: state, holder, latch",
-                      "  axon ls\n"
-                      "  axon ls --json | jq -r '.entities[] | select(.holder == \"\") | .name'\n",
-                      Runs::Anywhere,
-                      {},
-                      {{"uuid", Takes::Nothing, "Show the UUIDs too: they tell entities of one name apart"}},
-                      ls};
+extern const Verb kLs{
+    "ls",
+    "List the entities: state, holder, latch",
+    "  axon ls\n"
+    "  axon ls --all                    also those whose application or profiles are missing, and why\n"
+    "  axon ls --json | jq -r '.entities[] | select(.holder == \"\") | .name'\n",
+    Runs::Anywhere,
+    {},
+    {{"all", Takes::Nothing, "Also entities that are not ready: without application or valid profiles"},
+     {"uuid", Takes::Nothing, "Show the UUIDs too: they tell entities of one name apart"}},
+    ls};
 
 extern const Verb kInfo{"info",
                         "Show an entity, its services and what they take",

@@ -59,11 +59,11 @@ double secondsSince(Clock::time_point start) {
 }
 
 void checkEntities(Report& report, Station& station) {
-    const auto all = station.entities();
+    const auto all = station.entities(Listed::All);
     if (all.empty()) {
-        report.warn(
-            "entities", "none are there",
-            "start a robot's application and its axon-entity-manager; its log says why it does not register");
+        report.warn("entities", "none are there",
+                    "start a robot's application and its axon-entity-manager; its log says when it cannot "
+                    "reach the server");
     }
     for (const auto& entity : all) {
         const auto name = callName(entity, all);
@@ -72,13 +72,21 @@ void checkEntities(Report& report, Station& station) {
         switch (entity.state) {
             case EntityState::UNAV:
                 report.bad(name, state + because,
-                           "its Entity Manager runs and the robot's application does not: start that");
+                           "its Entity Manager runs without the robot's application: start that, with the "
+                           "same ports.cfg, or "
+                           "correct the Entity Manager's --application");
                 continue;
             case EntityState::ERR:
                 report.bad(name, state + because,
                            "mend the profiles (axon profile check FILE); they are read again by themselves");
                 continue;
             case EntityState::INIT:
+                if (!entity.reason.empty()) {
+                    report.bad(name, state + because,
+                               "correct the robot's application; its log says the same");
+                    continue;
+                }
+                [[fallthrough]];
             case EntityState::ENVCONN:
                 report.warn(name, state + because, "it is starting: look again in a second");
                 continue;

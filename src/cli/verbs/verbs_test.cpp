@@ -36,6 +36,54 @@ struct Verbs : testing::Test {
 
 }  // namespace
 
+TEST_F(Verbs, LsListsWhatIsNotReadyOnlyWithAll) {
+    auto waiting = FakeStation::entity("44444444-0000-4000-8000-000000000004", "greeter");
+    waiting.ready = false;
+    waiting.category = waiting.type = "";
+    waiting.state = EntityState::UNAV;
+    waiting.reason = "waiting for the robot application \"greeter\"";
+    station->entities_.push_back(waiting);
+    auto second = waiting;  // an Entity Manager beside that of a Cyton that is there
+    second.id = "55555555-0000-4000-8000-000000000005";
+    second.name = "Cyton";
+    station->entities_.push_back(second);
+    EXPECT_EQ(perform("ls", Json::object()), kDone);
+    EXPECT_EQ(seen.last("entities")->at("entities").size(), 3U);
+    EXPECT_EQ(seen.last("entities")->at("not_ready"), 2);
+    EXPECT_EQ(perform("ls", {{"all", true}}), kDone);
+    const auto& all = seen.last("entities")->at("entities");
+    ASSERT_EQ(all.size(), 5U);
+    EXPECT_EQ(seen.last("entities")->at("not_ready"), 0);
+    EXPECT_EQ(all[0]["call"], "Cyton");
+    EXPECT_EQ(all[1]["call"], "55555555");
+    EXPECT_EQ(all[4]["call"], "greeter");
+    EXPECT_EQ(all[4]["ready"], false);
+    EXPECT_EQ(all[4]["reason"], waiting.reason);
+}
+
+TEST_F(Verbs, DoctorNamesAnEntityWithoutItsApplicationAndOneWithoutProfiles) {
+    auto waiting = FakeStation::entity("44444444-0000-4000-8000-000000000004", "greeter");
+    waiting.ready = false;
+    waiting.state = EntityState::UNAV;
+    waiting.reason = "no robot application \"greeter\" is found";
+    auto silent = waiting;
+    silent.id = "55555555-0000-4000-8000-000000000005";
+    silent.name = "half";
+    silent.state = EntityState::INIT;
+    silent.reason = "it has uploaded no services profile";
+    station->entities_ = {waiting, silent};
+    Session session{Json::object(), seen, mailbox, nullptr, settings, kept};
+    session.connect = [&](const Settings&) { return std::shared_ptr<Station>(station); };
+    EXPECT_EQ(findVerb("doctor")->perform(session), kRefused);
+    std::map<std::string, Json> findings;
+    for (const auto& event : seen.events) findings[event.value("name", "")] = event;
+    EXPECT_EQ(findings["greeter"]["level"], "bad");
+    EXPECT_THAT(findings["greeter"]["message"].get<std::string>(), HasSubstr(waiting.reason));
+    EXPECT_THAT(findings["greeter"]["mend"].get<std::string>(), HasSubstr("--application"));
+    EXPECT_EQ(findings["half"]["level"], "bad");
+    EXPECT_THAT(findings["half"]["message"].get<std::string>(), HasSubstr(silent.reason));
+}
+
 TEST_F(Verbs, RunChecksOutForItselfAndReleases) {
     station->script = {{TaskState::Running, 0.5, "half way", {}, {}},
                        {TaskState::Succeeded, 1, "", {}, {{"Distance", {std::int64_t{998}}}}}};

@@ -64,17 +64,23 @@ struct Service {
 /// What everybody may see of an entity.
 struct Entity {
     std::string id;  ///< UUID
+    /// False until its robot application has uploaded valid profiles to its Entity Manager: then `name` is
+    /// that of the application, `category`, `type` and `descr` are empty, and `reason` says what is missing.
+    bool ready = true;
     std::string name, category, type, descr;
     double x_mm = 0, y_mm = 0, z_mm = 0;
     EntityState state = EntityState::UNAV;
     bool latched = false;
     std::int32_t stop_generation = 0;
     Sender holder;  ///< id empty when free
-    std::string reason;
+    std::string reason;                   ///< of UNAV, INIT and ERR
     bool orphaned = false;                ///< the holder is lost, and may still come back
     int waiting = 0;                      ///< how many wait for it
     std::optional<Seconds> stop_latency;  ///< of the servers' own last drill: to the application and back
 };
+
+/// Which entities a list has: those that are ready, or also those that are not (Entity::ready).
+enum class Listed : std::uint8_t { Ready, All };
 
 /// How near a dead-man came to its end.
 struct WatchdogMargin {
@@ -483,12 +489,14 @@ class Client {
     Sender self() const;
     std::string server() const;
 
-    std::vector<Entity> entities() const;
+    std::vector<Entity> entities(Listed listed = Listed::Ready) const;
     /// By name, "Name#2" (the second of that name in order of UUID), UUID or unique beginning of one (at
-    /// least 4 characters). AMBIGUOUS_ENTITY names the candidates, UNKNOWN_ENTITY the nearest names.
+    /// least 4 characters). AMBIGUOUS_ENTITY names the candidates, UNKNOWN_ENTITY the nearest names. One that
+    /// is not ready is found where no ready one is meant.
     Result<Entity> find(std::string_view name) const;
-    /// Waits until such an entity is there (and is not UNAV, INIT or ERR), or the time is up.
+    /// Waits until such an entity is there and ready (and not UNAV, INIT, ENVCONN or ERR), or the time is up.
     Result<Entity> waitFor(std::string_view name, Seconds time) const;
+    /// Of entities that are ready; one that becomes so joins.
     void onEntity(std::function<void(Presence, const Entity&)> callback);
     void onConnection(std::function<void(bool connected, const std::string& reason)> callback);
 
