@@ -22,5 +22,6 @@ if(AXON_ICE)
 endif()
 if(AXON_LAB)
   install(TARGETS axon-lab axon-peoplebot axon-cyton RUNTIME COMPONENT Programs)
+  install(TARGETS axon_entity_interfacer LIBRARY COMPONENT Programs NAMELINK_SKIP) # the robot applications link it
   install(DIRECTORY "${PROJECT_BINARY_DIR}/share/axon/" DESTINATION "${CMAKE_INSTALL_DATADIR}/axon" COMPONENT Programs)
 endif()
