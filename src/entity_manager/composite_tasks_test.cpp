@@ -140,6 +140,24 @@ std::vector<std::string> missing(const proto::Service& service) {
 
 // -- what clients see of a composite
 
+TEST_F(CompositeTasks, WhatIsGivenIsAskedForBeforeTheFirstPartUnderTheServiceThatDeclaresIt) {
+    uploadMap("Drive");
+    rig.task("client1", "t1", "Leg", {"Distance=100", "Drive.Speed=50"});
+    const auto& first = rig.to_application.back().task();
+    ASSERT_EQ(first.service(), "Drive");
+    ASSERT_EQ(first.given_size(), 2);
+    EXPECT_EQ(first.given(0).service(), "Leg");
+    EXPECT_EQ(first.given(0).param().name(), "Distance");
+    EXPECT_EQ(first.given(0).param().values(0).int_(), 100);
+    EXPECT_EQ(first.given(1).service(), "Drive");
+    EXPECT_EQ(first.given(1).param().name(), "Speed");
+    EXPECT_EQ(first.given(1).param().values(0).int_(), 50);
+    rig.grant("part1");
+    rig.update("part1", proto::TASK_SUCCEEDED);
+    ASSERT_EQ(rig.to_application.back().task().service(), "Turn");
+    EXPECT_EQ(rig.to_application.back().task().given_size(), 0);
+}
+
 TEST_F(CompositeTasks, AreReadyWhenTheirPartsAre) {
     EXPECT_THAT(missing(record("Patrol")), ElementsAre("Drive.Distance", "Drive.Map", "Leg.Distance"));
     EXPECT_THAT(missing(record("Leg")), ElementsAre("Distance", "Drive.Map"));

@@ -36,6 +36,15 @@ proto::EmToEi dispatchOf(const ServiceProfiler::Order& part, const std::string& 
     return message;
 }
 
+/// What the application is asked about before the whole begins.
+void addGiven(proto::EmToEi& message, const ServiceProfiler::Plan& plan, const ServiceProfiler& profiler) {
+    for (const auto& [service, param] : plan.given) {
+        auto& given = *message.mutable_task()->add_given();
+        given.set_service(profiler.record(service).name());
+        *given.mutable_param() = param;
+    }
+}
+
 /// The link has no larger frames, and what cannot be sent would never be answered.
 Refusal checkSize(std::size_t bytes) {
     if (bytes <= kMessageMax) return {};
@@ -84,8 +93,11 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
                                                                 : clock_.now()) +
                          std::chrono::duration_cast<Duration>(std::chrono::duration<double>(request.not_after_s()));
     std::size_t bytes = 0;  // of all parts: a composite takes no more memory than another task
-    for (const auto& part : task.plan.parts)
-        bytes += dispatchOf(part, profiler_.record(part.service).name(), task.id, generation_).ByteSizeLong();
+    for (const auto& part : task.plan.parts) {
+        auto message = dispatchOf(part, profiler_.record(part.service).name(), task.id, generation_);
+        if (&part == &task.plan.parts.front()) addGiven(message, task.plan, profiler_);
+        bytes += message.ByteSizeLong();
+    }
     if (const auto refusal = checkSize(bytes); !refusal.ok()) return refusal;
     memory_.accept(task.id);
     queue_.push(std::move(task));
@@ -165,6 +177,7 @@ void EntityManagerCore::Machine::sendPart(Active& active) {
     active.answer_until = clock_.now() + settings_.answer_within;
     auto message =
         dispatchOf(active.order(), profiler_.record(active.order().service).name(), *active.sent, task.generation);
+    if (active.part == 0) addGiven(message, task.plan, profiler_);
     if (task.not_after && active.part == 0) {
         const auto left =
             std::chrono::duration_cast<std::chrono::milliseconds>(*task.not_after - clock_.now());

@@ -295,10 +295,17 @@ Result<ServiceProfiler::Plan> ServiceProfiler::prepare(std::string_view service,
                        "Service " + inQuotes(record.name()) +
                            " is composite and lists no service that could run. Its profile needs a <Services> list.",
                        {}};
+    Plan plan;
+    plan.service = index.value();
+    plan.composite = record.type() == proto::CMPLX;
+    plan.stamp = clock_;
     Given accepted;
     for (const auto& param : given) {
         auto value = accept(index.value(), param);
         if (!value) return value.refusal();
+        auto& asked = plan.given.emplace_back(value->of.service, proto::Param{}).second;
+        asked.set_name(value->param.name());
+        if (plan.composite) asked = value->param;  // a simple service's are in its order
         if (!accepted.emplace(std::pair{value->of.service, value->of.item}, std::move(value->param)).second)
             return Refusal{
                 RefusalCode::Malformed, "Parameter " + inQuotes(param.name()) + " is given twice.", {}};
@@ -308,10 +315,6 @@ Result<ServiceProfiler::Plan> ServiceProfiler::prepare(std::string_view service,
             const auto of = ownerOf(index.value(), at.value());
             accepted.try_emplace({of.service, of.item});
         }
-    Plan plan;
-    plan.service = index.value();
-    plan.composite = record.type() == proto::CMPLX;
-    plan.stamp = clock_;
     std::vector<Lack> lacks;
     plan.parts.reserve(parts.size());
     for (const auto& part : parts) plan.parts.push_back(merge(part, accepted, lacks));

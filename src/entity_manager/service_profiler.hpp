@@ -46,6 +46,7 @@ class ServiceProfiler {
         int service = 0;
         bool composite = false;
         std::vector<Order> parts;
+        std::vector<std::pair<int, proto::Param>> given;  ///< with the task, by the service that declares it: not yet asked for
         std::uint64_t stamp = 0;  ///< what was set later is not cleared by this task's end
     };
 

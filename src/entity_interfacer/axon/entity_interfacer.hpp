@@ -239,6 +239,9 @@ class AXON_EI_API EntityInterfacer {
 
     // Requests of the client. Without a callback the first two are granted; a task is granted when its
     // service has a handler.
+    /// Asked for every value that a client gives, whether it sets it by itself or gives it with a task: then before
+    /// onTaskRequest, and a denial refuses the task. Of a composite service, all that was given is asked for before the
+    /// first part begins; `service` is the one whose profile declares the parameter.
     void onParameter(std::function<Decision(const std::string& service, const Parameter&)> callback);
     void onResource(std::function<Decision(const std::string& service, const std::string& resource,
                                            const std::filesystem::path&)>
