@@ -208,9 +208,17 @@ TEST_F(CompositeTasks, AreActivePausableAndBlockingAsAWhole) {
     message.mutable_active()->set_active(false);
     rig.fromApplication(message);
     EXPECT_FALSE(record("Patrol").is_active());
+    EXPECT_EQ(record("Patrol").inactive_reason(), "its part \"Drive\" is switched off");
     rig.task("client1", "t1", "Patrol");
     EXPECT_EQ(lastOf("t1").reason().code(), proto::INACTIVE_SERVICE);
     EXPECT_THAT(lastOf("t1").reason().message(), HasSubstr("\"Drive\""));
+    message.mutable_active()->set_reason("Battery low");
+    rig.fromApplication(message);
+    EXPECT_EQ(record("Patrol").inactive_reason(), "its part \"Drive\" is switched off: Battery low");
+    rig.task("client1", "t2", "Patrol");
+    EXPECT_EQ(lastOf("t2").reason().message(),
+              "Service \"Patrol\" cannot run: its part \"Drive\" is switched off by the robot application: Battery low.");
+    message.mutable_active()->clear_reason();
     message.mutable_active()->set_service("Patrol");
     rig.fromApplication(message);
     message.mutable_active()->set_service("Drive");

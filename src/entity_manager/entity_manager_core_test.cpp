@@ -351,11 +351,20 @@ TEST(EntityManagerCore, AServiceThatWasSwitchedOffStaysSoWhenTheProfilesAreReadA
     proto::EiToEm off;
     off.mutable_active()->set_service("Turning");
     off.mutable_active()->set_active(false);
+    off.mutable_active()->set_reason("the battery is low");
     rig.fromApplication(off);
     rig.uploadProfiles();
     rig.take("client1", "r1");
+    EXPECT_EQ(rig.to_clients.back().message.check_out().services().services(1).inactive_reason(), "the battery is low");
     rig.task("client1", "t1", "Turning");
     EXPECT_EQ(refusalOf(rig, "t1"), proto::INACTIVE_SERVICE);
+    EXPECT_EQ(rig.to_clients.back().message.task().reason().message(),
+              "Service \"Turning\" is switched off by the robot application: the battery is low.");
+    off.mutable_active()->set_active(true);
+    rig.fromApplication(off);
+    EXPECT_EQ(rig.to_clients.back().message.service().inactive_reason(), "") << "it is on";
+    rig.task("client1", "t2", "Turning");
+    EXPECT_EQ(rig.to_clients.back().message.task().state(), proto::TASK_DISPATCHED);
 }
 
 TEST_F(Held, TheLinkIsNotLeftBusyWhenItIsLostInTheMiddleOfATask) {

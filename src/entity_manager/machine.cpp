@@ -517,16 +517,18 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
         case proto::EiToEm::kTask:
             taskUpdate(*message.mutable_task()->mutable_event());
             break;
-        case proto::EiToEm::kActive:
+        case proto::EiToEm::kActive: {
+            const auto& told = message.active();
+            auto reason = std::string(cutUtf8(told.reason(), kReasonMax));
             // Kept by name, for profiles that are read anew; the application says it only once.
-            if (active_told_.size() < kActiveTold || active_told_.contains(message.active().service()))
-                active_told_[message.active().service()] = message.active().active();
-            if (const auto service =
-                    profiler_.setActive(message.active().service(), message.active().active()))
+            if (active_told_.size() < kActiveTold || active_told_.contains(told.service()))
+                active_told_[told.service()] = {told.active(), reason};
+            if (const auto service = profiler_.setActive(told.service(), told.active(), std::move(reason)))
                 sendServices({service.value()});
             else
                 ++counters_.unexpected;
             break;
+        }
         case proto::EiToEm::kStatus:
             applicationStatus(message.status());
             break;
@@ -596,8 +598,8 @@ void EntityManagerCore::Machine::considerProfiles() {
     basic_profile_ = std::move(profile);
     basic_profile_.set_entity_id(uuid_);
     profiler_.load(services_->message, uuid_, store_);
-    for (const auto& [service, active] : active_told_) {
-        [[maybe_unused]] const auto known = profiler_.setActive(service, active);  // not all are in this profile
+    for (const auto& [service, told] : active_told_) {
+        [[maybe_unused]] const auto known = profiler_.setActive(service, told.first, told.second);  // not all are in this profile
     }
     Registration registration;
     registration.entity = uuid_;

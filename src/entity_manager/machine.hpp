@@ -434,7 +434,8 @@ class EntityManagerCore::Machine {
     proto::RunHistory runs_;                           ///< newest first
 
     ServiceProfiler profiler_;
-    std::map<std::string, bool, std::less<>> active_told_;  ///< by the application since its link is up
+    /// By the application since its link is up: on or off, and why.
+    std::map<std::string, std::pair<bool, std::string>, std::less<>> active_told_;
     TaskQueue queue_;
     TaskMemory memory_;
     std::vector<Active> active_;

@@ -16,6 +16,12 @@ std::size_t place(int position) {
     return static_cast<std::size_t>(position);
 }
 
+/// What an application has said, at the end of a sentence of ours.
+std::string asSentence(std::string text) {
+    if (!text.ends_with('.') && !text.ends_with('!')) text += '.';
+    return text;
+}
+
 Refusal notSettable(const proto::Service& service, const proto::CtrlParam& meta) {
     return {RefusalCode::WrongType,
             "Parameter " + inQuotes(meta.name()) + " of " + inQuotes(service.name()) + " is " +
@@ -39,7 +45,7 @@ void ServiceProfiler::load(proto::ServicesProfile profile, const std::string& en
         service.set_entity_id(entity_id);
         service.set_id(i);
         service.set_is_exec(false);
-        active_.push_back(service.is_active());
+        active_.push_back({service.is_active(), {}});
         for (auto& param : *service.mutable_params()) param.set_ready(param.initial_size() > 0);
         for (auto& resource : *service.mutable_resources()) {
             if (!resource.savable()) continue;
@@ -113,12 +119,23 @@ void ServiceProfiler::refreshRecord(int index) {
 std::optional<int> ServiceProfiler::inactivePart(int service) const {
     for (const auto& part : composites_.parts[place(service)])
         for (const auto step : part)
-            if (!active_[place(step)]) return step;
+            if (!active_[place(step)].on) return step;
     return std::nullopt;
 }
 
 void ServiceProfiler::refreshActive(int service) {
-    profile_.mutable_services(service)->set_is_active(active_[place(service)] && !inactivePart(service));
+    auto& record = *profile_.mutable_services(service);
+    const auto& own = active_[place(service)];
+    const auto part = inactivePart(service);
+    record.set_is_active(own.on && !part);
+    record.clear_inactive_reason();
+    if (!own.on) {
+        record.set_inactive_reason(own.reason);
+    } else if (part) {
+        const auto& why = active_[place(*part)].reason;
+        record.set_inactive_reason("its part " + inQuotes(this->record(*part).name()) + " is switched off" +
+                                   (why.empty() ? std::string() : ": " + why));
+    }
 }
 
 std::optional<int> ServiceProfiler::ownSettable(int service, std::string_view name) const {
@@ -278,16 +295,16 @@ Result<ServiceProfiler::Plan> ServiceProfiler::prepare(std::string_view service,
     const auto index = find(service);
     if (!index) return index.refusal();
     const auto& record = this->record(index.value());
-    if (!active_[place(index.value())])
-        return Refusal{
-            RefusalCode::InactiveService,
-            "Service " + inQuotes(record.name()) + " is switched off by the robot application at present.",
-            {}};
+    const auto off = [&](int which) {
+        const auto& why = active_[place(which)].reason;
+        return inQuotes(this->record(which).name()) + " is switched off by the robot application" +
+               (why.empty() ? std::string(" at present.") : ": " + asSentence(why));
+    };
+    if (!active_[place(index.value())].on)
+        return Refusal{RefusalCode::InactiveService, "Service " + off(index.value()), {}};
     if (const auto part = inactivePart(index.value()))
         return Refusal{RefusalCode::InactiveService,
-                       "Service " + inQuotes(record.name()) + " cannot run: its part " +
-                           inQuotes(this->record(*part).name()) +
-                           " is switched off by the robot application at present.",
+                       "Service " + inQuotes(record.name()) + " cannot run: its part " + off(*part),
                        {}};
     const auto& parts = composites_.parts[place(index.value())];
     if (parts.empty())
@@ -394,10 +411,10 @@ std::vector<Refusal> ServiceProfiler::problems(std::string_view service, const P
     return all;
 }
 
-Result<int> ServiceProfiler::setActive(std::string_view service, bool active) {
+Result<int> ServiceProfiler::setActive(std::string_view service, bool active, std::string reason) {
     const auto index = find(service);
     if (!index) return index;
-    active_[place(index.value())] = active;
+    active_[place(index.value())] = {active, active ? std::string() : std::move(reason)};
     refreshActive(index.value());
     for (const auto composite : compositesWith(index.value())) refreshActive(composite);
     return index;

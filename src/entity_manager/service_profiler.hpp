@@ -91,8 +91,8 @@ class ServiceProfiler {
     /// Whether the two come down to a simple service of both.
     bool shareParts(int one, int other) const;
 
-    /// UNKNOWN_SERVICE, or done; the service's position.
-    Result<int> setActive(std::string_view service, bool active);
+    /// UNKNOWN_SERVICE, or done; the service's position. The reason is told while the service is off.
+    Result<int> setActive(std::string_view service, bool active, std::string reason = {});
     void setExecuting(int service, bool executing);
 
     struct Cleared {
@@ -115,6 +115,10 @@ class ServiceProfiler {
         const char* kind;
         std::string name;
         bool operator==(const Lack&) const = default;
+    };
+    struct Switch {
+        bool on = true;
+        std::string reason;  ///< why it is off, where the application has said it
     };
     struct Accepted {
         Composites::View of;  ///< whose own parameter it is
@@ -141,7 +145,7 @@ class ServiceProfiler {
     proto::ServicesProfile declared_;  ///< as it was loaded: what a value that is not savable goes back to
     Composites composites_;
     std::vector<std::vector<int>> around_;  ///< of each service the composites with it
-    std::vector<bool> active_;              ///< each by itself, whatever its parts are
+    std::vector<Switch> active_;            ///< each by itself, whatever its parts are
     std::vector<Stamps> stamps_;
     std::uint64_t clock_ = 0;  ///< counts what has been set
 };

@@ -55,6 +55,7 @@ struct Resource {
 struct Service {
     std::string name, global_id, type, descr, notes;  ///< type SMPL or CMPLX
     bool active = true, executing = false, blocking = true, pausable = false;
+    std::string inactive_reason;  ///< why it is switched off, where the robot application has said it
     std::vector<Parameter> parameters;
     std::vector<Resource> resources;
     std::vector<std::string> missing;  ///< what must be set or uploaded before it can run
@@ -83,10 +84,16 @@ struct WatchdogMargin {
     Seconds longest_gap{0};  ///< the longest silence of the last minute
 };
 
+/// What is not as an entity's profiles or its users mean it to be, for people.
+struct EntityFinding {
+    std::string message, fix;  ///< what is the matter, and what to do about it
+};
+
 /// What an entity tells of itself when it is asked.
 struct Details {
     std::vector<Service> services;
     std::vector<WatchdogMargin> watchdogs;
+    std::vector<EntityFinding> findings;
 };
 
 enum class TaskState : std::uint8_t {
