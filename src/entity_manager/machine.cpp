@@ -133,6 +133,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       lease_(storage, random),
       generation_(firstGeneration(storage, stop_gate)),
       required_(generation_),
+      saved_(storage),
       queue_(settings_.task_queue_bound),
       uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
     // A person stopped the robot, and that this process was killed since is no word of a person.
@@ -142,6 +143,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     reserved_ = generation_ + kGenerationsReserved;
     replayJournal();
     loadRuns();
+    for (const auto& finding : saved_.findings()) warning_ = finding.message();
 }
 
 // -- the journal
@@ -598,6 +600,7 @@ void EntityManagerCore::Machine::considerProfiles() {
     basic_profile_ = std::move(profile);
     basic_profile_.set_entity_id(uuid_);
     profiler_.load(services_->message, uuid_, store_);
+    if (auto dropped = saved_.restore(profiler_); !dropped.empty()) warning_ = std::move(dropped);
     for (const auto& [service, told] : active_told_) {
         [[maybe_unused]] const auto known = profiler_.setActive(service, told.first, told.second);  // not all are in this profile
     }
@@ -1086,8 +1089,10 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
     status.set_waiting(static_cast<std::uint32_t>(wait_list_.size()));
     if (state_ == EntityState::UNAV || state_ == EntityState::ERR) status.set_reason(reason_);
     status.set_request_id(incident.body->status_request().request_id());
-    if (incident.body->status_request().with_services())
+    if (incident.body->status_request().with_services()) {
         *status.mutable_services() = profiler_.profile().services();
+        for (auto& finding : saved_.findings()) status.add_findings()->Swap(&finding);
+    }
     for (const auto& active : active_) {
         auto& task = *status.add_tasks();
         task.set_task_id(active.task.id.bytes());

@@ -19,6 +19,7 @@
 #include "entity_manager/entity_manager_core.hpp"
 #include "entity_manager/hand_over.hpp"
 #include "entity_manager/lease_book.hpp"
+#include "entity_manager/saved_values.hpp"
 #include "entity_manager/service_profiler.hpp"
 #include "entity_manager/state_table.hpp"
 #include "entity_manager/stream_watches.hpp"
@@ -433,6 +434,7 @@ class EntityManagerCore::Machine {
     bool attending_ = false;
     proto::RunHistory runs_;                           ///< newest first
 
+    SavedValues saved_;
     ServiceProfiler profiler_;
     /// By the application since its link is up: on or off, and why.
     std::map<std::string, std::pair<bool, std::string>, std::less<>> active_told_;

@@ -603,6 +603,9 @@ void EntityManagerCore::Machine::answer(const proto::RequestAnswer& answer) {
             store_.remove(question.service_name, question.resource_name);
     } else if (refusal.ok()) {
         profiler_.storeParam(question.service, question.param);
+        const auto& record = profiler_.record(question.service);
+        if (const auto param = findParamIndex(record, question.param.name()))
+            saved_.set(record.name(), record.params(param.value()), question.param);
     }
     conclude(question, refusal);
     if (refusal.ok()) sendServices({question.service});

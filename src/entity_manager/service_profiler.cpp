@@ -196,6 +196,21 @@ void ServiceProfiler::storeParam(int service, const proto::Param& param) {
     refresh(service);
 }
 
+Refusal ServiceProfiler::restoreParam(const std::string& service, const proto::Param& param) {
+    // By exact names: what differs in upper and lower case may mean something else.
+    const auto& services = declared_.services();
+    const auto at = std::find_if(services.begin(), services.end(), [&](const auto& one) { return one.name() == service; });
+    if (at == services.end()) return {RefusalCode::UnknownService, "the profile no longer has this service", {}};
+    const auto& params = at->params();
+    const auto meta = std::find_if(params.begin(), params.end(), [&](const auto& one) { return one.name() == param.name(); });
+    if (meta == params.end()) return {RefusalCode::UnknownParameter, "the profile no longer has this parameter", {}};
+    if (!meta->savable()) return {RefusalCode::WrongType, "the profile no longer declares it savable", {}};
+    auto checked = checkParam(service, param);
+    if (!checked) return checked.refusal();
+    storeParam(checked->first, checked->second);
+    return {};
+}
+
 Result<std::pair<int, int>> ServiceProfiler::findResource(std::string_view service,
                                                           std::string_view resource) const {
     const auto index = find(service);

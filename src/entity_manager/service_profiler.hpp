@@ -66,6 +66,10 @@ class ServiceProfiler {
     /// After the robot application has granted it.
     void storeParam(int service, const proto::Param& param);
 
+    /// A value of a savable parameter that was set before this profile was loaded: set again, or why this profile does
+    /// not admit it. UNKNOWN_SERVICE, UNKNOWN_PARAMETER, and what checkParam() says.
+    Refusal restoreParam(const std::string& service, const proto::Param& param);
+
     /// Position of service (of a composite's "Part.Name" the part) and resource; UNKNOWN_SERVICE, UNKNOWN_RESOURCE.
     Result<std::pair<int, int>> findResource(std::string_view service, std::string_view resource) const;
     void storeResource(int service, int resource, std::string path, std::string sha256, std::uint64_t size);

@@ -290,6 +290,157 @@ TEST_F(Tasks, ATaskThatWaitedTooLongIsExpiredBehindOthersAndAfterAStandstill) {
     EXPECT_EQ(dispatches(rig, "t2") + dispatches(rig, "t3"), 0);
 }
 
+TEST_F(Tasks, WhatIsGivenWithATaskIsToBeAskedForWhatWasSetBeforeIsNot) {
+    rig.task("client1", "t1", "Driving", {"Distance=500"});
+    ASSERT_TRUE(rig.to_application.back().has_task());
+    const auto& dispatch = rig.to_application.back().task();
+    EXPECT_EQ(dispatch.params_size(), 2) << "Speed has a value of its own";
+    ASSERT_EQ(dispatch.given_size(), 1);
+    EXPECT_EQ(dispatch.given(0).service(), "Driving");
+    EXPECT_EQ(dispatch.given(0).param().name(), "Distance");
+    EXPECT_EQ(dispatch.given(0).param().values_size(), 0) << "it is among params already";
+    rig.deny("t1", "parameter 'Distance' of 'Driving': there is a wall");
+    EXPECT_EQ(lastOf(rig, "t1").state(), proto::TASK_REFUSED);
+    EXPECT_EQ(lastOf(rig, "t1").reason().message(), "parameter 'Distance' of 'Driving': there is a wall");
+}
+
+struct SavableValues : Tasks {
+    /// What a client sets and the application grants.
+    void set(const std::string& service, const std::string& param) {
+        rig.setParam("client1", "p", service, param);
+        answer();
+    }
+    void answer() {
+        proto::EiToEm granted;
+        granted.mutable_answer()->set_request(rig.to_application.back().param().request());
+        rig.fromApplication(granted);
+        ASSERT_FALSE(rig.to_clients.empty());
+    }
+    /// The present record, as everybody is told it.
+    proto::EntityStatus status() {
+        proto::ToEntity message;
+        message.mutable_status_request()->set_request_id(idOf("status"));
+        message.mutable_status_request()->set_with_services(true);
+        rig.send("client2", message);
+        return rig.to_clients.back().message.status();
+    }
+    std::string speed() {
+        const auto now = status();
+        for (const auto& param : now.services(0).params())
+            if (param.name() == "Speed") return param.ready() ? std::to_string(param.initial(0).int_()) + param.units() : "none";
+        return "not there";
+    }
+    /// The application is started again, with this services profile.
+    void relink(const std::string& services = test::kRigServicesProfile) {
+        rig.core().onLinkDown("the application was restarted");
+        rig.linkUp();
+        rig.upload(false, test::kRigBasicProfile);
+        rig.upload(true, services);
+        if (rig.core().state() == EntityState::IDLE) rig.take("client1", "r2");
+    }
+    /// Likewise, with one text in place of another throughout the profile.
+    void change(const std::string& from, const std::string& to) {
+        std::string xml = test::kRigServicesProfile;
+        for (auto at = xml.find(from); at != std::string::npos; at = xml.find(from, at + to.size())) xml.replace(at, from.size(), to);
+        relink(xml);
+    }
+};
+
+TEST_F(SavableValues, SurviveANewLinkTheProfileReadAnewAndARestart) {
+    set("Driving", "Speed=300");
+    set("Driving", "Distance=700");  // not savable
+    ASSERT_EQ(speed(), "300mm/s");
+    relink();
+    EXPECT_EQ(speed(), "300mm/s");
+    EXPECT_FALSE(status().services(0).params(0).ready()) << "Distance is not savable";
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    rig.stopDone(rig.gate.generation());
+    rig.uploadProfiles();
+    EXPECT_EQ(speed(), "300mm/s");
+    rig.restart();
+    rig.makeIdle();
+    EXPECT_EQ(speed(), "300mm/s");
+    EXPECT_EQ(status().findings_size(), 0);
+    EXPECT_EQ(rig.core().takeWarning(), "");
+    rig.take("client1", "r3");
+    rig.task("client1", "t1", "Driving", {"Distance=1"});
+    ASSERT_TRUE(rig.to_application.back().has_task());
+    EXPECT_EQ(rig.to_application.back().task().params(1).values(0).int_(), 300);
+    EXPECT_EQ(rig.to_application.back().task().given_size(), 1) << "it was asked for when it was set";
+}
+
+TEST_F(SavableValues, SurviveAProfileThatStillAdmitsThem) {
+    set("Driving", "Speed=300");
+    change("value=\"200\" savable", "value=\"100\" maximum=\"400\" savable");
+    EXPECT_EQ(speed(), "300mm/s");
+    EXPECT_EQ(status().findings_size(), 0);
+}
+
+TEST_F(SavableValues, AreDroppedByAProfileThatDoesNotAdmitThemAndItIsSaid) {
+    const std::pair<const char*, const char*> changes[] = {
+        {"value=\"200\" savable", "value=\"100\" maximum=\"250\" savable"},
+        {"units=\"mm/s\" value=\"200\"", "units=\"m/s\" value=\"100\""},
+        {"value=\"200\" savable=\"true\"", "value=\"100\" savable=\"false\""},
+        {"data_type=\"INT\" units=\"mm/s\" value=\"200\"", "data_type=\"BOOL\" value=\"true\""}};
+    for (const auto& [from, to] : changes) {
+        SCOPED_TRACE(to);
+        set("Driving", "Speed=300");
+        ASSERT_EQ(status().findings_size(), 0);
+        change(from, to);
+        EXPECT_NE(speed(), "300mm/s");
+        const auto told = status();
+        ASSERT_EQ(told.findings_size(), 1);
+        EXPECT_NE(told.findings(0).message().find("the saved value 300 mm/s of parameter \"Speed\" of \"Driving\" was dropped: "),
+                  std::string::npos)
+            << told.findings(0).message();
+        EXPECT_EQ(rig.core().takeWarning(), told.findings(0).message());
+        relink();
+        EXPECT_EQ(speed(), "200mm/s") << "what was dropped does not come back";
+    }
+}
+
+TEST_F(SavableValues, AreDroppedWithTheirServiceAndStayDroppedInTheNextLife) {
+    set("Driving", "Speed=300");
+    change("\"Driving\"", "\"driving\"");
+    EXPECT_EQ(status().services(0).params(1).initial(0).int_(), 200);
+    ASSERT_EQ(status().findings_size(), 1);
+    rig.restart();
+    rig.makeIdle();
+    EXPECT_EQ(speed(), "200mm/s");
+    EXPECT_EQ(status().findings_size(), 0) << "nothing was dropped in this life";
+}
+
+TEST_F(SavableValues, StayWhileAProfileIsBroken) {
+    set("Driving", "Speed=300");
+    change("<Service name=\"Turning\"", "<Service");
+    EXPECT_EQ(rig.core().state(), EntityState::ERR);
+    relink();
+    EXPECT_EQ(speed(), "300mm/s");
+}
+
+TEST_F(SavableValues, ThatAreNotGrantedAreNotKept) {
+    rig.setParam("client1", "p", "Driving", "Speed=300");
+    proto::EiToEm denied;
+    denied.mutable_answer()->set_request(rig.to_application.back().param().request());
+    denied.mutable_answer()->mutable_refusal()->set_code(proto::DENIED);
+    rig.fromApplication(denied);
+    rig.restart();
+    rig.makeIdle();
+    EXPECT_EQ(speed(), "200mm/s");
+}
+
+TEST_F(SavableValues, ThatAreDamagedOnTheDiskAreSaidToBeLost) {
+    set("Driving", "Speed=300");
+    rig.storage.values["values"] = "\xff\xff";
+    rig.restart();
+    EXPECT_NE(rig.core().takeWarning(), "");
+    rig.makeIdle();
+    EXPECT_EQ(speed(), "200mm/s");
+    EXPECT_EQ(status().findings_size(), 1);
+}
+
 TEST_F(Tasks, AnApplicationThatDoesNotAnswerAParameterIsNotWaitedFor) {
     rig.setParam("client1", "p1", "Driving", "Speed=300");
     rig.advance(9999ms);
