@@ -517,7 +517,6 @@ void EntityManagerCore::Machine::endLease(const Incident& incident) {
                : incident.reason.code == RefusalCode::Expired ? RefusalCode::Expired
                                                               : RefusalCode::RevokedLease,
                own_wish ? "it was released." : incident.reason.message);
-    store_.dropSuspended();
 }
 
 void EntityManagerCore::Machine::sendLeaseEnded(const LeaseBook::Held& held, const Refusal& reason) {

@@ -240,6 +240,8 @@ class AXON_EI_API EntityInterfacer {
     // Requests of the client. Without a callback the first two are granted; a task is granted when its
     // service has a handler.
     void onParameter(std::function<Decision(const std::string& service, const Parameter&)> callback);
+    /// The file that a client has uploaded, to be looked at: it replaces what was there before only when it
+    /// is granted, and then lies somewhere else, where each task's resource() says.
     void onResource(std::function<Decision(const std::string& service, const std::string& resource,
                                            const std::filesystem::path&)>
                         callback);
