@@ -169,12 +169,25 @@ void EntityManagerCore::Machine::replayJournal() {
     }
 }
 
-bool EntityManagerCore::Machine::note(JournalRecord record) {
-    if (journal_ == nullptr) return true;
+void EntityManagerCore::Machine::complete(JournalRecord& record) const {
     if (record.lease == LeaseNumber{} && lease_.held()) record.lease = lease_.held()->number;
     if (record.generation == 0) record.generation = generation_;
     record.at_us = toMicroseconds(clock_.now());
-    const bool written = journal_->append(record);
+}
+
+bool EntityManagerCore::Machine::note(JournalRecord record) {
+    if (journal_ == nullptr) return true;
+    complete(record);
+    return recorded(journal_->append(record));
+}
+
+Later<bool> EntityManagerCore::Machine::noteDispatch(JournalRecord record) {
+    if (journal_ == nullptr) return true;
+    complete(record);
+    return journal_->appendDispatch(record);
+}
+
+bool EntityManagerCore::Machine::recorded(bool written) {
     if (!written) ++counters_.unrecorded;
     if (!written && !journal_failing_)
         warning_ = "the journal cannot be written; no task begins until it can. Is the disk full?";
@@ -1205,6 +1218,8 @@ void EntityManagerCore::Machine::onTimer() {
     expireSpared();
     expireCollaboration();
     sendPosition();
+    signUploads();
+    tellHeldUp();
     settle();
 }
 
@@ -1218,6 +1233,8 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     if (const auto expiry = wait_list_.nextExpiry()) next = std::min(next, *expiry);
     if (hand_over_.open() && !lease_.orphaned()) next = std::min(next, hand_over_.open()->until);
     if (const auto expiry = queue_.nextExpiry()) next = std::min(next, *expiry);
+    if (!queue_.empty() && queue_.front().tell_at) next = std::min(next, *queue_.front().tell_at);
+    if (const auto sign = uploads_.nextSign()) next = std::min(next, *sign);
     if (!questions_.empty()) next = std::min(next, questions_.begin()->second.until);
     for (const auto& active : active_)
         if (active.sent && !active.answered) next = std::min(next, active.answer_until);

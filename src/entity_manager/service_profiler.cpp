@@ -235,6 +235,18 @@ void ServiceProfiler::storeResource(int service, int resource, std::string path,
     refresh(service);
 }
 
+bool ServiceProfiler::loseResource(int service, std::string_view resource, std::string_view path) {
+    for (auto& record : *profile_.mutable_services(service)->mutable_resources()) {
+        if (record.name() != resource || !record.ready() || record.url() != path) continue;
+        record.set_ready(false);
+        record.clear_sha256();
+        record.clear_size();
+        refresh(service);
+        return true;
+    }
+    return false;
+}
+
 const ServiceProfiler::Values* ServiceProfiler::valuesOf(int service, int param, const Given& given) const {
     if (const auto at = given.find({service, param}); at != given.end()) return &at->second.values();
     const auto& meta = record(service).params(param);

@@ -74,6 +74,9 @@ class ServiceProfiler {
     Result<std::pair<int, int>> findResource(std::string_view service, std::string_view resource) const;
     void storeResource(int service, int resource, std::string path, std::string sha256, std::uint64_t size);
 
+    /// Its file, at `path`, is gone. False: it has another by now.
+    bool loseResource(int service, std::string_view resource, std::string_view path);
+
     /// The task's own parameters over the stored ones: INACTIVE_SERVICE, NOT_SUPPORTED (a composite without
     /// parts), the refusals of checkParam, and MISSING_DEPENDENCY with everything that is missing.
     /// `later`: parameters that count as given.

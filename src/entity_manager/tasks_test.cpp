@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <functional>
 
 #include "entity_manager/task_memory.hpp"
 #include "tests/support/core_rig.hpp"
@@ -226,6 +227,131 @@ TEST_F(Tasks, NothingStartsThatTheJournalDoesNotTake) {
     rig.stop("client2");  // a stop does not depend on it
     EXPECT_TRUE(rig.core().latched());
     EXPECT_GT(rig.core().counters().unrecorded, 0U);
+}
+
+/// The journal's disk takes its time.
+struct SlowJournal : Tasks {
+    SlowJournal() { rig.journal.slow = true; }
+    void answer() {
+        rig.journal.answerAll();
+        rig.core().onStored();
+    }
+    proto::TaskState stateOf(const std::string& task) const { return lastOf(rig, task).state(); }
+};
+
+TEST_F(SlowJournal, ATaskBeginsWhenItsEntryIsWrittenAndItsClientIsToldThatItWaits) {
+    rig.task("client1", "t1", "Turning");
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+    EXPECT_FALSE(rig.busy) << "the long watchdog: nothing moves";
+    EXPECT_EQ(stateOf("t1"), proto::TASK_UNSPECIFIED) << "mostly it begins at once";
+    rig.advance(100ms);
+    EXPECT_EQ(stateOf("t1"), proto::TASK_QUEUED);
+    EXPECT_EQ(statusFor(rig, "client1").tasks(0).state(), proto::TASK_QUEUED);
+    rig.advance(2s);
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+    answer();
+    EXPECT_EQ(dispatches(rig, "t1"), 1);
+    EXPECT_EQ(stateOf("t1"), proto::TASK_DISPATCHED);
+    EXPECT_EQ(kinds(rig).back(), "dispatched");
+}
+
+TEST_F(SlowJournal, WhatWaitsForAnotherTaskIsToldAtOnceAndWritesNothing) {
+    rig.task("client1", "t1", "Turning");
+    rig.task("client1", "t2", "Turning");
+    EXPECT_EQ(stateOf("t2"), proto::TASK_QUEUED);
+    answer();
+    EXPECT_EQ(dispatches(rig, "t1"), 1);
+    rig.grant("t1");
+    answer();
+    EXPECT_EQ(dispatches(rig, "t2"), 0);
+    EXPECT_EQ(std::count_if(rig.journal.records.begin(), rig.journal.records.end(),
+                            [](const auto& record) { return record.kind == Kind::Dispatched; }),
+              1);
+    rig.update("t1", proto::TASK_SUCCEEDED);
+    answer();
+    EXPECT_EQ(dispatches(rig, "t2"), 1);
+}
+
+TEST_F(SlowJournal, ATaskWhoseEntryCannotBeWrittenIsRefusedAndTheNextOneGoesOn) {
+    rig.task("client1", "t1", "Turning");
+    rig.task("client1", "t2", "Turning");
+    rig.journal.full = true;
+    answer();
+    EXPECT_EQ(stateOf("t1"), proto::TASK_REFUSED);
+    EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::OVERLOADED);
+    rig.journal.full = false;
+    answer();
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+    EXPECT_EQ(dispatches(rig, "t2"), 1);
+}
+
+TEST(SlowJournalAlone, WhateverVoidsTheQueueVoidsTheTaskThatWaitsForItsEntry) {
+    const std::vector<std::pair<const char*, std::function<void(CoreRig&)>>> ways{
+        {"stop", [](CoreRig& rig) { rig.stop("client2"); }},
+        {"clear", [](CoreRig& rig) { rig.clear("client1"); }},
+        {"cancel",
+         [](CoreRig& rig) {
+             proto::ToEntity cancel;
+             cancel.mutable_task_control()->set_task_id(idOf("t1"));
+             cancel.mutable_task_control()->set_action(proto::CANCEL);
+             rig.send("client1", cancel);
+         }},
+        {"release",
+         [](CoreRig& rig) {
+             proto::ToEntity release;
+             release.mutable_release();
+             rig.send("client1", release);
+         }},
+        {"loss of the client",
+         [](CoreRig& rig) {
+             Header head;
+             head.sender = {"client1", "client1@lab", Role::Operator};
+             rig.core().onClientUpdate(head, ClientChange::Lost);
+         }},
+        {"loss of the server", [](CoreRig& rig) { rig.core().onServerDown("gone"); }},
+        {"loss of the link", [](CoreRig& rig) { rig.core().onLinkDown("gone"); }},
+        {"not_after", [](CoreRig& rig) { rig.advance(2s); }},
+    };
+    for (const auto& [name, happens] : ways) {
+        SCOPED_TRACE(name);
+        CoreRig rig;
+        rig.makeIdle();
+        rig.take("client1", "r1");
+        rig.journal.slow = true;
+        rig.task("client1", "t1", "Turning", {}, name == std::string("not_after") ? 1 : 0);
+        happens(rig);
+        const auto answer = [&] {
+            rig.journal.answerAll();
+            rig.core().onStored();
+        };
+        answer();
+        rig.stopDone(rig.gate.generation());
+        rig.rearm("client1", "rearm");
+        answer();
+        EXPECT_EQ(dispatches(rig, "t1"), 0);
+        // The entry was written, and so is how it ended: a next life does not think that it ran.
+        ASSERT_TRUE(std::any_of(rig.journal.records.begin(), rig.journal.records.end(),
+                                [](const auto& record) { return record.kind == Kind::TaskEnded; }));
+    }
+}
+
+TEST_F(SlowJournal, AStopThatIsOnItsWayAsTheEntryIsWrittenLetsNothingBegin) {
+    rig.task("client1", "t1", "Turning");
+    rig.gate.raise("client2", 1);  // the signal thread has passed it on, the strand does not know it
+    answer();
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+}
+
+TEST_F(SlowJournal, KilledBeforeTheEntryIsWrittenItMayBeSentAgainAndAfterwardsItMayNot) {
+    rig.task("client1", "t1", "Turning");
+    rig.journal.slow = false;  // what was not written is lost
+    newLife();
+    rig.task("client1", "t1", "Turning");
+    EXPECT_EQ(dispatches(rig, "t1"), 1);
+    newLife();
+    rig.task("client1", "t1", "Turning");
+    EXPECT_EQ(dispatches(rig, "t1"), 1);
+    EXPECT_EQ(stateOf("t1"), proto::TASK_UNKNOWN);
 }
 
 TEST_F(Tasks, AFloodOfRefusalsDoesNotWashTheJournalOut) {

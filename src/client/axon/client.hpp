@@ -412,9 +412,11 @@ class CheckOut {
 
     /// Granted or denied by the robot application; DENIED carries its reason.
     Result<void> set(std::string_view service, const Argument& argument) const;
-    /// Sends a file in chunks, resuming where an earlier try ended. progress(sent, total) on the calling
-    /// thread. A stop asked for through `give_up` ends it with CANCELLED before its next chunk; the same
-    /// upload goes on from there.
+    /// Sends a file in chunks, resuming where an earlier try of the same user ended, under this check-out or
+    /// an earlier one. progress(sent, total) on the calling thread. A stop asked for through `give_up` ends
+    /// it with CANCELLED before its next chunk; the same upload goes on from there. Returns when the robot
+    /// application has accepted the file and it is in its place; behind a slow disk that takes as long as it
+    /// takes.
     Result<void> upload(std::string_view service, std::string_view resource,
                         const std::filesystem::path& file,
                         std::function<void(std::uint64_t, std::uint64_t)> progress = {},

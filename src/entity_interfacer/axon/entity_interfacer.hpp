@@ -243,6 +243,8 @@ class AXON_EI_API EntityInterfacer {
     /// onTaskRequest, and a denial refuses the task. Of a composite service, all that was given is asked for before the
     /// first part begins; `service` is the one whose profile declares the parameter.
     void onParameter(std::function<Decision(const std::string& service, const Parameter&)> callback);
+    /// The file that a client has uploaded, to be looked at: it replaces what was there before only when it
+    /// is granted, and then lies somewhere else, where each task's resource() says.
     void onResource(std::function<Decision(const std::string& service, const std::string& resource,
                                            const std::filesystem::path&)>
                         callback);
