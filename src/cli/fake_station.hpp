@@ -75,7 +75,9 @@ class FakeStation : public Station {
         return Refusal{RefusalCode::AmbiguousEntity, "several entities are called \"" + name + "\"", {}};
     }
     Result<std::vector<Service>> services(const std::string&) const override { return services_; }
-    Result<Details> details(const std::string&) const override { return Details{services_, watchdogs, findings}; }
+    Result<Details> details(const std::string&) const override {
+        return Details{services_, watchdogs, findings};
+    }
     Result<std::vector<Receipt>> stop(const std::vector<std::string>& entities, Seconds) override {
         stopped = entities;
         std::vector<Receipt> list;

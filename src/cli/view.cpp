@@ -379,7 +379,9 @@ void PersonView::showEntity(const Json& event) {
         const auto& missing = service.at("missing");
         if (!service.value("active", true)) {
             const auto why = textOf(service, "inactive_reason");
-            out_ << paint("switched off" + (why.empty() ? std::string(" by the robot application") : ": " + why), Tint::Red);
+            out_ << paint(
+                "switched off" + (why.empty() ? std::string(" by the robot application") : ": " + why),
+                Tint::Red);
         } else if (service.value("executing", false)) {
             out_ << paint("running", Tint::Cyan);
         } else if (!missing.empty()) {

@@ -127,7 +127,8 @@ TEST_F(View, ShowsWhyAServiceIsSwitchedOff) {
     auto entity = toJson(station.entities_[2], false);
     entity["call"] = "Cyton";
     shown({{{"event", "entity"}, {"entity", entity}, {"services", {toJson(service)}}}});
-    EXPECT_THAT(out.str(), HasSubstr("Driving (peoplebot_drive)  switched off by the robot application; pausable\n"));
+    EXPECT_THAT(out.str(),
+                HasSubstr("Driving (peoplebot_drive)  switched off by the robot application; pausable\n"));
     service.inactive_reason = "battery low";
     shown({{{"event", "entity"}, {"entity", entity}, {"services", {toJson(service)}}}});
     EXPECT_THAT(out.str(), HasSubstr("Driving (peoplebot_drive)  switched off: battery low; pausable\n"));

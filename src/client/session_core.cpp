@@ -623,7 +623,8 @@ void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& sta
         details.watchdogs.push_back({margin.hop(), std::chrono::milliseconds(margin.timeout_ms()),
                                      std::chrono::milliseconds(margin.longest_gap_ms())});
     }
-    for (const auto& finding : status.findings()) details.findings.push_back({finding.message(), finding.fix()});
+    for (const auto& finding : status.findings())
+        details.findings.push_back({finding.message(), finding.fix()});
     take(found).details_done(std::move(details));
 }
 

@@ -34,6 +34,12 @@ std::optional<std::string> readFile(const std::filesystem::path& file) {
     return text;
 }
 
+std::filesystem::path absolutePath(const std::filesystem::path& path) {
+    std::error_code error;
+    const auto absolute = std::filesystem::absolute(path, error);
+    return (error ? path : absolute).lexically_normal();
+}
+
 RefusalCode codeOf(const Decision& decision) {
     if (decision.granted()) return RefusalCode::Ok;
     return decision.isRobotLost() ? RefusalCode::RobotLost : RefusalCode::Denied;
@@ -117,6 +123,11 @@ void Communicator::sendProfiles(Link& link, bool all) {
         upload.set_services(i == 1);
         upload.set_file_name(validUtf8(profile.file.string()));
         upload.set_xml(profile.xml);
+        if (i == 1) {
+            upload.set_folder(validUtf8(absolutePath(profile.file).parent_path().string()));
+            for (const auto& folder : options_.resource_folders)
+                upload.add_resource_folders(validUtf8(absolutePath(folder).string()));
+        }
         link.sendData(message, Link::Kind::Control);
     }
 }

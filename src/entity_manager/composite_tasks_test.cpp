@@ -217,7 +217,8 @@ TEST_F(CompositeTasks, AreActivePausableAndBlockingAsAWhole) {
     EXPECT_EQ(record("Patrol").inactive_reason(), "its part \"Drive\" is switched off: Battery low");
     rig.task("client1", "t2", "Patrol");
     EXPECT_EQ(lastOf("t2").reason().message(),
-              "Service \"Patrol\" cannot run: its part \"Drive\" is switched off by the robot application: Battery low.");
+              "Service \"Patrol\" cannot run: its part \"Drive\" is switched off by the robot application: "
+              "Battery low.");
     message.mutable_active()->clear_reason();
     message.mutable_active()->set_service("Patrol");
     rig.fromApplication(message);

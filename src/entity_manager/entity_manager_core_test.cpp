@@ -356,7 +356,8 @@ TEST(EntityManagerCore, AServiceThatWasSwitchedOffStaysSoWhenTheProfilesAreReadA
     rig.fromApplication(off);
     rig.uploadProfiles();
     rig.take("client1", "r1");
-    EXPECT_EQ(rig.to_clients.back().message.check_out().services().services(1).inactive_reason(), "the battery is low");
+    EXPECT_EQ(rig.to_clients.back().message.check_out().services().services(1).inactive_reason(),
+              "the battery is low");
     rig.task("client1", "t1", "Turning");
     EXPECT_EQ(refusalOf(rig, "t1"), proto::INACTIVE_SERVICE);
     EXPECT_EQ(rig.to_clients.back().message.task().reason().message(),

@@ -550,7 +550,7 @@ void FileResourceStore::findStored() {
             std::ifstream mark(place / "stored", std::ios::binary);
             std::string stored;
             std::getline(mark, stored);
-            if (stored + '\n' == factsOf(facts)) stored_.insert(place);
+            if (stored + '\n' == factsOf(facts)) stored_[place] = static_cast<std::uint64_t>(facts.st_size);
         }
 }
 
@@ -568,7 +568,13 @@ Later<Result<std::uint64_t>> FileResourceStore::begin(const proto::ResourceOffer
                               "The disk has not taken yet what was uploaded before. Try again in a moment.",
                               {}});
     const auto transfer = std::make_shared<Transfer>(offer, owner, incoming);
-    transfer->opened = worker_->ask<Answer>([this, transfer] {
+    transfer->opened = worker_->ask<Answer>([this, transfer]() -> Answer {
+        // Before the client sends it all.
+        if (const auto* url = urlOf(transfer->service, transfer->resource))
+            if (auto refusal = mayReplaceResource(findResourcePlace(roots_, *url)); !refusal.ok()) {
+                transfer->end();
+                return refusal;
+            }
         open_.insert(transfer->path);
         auto here = transfer->open();
         if (!here) {
@@ -647,7 +653,21 @@ Later<Result<std::string>> FileResourceStore::place(std::string_view transfer_id
     return worker_->ask<Answer>([this, transfer = at->second] { return putInPlace(*transfer); });
 }
 
+const std::string* FileResourceStore::urlOf(const std::string& service, const std::string& resource) const {
+    const auto at = urls_.find({service, resource});
+    return at == urls_.end() ? nullptr : &at->second;
+}
+
 Result<std::string> FileResourceStore::putInPlace(Transfer& transfer) {
+    if (const auto* url = urlOf(transfer.service, transfer.resource)) {
+        const auto place = findResourcePlace(roots_, *url);
+        if (const auto replaced = replaceResource(transfer.path.string(), place); !replaced)
+            return replaced.refusal();
+        transfer.forgetNote();
+        open_.erase(transfer.path);
+        transfer.end();
+        return place.path;
+    }
     const auto place = placeOf(transfer.service, transfer.resource);
     std::error_code error;
     fs::create_directories(place, error);
@@ -660,7 +680,7 @@ Result<std::string> FileResourceStore::putInPlace(Transfer& transfer) {
     synchroniser_->add(transfer.release(), place);
     transfer.end();
     const std::lock_guard lock(mutex_);
-    stored_.insert(place);
+    stored_[place] = transfer.size;
     return path.string();
 }
 
@@ -723,7 +743,13 @@ void FileResourceStore::tidyIncoming() {
 }
 
 void FileResourceStore::remove(std::string_view service, std::string_view resource) {
-    worker_->add([this, place = placeOf(service, resource)] {
+    worker_->add([this, place = placeOf(service, resource), service = std::string(service),
+                  resource = std::string(resource)] {
+        if (const auto* url = urlOf(service, resource)) {
+            const auto there = findResourcePlace(roots_, *url);
+            if (there.there) ::unlink(there.path.c_str());
+            return;
+        }
         {
             const std::lock_guard lock(mutex_);
             stored_.erase(place);
@@ -737,6 +763,37 @@ std::optional<std::string> FileResourceStore::find(std::string_view service, std
     const auto place = placeOf(service, resource);
     const std::lock_guard lock(mutex_);
     return stored_.contains(place) ? std::optional((place / "content").string()) : std::nullopt;
+}
+
+Later<std::vector<ResourcePlace>> FileResourceStore::locate(const ResourceRoots& roots,
+                                                            std::vector<ResourceQuery> queries) {
+    using Places = std::vector<ResourcePlace>;
+    Places places(queries.size());
+    bool outside = false;
+    for (std::size_t i = 0; i < queries.size(); ++i) {
+        outside = outside || !queries[i].url.empty();
+        if (!queries[i].url.empty() || !queries[i].savable) continue;
+        const auto folder = placeOf(queries[i].service, queries[i].resource);
+        const std::lock_guard lock(mutex_);
+        const auto at = stored_.find(folder);
+        if (at == stored_.end()) continue;
+        places[i].path = (folder / "content").string();
+        places[i].there = true;
+        places[i].size = at->second;
+    }
+    auto look = [this, roots, queries = std::move(queries), places]() mutable {
+        roots_ = roots;
+        urls_.clear();
+        for (std::size_t i = 0; i < queries.size(); ++i) {
+            if (queries[i].url.empty()) continue;
+            urls_[{queries[i].service, queries[i].resource}] = queries[i].url;
+            places[i] = findResourcePlace(roots, queries[i].url);
+        }
+        return places;
+    };
+    if (outside) return worker_->ask<Places>(std::move(look));
+    worker_->add([look = std::move(look)]() mutable { look(); });
+    return places;
 }
 
 Later<std::vector<std::string>> FileResourceStore::absent(std::vector<std::string> files) {

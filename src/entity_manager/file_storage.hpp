@@ -57,7 +57,7 @@ class FileStorage final : public Storage {
 /// ".state" says how much has been hashed, and for whom it is kept. What nobody goes on with is deleted when
 /// it has not grown for kIncomingKept, and before that, the oldest first, when more than `kept_bytes` of it
 /// is there. Service and resource names become safe folder names (letters, digits, '-', '_', ' ' stay; any
-/// other byte is %XX).
+/// other byte is %XX). A resource whose profile gives a url lies there instead (resource_places.hpp).
 ///
 /// One thread does everything that the disk may delay, in the order of the calls: a gigabyte would hold up
 /// the strand, and the robot would stop for want of heartbeats. Another synchronises what place() has put
@@ -87,6 +87,9 @@ class FileResourceStore final : public ResourceStore {
     void drop(std::string_view transfer_id) override;
     void remove(std::string_view service, std::string_view resource) override;
     std::optional<std::string> find(std::string_view service, std::string_view resource) override;
+    /// At once where no resource has a url.
+    Later<std::vector<ResourcePlace>> locate(const ResourceRoots& roots,
+                                             std::vector<ResourceQuery> queries) override;
     Later<std::vector<std::string>> absent(std::vector<std::string> files) override;
 
   private:
@@ -97,6 +100,7 @@ class FileResourceStore final : public ResourceStore {
     std::shared_ptr<Transfer> take(std::string_view transfer_id);
     void findStored();
     // On the worker's thread.
+    const std::string* urlOf(const std::string& service, const std::string& resource) const;
     Result<std::string> putInPlace(Transfer& transfer);
     void tidyIncoming();
 
@@ -104,8 +108,10 @@ class FileResourceStore final : public ResourceStore {
     const std::uint64_t kept_bytes_;
     std::map<std::string, std::shared_ptr<Transfer>, std::less<>> transfers_;
     std::mutex mutex_;                        // never held while the disk is at work
-    std::set<std::filesystem::path> stored_;  // guarded by mutex_: the places of what find() finds
+    std::map<std::filesystem::path, std::uint64_t> stored_;  // guarded by mutex_: places of what find() finds; bytes
     std::set<std::filesystem::path> open_;    // the worker's: what of incoming/ is being used
+    ResourceRoots roots_;                     // the worker's; this and the next as locate() was told
+    std::map<std::pair<std::string, std::string>, std::string> urls_;
     std::unique_ptr<Synchroniser> synchroniser_;
     std::unique_ptr<Worker> worker_;  // last: its thread uses the others
 };

@@ -331,5 +331,84 @@ TEST_F(Folder, ATransferThatIsNotKnownIsRefused) {
     store.drop("no");
 }
 
+/// A store whose profile gives its resource a url below <folder>/profiles.
+struct UrlFolder : Folder {
+    UrlFolder() { fs::create_directories(folder / "profiles"); }
+    std::vector<ResourcePlace> locate(FileResourceStore& store, const std::string& url,
+                                      bool savable = true) const {
+        return of(store.locate({(folder / "profiles").string(), {}}, {{"Ser/../vice", "..", url, savable}}));
+    }
+    void upload(FileResourceStore& store) const {
+        ASSERT_TRUE(begin(store, offer("t1", 3, kAbc)).ok());
+        ASSERT_TRUE(store.write("t1", 0, "abc").ok());
+        ASSERT_TRUE(arrives(store, "t1"));
+    }
+    fs::path map() const { return fs::canonical(folder / "profiles") / "maps/lab.map"; }
+};
+
+TEST_F(UrlFolder, AnUploadReplacesTheFileThatTheUrlNamesOnceItIsAccepted) {
+    fs::create_directories(map().parent_path());
+    std::ofstream(map()) << "old one";
+    {
+        FileResourceStore store(folder / "state");
+        EXPECT_EQ(locate(store, "maps/lab.map")[0].size, 7U);
+        upload(store);
+        ASSERT_TRUE(of(store.check("t1")).ok());
+        EXPECT_EQ(content(map()), "old one") << "nobody has accepted it yet";
+        EXPECT_EQ(of(store.place("t1")).value(), map());
+        EXPECT_EQ(content(map()), "abc");
+    }
+    FileResourceStore store(folder / "state");
+    const auto place = locate(store, "maps/lab.map")[0];
+    EXPECT_EQ(place.path, map());
+    EXPECT_EQ(place.size, 3U);
+    EXPECT_TRUE(of(store.absent({map()})).empty());
+    store.remove("Ser/../vice", "..");
+    EXPECT_EQ(of(store.absent({map()})).size(), 1U);
+    EXPECT_TRUE(fs::is_empty(folder / "state/incoming"));
+}
+
+TEST_F(UrlFolder, WhatMayNotBeReplacedIsRefusedBeforeItIsSent) {
+    std::ofstream(folder / "profiles/lab.map") << "old one";
+    fs::permissions(folder / "profiles/lab.map", fs::perms::owner_read);
+    FileResourceStore store(folder / "state");
+    EXPECT_TRUE(locate(store, "lab.map")[0].there);
+    const auto refused = begin(store, offer("t1", 3, kAbc));
+    ASSERT_FALSE(refused.ok());
+    EXPECT_EQ(refused.refusal().code, RefusalCode::PermissionDenied);
+    EXPECT_FALSE(locate(store, "/etc/passwd")[0].refusal.ok());
+    EXPECT_EQ(begin(store, offer("t2", 3, kAbc)).refusal().code, RefusalCode::BadName);
+}
+
+TEST_F(UrlFolder, WhatBecomesForbiddenMeanwhileLeavesTheOldFileAndTheUpload) {
+    FileResourceStore store(folder / "state");
+    (void)locate(store, "maps/lab.map");
+    upload(store);
+    ASSERT_TRUE(of(store.check("t1")).ok());
+    fs::create_directories(folder / "outside");
+    fs::create_directory_symlink(folder / "outside", folder / "profiles/maps");
+    EXPECT_EQ(of(store.place("t1")).refusal().code, RefusalCode::BadName);
+    EXPECT_TRUE(fs::is_empty(folder / "outside"));
+    store.suspend("t1");
+    EXPECT_EQ(begin(store, offer("t2", 3, kAbc)).refusal().code, RefusalCode::BadName);
+}
+
+TEST_F(UrlFolder, WithoutAUrlTheStateFolderHasItWithItsSizeInTheNextLifeToo) {
+    {
+        FileResourceStore store(folder / "state");
+        (void)locate(store, "");
+        upload(store);
+        ASSERT_TRUE(finish(store, "t1").ok());
+        EXPECT_EQ(locate(store, "")[0].size, 3U);
+    }
+    FileResourceStore store(folder / "state");
+    const auto answer = store.locate({}, {{"Ser/../vice", "..", "", true}, {"Ser/../vice", "..", "", false}});
+    ASSERT_TRUE(answer.ready()) << "it is known without looking";
+    EXPECT_TRUE(answer.value()[0].there);
+    EXPECT_EQ(answer.value()[0].size, 3U);
+    EXPECT_EQ(content(answer.value()[0].path), "abc");
+    EXPECT_FALSE(answer.value()[1].there) << "not savable";
+}
+
 }  // namespace
 }  // namespace axon::entity_manager

@@ -477,6 +477,7 @@ void EntityManagerCore::Machine::onLinkUp() {
 void EntityManagerCore::Machine::onLinkDown(const std::string& reason) {
     if (quit_) return;
     link_up_ = false;
+    located_.reset();
     reason_ = "the link to the robot application is down: " + reason;
     Incident incident{Event::LinkDown};
     incident.cause = StopCause::LinkLost;
@@ -512,10 +513,13 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
         case proto::EiToEm::kProfile: {
             const auto& upload = message.profile();
             if (findRow(state_, Event::ProfileUploaded) != nullptr) {
-                if (upload.services())
+                if (upload.services()) {
                     services_ = readServicesProfile(upload.xml(), upload.file_name());
-                else
+                    roots_ = {upload.folder(),
+                              {upload.resource_folders().begin(), upload.resource_folders().end()}};
+                } else {
                     basic_ = readBasicProfile(upload.xml(), upload.file_name());
+                }
             }
             Incident incident{Event::ProfileUploaded};
             incident.reason = {
@@ -590,6 +594,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
 }
 
 void EntityManagerCore::Machine::considerProfiles() {
+    located_.reset();
     if (!basic_ || !services_) return;
     if (!basic_->ok() || !services_->ok()) {
         const auto basic = errorsOf(basic_);
@@ -603,6 +608,15 @@ void EntityManagerCore::Machine::considerProfiles() {
         fire(Event::ProfilesBad);
         return;
     }
+    located_ = store_.locate(roots_, ServiceProfiler::resourcesOf(services_->message));
+    takeProfiles();
+}
+
+/// They are good, and where the files of the resources lie is known.
+void EntityManagerCore::Machine::takeProfiles() {
+    if (!located_ || !located_->ready()) return;
+    const auto places = std::exchange(located_, std::nullopt)->value();
+    located_again_.reset();
     const bool moved = position_waits_;  // the robot has told its position before its profiles were good
     auto profile = basic_->message;
     if (moved) {
@@ -612,10 +626,13 @@ void EntityManagerCore::Machine::considerProfiles() {
     }
     basic_profile_ = std::move(profile);
     basic_profile_.set_entity_id(uuid_);
-    profiler_.load(services_->message, uuid_, store_);
-    if (auto dropped = saved_.restore(profiler_); !dropped.empty()) warning_ = std::move(dropped);
+    profiler_.load(services_->message, uuid_, places);
+    auto amiss = saved_.restore(profiler_);
+    for (const auto& finding : profiler_.findings()) amiss += (amiss.empty() ? "" : "; ") + finding.message();
+    if (!amiss.empty()) warning_ = std::move(amiss);
     for (const auto& [service, told] : active_told_) {
-        [[maybe_unused]] const auto known = profiler_.setActive(service, told.first, told.second);  // not all are in this profile
+        [[maybe_unused]] const auto known =
+            profiler_.setActive(service, told.first, told.second);  // not all are in this profile
     }
     Registration registration;
     registration.entity = uuid_;
@@ -1103,8 +1120,10 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
     if (state_ == EntityState::UNAV || state_ == EntityState::ERR) status.set_reason(reason_);
     status.set_request_id(incident.body->status_request().request_id());
     if (incident.body->status_request().with_services()) {
+        lookAgain();
         *status.mutable_services() = profiler_.profile().services();
         for (auto& finding : saved_.findings()) status.add_findings()->Swap(&finding);
+        for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
     }
     for (const auto& active : active_) {
         auto& task = *status.add_tasks();

@@ -158,6 +158,7 @@ class EntityManagerCore::Machine {
 
     // States, profiles, server.
     void considerProfiles();
+    void takeProfiles();
     void seekServer();
     /// A lease that outlived the session with the server is found again.
     Event serverUpEvent() const {
@@ -218,6 +219,8 @@ class EntityManagerCore::Machine {
     Refusal admit(const proto::TaskRequest& request, std::int64_t sent_at_us);
     void dispatchNext();
     bool admissible(const Task& task) const;
+    void lookAgain();
+    void takeLook();
     Result<bool> prepare(Task& task);
     Refusal missingFiles(const Task& task);
     void refusePrepared(const Refusal& refusal);
@@ -407,6 +410,9 @@ class EntityManagerCore::Machine {
 
     std::optional<Reading<proto::BasicProfile>> basic_;
     std::optional<Reading<proto::ServicesProfile>> services_;
+    ResourceRoots roots_;  ///< that came with it
+    /// Where the files of its resources lie: asked before it is used, and again while it is.
+    std::optional<Later<std::vector<ResourcePlace>>> located_, located_again_;
     proto::BasicProfile basic_profile_;
     std::optional<Registration> registration_;  ///< once the profiles have been good
     TimePoint position_sent_{};

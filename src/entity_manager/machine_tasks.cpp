@@ -82,6 +82,10 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
     if (const auto again = memory_.whyNotAgain(*id); again && !AXON_PLANTED(TaskIdForgotten)) return *again;
     if (const auto refusal = queue_.mayPush(); !refusal.ok()) return refusal;
     auto plan = profiler_.prepare(request.service(), request.params());
+    if (!plan && plan.refusal().code == RefusalCode::MissingDependency && profiler_.hasUrls()) {
+        lookAgain();  // for this task where the disk answers at once, else for the next
+        plan = profiler_.prepare(request.service(), request.params());
+    }
     if (!plan) return plan.refusal();
     const auto& service = profiler_.record(plan->service);
     Task task;
@@ -723,8 +727,22 @@ void EntityManagerCore::Machine::carryResource(const Incident& incident) {
 /// On a thread of its own a store has done what it was asked for. What waits in the queue for it: settle().
 void EntityManagerCore::Machine::onStored() {
     if (quit_) return;
+    takeProfiles();
+    takeLook();
     for (const auto& [upload, progress] : uploads_.answered()) uploadProgress(upload, progress);
     settle();
+}
+
+/// Files that the robot's owner puts in their places come without a word.
+void EntityManagerCore::Machine::lookAgain() {
+    if (located_ || located_again_ || !profiler_.hasUrls()) return;
+    located_again_ = store_.locate(roots_, profiler_.resources());
+    takeLook();
+}
+
+void EntityManagerCore::Machine::takeLook() {
+    if (!located_again_ || !located_again_->ready()) return;
+    sendServices(profiler_.relocate(std::exchange(located_again_, std::nullopt)->value()));
 }
 
 void EntityManagerCore::Machine::uploadProgress(const UploadDesk::Upload& upload,

@@ -12,6 +12,7 @@
 #include "common/routed.hpp"
 #include "entity_manager/journal_record.hpp"
 #include "entity_manager/later.hpp"
+#include "entity_manager/resource_places.hpp"
 
 namespace axon::proto {
 class BasicProfile;
@@ -132,6 +133,19 @@ class ResourceStore {
     virtual void remove(std::string_view service, std::string_view resource) = 0;
     /// Path of a savable resource that was here when this life began or has come since.
     virtual std::optional<std::string> find(std::string_view service, std::string_view resource) = 0;
+    /// Where the resources of a services profile lie, in the order of the queries. What is placed and removed
+    /// from now on goes by it.
+    virtual Later<std::vector<ResourcePlace>> locate(const ResourceRoots& /*roots*/,
+                                                     std::vector<ResourceQuery> queries) {
+        std::vector<ResourcePlace> places;
+        for (const auto& query : queries) {
+            auto path = query.savable ? find(query.service, query.resource) : std::nullopt;
+            auto& place = places.emplace_back();
+            place.there = path.has_value();
+            place.path = std::move(path).value_or(std::string());
+        }
+        return places;
+    }
     /// Which of these files are not there.
     virtual Later<std::vector<std::string>> absent(std::vector<std::string>) {
         return std::vector<std::string>{};

@@ -30,11 +30,14 @@ SavedValues::SavedValues(Storage& storage) : storage_(storage) {
     if (!stored) return;
     proto::ServiceParams all;
     if (!all.ParseFromString(*stored)) {
-        find({}, "the saved values of its parameters could not be read and were dropped: the file in its state folder is damaged",
+        find({},
+             "the saved values of its parameters could not be read and were dropped: the file in its state "
+             "folder is damaged",
              "set them again with axon set");
         return;
     }
-    for (auto& one : *all.mutable_params()) values_[{one.service(), one.param().name()}].Swap(one.mutable_param());
+    for (auto& one : *all.mutable_params())
+        values_[{one.service(), one.param().name()}].Swap(one.mutable_param());
 }
 
 void SavedValues::set(const std::string& service, const proto::CtrlParam& meta, const proto::Param& param) {
@@ -57,12 +60,13 @@ std::string SavedValues::restore(ServiceProfiler& profiler) {
             continue;
         }
         const auto& [service, param] = at->first;
-        auto message = "the saved value " + shown(at->second) + " of parameter " + inQuotes(param) + " of " + inQuotes(service) +
-                       " was dropped: " + refusal.message;
+        auto message = "the saved value " + shown(at->second) + " of parameter " + inQuotes(param) + " of " +
+                       inQuotes(service) + " was dropped: " + refusal.message;
         dropped += (dropped.empty() ? "" : "; ") + message;
         find(at->first, std::move(message),
              refusal.code == RefusalCode::UnknownService || refusal.code == RefusalCode::UnknownParameter
-                 ? "nothing, where the profile was meant to lose it; else correct the profile and set it again with axon set"
+                 ? "nothing, where the profile was meant to lose it; else correct the profile and set it "
+                   "again with axon set"
                  : "set it again with axon set");
         at = values_.erase(at);
     }
@@ -85,9 +89,11 @@ void SavedValues::keep() {
         *one.mutable_param() = value;
         const auto size = one.ByteSizeLong();
         if (bytes + size > kBytesMax) {
-            find(name, "the value of parameter " + inQuotes(name.second) + " of " + inQuotes(name.first) +
-                           " is lost when the Entity Manager restarts: all saved values together have at most 1 MiB",
-                 "upload a file as a resource instead of a long value");
+            find(
+                name,
+                "the value of parameter " + inQuotes(name.second) + " of " + inQuotes(name.first) +
+                    " is lost when the Entity Manager restarts: all saved values together have at most 1 MiB",
+                "upload a file as a resource instead of a long value");
             continue;
         }
         bytes += size;

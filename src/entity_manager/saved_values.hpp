@@ -13,13 +13,14 @@ namespace axon::entity_manager {
 class ServiceProfiler;
 class Storage;
 
-/// The values of savable parameters that were set. They outlive the link to the robot application, a change of the
-/// profile that still admits them, and this process.
+/// The values of savable parameters that were set. They outlive the link to the robot application, a change
+/// of the profile that still admits them, and this process.
 ///
-/// Where in the flow: told of each value that the robot application has granted; sets them again when a profile has
-/// been loaded. Threads: the core's strand. Ownership: plain values; the storage has a copy. Bounded: kBytesMax in the
-/// storage; values beyond it live as long as this process, which a finding says. Failure: a value that a profile no
-/// longer admits is dropped, and a finding says so until the parameter is set again.
+/// Where in the flow: told of each value that the robot application has granted; sets them again when a
+/// profile has been loaded. Threads: the core's strand. Ownership: plain values; the storage has a copy.
+/// Bounded: kBytesMax in the storage; values beyond it live as long as this process, which a finding says.
+/// Failure: a value that a profile no longer admits is dropped, and a finding says so until the parameter is
+/// set again.
 class SavedValues {
   public:
     static constexpr std::size_t kBytesMax = 1U << 20U;

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <set>
 
-#include "entity_manager/ports.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -32,14 +31,63 @@ Refusal notSettable(const proto::Service& service, const proto::CtrlParam& meta)
 
 }  // namespace
 
+std::vector<ResourceQuery> ServiceProfiler::resourcesOf(const proto::ServicesProfile& profile) {
+    std::vector<ResourceQuery> all;
+    for (const auto& service : profile.services())
+        for (const auto& resource : service.resources())
+            all.push_back({service.name(), resource.name(), resource.url(), resource.savable()});
+    return all;
+}
+
+bool ServiceProfiler::hasUrls() const {
+    for (const auto& service : declared_.services())
+        for (const auto& resource : service.resources())
+            if (!resource.url().empty()) return true;
+    return false;
+}
+
+std::vector<proto::EntityFinding> ServiceProfiler::findings() const {
+    std::vector<proto::EntityFinding> all;
+    for (const auto& [resource, finding] : findings_) all.push_back(finding);
+    return all;
+}
+
+/// What lies in its place, and what the profile says of it.
+void ServiceProfiler::judge(int service, int resource, const ResourcePlace& place) {
+    const auto& declared = declared_.services(service).resources(resource);
+    auto& record = *profile_.mutable_services(service)->mutable_resources(resource);
+    findings_.erase({service, resource});
+    record.set_ready(place.there && (declared.savable() || declared.ready()));
+    if (record.ready()) {
+        record.set_url(place.path);
+        record.set_size(place.size);
+        return;
+    }
+    record.set_url(declared.url());
+    if (place.refusal.ok() && !declared.ready()) return;
+    auto& finding = findings_[{service, resource}];
+    finding.set_message(
+        "resource " + inQuotes(declared.name()) + " of " + inQuotes(declared_.services(service).name()) +
+        (place.refusal.ok()
+             ? " is declared ready, and " +
+                   (place.path.empty() ? std::string("nothing has been uploaded for it; it has no url")
+                                       : "there is no file " + inQuotes(place.path, 512))
+             : " cannot be used: " + place.refusal.message));
+    finding.set_fix(place.refusal.ok()
+                        ? "put the file there, upload it with axon upload, or correct the services profile"
+                        : "correct the services profile, or the robot's machine");
+}
+
 void ServiceProfiler::load(proto::ServicesProfile profile, const std::string& entity_id,
-                           ResourceStore& store) {
+                           const std::vector<ResourcePlace>& places) {
     profile_ = std::move(profile);
     declared_ = profile_;
     composites_ = readComposites(profile_);
     stamps_.clear();
     active_.clear();
     around_.assign(place(profile_.services_size()), {});
+    findings_.clear();
+    auto place_of = places.begin();
     for (int i = 0; i < profile_.services_size(); ++i) {
         auto& service = *profile_.mutable_services(i);
         service.set_entity_id(entity_id);
@@ -47,13 +95,7 @@ void ServiceProfiler::load(proto::ServicesProfile profile, const std::string& en
         service.set_is_exec(false);
         active_.push_back({service.is_active(), {}});
         for (auto& param : *service.mutable_params()) param.set_ready(param.initial_size() > 0);
-        for (auto& resource : *service.mutable_resources()) {
-            if (!resource.savable()) continue;
-            if (auto path = store.find(service.name(), resource.name())) {
-                resource.set_url(*path);
-                resource.set_ready(true);
-            }
-        }
+        for (int r = 0; r < service.resources_size(); ++r) judge(i, r, *place_of++);
         stamps_.push_back({std::vector<std::uint64_t>(place(service.params_size())),
                            std::vector<std::uint64_t>(place(service.resources_size()))});
     }
@@ -62,6 +104,26 @@ void ServiceProfiler::load(proto::ServicesProfile profile, const std::string& en
         refreshActive(i);
         refreshRecord(i);
     }
+}
+
+std::vector<int> ServiceProfiler::relocate(const std::vector<ResourcePlace>& places) {
+    std::vector<int> changed;
+    auto place_of = places.begin();
+    for (int i = 0; i < declared_.services_size(); ++i)
+        for (int r = 0; r < ownResources(i); ++r, ++place_of) {
+            const auto& declared = declared_.services(i).resources(r);
+            if (!declared.savable() || declared.url().empty()) continue;
+            auto& resource = *profile_.mutable_services(i)->mutable_resources(r);
+            const bool was_ready = resource.ready();
+            if (was_ready && place_of->there && resource.size() == place_of->size) continue;
+            resource.clear_sha256();
+            resource.clear_size();
+            judge(i, r, *place_of);
+            const bool same = !was_ready && !resource.ready();
+            if (!same && (changed.empty() || changed.back() != i)) changed.push_back(i);
+        }
+    for (const auto service : changed) refresh(service);
+    return changed;
 }
 
 /// Once: the names of what the parts have, and the flags of the whole.
@@ -199,11 +261,15 @@ void ServiceProfiler::storeParam(int service, const proto::Param& param) {
 Refusal ServiceProfiler::restoreParam(const std::string& service, const proto::Param& param) {
     // By exact names: what differs in upper and lower case may mean something else.
     const auto& services = declared_.services();
-    const auto at = std::find_if(services.begin(), services.end(), [&](const auto& one) { return one.name() == service; });
-    if (at == services.end()) return {RefusalCode::UnknownService, "the profile no longer has this service", {}};
+    const auto at = std::find_if(services.begin(), services.end(),
+                                 [&](const auto& one) { return one.name() == service; });
+    if (at == services.end())
+        return {RefusalCode::UnknownService, "the profile no longer has this service", {}};
     const auto& params = at->params();
-    const auto meta = std::find_if(params.begin(), params.end(), [&](const auto& one) { return one.name() == param.name(); });
-    if (meta == params.end()) return {RefusalCode::UnknownParameter, "the profile no longer has this parameter", {}};
+    const auto meta = std::find_if(params.begin(), params.end(),
+                                   [&](const auto& one) { return one.name() == param.name(); });
+    if (meta == params.end())
+        return {RefusalCode::UnknownParameter, "the profile no longer has this parameter", {}};
     if (!meta->savable()) return {RefusalCode::WrongType, "the profile no longer declares it savable", {}};
     auto checked = checkParam(service, param);
     if (!checked) return checked.refusal();
@@ -231,6 +297,7 @@ void ServiceProfiler::storeResource(int service, int resource, std::string path,
     record.set_sha256(std::move(sha256));
     record.set_size(size);
     record.set_ready(true);
+    findings_.erase({service, resource});
     stamps_[place(service)].resources[place(resource)] = ++clock_;
     refresh(service);
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <axon/profile.pb.h>
+#include <axon/status.pb.h>
 
 #include <cstdint>
 #include <map>
@@ -11,11 +12,10 @@
 #include <vector>
 
 #include "common/result.hpp"
+#include "entity_manager/resource_places.hpp"
 #include "messages/composites.hpp"
 
 namespace axon::entity_manager {
-
-class ResourceStore;
 
 /// The registry of the entity's services (thesis: ServiceProfiler): parameters with their values, resources,
 /// dependencies and readiness, activity.
@@ -46,12 +46,25 @@ class ServiceProfiler {
         int service = 0;
         bool composite = false;
         std::vector<Order> parts;
-        std::vector<std::pair<int, proto::Param>> given;  ///< with the task, by the service that declares it: not yet asked for
+        /// With the task, by the service that declares it: the application has not been asked yet.
+        std::vector<std::pair<int, proto::Param>> given;
         std::uint64_t stamp = 0;  ///< what was set later is not cleared by this task's end
     };
 
-    /// Replaces everything. Savable resources that are in the store already are ready at once.
-    void load(proto::ServicesProfile profile, const std::string& entity_id, ResourceStore& store);
+    /// All resources that a profile declares, in its order.
+    static std::vector<ResourceQuery> resourcesOf(const proto::ServicesProfile& profile);
+    std::vector<ResourceQuery> resources() const { return resourcesOf(declared_); }
+    /// Replaces everything. `places`: of resourcesOf(profile). Ready at once are the resources that are there
+    /// and are savable, or ready by the profile's own word; a finding says what this word gets wrong.
+    void load(proto::ServicesProfile profile, const std::string& entity_id,
+              const std::vector<ResourcePlace>& places);
+    /// Savable resources that have come or gone since, by other ways than an upload. The services that have
+    /// changed.
+    std::vector<int> relocate(const std::vector<ResourcePlace>& places);
+    /// What is not as the profile says of its resources.
+    std::vector<proto::EntityFinding> findings() const;
+    /// Whether a resource has a url: it may come or go without an upload.
+    bool hasUrls() const;
 
     const proto::ServicesProfile& profile() const { return profile_; }
     const proto::Service& record(int service) const { return profile_.services(service); }
@@ -66,8 +79,8 @@ class ServiceProfiler {
     /// After the robot application has granted it.
     void storeParam(int service, const proto::Param& param);
 
-    /// A value of a savable parameter that was set before this profile was loaded: set again, or why this profile does
-    /// not admit it. UNKNOWN_SERVICE, UNKNOWN_PARAMETER, and what checkParam() says.
+    /// A value of a savable parameter that was set before this profile was loaded: set again, or why this
+    /// profile does not admit it. UNKNOWN_SERVICE, UNKNOWN_PARAMETER, and what checkParam() says.
     Refusal restoreParam(const std::string& service, const proto::Param& param);
 
     /// Position of service (of a composite's "Part.Name" the part) and resource; UNKNOWN_SERVICE, UNKNOWN_RESOURCE.
@@ -132,6 +145,7 @@ class ServiceProfiler {
         proto::Param param;
     };
 
+    void judge(int service, int resource, const ResourcePlace& place);
     void showParts(int service);
     void refresh(int service);
     void refreshRecord(int service);
@@ -154,6 +168,7 @@ class ServiceProfiler {
     std::vector<std::vector<int>> around_;  ///< of each service the composites with it
     std::vector<Switch> active_;            ///< each by itself, whatever its parts are
     std::vector<Stamps> stamps_;
+    std::map<std::pair<int, int>, proto::EntityFinding> findings_;  ///< by service and resource
     std::uint64_t clock_ = 0;  ///< counts what has been set
 };
 

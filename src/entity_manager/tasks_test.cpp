@@ -453,7 +453,8 @@ struct SavableValues : Tasks {
     std::string speed() {
         const auto now = status();
         for (const auto& param : now.services(0).params())
-            if (param.name() == "Speed") return param.ready() ? std::to_string(param.initial(0).int_()) + param.units() : "none";
+            if (param.name() == "Speed")
+                return param.ready() ? std::to_string(param.initial(0).int_()) + param.units() : "none";
         return "not there";
     }
     /// The application is started again, with this services profile.
@@ -467,7 +468,8 @@ struct SavableValues : Tasks {
     /// Likewise, with one text in place of another throughout the profile.
     void change(const std::string& from, const std::string& to) {
         std::string xml = test::kRigServicesProfile;
-        for (auto at = xml.find(from); at != std::string::npos; at = xml.find(from, at + to.size())) xml.replace(at, from.size(), to);
+        for (auto at = xml.find(from); at != std::string::npos; at = xml.find(from, at + to.size()))
+            xml.replace(at, from.size(), to);
         relink(xml);
     }
 };
@@ -518,7 +520,8 @@ TEST_F(SavableValues, AreDroppedByAProfileThatDoesNotAdmitThemAndItIsSaid) {
         EXPECT_NE(speed(), "300mm/s");
         const auto told = status();
         ASSERT_EQ(told.findings_size(), 1);
-        EXPECT_NE(told.findings(0).message().find("the saved value 300 mm/s of parameter \"Speed\" of \"Driving\" was dropped: "),
+        EXPECT_NE(told.findings(0).message().find(
+                      "the saved value 300 mm/s of parameter \"Speed\" of \"Driving\" was dropped: "),
                   std::string::npos)
             << told.findings(0).message();
         EXPECT_EQ(rig.core().takeWarning(), told.findings(0).message());
@@ -565,6 +568,95 @@ TEST_F(SavableValues, ThatAreDamagedOnTheDiskAreSaidToBeLost) {
     rig.makeIdle();
     EXPECT_EQ(speed(), "200mm/s");
     EXPECT_EQ(status().findings_size(), 1);
+}
+
+struct Urls : SavableValues {
+    /// The profile's one resource, with these attributes beside its name and `required`.
+    void declare(const std::string& attributes) {
+        const std::string old = "name=\"Map\" required=\"true\" savable=\"false\"";
+        change(old, "name=\"Map\" required=\"true\" " + attributes);
+    }
+    proto::Resource map() { return status().services(4).resources(0); }
+    void deliver(const std::string& id) { rig.task("client1", id, "Delivery", {"Room=Lab"}); }
+    std::vector<std::string> findings() {
+        std::vector<std::string> all;
+        const auto told = status();
+        for (const auto& finding : told.findings()) all.push_back(finding.message());
+        return all;
+    }
+};
+
+TEST_F(Urls, WhatTheProfileDeclaresReadyIsThereWithItsPathAndSize) {
+    rig.resources.files["/profiles/maps/lab.map"] = 1234;
+    declare("url=\"maps/lab.map\" ready=\"true\" savable=\"true\"");
+    EXPECT_TRUE(map().ready());
+    EXPECT_EQ(map().size(), 1234U);
+    EXPECT_TRUE(findings().empty());
+    deliver("t1");
+    ASSERT_TRUE(rig.to_application.back().has_task());
+    EXPECT_EQ(rig.to_application.back().task().resources(0).url(), "/profiles/maps/lab.map");
+}
+
+TEST_F(Urls, WhatTheProfileDeclaresReadyAndIsNotThereIsSaidAndComesWhenItIsPutThere) {
+    declare("url=\"maps/lab.map\" ready=\"true\" savable=\"true\"");
+    EXPECT_NE(rig.core().takeWarning(), "");
+    EXPECT_FALSE(map().ready());
+    EXPECT_EQ(findings(), std::vector<std::string>{"resource \"Map\" of \"Delivery\" is declared ready, and "
+                                                   "there is no file \"/profiles/maps/lab.map\""});
+    deliver("t1");
+    EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::MISSING_DEPENDENCY);
+    rig.resources.files["/profiles/maps/lab.map"] = 5;
+    deliver("t2");
+    EXPECT_EQ(lastOf(rig, "t2").state(), proto::TASK_DISPATCHED);
+    EXPECT_TRUE(findings().empty());
+}
+
+TEST_F(Urls, AFileThatIsGoneIsNoLongerReadyAndItsTaskIsRefused) {
+    rig.resources.files["/profiles/lab.map"] = 1;
+    declare("url=\"lab.map\" savable=\"true\"");
+    EXPECT_TRUE(map().ready()) << "savable: it is there";
+    rig.resources.files.clear();
+    deliver("t1");
+    EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::MISSING_DEPENDENCY);
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+    EXPECT_FALSE(map().ready());
+}
+
+TEST_F(Urls, WhatMustBeGivenEachTimeIsNotReadyBecauseAFileIsThere) {
+    rig.resources.files["/profiles/lab.map"] = 1;
+    declare("url=\"lab.map\" savable=\"false\"");
+    EXPECT_FALSE(map().ready());
+    EXPECT_TRUE(findings().empty());
+}
+
+TEST_F(Urls, AnAbsoluteOneThatIsNotPermittedIsSaidEvenWhereNothingIsDeclaredReady) {
+    declare("url=\"/srv/lab.map\"");
+    ASSERT_EQ(findings().size(), 1U);
+    EXPECT_NE(findings()[0].find("cannot be used: It is not permitted."), std::string::npos);
+}
+
+TEST_F(Urls, ReadyWithoutAUrlAndWithoutAnUploadIsSaid) {
+    declare("ready=\"true\"");
+    EXPECT_FALSE(map().ready());
+    ASSERT_EQ(findings().size(), 1U);
+    EXPECT_NE(findings()[0].find("it has no url"), std::string::npos);
+}
+
+TEST_F(Urls, AreLookedForBeforeTheEntityAppearsAndNobodyWaitsForTheDisk) {
+    rig.resources.slow = true;
+    rig.resources.files["/profiles/lab.map"] = 1;
+    declare("url=\"lab.map\" ready=\"true\" savable=\"true\"");
+    EXPECT_EQ(rig.core().state(), EntityState::INIT);
+    rig.core().onLinkDown("the application was restarted once more");
+    rig.resources.answerAll();
+    rig.core().onStored();
+    EXPECT_EQ(rig.core().state(), EntityState::UNAV) << "an answer about the link before";
+    declare("url=\"lab.map\" ready=\"true\" savable=\"true\"");
+    rig.resources.answerAll();
+    rig.core().onStored();
+    EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+    rig.resources.slow = false;
+    EXPECT_TRUE(map().ready());
 }
 
 TEST_F(Tasks, AnApplicationThatDoesNotAnswerAParameterIsNotWaitedFor) {

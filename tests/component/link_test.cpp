@@ -362,7 +362,9 @@ TEST(Link, AFarPortOfTheWholeRangeIsFound) {
 TEST(Link, ProfilesAndStatementsArriveOnLinkUp) {
     const ScratchFile basic("basic.xml", "<BasicProfile/>");
     const ScratchFile services("services.xml", "<ServiceProfile/>");
-    EntityInterfacer interfacer(options("P"));
+    auto o = options("P");
+    o.resource_folders = {"/srv/maps", "relative"};
+    EntityInterfacer interfacer(o);
     interfacer.uploadBasicProfile(basic.path());
     interfacer.uploadServiceProfile(services.path());
     interfacer.setPosition(1, 2, 3);
@@ -376,6 +378,10 @@ TEST(Link, ProfilesAndStatementsArriveOnLinkUp) {
     EXPECT_EQ(messages[0].profile().file_name(), basic.path().string());
     EXPECT_EQ(messages[1].profile().xml(), "<ServiceProfile/>");
     EXPECT_TRUE(messages[1].profile().services());
+    EXPECT_EQ(messages[1].profile().folder(), std::filesystem::absolute(services.path()).parent_path());
+    ASSERT_EQ(messages[1].profile().resource_folders_size(), 2);
+    EXPECT_EQ(messages[1].profile().resource_folders(0), "/srv/maps");
+    EXPECT_EQ(messages[1].profile().resource_folders(1), std::filesystem::current_path() / "relative");
     EXPECT_EQ(messages[2].position().zpos(), 3);
     EXPECT_EQ(messages[3].active().reason(), "no battery");
 }
@@ -429,7 +435,8 @@ TEST(Link, WhatIsGivenWithATaskIsPutToOnParameterAndAVetoRefusesTheTask) {
     EntityInterfacer interfacer(options("GivenVeto"));
     interfacer.onParameter([&](const std::string& service, const Parameter& p) {
         asked++;
-        if (service == "Drive" && p.name == "Speed" && p.number() > 100) return Decision::deny("faster than this floor allows");
+        if (service == "Drive" && p.name == "Speed" && p.number() > 100)
+            return Decision::deny("faster than this floor allows");
         if (service == "Tour") return Decision::robotLost("the base does not answer");
         return Decision::grant();
     });
@@ -441,7 +448,8 @@ TEST(Link, WhatIsGivenWithATaskIsPutToOnParameterAndAVetoRefusesTheTask) {
     interfacer.start();
     Manager manager("GivenVeto");
     ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
-    const auto dispatch = [&](const std::string& id, double speed, const std::string& declared_by, bool given) {
+    const auto dispatch = [&](const std::string& id, double speed, const std::string& declared_by,
+                              bool given) {
         proto::EmToEi message;
         auto& task = *message.mutable_task();
         task.set_task_id(id);
@@ -462,12 +470,14 @@ TEST(Link, WhatIsGivenWithATaskIsPutToOnParameterAndAVetoRefusesTheTask) {
     dispatch(stored, 500, "Drive", false);  // set before: it was asked for then
     dispatch(whole, 50, "Tour", true);
     ASSERT_TRUE(waitUntil([&] {
-        return manager.answerOf(too_fast) && manager.finalOf(slow) && manager.finalOf(stored) && manager.answerOf(whole);
+        return manager.answerOf(too_fast) && manager.finalOf(slow) && manager.finalOf(stored) &&
+               manager.answerOf(whole);
     }));
     EXPECT_EQ(manager.answerOf(too_fast), proto::DENIED);
     for (const auto& message : manager.messages()) {
         if (!message.has_task_answer() || message.task_answer().task_id() != too_fast) continue;
-        EXPECT_EQ(message.task_answer().refusal().message(), "parameter 'Speed' of 'Drive': faster than this floor allows");
+        EXPECT_EQ(message.task_answer().refusal().message(),
+                  "parameter 'Speed' of 'Drive': faster than this floor allows");
     }
     EXPECT_EQ(manager.answerOf(slow), proto::OK);
     EXPECT_EQ(manager.answerOf(stored), proto::OK);

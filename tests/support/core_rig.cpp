@@ -161,10 +161,35 @@ std::optional<std::string> MemoryResources::find(std::string_view service, std::
     return complete.contains(path) ? std::optional("/store/" + path) : std::nullopt;
 }
 
+entity_manager::Later<std::vector<entity_manager::ResourcePlace>> MemoryResources::locate(
+    const entity_manager::ResourceRoots& told, std::vector<entity_manager::ResourceQuery> queries) {
+    roots = told;
+    auto places = ResourceStore::locate(told, queries).value();
+    return answer<std::vector<entity_manager::ResourcePlace>>(
+        [this, places, queries = std::move(queries)]() mutable {
+            for (std::size_t i = 0; i < queries.size(); ++i) {
+                const auto& url = queries[i].url;
+                if (url.empty()) continue;
+                auto& place = places[i];
+                place = {};
+                if (url.front() == '/' && roots.permitted.empty()) {
+                    place.refusal = {RefusalCode::BadName, "It is not permitted.", {}};
+                    continue;
+                }
+                place.path = url.front() == '/' ? url : roots.profiles + '/' + url;
+                const auto at = files.find(place.path);
+                place.there = at != files.end();
+                if (place.there) place.size = at->second;
+            }
+            return places;
+        });
+}
+
 entity_manager::Later<std::vector<std::string>> MemoryResources::absent(std::vector<std::string> files) {
     return answer<std::vector<std::string>>([this, files = std::move(files)]() mutable {
         std::erase_if(files, [this](const std::string& file) {
-            return std::any_of(complete.begin(), complete.end(),
+            return this->files.contains(file) ||
+                   std::any_of(complete.begin(), complete.end(),
                                [&](const auto& resource) { return "/store/" + resource.first == file; });
         });
         return files;
@@ -198,6 +223,7 @@ void CoreRig::upload(bool services, const std::string& xml) {
     message.mutable_profile()->set_services(services);
     message.mutable_profile()->set_file_name(services ? "services.xml" : "basic.xml");
     message.mutable_profile()->set_xml(xml);
+    message.mutable_profile()->set_folder("/profiles");
     fromApplication(std::move(message));
 }
 

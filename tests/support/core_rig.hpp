@@ -77,8 +77,13 @@ class MemoryResources final : public entity_manager::ResourceStore, public Answe
     void drop(std::string_view transfer_id) override;
     void remove(std::string_view service, std::string_view resource) override;
     std::optional<std::string> find(std::string_view service, std::string_view resource) override;
+    entity_manager::Later<std::vector<entity_manager::ResourcePlace>> locate(
+        const entity_manager::ResourceRoots& roots,
+        std::vector<entity_manager::ResourceQuery> queries) override;
     entity_manager::Later<std::vector<std::string>> absent(std::vector<std::string> files) override;
 
+    std::map<std::string, std::uint64_t> files;   ///< beside the store, where urls lead: path → size
+    entity_manager::ResourceRoots roots;          ///< as locate() was told
     std::map<std::string, std::string> partial;   ///< hash → content so far
     std::map<std::string, std::string> owners;    ///< hash → of the content so far
     std::map<std::string, std::string> complete;  ///< service/resource → content

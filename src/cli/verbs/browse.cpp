@@ -48,7 +48,8 @@ int info(Session& session) {
     auto margins = Json::array();
     auto findings = Json::array();
     if (details) {
-        for (const auto& finding : details->findings) findings.push_back({{"message", finding.message}, {"mend", finding.fix}});
+        for (const auto& finding : details->findings)
+            findings.push_back({{"message", finding.message}, {"mend", finding.fix}});
         for (const auto& margin : details->watchdogs) {
             margins.push_back({{"hop", margin.hop},
                                {"timeout_ms", margin.timeout.count() * 1000},

@@ -58,8 +58,8 @@ double secondsSince(Clock::time_point start) {
     return Seconds(Clock::now() - start).count();
 }
 
-/// "all of them are switched off (battery low)", "2 of them are switched off: Driving (battery low), Turning"; empty
-/// where none is.
+/// "all of them are switched off (battery low)", "2 of them are switched off: Driving (battery low),
+/// Turning"; empty where none is.
 std::string switchedOff(const std::vector<Service>& services) {
     std::vector<const Service*> off;
     for (const auto& service : services)
@@ -69,8 +69,11 @@ std::string switchedOff(const std::vector<Service>& services) {
         return service.inactive_reason.empty() ? std::string() : " (" + service.inactive_reason + ")";
     };
     const bool all = off.size() == services.size();
-    const bool same = std::all_of(off.begin(), off.end(), [&](const Service* one) { return why(*one) == why(*off.front()); });
-    auto text = std::string(all ? "all of them are" : off.size() == 1 ? "one of them is" : fmt::format("{} of them are", off.size()));
+    const bool same = std::all_of(off.begin(), off.end(),
+                                  [&](const Service* one) { return why(*one) == why(*off.front()); });
+    auto text = std::string(all               ? "all of them are"
+                            : off.size() == 1 ? "one of them is"
+                                              : fmt::format("{} of them are", off.size()));
     text += " switched off by the robot's application";
     if (all && same) return text + why(*off.front());
     text += ':';
@@ -119,10 +122,12 @@ void checkEntities(Report& report, Station& station) {
                                    services.size() == 1 ? "" : "s", duration(round_trip));
         const auto off = switchedOff(services);
         if (!off.empty()) message += "; " + off;
-        const bool any_on = std::any_of(services.begin(), services.end(), [](const Service& one) { return one.active; });
+        const bool any_on =
+            std::any_of(services.begin(), services.end(), [](const Service& one) { return one.active; });
         if (!off.empty() && !any_on) {
             report.warn(name, message + (entity.latched ? "; stopped" : ""),
-                        "it takes no task before its application switches a service on again: see to the reason it gives, or to its log");
+                        "it takes no task before its application switches a service on again: see to the "
+                        "reason it gives, or to its log");
         } else if (entity.latched) {
             report.warn(name, message + "; stopped",
                         "axon rearm " + shellWord(name) + ", when it is safe to move again");
