@@ -135,11 +135,14 @@ class MemoryStorage final : public Storage, public ResourceStore {
     void save(std::string_view key, std::string_view value) override { values_[std::string(key)] = value; }
     void forget(std::string_view key) override { values_.erase(std::string(key)); }
 
-    Result<std::uint64_t> begin(const proto::ResourceOffer&) override { return refused(); }
+    Later<Result<std::uint64_t>> begin(const proto::ResourceOffer&, const std::string&) override {
+        return Result<std::uint64_t>(refused());
+    }
     Result<void> write(std::string_view, std::uint64_t, std::string_view) override { return refused(); }
-    Result<std::string> finish(std::string_view) override { return refused(); }
+    Later<Result<std::string>> check(std::string_view) override { return Result<std::string>(refused()); }
+    Later<Result<std::string>> place(std::string_view) override { return Result<std::string>(refused()); }
     void suspend(std::string_view) override {}
-    void dropSuspended() override {}
+    void drop(std::string_view) override {}
     void remove(std::string_view, std::string_view) override {}
     std::optional<std::string> find(std::string_view, std::string_view) override { return std::nullopt; }
 

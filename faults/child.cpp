@@ -38,7 +38,9 @@ void catchInterrupts() {
     for (const int number : {SIGINT, SIGTERM}) ::signal(number, [](int) { interrupts = 1; });
 }
 
-Child::Child(const std::vector<std::string>& words, std::filesystem::path log) : log_(std::move(log)) {
+Child::Child(const std::vector<std::string>& words, std::filesystem::path log,
+             std::vector<std::string> environment)
+    : log_(std::move(log)) {
     std::error_code none;
     if (const auto size = std::filesystem::file_size(log_, none); !none) log_begins_ = size;
     std::vector<char*> arguments;
@@ -57,6 +59,7 @@ Child::Child(const std::vector<std::string>& words, std::filesystem::path log) :
         ::dup2(fd, 2);
         const int nothing = ::open("/dev/null", O_RDONLY);
         ::dup2(nothing, 0);
+        for (auto& variable : environment) ::putenv(variable.data());
         ::execvp(arguments[0], arguments.data());
         std::perror(arguments[0]);
         ::_exit(127);

@@ -13,7 +13,9 @@ namespace axon::faults {
 class Child {
   public:
     /// Standard output and standard error are appended to the log.
-    Child(const std::vector<std::string>& words, std::filesystem::path log);
+    /// `environment`: "NAME=value", added to this process's own.
+    Child(const std::vector<std::string>& words, std::filesystem::path log,
+          std::vector<std::string> environment = {});
     ~Child();
     Child(const Child&) = delete;
     Child& operator=(const Child&) = delete;

@@ -31,6 +31,16 @@ std::string portText(std::uint16_t port) {
     return std::to_string(port);
 }
 
+std::string slowDiskLibrary(const fs::path& programs) {
+    const auto library = programs / "libaxon_slow_disk.so";
+    if (!fs::exists(library))
+        throw std::runtime_error(
+            library.string() +
+            ": expected the library that makes a disk slow. fix: build axon_slow_disk, which a build with a "
+            "sanitizer does not have");
+    return library.string();
+}
+
 }  // namespace
 
 bool waitUntil(const std::function<bool()>& holds, std::chrono::milliseconds time) {
@@ -157,16 +167,24 @@ void Laboratory::startManagers() {
     for (std::size_t i = 0; i < wishes_.entities; ++i) {
         if (managers_[i] && managers_[i]->running()) continue;
         const auto number = std::to_string(i);
+        std::vector<std::string> environment;
+        if (needs_.slow_disk)
+            environment = {"LD_PRELOAD=" + slowDiskLibrary(wishes_.programs),
+                           "AXON_SLOW_DISK=" + (folder_ / ("state-" + number)).string()};
         managers_[i] = std::make_unique<Child>(
             std::vector<std::string>{
                 (wishes_.programs / "axon-entity-manager").string(), "--application", applicationName(i),
                 "--server", server, "--address", links, "--ports", portText(linkPort(i)), "--state",
                 (folder_ / ("state-" + number)).string(), "--config",
                 (folder_ / (needs_.first_master && i == 0 ? "master.cfg" : "manager.cfg")).string()},
-            folder_ / ("manager-" + number + ".log"));
+            folder_ / ("manager-" + number + ".log"), std::move(environment));
         started.push_back(i);
     }
     for (const auto i : started) managers_[i]->waitForLine("ready ");
+}
+
+void Laboratory::slowDisk() {
+    std::ofstream(folder_ / "slow") << "while this file is there (tests/support/slow_disk.hpp)\n";
 }
 
 void Laboratory::startAll() {

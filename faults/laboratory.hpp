@@ -22,6 +22,8 @@ struct Needs {
          relay_links = false;  ///< which hops go through the relay
     bool daemons =
         false;  ///< a process for each Entity Manager, for faults of one; without, only where robots are few
+    bool slow_disk =
+        false;  ///< the disk of every Entity Manager takes its time (with daemons): Laboratory::slowDisk()
     bool together = false;     ///< the robots move as steps of one run; Desk::master is whose it is
     bool first_master = false; ///< it is always the first robot's, whose Entity Manager has a cable of its own:
                                ///< Hop::Master (with relay_managers and daemons)
@@ -69,6 +71,8 @@ class Laboratory {
     const std::filesystem::path& folder() const { return folder_; }
     /// HOST:PORT for clients, through the relay where one is in between.
     std::string clientAddress() const;
+    /// From now on every operation on the state folder of an Entity Manager takes two seconds.
+    void slowDisk();
     /// Motions that were logged since the last call.
     std::vector<Motion> newMotions();
     /// Leaves the logs where they are when something went wrong.

@@ -149,7 +149,9 @@ int runManagers(const RobotsPlan& plan) {
     server.host = plan.server.substr(0, colon);
     server.port = static_cast<std::uint16_t>(std::stoi(plan.server.substr(colon + 1)));
     struct Member {
-        explicit Member(const fs::path& folder) : storage(folder), resources(folder), journal(folder) {}
+        explicit Member(const fs::path& folder)
+            : storage(folder, urgent), resources(folder), journal(folder, urgent) {}
+        static void urgent() { transport::requestRealTime(transport::kReceiptPriority); }
         SystemRandom random;
         FileStorage storage;
         FileResourceStore resources;

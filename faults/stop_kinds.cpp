@@ -159,6 +159,27 @@ void stopOverBadCable(Run& run, const Impairment& how) {
     carryOut(run, fault);
 }
 
+#ifdef AXON_FAULTS_SLOW_DISK
+/// A client asks for a stop of everything while the disks of the Entity Managers take two seconds for each
+/// operation. Before that every robot was rearmed and given a task, which has waited for its line in the
+/// journal.
+void stopBesideSlowDisk(Run& run) {
+    std::unique_ptr<RawClient> stopper;
+    Fault fault;
+    fault.before = [&](Run& now) {
+        stopper = std::make_unique<RawClient>(now.lab.clientAddress(), "stopper@faults");
+        now.lab.slowDisk();
+        std::this_thread::sleep_for(std::chrono::microseconds(now.among(100'000, 2'500'000)));
+        if (const auto stood = standing(now.lab.board()); stood > 0)
+            now.report.violation(std::to_string(stood) + " robots stopped, and nobody had asked for it");
+    };
+    fault.inject = [&](Run&, const Robots&) { stopper->stop(""); };
+    fault.heal = [](Run&, const Robots&) {};
+    fault.thaw = 50ms;
+    carryOut(run, fault);
+}
+#endif
+
 /// Cables whose delay changes ten times a second.
 void shake(Run& run) {
     for (const auto hop : {Hop::Client, Hop::Manager})
@@ -354,6 +375,22 @@ std::vector<Kind> stopKinds() {
         "mended, "
         "but the stream comes in pieces of 1 to 64 bytes, each up to 5 ms late (packets: axon-channel)",
         {.piece = 64, .late = 5ms});
+
+#ifdef AXON_FAULTS_SLOW_DISK
+    all.push_back(
+        {"slow-disk",
+         kNoTrial,
+         "every operation on the disks of the Entity Managers takes two seconds; tasks wait for their lines "
+         "in the "
+         "journal, and a client stops everything",
+         {kServerHop_ms, kKill_ms,
+          "99 of 100 robots stop within 20 ms of a stop by a client, all within 350 ms, and none before"},
+         {.daemons = true, .slow_disk = true},
+         "stops",
+         20,
+         1,
+         stopBesideSlowDisk});
+#endif
 
     const std::string what =
         "nothing is struck: for --seconds every robot moves, and whatever stops is a false trip";

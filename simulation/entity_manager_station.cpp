@@ -29,6 +29,10 @@ constexpr Duration kWatchdogBusy = 100ms;
 constexpr Duration kWatchdogIdle = 500ms;
 constexpr int kFirstManager = 100;
 
+Refusal noResources() {
+    return {RefusalCode::NotSupported, "The simulation has no resources.", {}};
+}
+
 }  // namespace
 
 std::optional<std::string> Disk::load(std::string_view key) {
@@ -41,11 +45,14 @@ void Disk::save(std::string_view key, std::string_view value) {
 void Disk::forget(std::string_view key) {
     values_.erase(std::string(key));
 }
-Result<std::uint64_t> Disk::begin(const proto::ResourceOffer&) {
-    return Refusal{RefusalCode::NotSupported, "The simulation has no resources.", {}};
+entity_manager::Later<Result<std::uint64_t>> Disk::begin(const proto::ResourceOffer&, const std::string&) {
+    return Result<std::uint64_t>(noResources());
 }
-Result<std::string> Disk::finish(std::string_view) {
-    return Refusal{RefusalCode::NotSupported, "The simulation has no resources.", {}};
+entity_manager::Later<Result<std::string>> Disk::check(std::string_view) {
+    return Result<std::string>(noResources());
+}
+entity_manager::Later<Result<std::string>> Disk::place(std::string_view) {
+    return Result<std::string>(noResources());
 }
 
 bool Disk::append(const entity_manager::JournalRecord& record) {

@@ -23,11 +23,13 @@ class Disk final : public entity_manager::Storage,
     std::optional<std::string> load(std::string_view key) override;
     void save(std::string_view key, std::string_view value) override;
     void forget(std::string_view key) override;
-    Result<std::uint64_t> begin(const proto::ResourceOffer&) override;
+    entity_manager::Later<Result<std::uint64_t>> begin(const proto::ResourceOffer&,
+                                                       const std::string&) override;
     Result<void> write(std::string_view, std::uint64_t, std::string_view) override { return {}; }
-    Result<std::string> finish(std::string_view) override;
+    entity_manager::Later<Result<std::string>> check(std::string_view) override;
+    entity_manager::Later<Result<std::string>> place(std::string_view) override;
     void suspend(std::string_view) override {}
-    void dropSuspended() override {}
+    void drop(std::string_view) override {}
     void remove(std::string_view, std::string_view) override {}
     std::optional<std::string> find(std::string_view, std::string_view) override { return std::nullopt; }
     bool append(const entity_manager::JournalRecord& record) override;

@@ -79,7 +79,9 @@ class FakeStation : public Station {
         return Refusal{RefusalCode::AmbiguousEntity, "several entities are called \"" + name + "\"", {}};
     }
     Result<std::vector<Service>> services(const std::string&) const override { return services_; }
-    Result<Details> details(const std::string&) const override { return Details{services_, watchdogs}; }
+    Result<Details> details(const std::string&) const override {
+        return Details{services_, watchdogs, findings};
+    }
     Result<std::vector<Receipt>> stop(const std::vector<std::string>& entities, Seconds) override {
         stopped = entities;
         std::vector<Receipt> list;
@@ -409,6 +411,7 @@ class FakeStation : public Station {
     std::string lost_id, direct_id, says;
     std::string asks;  ///< who wants the arm
     std::vector<client::WatchdogMargin> watchdogs;
+    std::vector<client::EntityFinding> findings;
     bool waits_for_ever = false;
     int lost_drill = 0;     ///< the one that never arrives
     int refused_drill = 0;  ///< the one that is refused

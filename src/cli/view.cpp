@@ -383,6 +383,10 @@ void PersonView::showEntity(const Json& event) {
                       near ? Tint::Yellow : Tint::Dim)
              << '\n';
     }
+    for (const auto& finding : event.value("findings", Json::array())) {
+        out_ << "  " << paint(textOf(finding, "message"), Tint::Yellow) << '\n';
+        if (const auto mend = textOf(finding, "mend"); !mend.empty()) out_ << "    mend: " << mend << '\n';
+    }
     if (const auto descr = textOf(entity, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
     out_ << fmt::format("  at {:.0f}, {:.0f}, {:.0f} mm  {}\n", entity.value("x_mm", 0.0),
                         entity.value("y_mm", 0.0), entity.value("z_mm", 0.0),
@@ -393,7 +397,10 @@ void PersonView::showEntity(const Json& event) {
         out_ << "  ";
         const auto& missing = service.at("missing");
         if (!service.value("active", true)) {
-            out_ << paint("not active now", Tint::Red);
+            const auto why = textOf(service, "inactive_reason");
+            out_ << paint(
+                "switched off" + (why.empty() ? std::string(" by the robot application") : ": " + why),
+                Tint::Red);
         } else if (service.value("executing", false)) {
             out_ << paint("running", Tint::Cyan);
         } else if (!missing.empty()) {

@@ -141,6 +141,37 @@ TEST_F(View, ShowsWhatAServiceTakesAndWhatIsMissing) {
               "  Map       missing  required\n");
 }
 
+TEST_F(View, ShowsWhyAServiceIsSwitchedOff) {
+    FakeStation station;
+    auto& service = station.services_[0];
+    service.parameters.clear();
+    service.resources.clear();
+    service.active = false;
+    auto entity = toJson(station.entities_[2], false);
+    entity["call"] = "Cyton";
+    shown({{{"event", "entity"}, {"entity", entity}, {"services", {toJson(service)}}}});
+    EXPECT_THAT(out.str(),
+                HasSubstr("Driving (peoplebot_drive)  switched off by the robot application; pausable\n"));
+    service.inactive_reason = "battery low";
+    shown({{{"event", "entity"}, {"entity", entity}, {"services", {toJson(service)}}}});
+    EXPECT_THAT(out.str(), HasSubstr("Driving (peoplebot_drive)  switched off: battery low; pausable\n"));
+}
+
+TEST_F(View, ShowsWhatIsNotAsItsProfilesMeanIt) {
+    const FakeStation station;
+    auto entity = toJson(station.entities_[2], false);
+    entity["call"] = "Cyton";
+    shown({{{"event", "entity"},
+            {"entity", entity},
+            {"findings", {{{"message", "a saved value was dropped"}, {"mend", "set it again"}}}},
+            {"services", Json::array()}}});
+    EXPECT_EQ(out.str(),
+              "Cyton  ROBOT STATIONARY  IDLE  free\n"
+              "  a saved value was dropped\n"
+              "    mend: set it again\n"
+              "  at 0, 0, 0 mm  33333333-0000-4000-8000-000000000003\n");
+}
+
 TEST_F(View, PrintsProgressNowAndThenWhereLinesCannotBeRedrawn) {
     auto done = taskEvent(TaskState::Succeeded, 1, "", 4.2);
     done["results"] = {{"Distance", {998}}};

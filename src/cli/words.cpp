@@ -131,6 +131,7 @@ Json toJson(const Service& service) {
             {"descr", service.descr},
             {"notes", service.notes},
             {"active", service.active},
+            {"inactive_reason", service.inactive_reason},
             {"executing", service.executing},
             {"blocking", service.blocking},
             {"pausable", service.pausable},

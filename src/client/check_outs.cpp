@@ -447,6 +447,7 @@ void SessionCore::grant(const std::string& entity, const proto::CheckOutReply& r
     lease.name = label(entity);
     lease.services = reply.services();
     lease.grace = std::chrono::milliseconds(reply.grace_ms());
+    lease.resource_bytes_max = reply.resource_bytes_max();
     lease.policy = policy;
     observer_.onDatagrams({entity, lease.number}, reply.datagram_endpoint(), lease.key);
     observer_.onDirect({entity, lease.number}, reply.direct_endpoint(), reply.direct_signal_endpoint(), lease.key);

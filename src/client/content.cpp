@@ -73,6 +73,7 @@ Service fromProto(const proto::Service& service) {
     out.descr = service.descr();
     out.notes = service.notes();
     out.active = service.is_active();
+    out.inactive_reason = service.inactive_reason();
     out.executing = service.is_exec();
     out.blocking = service.is_blocking();
     out.pausable = service.is_pausable();

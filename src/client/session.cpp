@@ -1218,7 +1218,8 @@ Result<void> Client::Session::upload(const Held& held, std::string_view service,
                                      const std::function<void(std::uint64_t, std::uint64_t)>& progress,
                                      const std::stop_token& give_up) {
     mayWait();
-    auto opened = ResourceFile::open(path);
+    auto opened =
+        ResourceFile::open(path, withCore([&](SessionCore& core) { return core.resourceBytesMax(held); }));
     if (!opened) return opened.refusal();
     ResourceFile file = std::move(opened).value();
     const auto window = std::make_shared<UploadWindow>();

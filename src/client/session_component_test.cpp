@@ -64,7 +64,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
         const auto facts = data_session_->setCallback(callback);
         const auto signal_callback = openLane(signal_, facts.signalEndpoint, signal_session_);
         signal_session_->attachSignalLane(facts.token, signal_callback);
-        resources_.onWritten([this] { onStrand([&] { core_.onResourcesWritten(); }); });
+        resources_.onAnswer([this] { onStrand([&] { core_.onStored(); }); });
         onStrand([&] { core_.onLinkUp(); });
         profile(false,
                 "<BasicProfile name=\"" + name + "\" category=\"ROBOT\" type=\"MOBILE\" descr=\"a robot\"/>");
@@ -82,7 +82,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
     ~TestRobot() override { leave(); }
     void leave() {
         beat_.reset();
-        resources_.onWritten({});
+        resources_.onAnswer({});
         data_.communicator()->destroy();
         signal_.communicator()->destroy();
         std::filesystem::remove_all(folder_);
@@ -491,28 +491,44 @@ TEST_F(ClientTest, UploadsAFileInItsWindow) {
     EXPECT_TRUE(uploaded.ok()) << uploaded.refusal().message;
     EXPECT_EQ(last, kSize);
     EXPECT_EQ(held.upload("Drive", "Mapp", path).refusal().code, RefusalCode::UnknownResource);
+    std::filesystem::resize_file(path, 1ULL << 40U);  // of holes; to hash it would take an hour
+    const auto refused = held.upload("Drive", "Map", path).refusal();
+    EXPECT_EQ(refused.code, RefusalCode::TooLarge);
+    EXPECT_THAT(refused.message,
+                HasSubstr("takes at most 1073741824. Upload a smaller one, or raise Axon.ResourceBytesMax"));
     EXPECT_EQ(held.upload("Drive", "Map", robots->folder() / "none").refusal().code,
               RefusalCode::UnknownResource);
 }
 
-TEST_F(ClientTest, AnUploadThatWasGivenUpGoesOnUnderTheSameCheckOut) {
+TEST_F(ClientTest, AnUploadThatWasGivenUpGoesOnUnderTheSameCheckOutAndUnderTheNext) {
     const auto robots = robot();
     const auto me = client();
-    const auto held = take(*me);
+    auto held = take(*me);
     const auto path = robots->folder() / "lab.map";
     constexpr std::size_t kSize = 1'500'000;
     std::ofstream(path) << std::string(kSize, 'm');
     std::stop_source give_up;
     std::uint64_t last = 0;
-    const auto ended = held.upload(
-        "Drive", "Map", path,
-        [&](std::uint64_t sent, std::uint64_t) {
-            last = sent;
-            if (sent > kSize / 2) give_up.request_stop();
-        },
-        give_up.get_token());
-    EXPECT_EQ(ended.refusal().code, RefusalCode::Cancelled);
-    EXPECT_LT(last, kSize);
+    const auto giveUpBehind = [&](std::uint64_t end) {
+        give_up = std::stop_source();
+        std::optional<std::uint64_t> first;
+        const auto ended = held.upload(
+            "Drive", "Map", path,
+            [&](std::uint64_t sent, std::uint64_t) {
+                if (!first) first = sent;
+                last = sent;
+                if (sent > end) give_up.request_stop();
+            },
+            give_up.get_token());
+        EXPECT_EQ(ended.refusal().code, RefusalCode::Cancelled);
+        EXPECT_LT(last, kSize);
+        return first;
+    };
+    giveUpBehind(kSize / 3);
+    const auto before = last;
+    EXPECT_EQ(giveUpBehind(kSize / 2), before);
+    ASSERT_TRUE(held.release().ok());
+    held = take(*me);
     std::optional<std::uint64_t> first;
     const auto uploaded = held.upload("Drive", "Map", path, [&](std::uint64_t sent, std::uint64_t) {
         if (!first) first = sent;

@@ -469,6 +469,7 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes, bool o
             const auto found = pending_.find({Ask::Upload, *id});
             if (found == pending_.end()) break;
             postpone(found, clock_.now() + settings_.timeout);
+            if (credit.window() == 0) break;  // it is not forgotten
             observer_.onTransferCredit(*id, credit.offset(), credit.offset() + credit.window());
             break;
         }
@@ -638,6 +639,8 @@ void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& sta
         details.watchdogs.push_back({margin.hop(), std::chrono::milliseconds(margin.timeout_ms()),
                                      std::chrono::milliseconds(margin.longest_gap_ms())});
     }
+    for (const auto& finding : status.findings())
+        details.findings.push_back({finding.message(), finding.fix()});
     take(found).details_done(std::move(details));
 }
 
@@ -924,6 +927,11 @@ Id128 SessionCore::offer(const Held& held, std::string_view service, std::string
     transfers_[id] = held;
     await(Ask::Upload, id, std::move(pending));
     return id;
+}
+
+std::uint64_t SessionCore::resourceBytesMax(const Held& held) const {
+    const auto* found = lease(held);
+    return found != nullptr ? found->resource_bytes_max : 0;
 }
 
 Result<void> SessionCore::sendChunk(const Id128& transfer, std::uint64_t offset, std::string_view content) {

@@ -249,6 +249,8 @@ class SessionCore {
     /// them.
     Id128 offer(const Held& held, std::string_view service, std::string_view resource,
                 const std::string& file_name, std::uint64_t size, const std::string& sha256, Done done);
+    /// Of one upload to this entity; 0 = it has not told.
+    std::uint64_t resourceBytesMax(const Held& held) const;
     /// At most 64 KiB, inside the window of the last credit. The refusal of a transfer that has ended.
     Result<void> sendChunk(const Id128& transfer, std::uint64_t offset, std::string_view content);
 
@@ -265,6 +267,7 @@ class SessionCore {
         std::string name;  // the entity's, for when it is not known
         proto::ServicesProfile services;
         Duration grace{};
+        std::uint64_t resource_bytes_max = 0;  // 0 = not known
         HandOverPolicy policy;
         std::string asked_by;  // request id of `question`
         std::optional<HandOverRequest> question;

@@ -432,6 +432,12 @@ TEST_F(SessionCoreTest, CreditsMoveTheDeadlineOfAnUpload) {
     EXPECT_THAT(observer.credits, ElementsAre(std::pair<std::uint64_t, std::uint64_t>{1000, 66536}));
     advance(4s);
     EXPECT_EQ(answer.count, 0);
+    credit.mutable_resource_credit()->set_offset(66536);
+    credit.mutable_resource_credit()->set_window(0);
+    fromEntity(3, credit);
+    EXPECT_THAT(observer.credits, SizeIs(1)) << "it says no more than that the disk is at work";
+    advance(4s);
+    EXPECT_EQ(answer.count, 0);
     EXPECT_TRUE(core.sendChunk(transfer, 1000, std::string(65536, 'x')).ok());
     EXPECT_EQ(core.sendChunk(transfer, 1000, std::string(65537, 'x')).refusal().code, RefusalCode::TooLarge);
     proto::ToClient done;

@@ -18,7 +18,7 @@ Refusal unreadable(const std::string& name, const std::string& why) {
 
 }  // namespace
 
-Result<ResourceFile> ResourceFile::open(const std::filesystem::path& path) {
+Result<ResourceFile> ResourceFile::open(const std::filesystem::path& path, std::uint64_t most) {
     ResourceFile out;
     out.name_ = path.string();
     std::error_code error;
@@ -26,6 +26,15 @@ Result<ResourceFile> ResourceFile::open(const std::filesystem::path& path) {
         return unreadable(out.name_, "it is a folder; name a file");
     out.file_.open(path, std::ios::binary);
     if (!out.file_) return unreadable(out.name_, std::strerror(errno));
+    // Hashing a gigabyte takes seconds.
+    if (const auto size = std::filesystem::file_size(path, error); !error && most > 0 && size > most)
+        return Refusal{
+            RefusalCode::TooLarge,
+            "The file " + out.name_ + " has " + std::to_string(size) +
+                " bytes, and the entity takes at most " + std::to_string(most) +
+                ". Upload a smaller one, or raise Axon.ResourceBytesMax in the configuration of its Entity "
+                "Manager.",
+            {}};
     if (sodium_init() < 0) return Refusal{RefusalCode::Internal, "libsodium could not be initialised.", {}};
     crypto_hash_sha256_state hash;
     crypto_hash_sha256_init(&hash);

@@ -18,7 +18,8 @@ namespace axon::client {
 /// that cannot be read is a refusal. Confined to the thread that uploads.
 class ResourceFile {
   public:
-    static Result<ResourceFile> open(const std::filesystem::path& path);
+    /// A file of more than `most` bytes (0 = no bound) is TOO_LARGE, before it is read.
+    static Result<ResourceFile> open(const std::filesystem::path& path, std::uint64_t most = 0);
     std::uint64_t size() const { return size_; }
     const std::string& sha256() const { return sha256_; }
     /// Fewer bytes than asked for only at the end of the file.

@@ -139,6 +139,8 @@ class Communicator {
     void dataThread();
     void readData(const std::shared_ptr<Link>& link);
     void onData(const std::shared_ptr<Link>& link, const proto::EmToEi& message);
+    /// Of every value that a client gives, by itself or with a task.
+    Decision decideParameter(const std::string& service, const Parameter& parameter) const;
     void onTask(const std::shared_ptr<Link>& link, const proto::TaskDispatch& dispatch);
     void runTask(const std::shared_ptr<Task::Running>& task, const EntityInterfacer::TaskHandler& handler);
     void adoptDataLink(const std::shared_ptr<Link>& link);

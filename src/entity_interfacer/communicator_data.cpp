@@ -34,6 +34,12 @@ std::optional<std::string> readFile(const std::filesystem::path& file) {
     return text;
 }
 
+std::filesystem::path absolutePath(const std::filesystem::path& path) {
+    std::error_code error;
+    const auto absolute = std::filesystem::absolute(path, error);
+    return (error ? path : absolute).lexically_normal();
+}
+
 RefusalCode codeOf(const Decision& decision) {
     if (decision.granted()) return RefusalCode::Ok;
     return decision.isRobotLost() ? RefusalCode::RobotLost : RefusalCode::Denied;
@@ -117,6 +123,11 @@ void Communicator::sendProfiles(Link& link, bool all) {
         upload.set_services(i == 1);
         upload.set_file_name(validUtf8(profile.file.string()));
         upload.set_xml(profile.xml);
+        if (i == 1) {
+            upload.set_folder(validUtf8(absolutePath(profile.file).parent_path().string()));
+            for (const auto& folder : options_.resource_folders)
+                upload.add_resource_folders(validUtf8(absolutePath(folder).string()));
+        }
         link.sendData(message, Link::Kind::Control);
     }
 }
@@ -295,9 +306,7 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
                 return respond(message.param().request(), RefusalCode::OldGeneration,
                                "a stop has come since this parameter was sent: send it again");
             return answer(message.param().request(), "onParameter", [&] {
-                return callbacks_.parameter ? callbacks_.parameter(message.param().service(),
-                                                                   fromProto(message.param().param()))
-                                            : Decision::grant();
+                return decideParameter(message.param().service(), fromProto(message.param().param()));
             });
         case proto::EmToEi::kResource:
             return answer(message.resource().request(), "onResource", [&] {
@@ -368,6 +377,10 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
     }
 }
 
+Decision Communicator::decideParameter(const std::string& service, const Parameter& parameter) const {
+    return callbacks_.parameter ? callbacks_.parameter(service, parameter) : Decision::grant();
+}
+
 void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDispatch& dispatch) {
     const auto task = std::make_shared<Task::Running>(dispatch, link, level_);
     const auto refuse = [&](RefusalCode code, const std::string& message) {
@@ -385,6 +398,17 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
         return refuse(RefusalCode::UnknownService, "the robot application has no handler for '" +
                                                        task->service + "': add onTask(\"" + task->service +
                                                        "\", …) or take the service out of its profile");
+    for (const auto& given : dispatch.given()) {
+        const auto* param = given.param().values_size() > 0 ? nullptr : task->find(given.param().name());
+        const auto parameter = param != nullptr ? *param : fromProto(given.param());
+        const auto which = "parameter '" + parameter.name + "' of '" + given.service() + "': ";
+        auto decision = Decision::deny("onParameter threw an exception: the robot application has stopped");
+        const auto deny = [&] { refuse(codeOf(decision), which + decision.reason()); };
+        if (!guarded(
+                "onParameter", [&] { decision = decideParameter(given.service(), parameter); }, deny))
+            return;
+        if (!decision.granted()) return deny();
+    }
     if (callbacks_.task_request) {
         auto decision = Decision::deny("onTaskRequest threw an exception: the robot application has stopped");
         if (!guarded(

@@ -225,9 +225,8 @@ TEST(Collaboration, ATextThatAStepHasToldIsOneValueWhateverStandsInIt) {
     way.set_type(proto::INPUT);
     way.set_data_type(proto::STR);
     way.set_multiple(true);
-    test::MemoryResources store;
     ServiceProfiler profiler;
-    profiler.load(profile, "uuid", store);
+    profiler.load(profile, "uuid", {});
     ServiceProfiler::Params given;
     given.Add()->set_name("Way");
     given.Mutable(0)->add_values()->set_str("7,3");

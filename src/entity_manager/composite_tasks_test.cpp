@@ -140,6 +140,24 @@ std::vector<std::string> missing(const proto::Service& service) {
 
 // -- what clients see of a composite
 
+TEST_F(CompositeTasks, WhatIsGivenIsAskedForBeforeTheFirstPartUnderTheServiceThatDeclaresIt) {
+    uploadMap("Drive");
+    rig.task("client1", "t1", "Leg", {"Distance=100", "Drive.Speed=50"});
+    const auto& first = rig.to_application.back().task();
+    ASSERT_EQ(first.service(), "Drive");
+    ASSERT_EQ(first.given_size(), 2);
+    EXPECT_EQ(first.given(0).service(), "Leg");
+    EXPECT_EQ(first.given(0).param().name(), "Distance");
+    EXPECT_EQ(first.given(0).param().values(0).int_(), 100);
+    EXPECT_EQ(first.given(1).service(), "Drive");
+    EXPECT_EQ(first.given(1).param().name(), "Speed");
+    EXPECT_EQ(first.given(1).param().values(0).int_(), 50);
+    rig.grant("part1");
+    rig.update("part1", proto::TASK_SUCCEEDED);
+    ASSERT_EQ(rig.to_application.back().task().service(), "Turn");
+    EXPECT_EQ(rig.to_application.back().task().given_size(), 0);
+}
+
 TEST_F(CompositeTasks, AreReadyWhenTheirPartsAre) {
     EXPECT_THAT(missing(record("Patrol")), ElementsAre("Drive.Distance", "Drive.Map", "Leg.Distance"));
     EXPECT_THAT(missing(record("Leg")), ElementsAre("Distance", "Drive.Map"));
@@ -190,9 +208,18 @@ TEST_F(CompositeTasks, AreActivePausableAndBlockingAsAWhole) {
     message.mutable_active()->set_active(false);
     rig.fromApplication(message);
     EXPECT_FALSE(record("Patrol").is_active());
+    EXPECT_EQ(record("Patrol").inactive_reason(), "its part \"Drive\" is switched off");
     rig.task("client1", "t1", "Patrol");
     EXPECT_EQ(lastOf("t1").reason().code(), proto::INACTIVE_SERVICE);
     EXPECT_THAT(lastOf("t1").reason().message(), HasSubstr("\"Drive\""));
+    message.mutable_active()->set_reason("Battery low");
+    rig.fromApplication(message);
+    EXPECT_EQ(record("Patrol").inactive_reason(), "its part \"Drive\" is switched off: Battery low");
+    rig.task("client1", "t2", "Patrol");
+    EXPECT_EQ(lastOf("t2").reason().message(),
+              "Service \"Patrol\" cannot run: its part \"Drive\" is switched off by the robot application: "
+              "Battery low.");
+    message.mutable_active()->clear_reason();
     message.mutable_active()->set_service("Patrol");
     rig.fromApplication(message);
     message.mutable_active()->set_service("Drive");

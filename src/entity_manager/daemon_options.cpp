@@ -21,11 +21,26 @@ namespace {
 
 namespace fs = std::filesystem;
 
-const std::set<std::string> kKeys{"Axon.Application", "Axon.Instance", "Axon.Server", "Axon.User",
-                                  "Axon.Password", "Axon.Ports", "Axon.PortsFile", "Axon.State",
-                                  "Axon.LogLevel", "Axon.WatchdogBusyMs", "Axon.WatchdogIdleMs", "Axon.Address",
-                                  "Axon.Datagrams", "Axon.Direct", "Axon.LockMemory", "Axon.LeaseGrace", "Axon.LinkWatchdogBusyMs",
-                                  "Axon.LinkWatchdogIdleMs", "Axon.AnswerWithinMs"};
+const std::set<std::string> kKeys{"Axon.Application",
+                                  "Axon.Instance",
+                                  "Axon.Server",
+                                  "Axon.User",
+                                  "Axon.Password",
+                                  "Axon.Ports",
+                                  "Axon.PortsFile",
+                                  "Axon.State",
+                                  "Axon.LogLevel",
+                                  "Axon.WatchdogBusyMs",
+                                  "Axon.WatchdogIdleMs",
+                                  "Axon.Address",
+                                  "Axon.Datagrams",
+                                  "Axon.Direct",
+                                  "Axon.LockMemory",
+                                  "Axon.LeaseGrace",
+                                  "Axon.LinkWatchdogBusyMs",
+                                  "Axon.LinkWatchdogIdleMs",
+                                  "Axon.AnswerWithinMs",
+                                  "Axon.ResourceBytesMax"};
 
 fs::path defaultStateFolder(const std::string& application, const std::string& instance) {
     const char* state = std::getenv("XDG_STATE_HOME");
@@ -34,18 +49,19 @@ fs::path defaultStateFolder(const std::string& application, const std::string& i
     return root / "axon" / (instance.empty() ? application : application + "-" + instance);
 }
 
-int integerBetween(const std::string& what, const std::string& text, int low, int high) {
+template <class Integer>
+Integer integerBetween(const std::string& what, const std::string& text, Integer low, Integer high) {
     std::size_t used = 0;
-    int value = 0;
+    std::int64_t value = 0;
     try {
-        value = std::stoi(text, &used);
+        value = std::stoll(text, &used);
     } catch (const std::exception&) {
         used = 0;
     }
     if (used != text.size() || text.empty() || value < low || value > high)
         throw std::runtime_error(what + ": expected a whole number from " + std::to_string(low) + " to " +
                                  std::to_string(high) + ", not '" + text + "'");
-    return value;
+    return static_cast<Integer>(value);
 }
 
 std::chrono::milliseconds secondsBetween(const std::string& what, const std::string& text, double low, double high) {
@@ -236,6 +252,9 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         integerBetween("Axon.LinkWatchdogIdleMs", chosen("", "Axon.LinkWatchdogIdleMs", "500"), 100, 10000));
     options.core.answer_within = std::chrono::milliseconds(
         integerBetween("Axon.AnswerWithinMs", chosen("", "Axon.AnswerWithinMs", "10000"), 100, 600000));
+    options.core.resource_bytes_max = static_cast<std::uint64_t>(
+        integerBetween("Axon.ResourceBytesMax", chosen("", "Axon.ResourceBytesMax", "1073741824"),
+                       std::int64_t{1}, std::int64_t{1} << 40U));
     const auto ordered = [](const char* busy, Duration shorter, const char* idle, Duration longer) {
         if (shorter > longer)
             throw std::runtime_error(

@@ -73,6 +73,16 @@ TEST_F(DaemonOptionsTest, DatagramsTakeAnAddressAPortOrBoth) {
         EXPECT_THAT(refusal(std::string("Axon.Datagrams=") + wrong), HasSubstr("Axon.Datagrams: expected on, off, an address")) << wrong;
 }
 
+TEST_F(DaemonOptionsTest, TheBoundOfAnUploadIsAProperty) {
+    EXPECT_EQ(read("").core.resource_bytes_max, 1ULL << 30U);
+    EXPECT_EQ(read("Axon.ResourceBytesMax=8589934592").core.resource_bytes_max, 8ULL << 30U);
+    for (const auto* wrong : {"0", "-1", "1 GiB", "2199023255552"})
+        EXPECT_THAT(
+            refusal(std::string("Axon.ResourceBytesMax=") + wrong),
+            HasSubstr("Axon.ResourceBytesMax: expected a whole number from 1 to 1099511627776, not '"))
+            << wrong;
+}
+
 TEST_F(DaemonOptionsTest, AnUnknownPropertyIsRefusedWithThoseThereAre) {
     EXPECT_THAT(refusal("Axon.Drect=on"), testing::AllOf(HasSubstr("unknown property 'Axon.Drect'"), HasSubstr("Axon.Direct")));
 }

@@ -39,21 +39,25 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
     self->server_ =
         std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), std::move(server), clock, self);
     self->ways_ = std::make_unique<DirectDesk>(self->strand_, clock, *self->server_);
-    self->core_ = std::make_unique<EntityManagerCore>(std::move(settings), clock, random, *self->back_end_.port, *self->ways_,
-                                                      storage, resources, self->gate_, journal);
-    // The store's thread must not be the one that drops the last reference.
+    self->core_ =
+        std::make_unique<EntityManagerCore>(std::move(settings), clock, random, *self->back_end_.port,
+                                            *self->ways_, storage, resources, self->gate_, journal);
     self->resources_ = &resources;
-    resources.onWritten([strand = self->strand_, weak = self->weak_from_this(),
-                         told = std::make_shared<std::atomic<bool>>(false)] {
+    self->journal_ = journal;
+    // The thread of a store must not be the one that drops the last reference.
+    const auto come = [strand = self->strand_, weak = self->weak_from_this(),
+                       told = std::make_shared<std::atomic<bool>>(false)] {
         if (told->exchange(true)) return;
         asio::post(strand, [weak, told] {
             told->store(false);
             const auto manager = weak.lock();
             if (!manager || manager->stopped_) return;
-            manager->core_->onResourcesWritten();
+            manager->core_->onStored();
             manager->afterEvents();
         });
-    });
+    };
+    resources.onAnswer(come);
+    if (journal != nullptr) journal->onAnswer(come);
     return self;
 }
 
@@ -88,7 +92,8 @@ void EntityManager::start() {
 }
 
 void EntityManager::stop() {
-    resources_->onWritten({});
+    resources_->onAnswer({});
+    if (journal_ != nullptr) journal_->onAnswer({});
     std::promise<void> done;
     asio::post(strand_, [this, &done] {
         if (!std::exchange(stopped_, true)) {

@@ -136,6 +136,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     std::unique_ptr<EntityCommunicator> server_;
     std::unique_ptr<DirectDesk> ways_;  // between it and the core
     ResourceStore* resources_ = nullptr;
+    Journal* journal_ = nullptr;
     std::unique_ptr<EntityManagerCore> core_;
     DueTimer timer_;
     std::atomic<EntityState> state_{EntityState::UNAV};

@@ -70,8 +70,8 @@ void EntityManagerCore::onServerHeartbeat() {
 void EntityManagerCore::onTimer() {
     machine_->onTimer();
 }
-void EntityManagerCore::onResourcesWritten() {
-    machine_->onResourcesWritten();
+void EntityManagerCore::onStored() {
+    machine_->onStored();
 }
 TimePoint EntityManagerCore::nextDeadline() const {
     return machine_->nextDeadline();

@@ -27,7 +27,7 @@ struct CoreSettings {
     Duration lease_grace =
         std::chrono::seconds{5};  ///< how long a lease outlives the loss of its holder; 0 = not at all
     std::size_t task_queue_bound = 64;
-    std::uint64_t resource_bytes_max = 1ULL << 30U;
+    std::uint64_t resource_bytes_max = 1ULL << 30U;  ///< of one upload
     std::uint64_t resource_window = 512 * 1024;  ///< bytes a client may send ahead
     Duration answer_within =
         std::chrono::seconds{10};  ///< what the robot application is asked; then TIMED_OUT
@@ -104,8 +104,8 @@ class EntityManagerCore {
     void onTimer();
     TimePoint nextDeadline() const;
 
-    /// ResourceStore::onWritten() has called.
-    void onResourcesWritten();
+    /// ResourceStore::onAnswer() or Journal::onAnswer() has called.
+    void onStored();
 
     /// Where the holder may send stops as datagrams (docs/reference/datagrams.md); told with each grant from now on.
     void offerDatagrams(std::string endpoint);

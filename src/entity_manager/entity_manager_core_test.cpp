@@ -7,6 +7,7 @@
 #include <set>
 
 #include "entity_manager/stream_watches.hpp"
+#include "messages/values.hpp"
 #include "tests/support/core_rig.hpp"
 
 namespace axon::entity_manager {
@@ -625,11 +626,21 @@ TEST(EntityManagerCore, AServiceThatWasSwitchedOffStaysSoWhenTheProfilesAreReadA
     proto::EiToEm off;
     off.mutable_active()->set_service("Turning");
     off.mutable_active()->set_active(false);
+    off.mutable_active()->set_reason("the battery is low");
     rig.fromApplication(off);
     rig.uploadProfiles();
     rig.take("client1", "r1");
+    EXPECT_EQ(rig.to_clients.back().message.check_out().services().services(1).inactive_reason(),
+              "the battery is low");
     rig.task("client1", "t1", "Turning");
     EXPECT_EQ(refusalOf(rig, "t1"), proto::INACTIVE_SERVICE);
+    EXPECT_EQ(rig.to_clients.back().message.task().reason().message(),
+              "Service \"Turning\" is switched off by the robot application: the battery is low.");
+    off.mutable_active()->set_active(true);
+    rig.fromApplication(off);
+    EXPECT_EQ(rig.to_clients.back().message.service().inactive_reason(), "") << "it is on";
+    rig.task("client1", "t2", "Turning");
+    EXPECT_EQ(rig.to_clients.back().message.task().state(), proto::TASK_DISPATCHED);
 }
 
 TEST_F(Held, TheLinkIsNotLeftBusyWhenItIsLostInTheMiddleOfATask) {
@@ -852,50 +863,158 @@ TEST_F(Held, AnUploadIsCreditedAndDoneForWhatTheDiskHasTaken) {
     sendUpTo(window);
     EXPECT_EQ(rig.to_clients.size(), messages) << "no credit for what waits";
     rig.resources.behind = 1000;
-    rig.core().onResourcesWritten();
+    rig.core().onStored();
     EXPECT_EQ(creditOf().offset(), window - 1000);
     EXPECT_EQ(creditOf().window(), window);
-    rig.core().onResourcesWritten();
+    rig.core().onStored();
     EXPECT_EQ(rig.to_clients.size(), messages + 1) << "and none twice";
     sendUpTo(content.size());
     const auto told = std::any_of(rig.to_application.begin(), rig.to_application.end(),
                                   [](const auto& message) { return message.has_resource(); });
     EXPECT_FALSE(told) << "the application would open half a file";
     rig.resources.behind = 0;
-    rig.core().onResourcesWritten();
+    rig.core().onStored();
     ASSERT_TRUE(rig.to_application.back().has_resource());
     EXPECT_EQ(rig.to_application.back().resource().size(), content.size());
 }
 
-TEST_F(Held, AnUploadThatIsGoneOnWithBeginsWhenTheDiskHasWhatCameBefore) {
-    for (const bool whole : {false, true}) {
-        const std::string content(200'000, whole ? 'm' : 'n');
-        const std::size_t sent = whole ? content.size() : 150'000;
-        rig.send("client1", mapOffer(content));
-        rig.resources.behind = 1;
-        for (std::size_t at = 0; at < sent; at += 50'000) rig.send("client1", mapChunk(content, at, 50'000));
-        rig.send("client1", mapChunk(content, 0, 0));  // given up
-        rig.resources.behind = 50'000;
-        auto again = mapOffer(content);
-        again.mutable_resource_offer()->set_transfer_id(idOf(whole ? "y" : "z"));
-        const auto messages = rig.to_clients.size();
-        const auto application = rig.to_application.size();
-        rig.send("client1", again);
-        EXPECT_EQ(rig.to_clients.size(), messages) << "neither credit nor an end while something waits";
-        EXPECT_EQ(rig.to_application.size(), application);
-        rig.resources.behind = 0;
-        rig.core().onResourcesWritten();
-        if (whole) {
-            ASSERT_TRUE(rig.to_application.back().has_resource());
-            EXPECT_EQ(rig.to_application.back().resource().size(), content.size());
-        } else {
-            ASSERT_TRUE(rig.to_clients.back().message.has_resource_credit());
-            EXPECT_EQ(rig.to_clients.back().message.resource_credit().offset(), sent);
-            auto last = mapChunk(content, sent, 0);
-            last.mutable_resource_chunk()->set_transfer_id(idOf("z"));
-            rig.send("client1", last);  // given up again
-        }
+/// The disk takes its time for everything but the bytes.
+struct SlowStore : Held {
+    SlowStore() { rig.resources.slow = true; }
+    void answer() {
+        rig.resources.answerAll();
+        rig.core().onStored();
     }
+    proto::ToClient last() const { return rig.to_clients.back().message; }
+    void say(const Refusal& refusal) {
+        proto::EiToEm message;
+        message.mutable_answer()->set_request(rig.to_application.back().resource().request());
+        if (!refusal.ok()) *message.mutable_answer()->mutable_refusal() = toProto(refusal);
+        rig.fromApplication(std::move(message));
+    }
+    /// As far as the question to the application.
+    void arrive(const std::string& content, const std::string& transfer = "x") {
+        auto offer = mapOffer(content);
+        offer.mutable_resource_offer()->set_transfer_id(idOf(transfer));
+        rig.send("client1", offer);
+        answer();
+        auto chunk = mapChunk(content, 0, content.size());
+        chunk.mutable_resource_chunk()->set_transfer_id(idOf(transfer));
+        rig.send("client1", chunk);
+        answer();
+    }
+};
+
+TEST_F(SlowStore, AnUploadGoesOnAsTheDiskAnswersAndItsClientIsNotForgotten) {
+    const std::string content = "a map";
+    rig.send("client1", mapOffer(content));
+    const auto messages = rig.to_clients.size();
+    rig.advance(std::chrono::seconds{3});
+    ASSERT_EQ(rig.to_clients.size(), messages + 3) << "a client gives up after five seconds of silence";
+    EXPECT_EQ(last().resource_credit().window(), 0U) << "nothing may be sent yet";
+    rig.send("client1", mapChunk(content, 0, 1));
+    EXPECT_EQ(last().resource_done().refusal().code(), proto::MALFORMED);
+    answer();
+
+    rig.send("client1", mapOffer(content));
+    answer();
+    EXPECT_GT(last().resource_credit().window(), 0U);
+    rig.send("client1", mapChunk(content, 0, content.size()));
+    EXPECT_TRUE(rig.to_application.empty()) << "it is being checked";
+    rig.advance(std::chrono::milliseconds{1000});
+    EXPECT_EQ(last().resource_credit().window(), 0U);
+    answer();
+    ASSERT_TRUE(rig.to_application.back().has_resource());
+    rig.advance(std::chrono::milliseconds{1000});
+    EXPECT_EQ(last().resource_credit().window(), 0U)
+        << "the application may think for longer than a client waits";
+    say({});
+    EXPECT_FALSE(last().has_resource_done()) << "it is not in its place yet";
+    rig.advance(std::chrono::milliseconds{1000});
+    EXPECT_EQ(last().resource_credit().window(), 0U);
+    answer();
+    const auto done = rig.to_clients[rig.to_clients.size() - 2].message;
+    ASSERT_TRUE(done.has_resource_done());
+    EXPECT_FALSE(done.resource_done().has_refusal());
+    EXPECT_EQ(rig.resources.complete["Delivery/Map"], content);
+}
+
+TEST_F(SlowStore, ADeniedFileLeavesTheOldOneAndSoDoesOneThatIsNotAnsweredFor) {
+    arrive("old map");
+    say({});
+    answer();
+    ASSERT_EQ(rig.resources.complete["Delivery/Map"], "old map");
+    arrive("no map", "y");
+    EXPECT_EQ(rig.resources.complete["Delivery/Map"], "old map")
+        << "while the application looks at the new one";
+    say({RefusalCode::Denied, "Not a map.", {}});
+    EXPECT_EQ(last().resource_done().refusal().code(), proto::DENIED);
+    EXPECT_EQ(rig.resources.complete["Delivery/Map"], "old map");
+    arrive("no answer", "z");
+    rig.advance(std::chrono::seconds{11});
+    EXPECT_EQ(last().resource_done().refusal().code(), proto::TIMED_OUT);
+    EXPECT_EQ(rig.resources.complete["Delivery/Map"], "old map");
+    rig.task("client1", "t1", "Delivery", {"Room=Lab"});
+    answer();
+    ASSERT_TRUE(rig.to_application.back().has_task());
+    EXPECT_EQ(rig.to_application.back().task().resources(0).url(), "/store/Delivery/Map");
+}
+
+TEST_F(SlowStore, ATaskWhoseFileIsGoneIsRefusedAndTheResourceIsShownAsMissing) {
+    arrive("map");
+    say({});
+    answer();
+    rig.resources.complete.clear();  // by hand
+    rig.task("client1", "t1", "Delivery", {"Room=Lab"});
+    EXPECT_FALSE(rig.to_application.back().has_task())
+        << "nobody waits for the look at the disk, but the task";
+    answer();
+    EXPECT_FALSE(rig.to_application.back().has_task());
+    ASSERT_TRUE(last().has_task());
+    EXPECT_EQ(last().task().state(), proto::TASK_REFUSED);
+    EXPECT_EQ(last().task().reason().code(), proto::MISSING_DEPENDENCY);
+    EXPECT_EQ(last().task().reason().message(),
+              "The file of a resource is no longer on the robot's machine: \"Map\" of \"Delivery\" "
+              "(/store/Delivery/Map). Upload it again, then send the task again.");
+    const auto& record = rig.to_clients[rig.to_clients.size() - 2].message.service();
+    EXPECT_EQ(record.name(), "Delivery");
+    EXPECT_FALSE(record.resources(0).ready());
+}
+
+TEST_F(SlowStore, TheEndOfTheLeaseEndsAnUploadThatWaitsAndNotOneThatIsAccepted) {
+    arrive("map");
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    answer();
+    const auto told = [&](const std::string& transfer) {
+        std::vector<proto::RefusalCode> codes;
+        for (const auto& record : rig.to_clients)
+            if (record.message.has_resource_done() &&
+                record.message.resource_done().transfer_id() == idOf(transfer))
+                codes.push_back(record.message.resource_done().refusal().code());
+        return codes;
+    };
+    EXPECT_EQ(told("x"), std::vector{proto::STOPPED});
+    const auto unexpected = rig.core().counters().unexpected;
+    say({});
+    EXPECT_EQ(rig.core().counters().unexpected, unexpected + 1) << "nobody asks any more";
+
+    rig.stopDone(rig.gate.generation());
+    rig.take("client1", "r2");
+    rig.send("client1", [&] {
+        auto again = mapOffer("map");
+        again.mutable_resource_offer()->set_transfer_id(idOf("y"));
+        return again;
+    }());
+    answer();  // all of it is there
+    answer();
+    ASSERT_EQ(rig.to_application.back().resource().size(), 3U);
+    say({});
+    rig.send("client1", release);
+    answer();
+    EXPECT_EQ(told("y"), std::vector{proto::OK}) << "the application has it";
+    EXPECT_EQ(rig.resources.complete["Delivery/Map"], "map");
 }
 
 TEST_F(Held, AnUploadEndsWithTheReasonWhenTheDiskTakesNoMore) {
@@ -904,7 +1023,7 @@ TEST_F(Held, AnUploadEndsWithTheReasonWhenTheDiskTakesNoMore) {
     rig.resources.behind = 50'000;
     rig.send("client1", mapChunk(content, 0, 50'000));
     rig.resources.failure = {RefusalCode::Overloaded, "no space left", {}};
-    rig.core().onResourcesWritten();
+    rig.core().onStored();
     EXPECT_EQ(rig.to_clients.back().message.resource_done().refusal().code(), proto::OVERLOADED);
     EXPECT_EQ(rig.to_clients.back().message.resource_done().resource(), "Map");
     const auto messages = rig.to_clients.size();

@@ -96,45 +96,22 @@ std::string readLine(const std::string& text, JournalRecord& record) {
 
 }  // namespace
 
-FileJournal::FileJournal(fs::path folder, Bounds bounds)
-    : story_(folder, "journal", bounds, findings_),
-      tasks_(folder, "tasks", bounds, findings_),
-      thread_([this] { run(); }) {}
-
-FileJournal::~FileJournal() {
-    {
-        const std::lock_guard lock(mutex_);
-        ending_ = true;
-    }
-    wake_.notify_one();
-    thread_.join();
-}
+FileJournal::FileJournal(fs::path folder, Bounds bounds, const std::function<void()>& on_thread)
+    : story_(folder, "journal", bounds, findings_, on_thread),
+      tasks_(folder, "tasks", bounds, findings_, on_thread) {}
 
 bool FileJournal::append(const JournalRecord& record) {
-    using Kind = JournalRecord::Kind;
-    auto line = lineOf(record);
-    if (record.kind == Kind::Dispatched) return tasks_.append(line);
-    {
-        const std::lock_guard lock(mutex_);
-        if (waiting_.size() == kWaiting) return false;
-        waiting_.emplace_back(record.kind == Kind::TaskEnded ? &tasks_ : &story_, std::move(line));
-    }
-    wake_.notify_one();
-    return !failing_;
+    const bool of_task =
+        record.kind == JournalRecord::Kind::Dispatched || record.kind == JournalRecord::Kind::TaskEnded;
+    return (of_task ? tasks_ : story_).append(lineOf(record));
 }
 
-/// What waits is still written at the end.
-void FileJournal::run() {
-    std::unique_lock lock(mutex_);
-    while (true) {
-        wake_.wait(lock, [this] { return ending_ || !waiting_.empty(); });
-        if (waiting_.empty()) return;
-        const auto [files, line] = std::move(waiting_.front());
-        waiting_.pop_front();
-        lock.unlock();
-        failing_ = !files->append(line);
-        lock.lock();
-    }
+Later<bool> FileJournal::appendDispatch(const JournalRecord& record) {
+    return tasks_.appendAnswered(lineOf(record));
+}
+
+void FileJournal::onAnswer(std::function<void()> come) {
+    tasks_.onAnswer(std::move(come));
 }
 
 void FileJournal::replay(const std::function<void(const JournalRecord&)>& each) {
@@ -143,15 +120,71 @@ void FileJournal::replay(const std::function<void(const JournalRecord&)>& each) 
 }
 
 FileJournal::Files::Files(fs::path folder, std::string name, Bounds bounds,
-                          std::vector<std::string>& findings)
+                          std::vector<std::string>& findings, std::function<void()> on_thread)
     : folder_(std::move(folder)), name_(std::move(name)), bounds_(bounds), findings_(findings) {
     fs::create_directories(folder_);
     if (!open()) throw std::system_error(errno, std::generic_category(), "cannot open " + fileOf(0).string());
     cutTornLine();
+    thread_ = std::thread([this, on_thread = std::move(on_thread)] {
+        if (on_thread) on_thread();
+        run();
+    });
 }
 
 FileJournal::Files::~Files() {
+    onAnswer({});
+    {
+        const std::lock_guard lock(mutex_);
+        ending_ = true;
+    }
+    wake_.notify_one();
+    thread_.join();
     if (fd_ >= 0) ::close(fd_);
+}
+
+bool FileJournal::Files::append(std::string line) {
+    return add({std::move(line), std::nullopt}) && !failing_;
+}
+
+Later<bool> FileJournal::Files::appendAnswered(std::string line) {
+    auto answer = Later<bool>::pending();
+    if (!add({std::move(line), answer})) answer.set(false);
+    return answer;
+}
+
+void FileJournal::Files::onAnswer(std::function<void()> come) {
+    const std::lock_guard lock(telling_);
+    come_ = std::move(come);
+}
+
+bool FileJournal::Files::add(Line line) {
+    {
+        const std::lock_guard lock(mutex_);
+        if (waiting_.size() == kWaiting) return false;
+        waiting_.push_back(std::move(line));
+    }
+    wake_.notify_one();
+    return true;
+}
+
+/// What waits is still written at the end.
+void FileJournal::Files::run() {
+    std::unique_lock lock(mutex_);
+    while (true) {
+        wake_.wait(lock, [this] { return ending_ || !waiting_.empty(); });
+        if (waiting_.empty()) return;
+        const auto line = std::move(waiting_.front());
+        waiting_.pop_front();
+        lock.unlock();
+        const bool written = write(line.text);
+        failing_ = !written;
+        if (line.answer) {
+            line.answer->set(written);
+            const std::lock_guard telling(telling_);
+            if (come_) come_();
+        }
+        lock.lock();
+    }
 }
 
 fs::path FileJournal::Files::fileOf(int age) const {
@@ -185,8 +218,7 @@ bool FileJournal::Files::rotate() {
     return open();
 }
 
-bool FileJournal::Files::append(const std::string& line) {
-    const std::lock_guard lock(mutex_);
+bool FileJournal::Files::write(const std::string& line) {
     if (fd_ < 0 && !open()) return false;
     if (size_ > 0 && size_ + line.size() > bounds_.file_bytes && !rotate()) return false;
     ssize_t written = 0;

@@ -5,7 +5,9 @@
 #include <cstdint>
 #include <deque>
 #include <filesystem>
+#include <functional>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <utility>
@@ -20,31 +22,34 @@ namespace axon::entity_manager {
 /// stops drives a task's id out. Before each the files tasks.1.jsonl (the newest of them) to tasks.<files -
 /// 1>.jsonl, and so on.
 ///
-/// Where in the flow: the core appends on its strand; people read the files with any text tool. A dispatch is
-/// in the kernel's hands when append() returns: it outlives a kill of the process, and a loss of power may
-/// cost the last seconds (docs/adr/0013-journal.md says why that is harmless). A thread of its own writes
-/// everything else, so that no stop waits for the disk. Bounded: a file that would exceed `file_bytes` is put
-/// aside, and the oldest of `files` is deleted; kWaiting entries wait for the thread. Threads: one at a time,
-/// and that one. Failure: the constructor throws std::system_error where the folder cannot be used; append()
-/// answers false on a full disk, for what the thread writes from the next entry on, and leaves no half line
-/// behind. A last line that was torn is cut off, other lines that cannot be read are passed over; findings()
-/// says which.
+/// Where in the flow: the core appends on its strand; people read the files with any text tool. No call but
+/// the constructor and replay() waits for the disk: each of the two files has a thread that writes, so that
+/// no stop waits, and no task behind the story. A dispatch is answered when the kernel has it: it outlives a
+/// kill of the process, and a loss of power may cost the last seconds (docs/adr/0013-journal.md says why that
+/// is harmless). Bounded: a file that would exceed `file_bytes` is put aside, and the oldest of `files` is
+/// deleted; kWaiting entries wait for each thread. Threads: one at a time, and those two. Failure: the
+/// constructor throws std::system_error where the folder cannot be used; a dispatch is answered with false on
+/// a full disk, append() answers false from the next entry on, and no half line is left behind. A last line
+/// that was torn is cut off, other lines that cannot be read are passed over; findings() says which.
 class FileJournal final : public Journal {
   public:
     struct Bounds {
         std::uint64_t file_bytes = 4U << 20U;
         int files = 4;
     };
-    FileJournal(std::filesystem::path folder, Bounds bounds);
-    explicit FileJournal(std::filesystem::path folder) : FileJournal(std::move(folder), Bounds{}) {}
-    /// Writes what waits.
-    ~FileJournal() override;
+    /// `on_thread` is called first on each of its threads.
+    FileJournal(std::filesystem::path folder, Bounds bounds, const std::function<void()>& on_thread = {});
+    explicit FileJournal(std::filesystem::path folder, const std::function<void()>& on_thread = {})
+        : FileJournal(std::move(folder), Bounds{}, on_thread) {}
+    ~FileJournal() override = default;
     FileJournal(const FileJournal&) = delete;
     FileJournal& operator=(const FileJournal&) = delete;
 
     static constexpr std::size_t kWaiting = 1024;
 
     bool append(const JournalRecord& record) override;
+    Later<bool> appendDispatch(const JournalRecord& record) override;
+    void onAnswer(std::function<void()> come) override;
     /// Those of tasks last, the entries of each of the two in their order.
     void replay(const std::function<void(const JournalRecord&)>& each) override;
 
@@ -53,39 +58,51 @@ class FileJournal final : public Journal {
     const std::vector<std::string>& findings() const { return findings_; }
 
   private:
-    /// The present file of one name and those before it.
+    /// The present file of one name and those before it, and the thread that writes them.
     class Files {
       public:
         Files(std::filesystem::path folder, std::string name, Bounds bounds,
-              std::vector<std::string>& findings);
+              std::vector<std::string>& findings, std::function<void()> on_thread);
+        /// Writes what waits.
         ~Files();
-        bool append(const std::string& line);
+        /// False: too much waits, or the last line could not be written.
+        bool append(std::string line);
+        Later<bool> appendAnswered(std::string line);
+        void onAnswer(std::function<void()> come);
         void replay(const std::function<void(const JournalRecord&)>& each);
 
       private:
+        struct Line {
+            std::string text;
+            std::optional<Later<bool>> answer;
+        };
+        bool add(Line line);
+        void run();
         std::filesystem::path fileOf(int age) const;
         bool open();
         bool rotate();
+        bool write(const std::string& line);
         void cutTornLine();
 
         const std::filesystem::path folder_;
         const std::string name_;
         const Bounds bounds_;
         std::vector<std::string>& findings_;
-        std::mutex mutex_;        // a dispatch and the end of another task are written by two threads
-        int fd_ = -1;             // guarded by mutex_
-        std::uint64_t size_ = 0;  // guarded by mutex_; of the present file
+        int fd_ = -1;             // the thread's, once it runs
+        std::uint64_t size_ = 0;  // likewise; of the present file
+
+        std::atomic<bool> failing_{false};  // the last line could not be written
+        std::mutex mutex_;                  // never held while the disk is at work
+        std::condition_variable wake_;
+        std::deque<Line> waiting_;  // guarded by mutex_
+        bool ending_ = false;       // guarded by mutex_
+        std::mutex telling_;
+        std::function<void()> come_;  // guarded by telling_
+        std::thread thread_;          // last: it uses the others
     };
-    void run();
 
     std::vector<std::string> findings_;
     Files story_, tasks_;
-    std::atomic<bool> failing_{false};  ///< the last line of the thread could not be written
-    std::mutex mutex_;
-    std::condition_variable wake_;
-    std::deque<std::pair<Files*, std::string>> waiting_;  // guarded by mutex_
-    bool ending_ = false;                                 // guarded by mutex_
-    std::thread thread_;                                  // last: it uses the others
 };
 
 }  // namespace axon::entity_manager

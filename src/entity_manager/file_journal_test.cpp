@@ -11,6 +11,8 @@
 #include <sstream>
 #include <thread>
 
+#include "support/loopback.hpp"
+
 namespace axon::entity_manager {
 namespace {
 
@@ -37,6 +39,10 @@ struct FileJournalTest : testing::Test {
     }
     void write(const std::string& content) const {
         std::ofstream(folder / "tasks.jsonl", std::ios::binary | std::ios::app) << content;
+    }
+    static bool answerOf(const Later<bool>& answer) {
+        EXPECT_TRUE(test::waitUntil([&] { return answer.ready(); }));
+        return answer.value();
     }
     static JournalRecord dispatched(std::uint64_t seed) {
         SeededRandom random(seed);
@@ -69,9 +75,12 @@ TEST_F(FileJournalTest, WhatWasWrittenIsReadBackWhole) {
     EXPECT_TRUE(findings.empty());
 }
 
-TEST_F(FileJournalTest, ADispatchIsInTheFileWhenAppendReturns) {
+TEST_F(FileJournalTest, ADispatchIsInTheFileWhenItIsAnswered) {
     FileJournal journal(folder, bounds);
-    EXPECT_TRUE(journal.append(dispatched(1)));
+    std::atomic<int> answers{0};
+    journal.onAnswer([&] { ++answers; });
+    EXPECT_TRUE(answerOf(journal.appendDispatch(dispatched(1))));
+    EXPECT_TRUE(test::waitUntil([&] { return answers == 1; }));
     EXPECT_EQ(readBack().size(), 1U);  // by another, as after a kill of the first
 }
 
@@ -132,6 +141,28 @@ TEST_F(FileJournalTest, NoFloodOfOtherEntriesDrivesTheIdOfATaskOut) {
 }
 
 /// A pipe that nobody reads is a disk that does not answer.
+TEST_F(FileJournalTest, NobodyWaitsForTheDiskThatIsToTakeADispatch) {
+    const auto file = folder / "tasks.jsonl";
+    ASSERT_EQ(::mkfifo(file.c_str(), 0600), 0);
+    std::thread reader;
+    {
+        FileJournal journal(folder, bounds);
+        std::vector<Later<bool>> answers;
+        do answers.push_back(journal.appendDispatch(dispatched(answers.size())));
+        while (answers.size() < 100'000 && (!answers.back().ready() || answers.back().value()));
+        EXPECT_GE(answers.size(), FileJournal::kWaiting);
+        ASSERT_TRUE(answers.back().ready()) << "there is no bound";
+        reader = std::thread([&] {
+            std::ifstream pipe(file, std::ios::binary);
+            for (std::string line; std::getline(pipe, line);) {
+            }
+        });
+        EXPECT_TRUE(answerOf(answers[answers.size() / 2]));
+    }
+    reader.join();
+}
+
+/// Likewise.
 TEST_F(FileJournalTest, AStopAndADispatchDoNotWaitForTheFileOfTheOthers) {
     const auto file = folder / "journal.jsonl";
     ASSERT_EQ(::mkfifo(file.c_str(), 0600), 0);
@@ -144,7 +175,7 @@ TEST_F(FileJournalTest, AStopAndADispatchDoNotWaitForTheFileOfTheOthers) {
         while (taken < 100'000 && journal.append(stop)) ++taken;
         EXPECT_GE(taken, FileJournal::kWaiting);
         EXPECT_LT(taken, 100'000U) << "there is no bound";
-        EXPECT_TRUE(journal.append(dispatched(1)));
+        EXPECT_TRUE(answerOf(journal.appendDispatch(dispatched(1))));
         EXPECT_NE(text().find(dispatched(1).task.toString()), std::string::npos);
         reader = std::thread([&] {
             std::ifstream pipe(file, std::ios::binary);

@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cerrno>
 #include <cstring>
 #include <deque>
@@ -110,9 +111,12 @@ Refusal storeRefusal(const char* what, const fs::path& path) {
 
 }  // namespace
 
-FileStorage::FileStorage(fs::path folder) : folder_(std::move(folder)) {
+FileStorage::FileStorage(fs::path folder, std::function<void()> on_thread) : folder_(std::move(folder)) {
     makeFolder(folder_);
-    thread_ = std::thread([this] { run(); });
+    thread_ = std::thread([this, on_thread = std::move(on_thread)] {
+        if (on_thread) on_thread();
+        run();
+    });
 }
 
 FileStorage::~FileStorage() {
@@ -163,17 +167,33 @@ void FileStorage::save(std::string_view key, std::string_view value) {
 }
 
 void FileStorage::keep(std::string_view key, std::string_view value) {
+    want(key, std::string(value));
+}
+
+void FileStorage::forget(std::string_view key) {
+    want(key, std::nullopt);
+}
+
+void FileStorage::want(std::string_view key, Wish wish) {
     {
         const std::lock_guard lock(mutex_);
-        waiting_[std::string(key)] = value;
+        waiting_.insert_or_assign(std::string(key), std::move(wish));
     }
     wake_.notify_one();
 }
 
-void FileStorage::forget(std::string_view key) {
-    const std::lock_guard lock(mutex_);
-    if (const auto at = waiting_.find(key); at != waiting_.end()) waiting_.erase(at);
-    ::unlink(pathOf(key).c_str());  // what cannot is a disk that a next life cannot write its epoch to either
+bool FileStorage::carryOut(const std::string& key, const Wish& wish) const {
+    const auto path = pathOf(key);
+    // What cannot be deleted is on a disk that a next life cannot write its epoch to either.
+    if (!wish) return ::unlink(path.c_str()) == 0 || errno == ENOENT;
+    try {
+        const auto fresh = write(key, *wish);
+        if (::rename(fresh.c_str(), path.c_str()) != 0) return false;
+    } catch (const std::system_error&) {  // the disk is full, say
+        return false;
+    }
+    synchroniseFolder(folder_);
+    return true;
 }
 
 void FileStorage::run() {
@@ -181,27 +201,22 @@ void FileStorage::run() {
     while (true) {
         wake_.wait(lock, [this] { return ending_ || !waiting_.empty(); });
         if (waiting_.empty()) return;
-        const auto [key, value] = *waiting_.begin();
+        auto at =
+            std::find_if(waiting_.begin(), waiting_.end(), [](const auto& entry) { return !entry.second; });
+        if (at == waiting_.end()) at = waiting_.begin();
+        const auto [key, wish] = *at;
         const bool last = ending_;  // what had begun before the end is tried once more
         lock.unlock();
-        fs::path fresh;
-        try {
-            fresh = write(key, value);
-        } catch (const std::system_error&) {  // the disk is full, say: it is tried again
-        }
+        const bool done = carryOut(key, wish);
         lock.lock();
-        const auto at = waiting_.find(key);
-        if (at == waiting_.end() || at->second != value) continue;  // forgotten, or newer
-        if (!fresh.empty() && ::rename(fresh.c_str(), pathOf(key).c_str()) == 0) {
+        at = waiting_.find(key);
+        if (at->second != wish) continue;  // meanwhile something else is wanted of it
+        if (done)
             waiting_.erase(at);
-            lock.unlock();
-            synchroniseFolder(folder_);
-            lock.lock();
-        } else if (last) {
+        else if (last)
             return;
-        } else {
+        else
             wake_.wait_for(lock, kTryAgain, [this] { return ending_; });
-        }
     }
 }
 
@@ -209,12 +224,11 @@ namespace {
 
 constexpr std::uint64_t kNotePeriod = 16U << 20U;  // bytes that a killed process may have to be sent again
 
-constexpr const char* kDropped = ".dropped";
-
-/// How far a file has been hashed, so that a resumed upload need not be read again.
+/// How far a file has been hashed, so that a resumed upload need not be read again, and for whom it is kept.
 struct HashNote {
-    char format[8] = {'a', 'x', 'o', 'n', 's', 'h', 'a', '1'};
+    char format[8] = {'a', 'x', 'o', 'n', 's', 'h', 'a', '2'};
     std::uint64_t written = 0;
+    std::array<unsigned char, crypto_generichash_BYTES> owner{};
     crypto_hash_sha256_state hash{};
 };
 
@@ -243,14 +257,6 @@ class FileResourceStore::Synchroniser {
         }
         wake_.notify_one();
         thread_.join();
-    }
-    /// Deletes what lies there under names that end in kDropped; of a large file that takes a while.
-    void sweep(fs::path folder) {
-        {
-            const std::lock_guard lock(mutex_);
-            swept_ = std::move(folder);
-        }
-        wake_.notify_one();
     }
     void add(int fd, fs::path place) {
         Job dropped;  // closed after the lock
@@ -286,25 +292,15 @@ class FileResourceStore::Synchroniser {
     void run() {
         while (true) {
             Job job;
-            fs::path swept;
             {
                 std::unique_lock lock(mutex_);
-                wake_.wait(lock, [this] { return ending_ || !jobs_.empty() || !swept_.empty(); });
-                swept = std::exchange(swept_, {});
-                if (swept.empty() && jobs_.empty()) return;
-                if (!jobs_.empty()) {
-                    job = std::move(jobs_.front());
-                    jobs_.pop_front();
-                }
+                wake_.wait(lock, [this] { return ending_ || !jobs_.empty(); });
+                if (jobs_.empty()) return;
+                job = std::move(jobs_.front());
+                jobs_.pop_front();
             }
-            if (!swept.empty()) deleteDropped(swept);
-            if (job.fd >= 0) synchronise(job);
+            synchronise(job);
         }
-    }
-    static void deleteDropped(const fs::path& folder) {
-        std::error_code ignored;
-        for (const auto& entry : fs::directory_iterator(folder, ignored))
-            if (entry.path().extension() == kDropped) fs::remove(entry.path(), ignored);
     }
     static void synchronise(const Job& job) {
         struct stat ours {
@@ -324,88 +320,116 @@ class FileResourceStore::Synchroniser {
     std::mutex mutex_;
     std::condition_variable wake_;
     std::deque<Job> jobs_;  // guarded by mutex_
-    fs::path swept_;        // guarded by mutex_; empty = nothing to delete
     bool ending_ = false;   // guarded by mutex_
     std::thread thread_;    // last: it uses the others
 };
 
-/// One upload. `accepted` is the strand's; what is below it belongs to the writer while something waits for it, and to
-/// the strand before and after.
-struct FileResourceStore::Transfer {
-    std::string service;
-    std::string resource;
-    std::string sha256;
-    std::uint64_t size = 0;
-    std::uint64_t accepted = 0;
-    std::uint64_t written = 0;
-    fs::path path;
-    File file;
-    crypto_hash_sha256_state hash{};
+/// One upload. The facts do not change; what is below `accepted` belongs to the worker's thread.
+class FileResourceStore::Transfer {
+  public:
+    Transfer(const proto::ResourceOffer& offer, const std::string& owner, fs::path incoming)
+        : service(offer.service()),
+          resource(offer.resource()),
+          sha256(offer.sha256()),
+          size(offer.size()),
+          path(std::move(incoming)) {
+        crypto_generichash(owner_.data(), owner_.size(), reinterpret_cast<const unsigned char*>(owner.data()),
+                           owner.size(), nullptr, 0);
+    }
 
-    explicit Transfer(const fs::path& incoming)
-        : path(incoming), file(incoming, O_RDWR | O_CREAT | O_NOFOLLOW) {
-        crypto_hash_sha256_init(&hash);
-    }
-    void feed(std::string_view bytes) {
-        crypto_hash_sha256_update(&hash, reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size());
-        written += bytes.size();
-    }
-    /// Goes on where the note of an earlier transfer ends, or from the beginning. False: the file cannot be
-    /// used.
-    bool resume() {
+    const std::string service, resource, sha256;
+    const std::uint64_t size;
+    const fs::path path;
+    std::optional<Later<Result<std::uint64_t>>> opened;  ///< the caller's
+    std::uint64_t accepted = 0;                          ///< the caller's
+
+    /// Goes on where the note of an earlier transfer of the same owner ends, or from the beginning.
+    Result<std::uint64_t> open() {
+        file_.emplace(path, O_RDWR | O_CREAT | O_NOFOLLOW);
+        if (!file_->isOpen()) return storeRefusal("open", path);
+        crypto_hash_sha256_init(&hash_);
         HashNote kept;
         std::ifstream in(noteOf(path), std::ios::binary);
         in.read(reinterpret_cast<char*>(&kept), sizeof kept);
         struct stat facts {};
-        if (::fstat(file.fd(), &facts) != 0) return false;
+        if (::fstat(file_->fd(), &facts) != 0) return storeRefusal("use", path);
         const bool usable = in.gcount() == sizeof kept &&
                             std::memcmp(kept.format, HashNote{}.format, sizeof kept.format) == 0 &&
-                            kept.written <= size && kept.written <= static_cast<std::uint64_t>(facts.st_size);
+                            kept.owner == owner_ && kept.written <= size &&
+                            kept.written <= static_cast<std::uint64_t>(facts.st_size);
         if (usable) {
-            hash = kept.hash;
-            written = kept.written;
+            hash_ = kept.hash;
+            written_ = kept.written;
         }
-        noted = written;
-        return ::ftruncate(file.fd(), static_cast<off_t>(written)) == 0 &&
-               ::lseek(file.fd(), static_cast<off_t>(written), SEEK_SET) >= 0;
+        noted_ = written_;
+        if (::ftruncate(file_->fd(), static_cast<off_t>(written_)) != 0 ||
+            ::lseek(file_->fd(), static_cast<off_t>(written_), SEEK_SET) < 0)
+            return storeRefusal("use", path);
+        return written_;
+    }
+    /// What was complete before a chunk that cannot be written still is.
+    Refusal append(std::string_view content) {
+        if (!file_->writeAll(content)) {
+            auto refusal = storeRefusal("write", path);
+            [[maybe_unused]] const auto cut = ::ftruncate(file_->fd(), static_cast<off_t>(written_));
+            return refusal;
+        }
+        crypto_hash_sha256_update(&hash_, reinterpret_cast<const unsigned char*>(content.data()),
+                                  content.size());
+        written_ += content.size();
+        if (written_ - noted_ >= kNotePeriod) note();
+        return {};
     }
     /// A note that could not be written costs a repeated upload and nothing else.
     void note() {
+        if (!file_ || !file_->isOpen()) return;
         HashNote kept;
-        kept.written = written;
-        kept.hash = hash;
+        kept.written = written_;
+        kept.owner = owner_;
+        kept.hash = hash_;
         auto fresh = noteOf(path);
         fresh += ".new";
         {
             const File out(fresh, O_WRONLY | O_CREAT | O_TRUNC | O_NOFOLLOW);
             if (!out.isOpen() || !out.writeAll({reinterpret_cast<const char*>(&kept), sizeof kept})) return;
         }
-        if (::rename(fresh.c_str(), noteOf(path).c_str()) == 0) noted = written;
+        if (::rename(fresh.c_str(), noteOf(path).c_str()) == 0) noted_ = written_;
     }
     void forgetNote() const {
         std::error_code ignored;
         fs::remove(noteOf(path), ignored);
     }
-    /// What was complete before a chunk that cannot be written still is.
-    Refusal append(std::string_view content) {
-        if (!file.writeAll(content)) {
-            auto refusal = storeRefusal("write", path);
-            [[maybe_unused]] const auto cut = ::ftruncate(file.fd(), static_cast<off_t>(written));
-            return refusal;
-        }
-        feed(content);
-        if (written - noted >= kNotePeriod) note();
-        return {};
+    bool whole() const {
+        auto hash = hash_;
+        std::array<unsigned char, crypto_hash_sha256_BYTES> digest{};
+        crypto_hash_sha256_final(&hash, digest.data());
+        return written_ == size &&
+               std::string_view(reinterpret_cast<const char*>(digest.data()), digest.size()) == sha256;
     }
-    std::uint64_t noted = 0;
+    int release() { return file_->release(); }
+    /// Nothing of it will come any more. The last reference may be the caller's, who must not wait for a
+    /// close.
+    void end() {
+        file_.reset();
+        over_ = true;
+    }
+    bool over() const { return over_; }
+
+  private:
+    std::atomic<bool> over_{false};
+    std::optional<File> file_;
+    crypto_hash_sha256_state hash_{};
+    std::array<unsigned char, crypto_generichash_BYTES> owner_{};
+    std::uint64_t written_ = 0;
+    std::uint64_t noted_ = 0;
 };
 
-/// The thread that writes what arrives. What waits is written in the order of its coming, and at the end, too.
-class FileResourceStore::Writer {
+/// The thread that the disk may hold up. What waits is done in the order of its coming, and at the end, too.
+class FileResourceStore::Worker {
   public:
-    Writer() : thread_([this] { run(); }) {}
-    ~Writer() {
-        onWritten({});
+    Worker() : thread_([this] { run(); }) {}
+    ~Worker() {
+        onAnswer({});
         {
             const std::lock_guard lock(mutex_);
             ending_ = true;
@@ -413,289 +437,380 @@ class FileResourceStore::Writer {
         wake_.notify_one();
         thread_.join();
     }
-    void onWritten(std::function<void()> changed) {
+    void onAnswer(std::function<void()> come) {
         const std::lock_guard lock(telling_);
-        changed_ = std::move(changed);
+        come_ = std::move(come);
     }
-    void write(std::shared_ptr<Transfer> transfer, std::string content) {
+    void add(std::function<void()> job) {
         {
             const std::lock_guard lock(mutex_);
-            waiting_[transfer.get()].bytes += content.size();
-            bytes_ += content.size();
-            jobs_.push_back({std::move(transfer), std::move(content), false});
+            jobs_.push_back(std::move(job));
         }
         wake_.notify_one();
     }
-    /// After what waits: notes how far it has come, and lets it go.
-    void close(std::shared_ptr<Transfer> transfer) {
+    template <class T, class Ask>
+    Later<T> ask(Ask ask) {
+        const auto answer = Later<T>::pending();
+        add([answer, ask = std::move(ask)]() mutable { answer.set(ask()); });
+        return answer;
+    }
+    void write(const std::shared_ptr<Transfer>& transfer, std::string content) {
+        const auto size = content.size();
         {
             const std::lock_guard lock(mutex_);
-            closing_[transfer->path] = {transfer, false, false};
-            jobs_.push_back({std::move(transfer), {}, true});
+            waiting_[transfer.get()].bytes += size;
+            bytes_ += size;
         }
-        wake_.notify_one();
-    }
-    /// One that is being closed goes on instead: nobody waits for the disk for that. Null: none, one whose writing has
-    /// failed, or one that is to be deleted.
-    std::shared_ptr<Transfer> takeBack(const fs::path& path) {
-        const std::lock_guard lock(mutex_);
-        const auto at = closing_.find(path);
-        if (at == closing_.end() || at->second.drop) return nullptr;
-        const auto transfer = at->second.transfer;
-        const auto backlog = waiting_.find(transfer.get());
-        if (backlog != waiting_.end() && !backlog->second.failure.ok()) return nullptr;
-        closing_.erase(at);
-        std::erase_if(jobs_, [&](const Job& job) { return job.last && job.transfer == transfer; });
-        return transfer;
+        add([this, transfer, content = std::move(content)] {
+            const bool failed = !failureOf(*transfer).ok();
+            auto failure = failed ? Refusal{} : transfer->append(content);
+            const std::lock_guard lock(mutex_);
+            bytes_ -= content.size();
+            const auto at = waiting_.find(transfer.get());
+            at->second.bytes -= content.size();
+            if (!failed) at->second.failure = std::move(failure);
+            if (at->second.bytes == 0 && at->second.failure.ok()) waiting_.erase(at);
+        });
     }
     Result<std::uint64_t> waiting(const Transfer& transfer) const {
         const std::lock_guard lock(mutex_);
         const auto at = waiting_.find(&transfer);
         if (at == waiting_.end()) return std::uint64_t{0};
         if (!at->second.failure.ok()) return at->second.failure;
-        return at->second.bytes + (at->second.noting ? 1 : 0);
+        return at->second.bytes;
     }
-    /// Whether the file is nobody's any more, for which it waits a little, and there is room for more.
-    bool mayOpen(const fs::path& path) {
-        std::unique_lock lock(mutex_);
-        return bytes_ <= kBacklog && closed_.wait_for(lock, kPatience, [&] { return !closing_.contains(path); });
-    }
-    /// Of a file that is being closed: it is to be deleted then. False: it is none.
-    bool dropWhenClosed(const fs::path& path) {
+    std::uint64_t bytes() const {
         const std::lock_guard lock(mutex_);
-        const auto at = closing_.find(path);
-        if (at == closing_.end()) return false;
-        at->second.drop = true;
-        return true;
+        return bytes_;
+    }
+    /// On the thread: nothing of it will come any more.
+    void forget(const Transfer& transfer) {
+        const std::lock_guard lock(mutex_);
+        waiting_.erase(&transfer);
     }
 
   private:
-    struct Job {
-        std::shared_ptr<Transfer> transfer;
-        std::string content;
-        bool last = false;
-    };
     struct Backlog {
         std::uint64_t bytes = 0;
-        bool noting = false;  ///< the thread is at it, though nothing waits
         Refusal failure;
     };
-    struct Closing {
-        std::shared_ptr<Transfer> transfer;
-        bool begun = false;
-        bool drop = false;
-    };
-
+    Refusal failureOf(const Transfer& transfer) const {
+        const std::lock_guard lock(mutex_);
+        return waiting_.at(&transfer).failure;
+    }
     void run() {
         std::unique_lock lock(mutex_);
         while (true) {
             wake_.wait(lock, [this] { return ending_ || !jobs_.empty(); });
             if (jobs_.empty()) return;
-            const auto job = std::move(jobs_.front());
-            jobs_.pop_front();
-            if (job.last) {
-                close(job.transfer, lock);
-                continue;
+            {
+                const auto job = std::move(jobs_.front());
+                jobs_.pop_front();
+                lock.unlock();
+                job();
             }
-            auto* const backlog = &waiting_[job.transfer.get()];  // this thread alone erases it
-            const bool failed = !backlog->failure.ok();
-            lock.unlock();
-            const auto failure = failed ? Refusal{} : job.transfer->append(job.content);
-            lock.lock();
-            if (!failed) backlog->failure = failure;
-            backlog->bytes -= job.content.size();
-            bytes_ -= job.content.size();
-            if (backlog->bytes == 0 && backlog->failure.ok()) waiting_.erase(job.transfer.get());
-            tellOfChange(lock);
-        }
-    }
-    void close(const std::shared_ptr<Transfer>& transfer, std::unique_lock<std::mutex>& lock) {
-        closing_.at(transfer->path).begun = true;
-        waiting_[transfer.get()].noting = true;
-        lock.unlock();
-        transfer->note();
-        lock.lock();
-        auto at = closing_.find(transfer->path);
-        if (at == closing_.end() || !at->second.begun) {  // taken back meanwhile, and perhaps given up again
-            auto& backlog = waiting_[transfer.get()];
-            backlog.noting = false;
-            if (backlog.bytes == 0) waiting_.erase(transfer.get());
-            tellOfChange(lock);
-            return;
-        }
-        waiting_.erase(transfer.get());
-        if (at->second.drop) {
-            std::error_code ignored;
-            lock.unlock();
-            transfer->forgetNote();
-            fs::remove(transfer->path, ignored);
+            {
+                const std::lock_guard telling(telling_);
+                if (come_) come_();
+            }
             lock.lock();
         }
-        closing_.erase(transfer->path);
-        closed_.notify_all();
-    }
-    void tellOfChange(std::unique_lock<std::mutex>& lock) {
-        lock.unlock();
-        {
-            const std::lock_guard telling(telling_);
-            if (changed_) changed_();
-        }
-        lock.lock();
     }
 
     mutable std::mutex mutex_;
-    std::condition_variable wake_, closed_;
-    std::deque<Job> jobs_;                        // guarded by mutex_
+    std::condition_variable wake_;
+    std::deque<std::function<void()>> jobs_;      // guarded by mutex_
     std::map<const Transfer*, Backlog> waiting_;  // guarded by mutex_
-    std::map<fs::path, Closing> closing_;         // guarded by mutex_
     std::uint64_t bytes_ = 0;                     // guarded by mutex_; of all that wait
     bool ending_ = false;                         // guarded by mutex_
     std::mutex telling_;
-    std::function<void()> changed_;  // guarded by telling_
-    std::thread thread_;             // last: it uses the others
+    std::function<void()> come_;  // guarded by telling_
+    std::thread thread_;          // last: it uses the others
 };
 
-FileResourceStore::FileResourceStore(fs::path folder) : folder_(std::move(folder)) {
+FileResourceStore::FileResourceStore(fs::path folder, std::uint64_t kept_bytes)
+    : folder_(fs::absolute(folder)), kept_bytes_(kept_bytes) {
     if (sodium_init() < 0) throw std::runtime_error("libsodium could not be initialised.");
     makeFolder(folder_ / "resources");
     makeFolder(folder_ / "incoming");
+    findStored();
     synchroniser_ = std::make_unique<Synchroniser>();
-    writer_ = std::make_unique<Writer>();
-    dropIncoming(fs::file_time_type::clock::now() - kIncomingKept);
+    worker_ = std::make_unique<Worker>();
+    worker_->add([this] { tidyIncoming(); });
 }
 
 FileResourceStore::~FileResourceStore() = default;
 
+/// Where the accepted file of a resource lies.
 fs::path FileResourceStore::placeOf(std::string_view service, std::string_view resource) const {
     return folder_ / "resources" / safeName(service) / safeName(resource);
 }
 
-Result<std::uint64_t> FileResourceStore::begin(const proto::ResourceOffer& offer) {
+/// What an earlier life has left, and the disk has: once, so that find() need not look.
+void FileResourceStore::findStored() {
+    std::error_code ignored;
+    for (const auto& service : fs::directory_iterator(folder_ / "resources", ignored))
+        for (const auto& resource : fs::directory_iterator(service.path(), ignored)) {
+            const auto place = resource.path();
+            struct stat facts {};
+            if (::stat((place / "content").c_str(), &facts) != 0 || !S_ISREG(facts.st_mode)) continue;
+            std::ifstream mark(place / "stored", std::ios::binary);
+            std::string stored;
+            std::getline(mark, stored);
+            if (stored + '\n' == factsOf(facts)) stored_[place] = static_cast<std::uint64_t>(facts.st_size);
+        }
+}
+
+Later<Result<std::uint64_t>> FileResourceStore::begin(const proto::ResourceOffer& offer,
+                                                      const std::string& owner) {
+    using Answer = Result<std::uint64_t>;
     const auto incoming = folder_ / "incoming" / (hex(offer.sha256()) + '-' + std::to_string(offer.size()));
+    std::erase_if(transfers_, [](const auto& transfer) { return transfer.second->over(); });
     for (const auto& [id, other] : transfers_)
         if (other->path == incoming)
-            return Refusal{
-                RefusalCode::Duplicate, "The same content is being uploaded already. Wait for its end.", {}};
-    auto transfer = writer_->takeBack(incoming);
-    if (!transfer) {
-        if (!writer_->mayOpen(incoming))
-            return Refusal{RefusalCode::Overloaded,
-                           "The disk has not taken yet what was uploaded before. Try again in a moment.",
-                           {}};
-        transfer = std::make_shared<Transfer>(incoming);
-        if (!transfer->file.isOpen()) return storeRefusal("open", incoming);
-        transfer->sha256 = offer.sha256();
-        transfer->size = offer.size();
-        if (!transfer->resume()) return storeRefusal("use", incoming);
-        transfer->accepted = transfer->written;
-    }
-    transfer->service = offer.service();
-    transfer->resource = offer.resource();
-    const auto here = transfer->accepted;
-    transfers_[offer.transfer_id()] = std::move(transfer);
-    return here;
+            return Answer(Refusal{
+                RefusalCode::Duplicate, "The same content is being uploaded already. Wait for its end.", {}});
+    if (worker_->bytes() > kBacklog)
+        return Answer(Refusal{RefusalCode::Overloaded,
+                              "The disk has not taken yet what was uploaded before. Try again in a moment.",
+                              {}});
+    const auto transfer = std::make_shared<Transfer>(offer, owner, incoming);
+    transfer->opened = worker_->ask<Answer>([this, transfer]() -> Answer {
+        // Before the client sends it all.
+        if (const auto* url = urlOf(transfer->service, transfer->resource))
+            if (auto refusal = mayReplaceResource(findResourcePlace(roots_, *url)); !refusal.ok()) {
+                transfer->end();
+                return refusal;
+            }
+        open_.insert(transfer->path);
+        auto here = transfer->open();
+        if (!here) {
+            open_.erase(transfer->path);
+            transfer->end();
+        }
+        return here;
+    });
+    transfers_[offer.transfer_id()] = transfer;
+    return *transfer->opened;
 }
 
 Result<void> FileResourceStore::write(std::string_view transfer_id, std::uint64_t offset,
                                       std::string_view content) {
     const auto at = transfers_.find(transfer_id);
-    if (at == transfers_.end()) return Refusal{RefusalCode::UnknownResource, "There is no such upload.", {}};
+    if (at == transfers_.end() || at->second->over())
+        return Refusal{RefusalCode::UnknownResource, "There is no such upload.", {}};
     auto& transfer = *at->second;
+    if (transfer.opened && !transfer.opened->ready())
+        return Refusal{RefusalCode::WrongState, "The upload has not begun yet.", {}};
+    if (transfer.opened) {
+        if (!transfer.opened->value()) return transfer.opened->value().refusal();
+        transfer.accepted = transfer.opened->value().value();
+        transfer.opened.reset();
+    }
     if (offset != transfer.accepted || content.size() > transfer.size - transfer.accepted)
         return Refusal{RefusalCode::Malformed, "The chunk does not continue the upload.", {}};
     transfer.accepted += content.size();
-    writer_->write(at->second, std::string(content));
+    worker_->write(at->second, std::string(content));
     return {};
 }
 
 Result<std::uint64_t> FileResourceStore::waiting(std::string_view transfer_id) const {
     const auto at = transfers_.find(transfer_id);
-    return at == transfers_.end() ? Result<std::uint64_t>(std::uint64_t{0}) : writer_->waiting(*at->second);
+    return at == transfers_.end() ? Result<std::uint64_t>(std::uint64_t{0}) : worker_->waiting(*at->second);
 }
 
-void FileResourceStore::onWritten(std::function<void()> changed) {
-    writer_->onWritten(std::move(changed));
+void FileResourceStore::onAnswer(std::function<void()> come) {
+    worker_->onAnswer(std::move(come));
 }
 
-Result<std::string> FileResourceStore::finish(std::string_view transfer_id) {
+std::shared_ptr<FileResourceStore::Transfer> FileResourceStore::take(std::string_view transfer_id) {
     const auto at = transfers_.find(transfer_id);
-    if (at == transfers_.end()) return Refusal{RefusalCode::UnknownResource, "There is no such upload.", {}};
-    if (const auto waiting = writer_->waiting(*at->second); !waiting || waiting.value() > 0)
-        return Refusal{RefusalCode::WrongState, "It has not been written yet.", {}};
-    const auto transfer = std::move(at->second);
+    if (at == transfers_.end()) return nullptr;
+    auto transfer = std::move(at->second);
     transfers_.erase(at);
-    transfer->forgetNote();
-    std::array<unsigned char, crypto_hash_sha256_BYTES> digest{};
-    crypto_hash_sha256_final(&transfer->hash, digest.data());
-    if (transfer->written != transfer->size ||
-        std::string_view(reinterpret_cast<const char*>(digest.data()), digest.size()) != transfer->sha256) {
+    return transfer;
+}
+
+Later<Result<std::string>> FileResourceStore::check(std::string_view transfer_id) {
+    using Answer = Result<std::string>;
+    const auto at = transfers_.find(transfer_id);
+    if (at == transfers_.end() || at->second->over())
+        return Answer(Refusal{RefusalCode::UnknownResource, "There is no such upload.", {}});
+    if (const auto waiting = worker_->waiting(*at->second); !waiting || waiting.value() > 0)
+        return Answer(Refusal{RefusalCode::WrongState, "It has not been written yet.", {}});
+    return worker_->ask<Answer>([this, transfer = at->second]() -> Answer {
+        if (transfer->whole()) return transfer->path.string();
         std::error_code ignored;
+        transfer->forgetNote();
         fs::remove(transfer->path, ignored);
+        open_.erase(transfer->path);
+        transfer->end();
         return Refusal{
             RefusalCode::HashMismatch,
             "What arrived has not the SHA-256 that was offered; it was deleted. Upload the file again.",
             {}};
+    });
+}
+
+Later<Result<std::string>> FileResourceStore::place(std::string_view transfer_id) {
+    using Answer = Result<std::string>;
+    const auto at = transfers_.find(transfer_id);
+    if (at == transfers_.end() || at->second->over())
+        return Answer(Refusal{RefusalCode::UnknownResource, "There is no such upload.", {}});
+    return worker_->ask<Answer>([this, transfer = at->second] { return putInPlace(*transfer); });
+}
+
+const std::string* FileResourceStore::urlOf(const std::string& service, const std::string& resource) const {
+    const auto at = urls_.find({service, resource});
+    return at == urls_.end() ? nullptr : &at->second;
+}
+
+Result<std::string> FileResourceStore::putInPlace(Transfer& transfer) {
+    if (const auto* url = urlOf(transfer.service, transfer.resource)) {
+        const auto place = findResourcePlace(roots_, *url);
+        if (const auto replaced = replaceResource(transfer.path.string(), place); !replaced)
+            return replaced.refusal();
+        transfer.forgetNote();
+        open_.erase(transfer.path);
+        transfer.end();
+        return place.path;
     }
-    const auto place = placeOf(transfer->service, transfer->resource);
+    const auto place = placeOf(transfer.service, transfer.resource);
     std::error_code error;
     fs::create_directories(place, error);
     const auto path = place / "content";
-    std::error_code none;
-    fs::remove(place / "stored", none);
-    if (error || ::rename(transfer->path.c_str(), path.c_str()) != 0)
+    if (error) errno = error.value();
+    if (error || ::rename(transfer.path.c_str(), path.c_str()) != 0)
         return storeRefusal("put in its place", path);
-    placed_.insert(place);
-    synchroniser_->add(transfer->file.release(), place);
-    return fs::absolute(path).string();
+    transfer.forgetNote();
+    open_.erase(transfer.path);
+    synchroniser_->add(transfer.release(), place);
+    transfer.end();
+    const std::lock_guard lock(mutex_);
+    stored_[place] = transfer.size;
+    return path.string();
 }
 
 void FileResourceStore::suspend(std::string_view transfer_id) {
-    const auto at = transfers_.find(transfer_id);
-    if (at == transfers_.end()) return;
-    writer_->close(std::move(at->second));
-    transfers_.erase(at);
+    const auto transfer = take(transfer_id);
+    if (!transfer) return;
+    worker_->add([this, transfer, worker = worker_.get()] {
+        transfer->note();
+        transfer->end();
+        worker->forget(*transfer);
+        open_.erase(transfer->path);
+        tidyIncoming();
+    });
 }
 
-void FileResourceStore::dropSuspended() {
-    dropIncoming(fs::file_time_type::max());
+void FileResourceStore::drop(std::string_view transfer_id) {
+    const auto transfer = take(transfer_id);
+    if (!transfer) return;
+    worker_->add([this, transfer, worker = worker_.get()] {
+        std::error_code ignored;
+        transfer->forgetNote();
+        fs::remove(transfer->path, ignored);
+        transfer->end();
+        worker->forget(*transfer);
+        open_.erase(transfer->path);
+    });
 }
 
-/// Renamed here and deleted by the thread: the same content may be offered again at once.
-void FileResourceStore::dropIncoming(fs::file_time_type older_than) {
+/// Of what nobody goes on with, the oldest, until the rest is within its bounds.
+void FileResourceStore::tidyIncoming() {
+    struct Kept {
+        fs::file_time_type written = fs::file_time_type::min();
+        std::uint64_t bytes = 0;
+        std::vector<fs::path> files;  // itself and its notes
+    };
+    std::map<fs::path, Kept> kept;
     std::error_code ignored;
-    bool dropped = false;
     for (const auto& entry : fs::directory_iterator(folder_ / "incoming", ignored)) {
-        const auto& path = entry.path();
-        const bool under_way = std::any_of(transfers_.begin(), transfers_.end(), [&](const auto& transfer) {
-            return transfer.second->path == path || noteOf(transfer.second->path) == path;
-        });
-        if (writer_->dropWhenClosed(path)) continue;
-        const auto written = entry.last_write_time(ignored);
-        if (under_way || (!ignored && written >= older_than)) continue;
-        auto gone = path;
-        if (path.extension() != kDropped) fs::rename(path, gone += kDropped, ignored);
-        dropped = true;
+        auto path = entry.path();
+        while (path.has_extension()) path.replace_extension();  // ".state", ".state.new"
+        if (open_.contains(path)) continue;
+        auto& content = kept[path];
+        content.written = std::max(content.written, entry.last_write_time(ignored));
+        if (path == entry.path()) content.bytes = entry.file_size(ignored);
+        content.files.push_back(entry.path());
     }
-    if (dropped) synchroniser_->sweep(folder_ / "incoming");
+    std::vector<std::pair<fs::file_time_type, fs::path>> by_age;
+    std::uint64_t bytes = 0;
+    for (const auto& [path, content] : kept) {
+        by_age.emplace_back(content.written, path);
+        bytes += content.bytes;
+    }
+    std::sort(by_age.begin(), by_age.end());
+    const auto oldest = fs::file_time_type::clock::now() - kIncomingKept;
+    for (const auto& [written, path] : by_age) {
+        if (written >= oldest && bytes <= kept_bytes_) break;
+        bytes -= kept[path].bytes;
+        for (const auto& file : kept[path].files) fs::remove(file, ignored);
+    }
 }
 
 void FileResourceStore::remove(std::string_view service, std::string_view resource) {
-    std::error_code ignored;
-    placed_.erase(placeOf(service, resource));
-    fs::remove_all(placeOf(service, resource), ignored);
+    worker_->add([this, place = placeOf(service, resource), service = std::string(service),
+                  resource = std::string(resource)] {
+        if (const auto* url = urlOf(service, resource)) {
+            const auto there = findResourcePlace(roots_, *url);
+            if (there.there) ::unlink(there.path.c_str());
+            return;
+        }
+        {
+            const std::lock_guard lock(mutex_);
+            stored_.erase(place);
+        }
+        std::error_code ignored;
+        fs::remove_all(place, ignored);
+    });
 }
 
 std::optional<std::string> FileResourceStore::find(std::string_view service, std::string_view resource) {
     const auto place = placeOf(service, resource);
-    const auto path = place / "content";
-    struct stat facts {};
-    if (::stat(path.c_str(), &facts) != 0 || !S_ISREG(facts.st_mode)) return std::nullopt;
-    if (!placed_.contains(place)) {
-        std::string stored;
-        std::getline(std::ifstream(place / "stored", std::ios::binary), stored);
-        if (stored + '\n' != factsOf(facts)) return std::nullopt;
+    const std::lock_guard lock(mutex_);
+    return stored_.contains(place) ? std::optional((place / "content").string()) : std::nullopt;
+}
+
+Later<std::vector<ResourcePlace>> FileResourceStore::locate(const ResourceRoots& roots,
+                                                            std::vector<ResourceQuery> queries) {
+    using Places = std::vector<ResourcePlace>;
+    Places places(queries.size());
+    bool outside = false;
+    for (std::size_t i = 0; i < queries.size(); ++i) {
+        outside = outside || !queries[i].url.empty();
+        if (!queries[i].url.empty() || !queries[i].savable) continue;
+        const auto folder = placeOf(queries[i].service, queries[i].resource);
+        const std::lock_guard lock(mutex_);
+        const auto at = stored_.find(folder);
+        if (at == stored_.end()) continue;
+        places[i].path = (folder / "content").string();
+        places[i].there = true;
+        places[i].size = at->second;
     }
-    return fs::absolute(path).string();
+    auto look = [this, roots, queries = std::move(queries), places]() mutable {
+        roots_ = roots;
+        urls_.clear();
+        for (std::size_t i = 0; i < queries.size(); ++i) {
+            if (queries[i].url.empty()) continue;
+            urls_[{queries[i].service, queries[i].resource}] = queries[i].url;
+            places[i] = findResourcePlace(roots, queries[i].url);
+        }
+        return places;
+    };
+    if (outside) return worker_->ask<Places>(std::move(look));
+    worker_->add([look = std::move(look)]() mutable { look(); });
+    return places;
+}
+
+Later<std::vector<std::string>> FileResourceStore::absent(std::vector<std::string> files) {
+    return worker_->ask<std::vector<std::string>>([files = std::move(files)]() mutable {
+        std::erase_if(files, [](const std::string& file) {
+            struct stat facts {};
+            return ::stat(file.c_str(), &facts) == 0 || (errno != ENOENT && errno != ENOTDIR);
+        });
+        return files;
+    });
 }
 
 }  // namespace axon::entity_manager

@@ -45,6 +45,20 @@ struct Folder : testing::Test {
     static bool arrives(const FileResourceStore& store, const std::string& id) {
         return test::waitUntil([&] { return store.waiting(id).value() == 0; });
     }
+    template <class T>
+    static T of(const Later<T>& answer) {
+        EXPECT_TRUE(test::waitUntil([&] { return answer.ready(); }));
+        return answer.value();
+    }
+    static Result<std::uint64_t> begin(FileResourceStore& store, const proto::ResourceOffer& offer,
+                                       const std::string& owner = "user@host") {
+        return of(store.begin(offer, owner));
+    }
+    /// All of it is there; the application accepts it.
+    static Result<std::string> finish(FileResourceStore& store, const std::string& id) {
+        if (auto checked = of(store.check(id)); !checked) return checked;
+        return of(store.place(id));
+    }
     static std::string content(const std::string& path) {
         std::stringstream text;
         text << std::ifstream(path).rdbuf();
@@ -111,7 +125,7 @@ TEST_F(Folder, WhatIsKeptIsNotWaitedForAndIsTriedUntilTheDiskHasIt) {
     EXPECT_EQ(FileStorage(folder).load("k"), "2");
 }
 
-TEST_F(Folder, WhatIsForgottenDoesNotComeBack) {
+TEST_F(Folder, WhatIsForgottenIsNotWaitedForAndDoesNotComeBack) {
     const StuckFile stuck(folder / "6b.value.new");
     {
         FileStorage storage(folder);
@@ -122,26 +136,44 @@ TEST_F(Folder, WhatIsForgottenDoesNotComeBack) {
     EXPECT_EQ(FileStorage(folder).load("k"), std::nullopt);
 }
 
-TEST_F(Folder, WhatIsSuspendedGoesWithItsHolderAndWhatIsUnderWayStays) {
+TEST_F(Folder, WhatIsSuspendedIsKeptForItsOwner) {
     FileResourceStore store(folder);
-    (void)store.begin(offer("t1", 3, kAbc));
+    (void)begin(store, offer("t1", 3, kAbc), "one@host");
     ASSERT_TRUE(store.write("t1", 0, "ab").ok());
     store.suspend("t1");
-    (void)store.begin(offer("t2", 3, std::string(32, 'h')));
-    ASSERT_TRUE(store.write("t2", 0, "a").ok());
-    store.dropSuspended();
-    EXPECT_EQ(store.begin(offer("t3", 3, kAbc)).value(), 0U) << "nothing of it is left";
-    EXPECT_TRUE(store.write("t2", 1, "b").ok());
+    EXPECT_EQ(begin(store, offer("t2", 3, kAbc), "one@host").value(), 2U);
     store.suspend("t2");
-    EXPECT_EQ(store.begin(offer("t4", 3, std::string(32, 'h'))).value(), 2U);
+    EXPECT_EQ(begin(store, offer("t3", 3, kAbc), "two@host").value(), 0U) << "it is somebody else's";
+}
+
+TEST_F(Folder, OfWhatIsSuspendedTheOldestGoesAboveTheBound) {
+    FileResourceStore store(folder, 10);
+    const auto keep = [&](const std::string& id, char hash, const std::string& content) {
+        (void)begin(store, offer(id, 100, std::string(32, hash)));
+        ASSERT_TRUE(store.write(id, 0, content).ok());
+        ASSERT_TRUE(arrives(store, id));
+        store.suspend(id);
+        (void)of(store.absent({}));  // after all that
+    };
+    keep("t1", 'a', "1234");
+    for (const auto& entry : fs::directory_iterator(folder / "incoming"))
+        fs::last_write_time(entry, fs::file_time_type::clock::now() - std::chrono::hours{1});
+    keep("t2", 'b', "1234");
+    keep("t3", 'c', "1234");
+    EXPECT_EQ(begin(store, offer("t4", 100, std::string(32, 'a'))).value(), 0U)
+        << "twelve bytes are too many";
+    EXPECT_EQ(begin(store, offer("t5", 100, std::string(32, 'b'))).value(), 4U);
+    EXPECT_EQ(begin(store, offer("t6", 100, std::string(32, 'c'))).value(), 4U);
 }
 
 TEST_F(Folder, WhatNobodyHasGoneOnWithForADayIsDeletedAtTheStart) {
     {
         FileResourceStore store(folder);
-        (void)store.begin(offer("t1", 3, kAbc));
+        (void)begin(store, offer("t1", 3, kAbc));
         ASSERT_TRUE(store.write("t1", 0, "ab").ok());
+        store.suspend("t1");
     }
+    ASSERT_FALSE(fs::is_empty(folder / "incoming"));
     for (const auto& entry : fs::directory_iterator(folder / "incoming"))
         fs::last_write_time(entry, fs::file_time_type::clock::now() - FileResourceStore::kIncomingKept);
     { const FileResourceStore next(folder); }
@@ -152,48 +184,78 @@ TEST_F(Folder, AResourceArrivesInPartsIsCheckedAndFoundAgain) {
     std::string path;
     {
         FileResourceStore store(folder);
-        EXPECT_EQ(store.begin(offer("t1", 3, kAbc)).value(), 0U);
+        EXPECT_EQ(begin(store, offer("t1", 3, kAbc)).value(), 0U);
         ASSERT_TRUE(store.write("t1", 0, "ab").ok());
         EXPECT_FALSE(store.write("t1", 1, "c").ok()) << "does not continue";
         EXPECT_FALSE(store.write("t1", 2, "cd").ok()) << "more than offered";
         store.suspend("t1");
     }
     FileResourceStore store(folder);
-    EXPECT_EQ(store.begin(offer("t2", 3, kAbc)).value(), 2U) << "resumes after a restart";
+    EXPECT_EQ(begin(store, offer("t2", 3, kAbc)).value(), 2U) << "resumes after a restart";
     ASSERT_TRUE(store.write("t2", 2, "c").ok());
     ASSERT_TRUE(arrives(store, "t2"));
-    const auto placed = store.finish("t2");
+    const auto placed = finish(store, "t2");
     ASSERT_TRUE(placed.ok()) << placed.refusal().message;
     EXPECT_EQ(content(placed.value()), "abc");
     EXPECT_EQ(fs::path(placed.value()).lexically_normal().string().find((folder / "resources").string()), 0U);
     EXPECT_EQ(store.find("Ser/../vice", ".."), placed.value());
+    EXPECT_TRUE(of(store.absent({placed.value()})).empty());
     store.remove("Ser/../vice", "..");
+    EXPECT_EQ(of(store.absent({placed.value()})), std::vector{placed.value()});
     EXPECT_EQ(store.find("Ser/../vice", ".."), std::nullopt);
     EXPECT_TRUE(fs::exists(folder / "resources"));
 }
 
 TEST_F(Folder, AWrongHashDeletesWhatArrivedAndKeepsTheOldFile) {
     FileResourceStore store(folder);
-    (void)store.begin(offer("t1", 3, kAbc));
+    (void)begin(store, offer("t1", 3, kAbc));
     ASSERT_TRUE(store.write("t1", 0, "abc").ok());
     ASSERT_TRUE(arrives(store, "t1"));
-    ASSERT_TRUE(store.finish("t1").ok());
-    (void)store.begin(offer("t2", 3, std::string(32, 'h')));
+    ASSERT_TRUE(finish(store, "t1").ok());
+    (void)begin(store, offer("t2", 3, std::string(32, 'h')));
     ASSERT_TRUE(store.write("t2", 0, "abd").ok());
     ASSERT_TRUE(arrives(store, "t2"));
-    EXPECT_EQ(store.finish("t2").refusal().code, RefusalCode::HashMismatch);
+    EXPECT_EQ(finish(store, "t2").refusal().code, RefusalCode::HashMismatch);
     EXPECT_EQ(content(*store.find("Ser/../vice", "..")), "abc");
-    EXPECT_EQ(store.begin(offer("t3", 3, std::string(32, 'h'))).value(), 0U) << "nothing of it is left";
+    EXPECT_EQ(begin(store, offer("t3", 3, std::string(32, 'h'))).value(), 0U) << "nothing of it is left";
+}
+
+TEST_F(Folder, TheOldFileStaysUntilTheNewOneIsAccepted) {
+    FileResourceStore store(folder);
+    (void)begin(store, offer("t1", 3, kAbc));
+    ASSERT_TRUE(store.write("t1", 0, "abc").ok());
+    ASSERT_TRUE(arrives(store, "t1"));
+    const auto old = finish(store, "t1").value();
+    // SHA-256 of the empty text.
+    const std::string empty(
+        "\xe3\xb0\xc4\x42\x98\xfc\x1c\x14\x9a\xfb\xf4\xc8\x99\x6f\xb9\x24\x27\xae\x41\xe4\x64\x9b\x93\x4c\xa4"
+        "\x95"
+        "\x99\x1b\x78\x52\xb8\x55",
+        32);
+    for (const bool accepted : {false, true}) {
+        (void)begin(store, offer("t2", 0, empty));
+        const auto looked_at = of(store.check("t2")).value();
+        EXPECT_NE(looked_at, old);
+        EXPECT_EQ(content(looked_at), "");
+        EXPECT_EQ(content(old), "abc");
+        if (accepted) {
+            EXPECT_EQ(of(store.place("t2")).value(), old);
+        } else {
+            store.drop("t2");
+        }
+        EXPECT_EQ(of(store.absent({looked_at})), std::vector{looked_at});
+    }
+    EXPECT_EQ(content(old), "");
 }
 
 TEST_F(Folder, ALaterLifeFindsWhatTheDiskHasAndNothingElse) {
     std::string path;
     {
         FileResourceStore store(folder);
-        (void)store.begin(offer("t1", 3, kAbc));
+        (void)begin(store, offer("t1", 3, kAbc));
         ASSERT_TRUE(store.write("t1", 0, "abc").ok());
         ASSERT_TRUE(arrives(store, "t1"));
-        path = store.finish("t1").value();
+        path = finish(store, "t1").value();
         EXPECT_EQ(store.find("Ser/../vice", ".."), path) << "at once in the same life";
     }  // which waits for the disk
     EXPECT_EQ(FileResourceStore(folder).find("Ser/../vice", ".."), path);
@@ -211,64 +273,52 @@ TEST_F(Folder, AKilledUploadGoesOnWhereItsLastNoteWas) {
     {
         // Never suspended, never ended: as if the process had been killed.
         auto* killed = new FileResourceStore(folder);
-        (void)killed->begin(offer("t1", 40U << 20U, kAbc));
+        (void)begin(*killed, offer("t1", 40U << 20U, kAbc));
         for (std::uint64_t i = 0; i < 20; ++i) ASSERT_TRUE(killed->write("t1", i << 20U, megabyte).ok());
         ASSERT_TRUE(arrives(*killed, "t1"));
         FileResourceStore next(folder);
-        EXPECT_EQ(next.begin(offer("t2", 40U << 20U, kAbc)).value(), 16U << 20U);
+        EXPECT_EQ(begin(next, offer("t2", 40U << 20U, kAbc)).value(), 16U << 20U);
         delete killed;
     }
     for (const auto& entry : fs::directory_iterator(folder / "incoming"))
         if (entry.path().extension() == ".state") std::ofstream(entry.path()) << "damaged";
     FileResourceStore next(folder);
-    EXPECT_EQ(next.begin(offer("t3", 40U << 20U, kAbc)).value(), 0U) << "a damaged note is worth nothing";
+    EXPECT_EQ(begin(next, offer("t3", 40U << 20U, kAbc)).value(), 0U) << "a damaged note is worth nothing";
 }
 
 TEST_F(Folder, NobodyWaitsForADiskThatDoesNotTakeWhatIsUploaded) {
     std::promise<void> release;
     const auto released = release.get_future().share();
-    std::promise<void> stuck;
     FileResourceStore store(folder);
-    store.onWritten([&, released, first = true]() mutable {
+    (void)begin(store, offer("t0", FileResourceStore::kBacklog + 1, std::string(32, 'h')));
+    std::promise<void> stuck;
+    store.onAnswer([&, released, first = true]() mutable {
         if (!std::exchange(first, false)) return;
         stuck.set_value();
-        released.wait();  // as a write that does not return
+        released.wait();  // as a call of the disk that does not return
     });
-    (void)store.begin(offer("t1", 3, kAbc));
-    ASSERT_TRUE(store.write("t1", 0, "a").ok());
+    const auto began = store.begin(offer("t1", 3, kAbc), "user@host");
     stuck.get_future().wait();
-    ASSERT_TRUE(store.write("t1", 1, "b").ok());
+    ASSERT_TRUE(began.ready());
+    ASSERT_TRUE(store.write("t1", 0, "ab").ok());
     ASSERT_TRUE(store.write("t1", 2, "c").ok());
-    EXPECT_EQ(store.waiting("t1").value(), 2U);
-    EXPECT_EQ(store.finish("t1").refusal().code, RefusalCode::WrongState) << "it is not there yet";
+    EXPECT_EQ(store.waiting("t1").value(), 3U);
+    EXPECT_EQ(of(store.check("t1")).refusal().code, RefusalCode::WrongState) << "it is not there yet";
     store.suspend("t1");
-    EXPECT_EQ(store.begin(offer("t2", 3, kAbc)).value(), 3U) << "it goes on with what waits";
-    EXPECT_EQ(store.waiting("t2").value(), 2U);
-    store.suspend("t2");
-    // Other content has nothing to wait for but its bytes.
-    EXPECT_EQ(store.begin(offer("t3", FileResourceStore::kBacklog + 1, std::string(32, 'h'))).value(), 0U);
-    ASSERT_TRUE(store.write("t3", 0, std::string(FileResourceStore::kBacklog + 1, 'x')).ok());
-    EXPECT_EQ(store.begin(offer("t4", 3, std::string(32, 'i'))).refusal().code, RefusalCode::Overloaded)
+    const auto again = store.begin(offer("t2", 3, kAbc), "user@host");
+    EXPECT_FALSE(again.ready());
+    EXPECT_EQ(store.write("t2", 0, "a").refusal().code, RefusalCode::WrongState);
+    const auto looked = store.absent({folder / "none"});
+    store.remove("Ser/../vice", "..");
+    EXPECT_EQ(store.find("Ser/../vice", ".."), std::nullopt);
+    EXPECT_FALSE(looked.ready());
+    ASSERT_TRUE(store.write("t0", 0, std::string(FileResourceStore::kBacklog + 1, 'x')).ok());
+    EXPECT_EQ(begin(store, offer("t3", 3, std::string(32, 'i'))).refusal().code, RefusalCode::Overloaded)
         << "what waits is bounded";
     release.set_value();
-    ASSERT_TRUE(arrives(store, "t3"));
-    EXPECT_EQ(store.begin(offer("t5", 3, kAbc)).value(), 3U) << "all that was taken has been written";
-    EXPECT_EQ(content(store.finish("t5").value()), "abc");
-}
-
-TEST_F(Folder, WhatGoesWithItsHolderWhileItIsBeingWrittenIsDeletedToo) {
-    std::promise<void> release;
-    const auto released = release.get_future().share();
-    FileResourceStore store(folder);
-    store.onWritten([released] { released.wait(); });
-    (void)store.begin(offer("t1", 3, kAbc));
-    ASSERT_TRUE(store.write("t1", 0, "ab").ok());
-    store.suspend("t1");
-    store.dropSuspended();
-    EXPECT_EQ(store.begin(offer("t2", 3, kAbc)).refusal().code, RefusalCode::Overloaded) << "not that file again";
-    release.set_value();
-    ASSERT_TRUE(test::waitUntil([&] { return fs::is_empty(folder / "incoming"); }));
-    EXPECT_EQ(store.begin(offer("t2", 3, kAbc)).value(), 0U);
+    EXPECT_EQ(of(again).value(), 3U) << "all that was taken has been written";
+    EXPECT_EQ(of(looked), std::vector{(folder / "none").string()});
+    EXPECT_EQ(content(finish(store, "t2").value()), "abc");
 }
 
 TEST_F(Folder, GivenUpAndGoneOnWithAgainAndAgainItIsWhole) {
@@ -277,22 +327,103 @@ TEST_F(Folder, GivenUpAndGoneOnWithAgainAndAgainItIsWhole) {
     std::uint64_t at = 0;
     for (; at < kParts; ++at) {
         const auto id = "t" + std::to_string(at);
-        ASSERT_EQ(store.begin(offer(id, kParts + 1, kAbc)).value(), at);
+        ASSERT_EQ(begin(store, offer(id, kParts + 1, kAbc)).value(), at);
         ASSERT_TRUE(store.write(id, at, "x").ok());
         store.suspend(id);
     }
-    ASSERT_EQ(store.begin(offer("last", kParts + 1, kAbc)).value(), at);
+    ASSERT_EQ(begin(store, offer("last", kParts + 1, kAbc)).value(), at);
     ASSERT_TRUE(store.write("last", at, "x").ok());
     ASSERT_TRUE(arrives(store, "last"));
-    EXPECT_EQ(store.finish("last").refusal().code, RefusalCode::HashMismatch) << "of 301 x, not of abc";
+    EXPECT_EQ(finish(store, "last").refusal().code, RefusalCode::HashMismatch) << "of 301 x, not of abc";
     EXPECT_TRUE(fs::is_empty(folder / "incoming"));
 }
 
 TEST_F(Folder, ATransferThatIsNotKnownIsRefused) {
     FileResourceStore store(folder);
     EXPECT_EQ(store.write("no", 0, "x").refusal().code, RefusalCode::UnknownResource);
-    EXPECT_EQ(store.finish("no").refusal().code, RefusalCode::UnknownResource);
+    EXPECT_EQ(finish(store, "no").refusal().code, RefusalCode::UnknownResource);
+    EXPECT_EQ(of(store.place("no")).refusal().code, RefusalCode::UnknownResource);
     store.suspend("no");
+    store.drop("no");
+}
+
+/// A store whose profile gives its resource a url below <folder>/profiles.
+struct UrlFolder : Folder {
+    UrlFolder() { fs::create_directories(folder / "profiles"); }
+    std::vector<ResourcePlace> locate(FileResourceStore& store, const std::string& url,
+                                      bool savable = true) const {
+        return of(store.locate({(folder / "profiles").string(), {}}, {{"Ser/../vice", "..", url, savable}}));
+    }
+    void upload(FileResourceStore& store) const {
+        ASSERT_TRUE(begin(store, offer("t1", 3, kAbc)).ok());
+        ASSERT_TRUE(store.write("t1", 0, "abc").ok());
+        ASSERT_TRUE(arrives(store, "t1"));
+    }
+    fs::path map() const { return fs::canonical(folder / "profiles") / "maps/lab.map"; }
+};
+
+TEST_F(UrlFolder, AnUploadReplacesTheFileThatTheUrlNamesOnceItIsAccepted) {
+    fs::create_directories(map().parent_path());
+    std::ofstream(map()) << "old one";
+    {
+        FileResourceStore store(folder / "state");
+        EXPECT_EQ(locate(store, "maps/lab.map")[0].size, 7U);
+        upload(store);
+        ASSERT_TRUE(of(store.check("t1")).ok());
+        EXPECT_EQ(content(map()), "old one") << "nobody has accepted it yet";
+        EXPECT_EQ(of(store.place("t1")).value(), map());
+        EXPECT_EQ(content(map()), "abc");
+    }
+    FileResourceStore store(folder / "state");
+    const auto place = locate(store, "maps/lab.map")[0];
+    EXPECT_EQ(place.path, map());
+    EXPECT_EQ(place.size, 3U);
+    EXPECT_TRUE(of(store.absent({map()})).empty());
+    store.remove("Ser/../vice", "..");
+    EXPECT_EQ(of(store.absent({map()})).size(), 1U);
+    EXPECT_TRUE(fs::is_empty(folder / "state/incoming"));
+}
+
+TEST_F(UrlFolder, WhatMayNotBeReplacedIsRefusedBeforeItIsSent) {
+    std::ofstream(folder / "profiles/lab.map") << "old one";
+    fs::permissions(folder / "profiles/lab.map", fs::perms::owner_read);
+    FileResourceStore store(folder / "state");
+    EXPECT_TRUE(locate(store, "lab.map")[0].there);
+    const auto refused = begin(store, offer("t1", 3, kAbc));
+    ASSERT_FALSE(refused.ok());
+    EXPECT_EQ(refused.refusal().code, RefusalCode::PermissionDenied);
+    EXPECT_FALSE(locate(store, "/etc/passwd")[0].refusal.ok());
+    EXPECT_EQ(begin(store, offer("t2", 3, kAbc)).refusal().code, RefusalCode::BadName);
+}
+
+TEST_F(UrlFolder, WhatBecomesForbiddenMeanwhileLeavesTheOldFileAndTheUpload) {
+    FileResourceStore store(folder / "state");
+    (void)locate(store, "maps/lab.map");
+    upload(store);
+    ASSERT_TRUE(of(store.check("t1")).ok());
+    fs::create_directories(folder / "outside");
+    fs::create_directory_symlink(folder / "outside", folder / "profiles/maps");
+    EXPECT_EQ(of(store.place("t1")).refusal().code, RefusalCode::BadName);
+    EXPECT_TRUE(fs::is_empty(folder / "outside"));
+    store.suspend("t1");
+    EXPECT_EQ(begin(store, offer("t2", 3, kAbc)).refusal().code, RefusalCode::BadName);
+}
+
+TEST_F(UrlFolder, WithoutAUrlTheStateFolderHasItWithItsSizeInTheNextLifeToo) {
+    {
+        FileResourceStore store(folder / "state");
+        (void)locate(store, "");
+        upload(store);
+        ASSERT_TRUE(finish(store, "t1").ok());
+        EXPECT_EQ(locate(store, "")[0].size, 3U);
+    }
+    FileResourceStore store(folder / "state");
+    const auto answer = store.locate({}, {{"Ser/../vice", "..", "", true}, {"Ser/../vice", "..", "", false}});
+    ASSERT_TRUE(answer.ready()) << "it is known without looking";
+    EXPECT_TRUE(answer.value()[0].there);
+    EXPECT_EQ(answer.value()[0].size, 3U);
+    EXPECT_EQ(content(answer.value()[0].path), "abc");
+    EXPECT_FALSE(answer.value()[1].there) << "not savable";
 }
 
 }  // namespace

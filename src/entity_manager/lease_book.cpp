@@ -119,8 +119,8 @@ const LeaseBook::Held& LeaseBook::grant(const Claim& claim) {
     // Not saved: the epoch fences across a restart, and a check-out need not wait for the disk.
     end_code_ = RefusalCode::Ok;
     end_why_.clear();
-    held_ =
-        Held{last_, Id128::random(random_), claim.client, claim.request_id, claim.root, claim.hand_over, {}};
+    held_ = Held{last_,      Id128::random(random_), claim.client, claim.request_id,
+                 claim.root, claim.hand_over,        {},           named(claim.client)};
     last_holder_ = claim.client.id;
     return *held_;
 }

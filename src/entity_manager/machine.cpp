@@ -141,6 +141,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       lease_(storage, random),
       generation_(firstGeneration(storage, stop_gate)),
       required_(generation_),
+      saved_(storage),
       queue_(settings_.task_queue_bound),
       uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
     // A person stopped the robot, and that this process was killed since is no word of a person.
@@ -158,6 +159,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     reserved_ = generation_ + kGenerationsReserved;
     replayJournal();
     loadRuns();
+    for (const auto& finding : saved_.findings()) warning_ = finding.message();
 }
 
 // -- the journal
@@ -183,12 +185,25 @@ void EntityManagerCore::Machine::replayJournal() {
     }
 }
 
-bool EntityManagerCore::Machine::note(JournalRecord record) {
-    if (journal_ == nullptr) return true;
+void EntityManagerCore::Machine::complete(JournalRecord& record) const {
     if (record.lease == LeaseNumber{} && lease_.held()) record.lease = lease_.held()->number;
     if (record.generation == 0) record.generation = generation_;
     record.at_us = toMicroseconds(clock_.now());
-    const bool written = journal_->append(record);
+}
+
+bool EntityManagerCore::Machine::note(JournalRecord record) {
+    if (journal_ == nullptr) return true;
+    complete(record);
+    return recorded(journal_->append(record));
+}
+
+Later<bool> EntityManagerCore::Machine::noteDispatch(JournalRecord record) {
+    if (journal_ == nullptr) return true;
+    complete(record);
+    return journal_->appendDispatch(record);
+}
+
+bool EntityManagerCore::Machine::recorded(bool written) {
     if (!written) ++counters_.unrecorded;
     if (!written && !journal_failing_)
         warning_ = "the journal cannot be written; no task begins until it can. Is the disk full?";
@@ -491,6 +506,7 @@ void EntityManagerCore::Machine::onLinkDown(const std::string& reason) {
     sought_.clear();
     profiles_due_.reset();
     kept_profiles_.clear();  // the next link begins with what the application has then
+    located_.reset();
     reason_ = "the link to the robot application is down: " + reason;
     Incident incident{Event::LinkDown};
     incident.cause = StopCause::LinkLost;
@@ -550,16 +566,18 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
         case proto::EiToEm::kTask:
             taskUpdate(*message.mutable_task()->mutable_event());
             break;
-        case proto::EiToEm::kActive:
+        case proto::EiToEm::kActive: {
+            const auto& told = message.active();
+            auto reason = std::string(cutUtf8(told.reason(), kReasonMax));
             // Kept by name, for profiles that are read anew; the application says it only once.
-            if (active_told_.size() < kActiveTold || active_told_.contains(message.active().service()))
-                active_told_[message.active().service()] = message.active().active();
-            if (const auto service =
-                    profiler_.setActive(message.active().service(), message.active().active()))
+            if (active_told_.size() < kActiveTold || active_told_.contains(told.service()))
+                active_told_[told.service()] = {told.active(), reason};
+            if (const auto service = profiler_.setActive(told.service(), told.active(), std::move(reason)))
                 sendServices({service.value()});
             else
                 ++counters_.unexpected;
             break;
+        }
         case proto::EiToEm::kStatus:
             applicationStatus(message.status());
             break;
@@ -612,10 +630,12 @@ void EntityManagerCore::Machine::tellOfProfiles(const Refusal& refusal) {
 }
 
 void EntityManagerCore::Machine::readProfile(const proto::ProfileUpload& upload) {
-    if (upload.services())
+    if (upload.services()) {
         services_ = readServicesProfile(upload.xml(), upload.file_name());
-    else
+        roots_ = {upload.folder(), {upload.resource_folders().begin(), upload.resource_folders().end()}};
+    } else {
         basic_ = readBasicProfile(upload.xml(), upload.file_name());
+    }
 }
 
 /// The services that a holder was granted do not change under its hands.
@@ -644,6 +664,7 @@ void EntityManagerCore::Machine::takeKeptProfiles() {
 }
 
 void EntityManagerCore::Machine::considerProfiles() {
+    located_.reset();
     if (!basic_ || !services_) {
         if (!profiles_due_) profiles_due_ = clock_.now() + settings_.profiles_within;
         return;
@@ -656,6 +677,15 @@ void EntityManagerCore::Machine::considerProfiles() {
         fire(Event::ProfilesBad);
         return;
     }
+    located_ = store_.locate(roots_, ServiceProfiler::resourcesOf(services_->message));
+    takeProfiles();
+}
+
+/// They are good, and where the files of the resources lie is known.
+void EntityManagerCore::Machine::takeProfiles() {
+    if (!located_ || !located_->ready()) return;
+    const auto places = std::exchange(located_, std::nullopt)->value();
+    located_again_.reset();
     const bool moved = position_waits_;  // the robot has told its position before its profiles were good
     auto profile = basic_->message;
     if (moved) {
@@ -665,9 +695,13 @@ void EntityManagerCore::Machine::considerProfiles() {
     }
     basic_profile_ = std::move(profile);
     basic_profile_.set_entity_id(uuid_);
-    profiler_.load(services_->message, uuid_, store_);
-    for (const auto& [service, active] : active_told_) {
-        [[maybe_unused]] const auto known = profiler_.setActive(service, active);  // not all are in this profile
+    profiler_.load(services_->message, uuid_, places);
+    auto amiss = saved_.restore(profiler_);
+    for (const auto& finding : profiler_.findings()) amiss += (amiss.empty() ? "" : "; ") + finding.message();
+    if (!amiss.empty()) warning_ = std::move(amiss);
+    for (const auto& [service, told] : active_told_) {
+        [[maybe_unused]] const auto known =
+            profiler_.setActive(service, told.first, told.second);  // not all are in this profile
     }
     registration_.name = basic_profile_.name();
     registration_.category = proto::Category_Name(basic_profile_.category());
@@ -1209,8 +1243,12 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
     status.set_waiting(static_cast<std::uint32_t>(wait_list_.size()));
     status.set_reason(whyNotReady());
     status.set_request_id(incident.body->status_request().request_id());
-    if (incident.body->status_request().with_services())
+    if (incident.body->status_request().with_services()) {
+        lookAgain();
         *status.mutable_services() = profiler_.profile().services();
+        for (auto& finding : saved_.findings()) status.add_findings()->Swap(&finding);
+        for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
+    }
     for (const auto& active : active_) {
         auto& task = *status.add_tasks();
         task.set_task_id(active.task.id.bytes());
@@ -1324,6 +1362,8 @@ void EntityManagerCore::Machine::onTimer() {
     expireCollaboration();
     expireProfiles();
     sendPosition();
+    signUploads();
+    tellHeldUp();
     settle();
 }
 
@@ -1337,6 +1377,8 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     if (const auto expiry = wait_list_.nextExpiry()) next = std::min(next, *expiry);
     if (hand_over_.open() && !lease_.orphaned()) next = std::min(next, hand_over_.open()->until);
     if (const auto expiry = queue_.nextExpiry()) next = std::min(next, *expiry);
+    if (!queue_.empty() && queue_.front().tell_at) next = std::min(next, *queue_.front().tell_at);
+    if (const auto sign = uploads_.nextSign()) next = std::min(next, *sign);
     if (!questions_.empty()) next = std::min(next, questions_.begin()->second.until);
     for (const auto& active : active_)
         if (active.sent && !active.answered) next = std::min(next, active.answer_until);

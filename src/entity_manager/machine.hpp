@@ -19,6 +19,7 @@
 #include "entity_manager/entity_manager_core.hpp"
 #include "entity_manager/hand_over.hpp"
 #include "entity_manager/lease_book.hpp"
+#include "entity_manager/saved_values.hpp"
 #include "entity_manager/service_profiler.hpp"
 #include "entity_manager/state_table.hpp"
 #include "entity_manager/stream_watches.hpp"
@@ -56,7 +57,7 @@ class EntityManagerCore::Machine {
     void onClientUpdate(const Header& head, ClientChange change);
     void onServerHeartbeat();
     void onTimer();
-    void onResourcesWritten();
+    void onStored();
     TimePoint nextDeadline() const;
     void shutDown();
 
@@ -126,9 +127,8 @@ class EntityManagerCore::Machine {
         std::string request_id;  ///< or the transfer's id
         int service = 0;
         proto::Param param;
-        int resource = -1;  ///< of a resource, else -1
-        std::string service_name, resource_name, path, sha256;
-        std::uint64_t size = 0;
+        bool of_resource = false;
+        std::string resource_name;
         TimePoint until{};  ///< then it is TIMED_OUT
     };
     /// A granted check-out that waits until the robot has confirmed its last stop.
@@ -153,6 +153,10 @@ class EntityManagerCore::Machine {
     void replayJournal();
     /// Fills in what is empty and every entry has; false when it could not be written.
     bool note(JournalRecord record);
+    Later<bool> noteDispatch(JournalRecord record);
+    void complete(JournalRecord& record) const;
+    /// Counts, and warns of, what the journal does not take; returns what it is told.
+    bool recorded(bool written);
     void keepLatch();
     /// Refusals of ownership are noted, at most so many a second; others are not.
     void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal);
@@ -165,6 +169,7 @@ class EntityManagerCore::Machine {
     void takeKeptProfiles();
     void considerProfiles();
     void expireProfiles();
+    void takeProfiles();
     void seekServer();
     /// A lease that outlived the session with the server is found again.
     Event serverUpEvent() const {
@@ -227,6 +232,12 @@ class EntityManagerCore::Machine {
     Refusal admit(const proto::TaskRequest& request, std::int64_t sent_at_us);
     void dispatchNext();
     bool admissible(const Task& task) const;
+    void lookAgain();
+    void takeLook();
+    Result<bool> prepare(Task& task);
+    Refusal missingFiles(const Task& task);
+    void refusePrepared(const Refusal& refusal);
+    void tellHeldUp();
     void dispatch(Task task);
     bool mayStart() const;
     void sendPart(Active& active);
@@ -259,7 +270,8 @@ class EntityManagerCore::Machine {
     void expireAnswers();
 
     // Composite services (machine_composites.cpp).
-    std::string partText(const Active& active) const;
+    std::string partText(const Task& task, std::size_t part) const;
+    std::string partText(const Active& active) const { return partText(active.task, active.part); }
     double progressOf(const Active& active, double of_part = -1) const;
     void nameAsWhole(const Active& active, proto::TaskEvent& event) const;
     void keepResults(Active& active, const proto::TaskEvent& event) const;
@@ -357,7 +369,12 @@ class EntityManagerCore::Machine {
     // Parameters and resources (machine_tasks.cpp).
     void askParameter(const Incident& incident);
     void carryResource(const Incident& incident);
-    void uploadProgress(const std::string& transfer_id, const UploadDesk::Progress& progress);
+    /// `upload` as it was before.
+    void uploadProgress(const UploadDesk::Upload& upload, const Result<UploadDesk::Progress>& progress);
+    void askResource(const UploadDesk::Upload& upload, const std::string& path);
+    void forgetQuestion(const std::string& transfer_id);
+    void tellCredit(const UploadDesk::Upload& upload, std::uint64_t offset, std::uint64_t window);
+    void signUploads();
     void answer(const proto::RequestAnswer& answer);
     void conclude(const Question& question, const Refusal& refusal);
     void abandonRequests(const Refusal& reason);
@@ -408,6 +425,9 @@ class EntityManagerCore::Machine {
 
     std::optional<Reading<proto::BasicProfile>> basic_;
     std::optional<Reading<proto::ServicesProfile>> services_;
+    ResourceRoots roots_;  ///< that came with it
+    /// Where the files of its resources lie: asked before it is used, and again while it is.
+    std::optional<Later<std::vector<ResourcePlace>>> located_, located_again_;
     proto::BasicProfile basic_profile_;
     Registration registration_;  ///< under the application's name until the profiles have been good
     bool ready_ = false;         ///< they have been
@@ -455,8 +475,10 @@ class EntityManagerCore::Machine {
     bool attending_ = false;
     proto::RunHistory runs_;                           ///< newest first
 
+    SavedValues saved_;
     ServiceProfiler profiler_;
-    std::map<std::string, bool, std::less<>> active_told_;  ///< by the application since its link is up
+    /// By the application since its link is up: on or off, and why.
+    std::map<std::string, std::pair<bool, std::string>, std::less<>> active_told_;
     TaskQueue queue_;
     TaskMemory memory_;
     std::vector<Active> active_;

@@ -18,9 +18,9 @@ constexpr std::size_t kResultBytes = 512UL * 1024;
 }  // namespace
 
 /// "part 2 of 3, Turning".
-std::string EntityManagerCore::Machine::partText(const Active& active) const {
-    return "part " + std::to_string(active.part + 1) + " of " + std::to_string(active.task.plan.parts.size()) + ", " +
-           profiler_.record(active.order().service).name();
+std::string EntityManagerCore::Machine::partText(const Task& task, std::size_t part) const {
+    return "part " + std::to_string(part + 1) + " of " + std::to_string(task.plan.parts.size()) + ", " +
+           profiler_.record(task.plan.parts[part].service).name();
 }
 
 /// Of the whole, 0 to 1: the parts that are done, and the present one as far as it says. Of a simple task what it

@@ -520,7 +520,6 @@ void EntityManagerCore::Machine::endLease(const Incident& incident) {
                : incident.reason.code == RefusalCode::Expired ? RefusalCode::Expired
                                                               : RefusalCode::RevokedLease,
                own_wish ? "it was released." : incident.reason.message);
-    store_.dropSuspended();
 }
 
 void EntityManagerCore::Machine::sendLeaseEnded(const LeaseBook::Held& held, const Refusal& reason) {
@@ -600,6 +599,7 @@ void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
     reply.set_latched(latched_);
     *reply.mutable_services() = profiler_.profile();
     reply.set_datagram_endpoint(datagram_endpoint_);
+    reply.set_resource_bytes_max(settings_.resource_bytes_max);
     reply.set_direct_endpoint(direct_endpoint_);
     reply.set_direct_signal_endpoint(direct_signal_endpoint_);
     tell(held.holder, kMsgCheckOut, message);

@@ -409,15 +409,6 @@ TEST_F(Ownership, WhoAsksAndWaitsIsToldThatTheHolderKeepsItAndWhatItSaid) {
     EXPECT_EQ(answer("client2").kept(), "client1@lab keeps it: ten more minutes");
 }
 
-TEST_F(Ownership, WhatArrivedOfBrokenOffUploadsGoesWithItsHolder) {
-    rig.take("client1", "r1");
-    rig.resources.partial["hash"] = "half of it";
-    lose("client1");
-    EXPECT_FALSE(rig.resources.partial.empty()) << "its holder may come back";
-    rig.advance(std::chrono::milliseconds{5100});
-    EXPECT_TRUE(rig.resources.partial.empty());
-}
-
 TEST_F(Ownership, AQuestionIsPutAnewToAHolderThatHasComeBack) {
     rig.take("client1", "r1");
     checkOut("client2", "r2", ask);

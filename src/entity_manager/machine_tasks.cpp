@@ -18,6 +18,8 @@ using collaboration::isFinal;
 namespace {
 
 constexpr std::size_t kQuestions = 64;
+/// So long a task may wait for the disk alone before its client is told that it waits.
+constexpr Duration kQueuedUntold = std::chrono::milliseconds{100};
 /// For so long a client may have been gone before its loss was known: the server's watchdog of a client.
 constexpr Duration kUnnoticed = std::chrono::seconds{10};
 constexpr double kLongestNotAfter_s = 1e6;
@@ -34,6 +36,15 @@ proto::EmToEi dispatchOf(const ServiceProfiler::Order& part, const std::string& 
     for (const auto& param : part.params) *order.add_params() = param;
     for (const auto& resource : part.resources) *order.add_resources() = resource;
     return message;
+}
+
+/// What the application is asked about before the whole begins.
+void addGiven(proto::EmToEi& message, const ServiceProfiler::Plan& plan, const ServiceProfiler& profiler) {
+    for (const auto& [service, param] : plan.given) {
+        auto& given = *message.mutable_task()->add_given();
+        given.set_service(profiler.record(service).name());
+        *given.mutable_param() = param;
+    }
 }
 
 /// The link has no larger frames, and what cannot be sent would never be answered.
@@ -71,6 +82,10 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
     if (const auto again = memory_.whyNotAgain(*id); again && !AXON_PLANTED(TaskIdForgotten)) return *again;
     if (const auto refusal = queue_.mayPush(); !refusal.ok()) return refusal;
     auto plan = profiler_.prepare(request.service(), request.params());
+    if (!plan && plan.refusal().code == RefusalCode::MissingDependency && profiler_.hasUrls()) {
+        lookAgain();  // for this task where the disk answers at once, else for the next
+        plan = profiler_.prepare(request.service(), request.params());
+    }
     if (!plan) return plan.refusal();
     const auto& service = profiler_.record(plan->service);
     Task task;
@@ -84,13 +99,20 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
                                                                 : clock_.now()) +
                          std::chrono::duration_cast<Duration>(std::chrono::duration<double>(request.not_after_s()));
     std::size_t bytes = 0;  // of all parts: a composite takes no more memory than another task
-    for (const auto& part : task.plan.parts)
-        bytes += dispatchOf(part, profiler_.record(part.service).name(), task.id, generation_).ByteSizeLong();
+    for (const auto& part : task.plan.parts) {
+        auto message = dispatchOf(part, profiler_.record(part.service).name(), task.id, generation_);
+        if (&part == &task.plan.parts.front()) addGiven(message, task.plan, profiler_);
+        bytes += message.ByteSizeLong();
+    }
     if (const auto refusal = checkSize(bytes); !refusal.ok()) return refusal;
     memory_.accept(task.id);
     queue_.push(std::move(task));
     dispatchNext();
-    if (!queue_.empty() && queue_.waiting().back().id == *id)
+    if (queue_.empty() || queue_.waiting().back().id != *id) return {};
+    // What waits for nothing but the disk is about to begin.
+    if (queue_.front().id == *id && queue_.front().preparing())
+        queue_.front().tell_at = clock_.now() + kQueuedUntold;
+    else
         sendTask(queue_.waiting().back(), proto::TASK_QUEUED, {});
     return {};
 }
@@ -123,27 +145,75 @@ void EntityManagerCore::Machine::dispatchNext() {
         // A stop that the signal thread has passed on and that has not come here yet: it voids the queue.
         if (queue_.front().generation != stop_gate_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked)) return;
         if (!admissible(queue_.front())) return;
-        dispatch(queue_.pop());
+        if (const auto prepared = prepare(queue_.front()); !prepared) {
+            refusePrepared(prepared.refusal());
+        } else if (prepared.value()) {
+            dispatch(queue_.pop());
+        } else {
+            return;
+        }
     }
+}
+
+/// Whether all is on the disk that must be there before the task begins: the files that it is given, and its
+/// entry in the journal, or a next life might send it again. Nobody waits for that: the task does, at the
+/// head of the queue, where whatever voids the queue voids it too.
+Result<bool> EntityManagerCore::Machine::prepare(Task& task) {
+    if (!task.looked) {
+        std::vector<std::string> files;
+        for (const auto& part : task.plan.parts)
+            for (const auto& resource : part.resources)
+                if (resource.url().starts_with('/')) files.push_back(resource.url());
+        task.looked =
+            files.empty() ? Later<std::vector<std::string>>(files) : store_.absent(std::move(files));
+    }
+    if (!task.looked->ready()) return false;
+    if (!task.looked->value().empty()) return missingFiles(task);
+    if (AXON_PLANTED(DispatchNotInTheJournal)) return true;
+    if (!task.noted)
+        task.noted = noteDispatch({.kind = JournalRecord::Kind::Dispatched,
+                                   .who = named(*holder()),
+                                   .task = task.id,
+                                   .service = task.service,
+                                   .text = task.plan.composite ? partText(task, 0) : std::string()});
+    if (!task.noted->ready()) return false;
+    if (recorded(task.noted->value())) return true;
+    task.noted.reset();
+    return Refusal{RefusalCode::Overloaded,
+                   "The Entity Manager cannot write its journal, so it starts no task. Is the robot's disk "
+                   "full? Make room, "
+                   "then send it again under a new id.",
+                   {}};
+}
+
+/// The resources whose files are gone are ready no longer, whoever removed them.
+Refusal EntityManagerCore::Machine::missingFiles(const Task& task) {
+    const auto& absent = task.looked->value();
+    std::string missing;
+    std::vector<int> changed;
+    for (const auto& part : task.plan.parts)
+        for (const auto& resource : part.resources) {
+            if (std::find(absent.begin(), absent.end(), resource.url()) == absent.end()) continue;
+            const auto& service = profiler_.record(part.service).name();
+            if (!profiler_.loseResource(part.service, resource.name(), resource.url())) continue;
+            missing += (missing.empty() ? "" : ", ") + inQuotes(resource.name()) + " of " +
+                       inQuotes(service) + " (" + resource.url() + ')';
+            changed.push_back(part.service);
+        }
+    sendServices(changed);
+    return {RefusalCode::MissingDependency,
+            "The file of a resource is no longer on the robot's machine: " +
+                (missing.empty() ? absent.front() : missing) + ". Upload it again, then send the task again.",
+            {}};
+}
+
+void EntityManagerCore::Machine::refusePrepared(const Refusal& refusal) {
+    const auto task = queue_.pop();
+    sendTask(task, proto::TASK_REFUSED, refusal);
 }
 
 void EntityManagerCore::Machine::dispatch(Task task) {
     Active active{.task = std::move(task)};
-    // Before it is sent, or a next life might send it again.
-    if (!AXON_PLANTED(DispatchNotInTheJournal) &&
-        !note({.kind = JournalRecord::Kind::Dispatched,
-               .who = named(*holder()),
-               .task = active.task.id,
-               .service = active.task.service,
-               .text = active.task.plan.composite ? partText(active) : std::string()})) {
-        sendTask(active.task, proto::TASK_REFUSED,
-                 {RefusalCode::Overloaded,
-                  "The Entity Manager cannot write its journal, so it starts no task. Is the robot's disk "
-                  "full? Make room, "
-                  "then send it again under a new id.",
-                  {}});
-        return;
-    }
     memory_.dispatched(active.task.id);
     active_.push_back(std::move(active));
     sendPart(active_.back());
@@ -165,6 +235,7 @@ void EntityManagerCore::Machine::sendPart(Active& active) {
     active.answer_until = clock_.now() + settings_.answer_within;
     auto message =
         dispatchOf(active.order(), profiler_.record(active.order().service).name(), *active.sent, task.generation);
+    if (active.part == 0) addGiven(message, task.plan, profiler_);
     if (task.not_after && active.part == 0) {
         const auto left =
             std::chrono::duration_cast<std::chrono::milliseconds>(*task.not_after - clock_.now());
@@ -351,7 +422,8 @@ void EntityManagerCore::Machine::leaveService(const Task& task, bool clear) {
     if (!clear) return;
     const auto cleared = profiler_.clearAfterTask(task.plan);
     for (const auto& [service, resource] : cleared.files)
-        store_.remove(profiler_.record(service).name(), resource);
+        if (const auto& name = profiler_.record(service).name(); !uploads_.placing(name, resource))
+            store_.remove(name, resource);
     sendServices(cleared.changed);
 }
 
@@ -467,7 +539,7 @@ void EntityManagerCore::Machine::tellTask(proto::TaskEvent& event) {
 void EntityManagerCore::Machine::concludeTask(const Task& task, proto::TaskEvent& event) {
     event.set_task_id(task.id.bytes());
     event.set_service(task.service);
-    if (memory_.wasDispatched(task.id))
+    if (memory_.wasDispatched(task.id) || task.noted)
         note({.kind = JournalRecord::Kind::TaskEnded,
               .task = task.id,
               .service = task.service,
@@ -496,7 +568,7 @@ void EntityManagerCore::Machine::expireAnswers() {
     while (!questions_.empty() && questions_.begin()->second.until <= now) {
         const auto question = std::move(questions_.begin()->second);
         questions_.erase(questions_.begin());
-        if (question.resource >= 0) store_.remove(question.service_name, question.resource_name);
+        if (question.of_resource) uploads_.suspend(question.request_id);
         conclude(question, {RefusalCode::TimedOut,
                             "The robot application has not answered within " + within +
                                 ". It may be hanging: look at it, then try again.",
@@ -576,34 +648,46 @@ void EntityManagerCore::Machine::answer(const proto::RequestAnswer& answer) {
             refusal.code = RefusalCode::Denied;
         if (refusal.message.empty()) refusal.message = "The robot application denied it without a reason.";
     }
+    if (question.of_resource) {
+        const auto* found = uploads_.find(question.request_id);
+        if (found == nullptr) return;
+        if (refusal.ok()) {
+            const auto upload = *found;
+            uploadProgress(upload, uploads_.accept(question.request_id));
+        } else {
+            uploads_.deny(question.request_id);
+            conclude(question, refusal);
+        }
+        return;
+    }
     // Between question and answer the lease may have ended; what was meant for it is not kept for the next
     // holder.
     const bool present = lease_.held() && lease_.held()->number == question.lease;
     if (refusal.ok() && !present)
         refusal = {
             RefusalCode::RevokedLease, "The lease ended before the robot application had answered.", {}};
-    if (question.resource >= 0) {
-        if (refusal.ok())
-            profiler_.storeResource(question.service, question.resource, question.path, question.sha256,
-                                    question.size);
-        else
-            store_.remove(question.service_name, question.resource_name);
-    } else if (refusal.ok()) {
+    if (refusal.ok()) {
         profiler_.storeParam(question.service, question.param);
+        const auto& record = profiler_.record(question.service);
+        if (const auto param = findParamIndex(record, question.param.name()))
+            saved_.set(record.name(), record.params(param.value()), question.param);
     }
     conclude(question, refusal);
     if (refusal.ok()) sendServices({question.service});
 }
 
 void EntityManagerCore::Machine::conclude(const Question& question, const Refusal& refusal) {
-    if (question.resource >= 0)
+    if (question.of_resource)
         sendResourceDone(question.asker, question.request_id, question.resource_name, refusal);
     else
         reply(question.asker, question.request_id, refusal);
 }
 
 void EntityManagerCore::Machine::abandonRequests(const Refusal& reason) {
-    for (const auto& [number, question] : std::exchange(questions_, {})) conclude(question, reason);
+    for (const auto& [number, question] : std::exchange(questions_, {})) {
+        if (question.of_resource) uploads_.suspend(question.request_id);
+        conclude(question, reason);
+    }
 }
 
 void EntityManagerCore::Machine::carryResource(const Incident& incident) {
@@ -620,91 +704,132 @@ void EntityManagerCore::Machine::carryResource(const Incident& incident) {
         const auto& service = profiler_.record(place->first);
         named.set_service(service.name());
         named.set_resource(service.resources(place->second).name());
-        const auto progress = uploads_.offer(named, place->first, place->second);
+        const auto progress =
+            uploads_.offer(named, place->first, place->second, to, lease_.held()->owner, clock_.now());
         if (!progress)
             refuse(incident, progress.refusal());
-        else
-            uploadProgress(offer.transfer_id(), progress.value());
+        else if (const auto* upload = uploads_.find(offer.transfer_id()))
+            uploadProgress(*upload, progress);
         return;
     }
     const auto& chunk = incident.body->resource_chunk();
-    const auto* upload = uploads_.find(chunk.transfer_id());
-    const std::string resource = upload != nullptr ? upload->offer.resource() : std::string();
-    const auto progress = uploads_.chunk(chunk);
-    if (progress) {
-        uploadProgress(chunk.transfer_id(), progress.value());
-    } else if (upload != nullptr) {
-        sendResourceDone(to, chunk.transfer_id(), resource, progress.refusal());
+    const auto* found = uploads_.find(chunk.transfer_id());
+    const auto upload = found != nullptr ? std::optional(*found) : std::nullopt;
+    auto progress = uploads_.chunk(chunk);
+    if (upload) {
+        if (!progress) forgetQuestion(chunk.transfer_id());
+        uploadProgress(*upload, progress);
     } else {
         refuse(incident, progress.refusal());
     }
 }
 
-/// On a thread of its own the store has written what a client has sent.
-void EntityManagerCore::Machine::onResourcesWritten() {
+/// On a thread of its own a store has done what it was asked for. What waits in the queue for it: settle().
+void EntityManagerCore::Machine::onStored() {
     if (quit_) return;
-    for (const auto& [upload, progress] : uploads_.written()) {
-        const auto& id = upload.offer.transfer_id();
-        if (progress)
-            uploadProgress(id, progress.value());
-        else if (holder() != nullptr)
-            sendResourceDone(*holder(), id, upload.offer.resource(), progress.refusal());
-    }
+    takeProfiles();
+    takeLook();
+    for (const auto& [upload, progress] : uploads_.answered()) uploadProgress(upload, progress);
     settle();
 }
 
-void EntityManagerCore::Machine::uploadProgress(const std::string& transfer_id,
-                                                const UploadDesk::Progress& progress) {
-    if (progress.window > 0 && holder() != nullptr) {
-        proto::ToClient message;
-        auto& credit = *message.mutable_resource_credit();
-        credit.set_transfer_id(transfer_id);
-        credit.set_offset(progress.offset);
-        credit.set_window(progress.window);
-        tell(*holder(), kMsgResource, message);
+/// Files that the robot's owner puts in their places come without a word.
+void EntityManagerCore::Machine::lookAgain() {
+    if (located_ || located_again_ || !profiler_.hasUrls()) return;
+    located_again_ = store_.locate(roots_, profiler_.resources());
+    takeLook();
+}
+
+void EntityManagerCore::Machine::takeLook() {
+    if (!located_again_ || !located_again_->ready()) return;
+    sendServices(profiler_.relocate(std::exchange(located_again_, std::nullopt)->value()));
+}
+
+void EntityManagerCore::Machine::uploadProgress(const UploadDesk::Upload& upload,
+                                                const Result<UploadDesk::Progress>& progress) {
+    const std::string transfer_id = upload.offer.transfer_id();
+    if (!progress) {
+        sendResourceDone(upload.asker, transfer_id, upload.offer.resource(), progress.refusal());
+        return;
     }
-    if (!progress.complete || holder() == nullptr) return;
-    const auto upload = *uploads_.find(transfer_id);
-    const auto path = uploads_.finish(transfer_id);
-    if (!path) {
-        sendResourceDone(*holder(), transfer_id, upload.offer.resource(), path.refusal());
+    if (progress->window > 0) tellCredit(upload, progress->offset, progress->window);
+    if (progress->next == UploadDesk::Progress::Next::Ask) askResource(upload, progress->path);
+    if (progress->next != UploadDesk::Progress::Next::Placed) return;
+    // The profile may have been read anew meanwhile, and then has found the file by itself or has no such
+    // resource.
+    if (const auto place = profiler_.findResource(upload.offer.service(), upload.offer.resource())) {
+        profiler_.storeResource(place->first, place->second, progress->path, upload.offer.sha256(),
+                                upload.offer.size());
+        sendResourceDone(upload.asker, transfer_id, upload.offer.resource(), {});
+        sendServices({place->first});
+        return;
+    }
+    sendResourceDone(upload.asker, transfer_id, upload.offer.resource(), {});
+}
+
+void EntityManagerCore::Machine::askResource(const UploadDesk::Upload& upload, const std::string& path) {
+    if (questions_.size() >= kQuestions) {
+        uploads_.suspend(upload.offer.transfer_id());
+        sendResourceDone(upload.asker, upload.offer.transfer_id(), upload.offer.resource(),
+                         {RefusalCode::Overloaded,
+                          "The robot application has too many requests to answer. Try again.",
+                          {}});
         return;
     }
     Question question;
-    question.asker = *holder();
-    question.lease = lease_.held()->number;
-    question.request_id = transfer_id;
-    question.service = upload.service;
-    question.resource = upload.resource;
-    question.service_name = upload.offer.service();
+    question.asker = upload.asker;
+    question.request_id = upload.offer.transfer_id();
+    question.of_resource = true;
     question.resource_name = upload.offer.resource();
-    question.path = path.value();
-    question.sha256 = upload.offer.sha256();
-    question.size = upload.offer.size();
-    if (questions_.size() >= kQuestions) {
-        store_.remove(question.service_name, question.resource_name);
-        conclude(question, {RefusalCode::Overloaded,
-                            "The robot application has too many requests to answer. Try again.",
-                            {}});
-        return;
-    }
     const auto number = next_question_++;
     proto::EmToEi message;
     auto& ask = *message.mutable_resource();
     ask.set_request(number);
-    ask.set_service(question.service_name);
-    ask.set_resource(question.resource_name);
-    ask.set_path(question.path);
-    ask.set_size(question.size);
+    ask.set_service(upload.offer.service());
+    ask.set_resource(upload.offer.resource());
+    ask.set_path(path);
+    ask.set_size(upload.offer.size());
     question.until = clock_.now() + settings_.answer_within;
     questions_.emplace(number, std::move(question));
     back_end_.send(message);
 }
 
+/// Of an upload that has ended.
+void EntityManagerCore::Machine::forgetQuestion(const std::string& transfer_id) {
+    std::erase_if(questions_, [&](const auto& question) {
+        return question.second.of_resource && question.second.request_id == transfer_id;
+    });
+}
+
+/// Without a window: it is not forgotten, and nothing more may be sent yet.
+void EntityManagerCore::Machine::tellCredit(const UploadDesk::Upload& upload, std::uint64_t offset,
+                                            std::uint64_t window) {
+    proto::ToClient message;
+    auto& credit = *message.mutable_resource_credit();
+    credit.set_transfer_id(upload.offer.transfer_id());
+    credit.set_offset(offset);
+    credit.set_window(window);
+    tell(upload.asker, kMsgResource, message);
+}
+
+void EntityManagerCore::Machine::signUploads() {
+    for (const auto& upload : uploads_.takeSigns(clock_.now())) tellCredit(upload, upload.received, 0);
+}
+
+/// A task that the disk holds up: its client is told that it waits.
+void EntityManagerCore::Machine::tellHeldUp() {
+    if (queue_.empty()) return;
+    auto& first = queue_.front();
+    if (!first.tell_at || clock_.now() < *first.tell_at) return;
+    first.tell_at.reset();
+    sendTask(first, proto::TASK_QUEUED, {});
+}
+
 void EntityManagerCore::Machine::suspendUploads(const Refusal& reason) {
-    for (const auto& upload : uploads_.suspendAll())
-        if (holder() != nullptr)
-            sendResourceDone(*holder(), upload.offer.transfer_id(), upload.offer.resource(), reason);
+    for (const auto& upload : uploads_.suspendAll()) {
+        forgetQuestion(upload.offer.transfer_id());
+        sendResourceDone(upload.asker, upload.offer.transfer_id(), upload.offer.resource(), reason);
+    }
 }
 
 void EntityManagerCore::Machine::sendService(int service) {

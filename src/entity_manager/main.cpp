@@ -34,9 +34,12 @@ int main(int argc, char** argv) {
         const auto time = clockFromEnvironment();
         const Clock& clock = *time;
         SystemRandom random;
-        FileStorage storage(options.state_folder);
-        FileResourceStore resources(options.state_folder);
-        FileJournal journal(options.state_folder);
+        // A latch and the entry of a task come to the disk at once on a machine that is busy with something
+        // else, too.
+        const auto urgent = [] { transport::requestRealTime(transport::kReceiptPriority); };
+        FileStorage storage(options.state_folder, urgent);
+        FileResourceStore resources(options.state_folder, options.core.resource_bytes_max);
+        FileJournal journal(options.state_folder, urgent);
         asio::thread_pool executor(1);
         // It beats for the robot application, whose watchdog is the shortest: not behind what else wants the processor.
         asio::post(executor, [] { transport::requestRealTime(transport::kReceiptPriority); });

@@ -11,6 +11,8 @@
 #include "common/result.hpp"
 #include "common/routed.hpp"
 #include "entity_manager/journal_record.hpp"
+#include "entity_manager/later.hpp"
+#include "entity_manager/resource_places.hpp"
 
 namespace axon::proto {
 class BasicProfile;
@@ -73,54 +75,82 @@ class ServerPort {
 class Storage {
   public:
     virtual ~Storage() = default;
+    // For the start, before anything waits for the strand: these two wait for the disk.
     virtual std::optional<std::string> load(std::string_view key) = 0;
-    /// The disk has it when it returns: for the start, before anything waits for the strand.
     virtual void save(std::string_view key, std::string_view value) = 0;
-    /// The disk has it soon, and it is tried again until it has: nobody waits for that, and what ends the
-    /// process before is as if it had not been called.
+    /// Does not wait. The disk has it soon, and it is tried again until it has; what ends the process before
+    /// is as if it had not been called.
     virtual void keep(std::string_view key, std::string_view value) { save(key, value); }
-    /// A next life does not find it, however this one ends. Needs no room on the disk, and does not wait for
-    /// it.
+    /// Does not wait. Soon a next life does not find it; needs no room on the disk, and goes before all that
+    /// is to be kept.
     virtual void forget(std::string_view key) = 0;
 };
 
-/// The record of what was decided, append-only and bounded: the oldest entries go first (ADR 0013).
+/// The record of what was decided, append-only and bounded: the oldest entries go first (ADR 0013). Nothing
+/// here but replay() waits for the disk.
 class Journal {
   public:
     virtual ~Journal() = default;
-    /// A dispatch would outlive a kill of this process when it returns; the others are written soon, and a
-    /// stop does not wait for them. False: it is not written, and what must not happen unrecorded may not
-    /// happen.
+    /// Written soon. False: it is not going to be.
     virtual bool append(const JournalRecord& record) = 0;
+    /// The entry that goes before a task. True: it outlives a kill of this process from now on. False: it is
+    /// not written, and the task may not begin.
+    virtual Later<bool> appendDispatch(const JournalRecord& record) { return append(record); }
+    /// `come` is called, on any thread, when an answer that was not there at once has come.
+    virtual void onAnswer(std::function<void()>) {}
     /// All entries that are kept, oldest first. Called once, before the first append().
     virtual void replay(const std::function<void(const JournalRecord&)>& each) = 0;
 };
 
-/// Where resources (files) arrive. Names have been checked before any of these is called.
+/// Where resources (files) arrive. Names have been checked before any of these is called. No call waits for
+/// the disk. The calls about one transfer, and those about one resource, take effect in their order.
 class ResourceStore {
   public:
     virtual ~ResourceStore() = default;
-    /// How many bytes of exactly this content (same hash and size) are here already: 0 to offer.size().
-    virtual Result<std::uint64_t> begin(const proto::ResourceOffer& offer) = 0;
-    /// `offset` continues where the last write of this transfer ended. Nobody waits for the disk.
+    /// How many bytes of exactly this content (same hash and size) are here already, from an earlier transfer
+    /// of the same owner: 0 to offer.size().
+    virtual Later<Result<std::uint64_t>> begin(const proto::ResourceOffer& offer,
+                                               const std::string& owner) = 0;
+    /// After begin() has answered. `offset` continues where the last write of this transfer ended.
     virtual Result<void> write(std::string_view transfer_id, std::uint64_t offset,
                                std::string_view content) = 0;
     /// Bytes that write() has taken and that are not in their file yet; or why they never will be.
     virtual Result<std::uint64_t> waiting(std::string_view) const { return std::uint64_t{0}; }
-    /// `changed` is called, on any thread, when waiting() of a transfer has. Set before the first begin(). Where
-    /// nothing ever waits it is not called.
-    virtual void onWritten(std::function<void()>) {}
-    /// When nothing waits any more. Checks size and SHA-256 and puts the file in its place; its path, or HASH_MISMATCH (what arrived is
-    /// deleted).
-    virtual Result<std::string> finish(std::string_view transfer_id) = 0;
-    /// Keeps what has arrived, so that a later offer of the same content resumes.
+    /// `come` is called, on any thread, when an answer that was not there at once has come, or waiting() of a
+    /// transfer has changed.
+    virtual void onAnswer(std::function<void()>) {}
+    /// When nothing waits any more: compares size and SHA-256. Where the robot application may look at the
+    /// file, or HASH_MISMATCH (what arrived is deleted).
+    virtual Later<Result<std::string>> check(std::string_view transfer_id) = 0;
+    /// After check(), of what the robot application has accepted: it takes the place of the file that was
+    /// there. Where it lies from now on.
+    virtual Later<Result<std::string>> place(std::string_view transfer_id) = 0;
+    /// Keeps what has arrived, so that a later offer of the same content resumes: for a while, and for its
+    /// owner.
     virtual void suspend(std::string_view transfer_id) = 0;
-    /// Who could resume what is suspended has gone: it is deleted.
-    virtual void dropSuspended() = 0;
+    /// Deletes what has arrived.
+    virtual void drop(std::string_view transfer_id) = 0;
     /// Deletes a resource that is not savable after its task.
     virtual void remove(std::string_view service, std::string_view resource) = 0;
-    /// Path and facts of a savable resource that is already here.
+    /// Path of a savable resource that was here when this life began or has come since.
     virtual std::optional<std::string> find(std::string_view service, std::string_view resource) = 0;
+    /// Where the resources of a services profile lie, in the order of the queries. What is placed and removed
+    /// from now on goes by it.
+    virtual Later<std::vector<ResourcePlace>> locate(const ResourceRoots& /*roots*/,
+                                                     std::vector<ResourceQuery> queries) {
+        std::vector<ResourcePlace> places;
+        for (const auto& query : queries) {
+            auto path = query.savable ? find(query.service, query.resource) : std::nullopt;
+            auto& place = places.emplace_back();
+            place.there = path.has_value();
+            place.path = std::move(path).value_or(std::string());
+        }
+        return places;
+    }
+    /// Which of these files are not there.
+    virtual Later<std::vector<std::string>> absent(std::vector<std::string>) {
+        return std::vector<std::string>{};
+    }
 };
 
 }  // namespace axon::entity_manager

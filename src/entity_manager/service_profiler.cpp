@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <set>
 
-#include "entity_manager/ports.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -14,6 +13,12 @@ namespace {
 
 std::size_t place(int position) {
     return static_cast<std::size_t>(position);
+}
+
+/// What an application has said, at the end of a sentence of ours.
+std::string asSentence(std::string text) {
+    if (!text.ends_with('.') && !text.ends_with('!')) text += '.';
+    return text;
 }
 
 Refusal notSettable(const proto::Service& service, const proto::CtrlParam& meta) {
@@ -26,28 +31,71 @@ Refusal notSettable(const proto::Service& service, const proto::CtrlParam& meta)
 
 }  // namespace
 
+std::vector<ResourceQuery> ServiceProfiler::resourcesOf(const proto::ServicesProfile& profile) {
+    std::vector<ResourceQuery> all;
+    for (const auto& service : profile.services())
+        for (const auto& resource : service.resources())
+            all.push_back({service.name(), resource.name(), resource.url(), resource.savable()});
+    return all;
+}
+
+bool ServiceProfiler::hasUrls() const {
+    for (const auto& service : declared_.services())
+        for (const auto& resource : service.resources())
+            if (!resource.url().empty()) return true;
+    return false;
+}
+
+std::vector<proto::EntityFinding> ServiceProfiler::findings() const {
+    std::vector<proto::EntityFinding> all;
+    for (const auto& [resource, finding] : findings_) all.push_back(finding);
+    return all;
+}
+
+/// What lies in its place, and what the profile says of it.
+void ServiceProfiler::judge(int service, int resource, const ResourcePlace& place) {
+    const auto& declared = declared_.services(service).resources(resource);
+    auto& record = *profile_.mutable_services(service)->mutable_resources(resource);
+    findings_.erase({service, resource});
+    record.set_ready(place.there && (declared.savable() || declared.ready()));
+    if (record.ready()) {
+        record.set_url(place.path);
+        record.set_size(place.size);
+        return;
+    }
+    record.set_url(declared.url());
+    if (place.refusal.ok() && !declared.ready()) return;
+    auto& finding = findings_[{service, resource}];
+    finding.set_message(
+        "resource " + inQuotes(declared.name()) + " of " + inQuotes(declared_.services(service).name()) +
+        (place.refusal.ok()
+             ? " is declared ready, and " +
+                   (place.path.empty() ? std::string("nothing has been uploaded for it; it has no url")
+                                       : "there is no file " + inQuotes(place.path, 512))
+             : " cannot be used: " + place.refusal.message));
+    finding.set_fix(place.refusal.ok()
+                        ? "put the file there, upload it with axon upload, or correct the services profile"
+                        : "correct the services profile, or the robot's machine");
+}
+
 void ServiceProfiler::load(proto::ServicesProfile profile, const std::string& entity_id,
-                           ResourceStore& store) {
+                           const std::vector<ResourcePlace>& places) {
     profile_ = std::move(profile);
     declared_ = profile_;
     composites_ = readComposites(profile_);
     stamps_.clear();
     active_.clear();
     around_.assign(place(profile_.services_size()), {});
+    findings_.clear();
+    auto place_of = places.begin();
     for (int i = 0; i < profile_.services_size(); ++i) {
         auto& service = *profile_.mutable_services(i);
         service.set_entity_id(entity_id);
         service.set_id(i);
         service.set_is_exec(false);
-        active_.push_back(service.is_active());
+        active_.push_back({service.is_active(), {}});
         for (auto& param : *service.mutable_params()) param.set_ready(param.initial_size() > 0);
-        for (auto& resource : *service.mutable_resources()) {
-            if (!resource.savable()) continue;
-            if (auto path = store.find(service.name(), resource.name())) {
-                resource.set_url(*path);
-                resource.set_ready(true);
-            }
-        }
+        for (int r = 0; r < service.resources_size(); ++r) judge(i, r, *place_of++);
         stamps_.push_back({std::vector<std::uint64_t>(place(service.params_size())),
                            std::vector<std::uint64_t>(place(service.resources_size()))});
     }
@@ -56,6 +104,26 @@ void ServiceProfiler::load(proto::ServicesProfile profile, const std::string& en
         refreshActive(i);
         refreshRecord(i);
     }
+}
+
+std::vector<int> ServiceProfiler::relocate(const std::vector<ResourcePlace>& places) {
+    std::vector<int> changed;
+    auto place_of = places.begin();
+    for (int i = 0; i < declared_.services_size(); ++i)
+        for (int r = 0; r < ownResources(i); ++r, ++place_of) {
+            const auto& declared = declared_.services(i).resources(r);
+            if (!declared.savable() || declared.url().empty()) continue;
+            auto& resource = *profile_.mutable_services(i)->mutable_resources(r);
+            const bool was_ready = resource.ready();
+            if (was_ready && place_of->there && resource.size() == place_of->size) continue;
+            resource.clear_sha256();
+            resource.clear_size();
+            judge(i, r, *place_of);
+            const bool same = !was_ready && !resource.ready();
+            if (!same && (changed.empty() || changed.back() != i)) changed.push_back(i);
+        }
+    for (const auto service : changed) refresh(service);
+    return changed;
 }
 
 /// Once: the names of what the parts have, and the flags of the whole.
@@ -113,12 +181,23 @@ void ServiceProfiler::refreshRecord(int index) {
 std::optional<int> ServiceProfiler::inactivePart(int service) const {
     for (const auto& part : composites_.parts[place(service)])
         for (const auto step : part)
-            if (!active_[place(step)]) return step;
+            if (!active_[place(step)].on) return step;
     return std::nullopt;
 }
 
 void ServiceProfiler::refreshActive(int service) {
-    profile_.mutable_services(service)->set_is_active(active_[place(service)] && !inactivePart(service));
+    auto& record = *profile_.mutable_services(service);
+    const auto& own = active_[place(service)];
+    const auto part = inactivePart(service);
+    record.set_is_active(own.on && !part);
+    record.clear_inactive_reason();
+    if (!own.on) {
+        record.set_inactive_reason(own.reason);
+    } else if (part) {
+        const auto& why = active_[place(*part)].reason;
+        record.set_inactive_reason("its part " + inQuotes(this->record(*part).name()) + " is switched off" +
+                                   (why.empty() ? std::string() : ": " + why));
+    }
 }
 
 std::optional<int> ServiceProfiler::ownSettable(int service, std::string_view name) const {
@@ -179,6 +258,25 @@ void ServiceProfiler::storeParam(int service, const proto::Param& param) {
     refresh(service);
 }
 
+Refusal ServiceProfiler::restoreParam(const std::string& service, const proto::Param& param) {
+    // By exact names: what differs in upper and lower case may mean something else.
+    const auto& services = declared_.services();
+    const auto at = std::find_if(services.begin(), services.end(),
+                                 [&](const auto& one) { return one.name() == service; });
+    if (at == services.end())
+        return {RefusalCode::UnknownService, "the profile no longer has this service", {}};
+    const auto& params = at->params();
+    const auto meta = std::find_if(params.begin(), params.end(),
+                                   [&](const auto& one) { return one.name() == param.name(); });
+    if (meta == params.end())
+        return {RefusalCode::UnknownParameter, "the profile no longer has this parameter", {}};
+    if (!meta->savable()) return {RefusalCode::WrongType, "the profile no longer declares it savable", {}};
+    auto checked = checkParam(service, param);
+    if (!checked) return checked.refusal();
+    storeParam(checked->first, checked->second);
+    return {};
+}
+
 Result<std::pair<int, int>> ServiceProfiler::findResource(std::string_view service,
                                                           std::string_view resource) const {
     const auto index = find(service);
@@ -199,8 +297,21 @@ void ServiceProfiler::storeResource(int service, int resource, std::string path,
     record.set_sha256(std::move(sha256));
     record.set_size(size);
     record.set_ready(true);
+    findings_.erase({service, resource});
     stamps_[place(service)].resources[place(resource)] = ++clock_;
     refresh(service);
+}
+
+bool ServiceProfiler::loseResource(int service, std::string_view resource, std::string_view path) {
+    for (auto& record : *profile_.mutable_services(service)->mutable_resources()) {
+        if (record.name() != resource || !record.ready() || record.url() != path) continue;
+        record.set_ready(false);
+        record.clear_sha256();
+        record.clear_size();
+        refresh(service);
+        return true;
+    }
+    return false;
 }
 
 const ServiceProfiler::Values* ServiceProfiler::valuesOf(int service, int param, const Given& given) const {
@@ -278,16 +389,16 @@ Result<ServiceProfiler::Plan> ServiceProfiler::prepare(std::string_view service,
     const auto index = find(service);
     if (!index) return index.refusal();
     const auto& record = this->record(index.value());
-    if (!active_[place(index.value())])
-        return Refusal{
-            RefusalCode::InactiveService,
-            "Service " + inQuotes(record.name()) + " is switched off by the robot application at present.",
-            {}};
+    const auto off = [&](int which) {
+        const auto& why = active_[place(which)].reason;
+        return inQuotes(this->record(which).name()) + " is switched off by the robot application" +
+               (why.empty() ? std::string(" at present.") : ": " + asSentence(why));
+    };
+    if (!active_[place(index.value())].on)
+        return Refusal{RefusalCode::InactiveService, "Service " + off(index.value()), {}};
     if (const auto part = inactivePart(index.value()))
         return Refusal{RefusalCode::InactiveService,
-                       "Service " + inQuotes(record.name()) + " cannot run: its part " +
-                           inQuotes(this->record(*part).name()) +
-                           " is switched off by the robot application at present.",
+                       "Service " + inQuotes(record.name()) + " cannot run: its part " + off(*part),
                        {}};
     const auto& parts = composites_.parts[place(index.value())];
     if (parts.empty())
@@ -295,10 +406,17 @@ Result<ServiceProfiler::Plan> ServiceProfiler::prepare(std::string_view service,
                        "Service " + inQuotes(record.name()) +
                            " is composite and lists no service that could run. Its profile needs a <Services> list.",
                        {}};
+    Plan plan;
+    plan.service = index.value();
+    plan.composite = record.type() == proto::CMPLX;
+    plan.stamp = clock_;
     Given accepted;
     for (const auto& param : given) {
         auto value = accept(index.value(), param);
         if (!value) return value.refusal();
+        auto& asked = plan.given.emplace_back(value->of.service, proto::Param{}).second;
+        asked.set_name(value->param.name());
+        if (plan.composite) asked = value->param;  // a simple service's are in its order
         if (!accepted.emplace(std::pair{value->of.service, value->of.item}, std::move(value->param)).second)
             return Refusal{
                 RefusalCode::Malformed, "Parameter " + inQuotes(param.name()) + " is given twice.", {}};
@@ -308,10 +426,6 @@ Result<ServiceProfiler::Plan> ServiceProfiler::prepare(std::string_view service,
             const auto of = ownerOf(index.value(), at.value());
             accepted.try_emplace({of.service, of.item});
         }
-    Plan plan;
-    plan.service = index.value();
-    plan.composite = record.type() == proto::CMPLX;
-    plan.stamp = clock_;
     std::vector<Lack> lacks;
     plan.parts.reserve(parts.size());
     for (const auto& part : parts) plan.parts.push_back(merge(part, accepted, lacks));
@@ -391,10 +505,10 @@ std::vector<Refusal> ServiceProfiler::problems(std::string_view service, const P
     return all;
 }
 
-Result<int> ServiceProfiler::setActive(std::string_view service, bool active) {
+Result<int> ServiceProfiler::setActive(std::string_view service, bool active, std::string reason) {
     const auto index = find(service);
     if (!index) return index;
-    active_[place(index.value())] = active;
+    active_[place(index.value())] = {active, active ? std::string() : std::move(reason)};
     refreshActive(index.value());
     for (const auto composite : compositesWith(index.value())) refreshActive(composite);
     return index;

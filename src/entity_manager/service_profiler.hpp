@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <axon/profile.pb.h>
+#include <axon/status.pb.h>
 
 #include <cstdint>
 #include <map>
@@ -11,11 +12,10 @@
 #include <vector>
 
 #include "common/result.hpp"
+#include "entity_manager/resource_places.hpp"
 #include "messages/composites.hpp"
 
 namespace axon::entity_manager {
-
-class ResourceStore;
 
 /// The registry of the entity's services (thesis: ServiceProfiler): parameters with their values, resources,
 /// dependencies and readiness, activity.
@@ -46,11 +46,25 @@ class ServiceProfiler {
         int service = 0;
         bool composite = false;
         std::vector<Order> parts;
+        /// With the task, by the service that declares it: the application has not been asked yet.
+        std::vector<std::pair<int, proto::Param>> given;
         std::uint64_t stamp = 0;  ///< what was set later is not cleared by this task's end
     };
 
-    /// Replaces everything. Savable resources that are in the store already are ready at once.
-    void load(proto::ServicesProfile profile, const std::string& entity_id, ResourceStore& store);
+    /// All resources that a profile declares, in its order.
+    static std::vector<ResourceQuery> resourcesOf(const proto::ServicesProfile& profile);
+    std::vector<ResourceQuery> resources() const { return resourcesOf(declared_); }
+    /// Replaces everything. `places`: of resourcesOf(profile). Ready at once are the resources that are there
+    /// and are savable, or ready by the profile's own word; a finding says what this word gets wrong.
+    void load(proto::ServicesProfile profile, const std::string& entity_id,
+              const std::vector<ResourcePlace>& places);
+    /// Savable resources that have come or gone since, by other ways than an upload. The services that have
+    /// changed.
+    std::vector<int> relocate(const std::vector<ResourcePlace>& places);
+    /// What is not as the profile says of its resources.
+    std::vector<proto::EntityFinding> findings() const;
+    /// Whether a resource has a url: it may come or go without an upload.
+    bool hasUrls() const;
 
     const proto::ServicesProfile& profile() const { return profile_; }
     const proto::Service& record(int service) const { return profile_.services(service); }
@@ -65,9 +79,16 @@ class ServiceProfiler {
     /// After the robot application has granted it.
     void storeParam(int service, const proto::Param& param);
 
+    /// A value of a savable parameter that was set before this profile was loaded: set again, or why this
+    /// profile does not admit it. UNKNOWN_SERVICE, UNKNOWN_PARAMETER, and what checkParam() says.
+    Refusal restoreParam(const std::string& service, const proto::Param& param);
+
     /// Position of service (of a composite's "Part.Name" the part) and resource; UNKNOWN_SERVICE, UNKNOWN_RESOURCE.
     Result<std::pair<int, int>> findResource(std::string_view service, std::string_view resource) const;
     void storeResource(int service, int resource, std::string path, std::string sha256, std::uint64_t size);
+
+    /// Its file, at `path`, is gone. False: it has another by now.
+    bool loseResource(int service, std::string_view resource, std::string_view path);
 
     /// The task's own parameters over the stored ones: INACTIVE_SERVICE, NOT_SUPPORTED (a composite without
     /// parts), the refusals of checkParam, and MISSING_DEPENDENCY with everything that is missing.
@@ -90,8 +111,8 @@ class ServiceProfiler {
     /// Whether the two come down to a simple service of both.
     bool shareParts(int one, int other) const;
 
-    /// UNKNOWN_SERVICE, or done; the service's position.
-    Result<int> setActive(std::string_view service, bool active);
+    /// UNKNOWN_SERVICE, or done; the service's position. The reason is told while the service is off.
+    Result<int> setActive(std::string_view service, bool active, std::string reason = {});
     void setExecuting(int service, bool executing);
 
     struct Cleared {
@@ -115,11 +136,16 @@ class ServiceProfiler {
         std::string name;
         bool operator==(const Lack&) const = default;
     };
+    struct Switch {
+        bool on = true;
+        std::string reason;  ///< why it is off, where the application has said it
+    };
     struct Accepted {
         Composites::View of;  ///< whose own parameter it is
         proto::Param param;
     };
 
+    void judge(int service, int resource, const ResourcePlace& place);
     void showParts(int service);
     void refresh(int service);
     void refreshRecord(int service);
@@ -140,8 +166,9 @@ class ServiceProfiler {
     proto::ServicesProfile declared_;  ///< as it was loaded: what a value that is not savable goes back to
     Composites composites_;
     std::vector<std::vector<int>> around_;  ///< of each service the composites with it
-    std::vector<bool> active_;              ///< each by itself, whatever its parts are
+    std::vector<Switch> active_;            ///< each by itself, whatever its parts are
     std::vector<Stamps> stamps_;
+    std::map<std::pair<int, int>, proto::EntityFinding> findings_;  ///< by service and resource
     std::uint64_t clock_ = 0;  ///< counts what has been set
 };
 

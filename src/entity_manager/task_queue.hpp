@@ -10,6 +10,7 @@
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "common/result.hpp"
+#include "entity_manager/later.hpp"
 #include "entity_manager/service_profiler.hpp"
 
 namespace axon::entity_manager {
@@ -23,6 +24,12 @@ struct Task {
     std::uint32_t generation =
         0;  ///< stop generation under which it was accepted; it is void under any other
     std::optional<TimePoint> not_after;
+
+    // Once nothing but the disk is in its way.
+    std::optional<Later<std::vector<std::string>>> looked;  ///< for its files: those that are not there
+    std::optional<Later<bool>> noted;                       ///< its entry in the journal
+    std::optional<TimePoint> tell_at;                       ///< then its client is told that it waits
+    bool preparing() const { return looked.has_value(); }
 };
 
 /// The tasks that wait, in the order of their arrival.
@@ -40,6 +47,7 @@ class TaskQueue {
     bool empty() const { return waiting_.empty(); }
     std::size_t size() const { return waiting_.size(); }
     const std::deque<Task>& waiting() const { return waiting_; }
+    Task& front() { return waiting_.front(); }
     const Task& front() const { return waiting_.front(); }
     Task pop();
     std::optional<Task> remove(const Id128& id);

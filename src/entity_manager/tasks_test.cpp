@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <functional>
 
 #include "entity_manager/task_memory.hpp"
 #include "tests/support/core_rig.hpp"
@@ -228,6 +229,131 @@ TEST_F(Tasks, NothingStartsThatTheJournalDoesNotTake) {
     EXPECT_GT(rig.core().counters().unrecorded, 0U);
 }
 
+/// The journal's disk takes its time.
+struct SlowJournal : Tasks {
+    SlowJournal() { rig.journal.slow = true; }
+    void answer() {
+        rig.journal.answerAll();
+        rig.core().onStored();
+    }
+    proto::TaskState stateOf(const std::string& task) const { return lastOf(rig, task).state(); }
+};
+
+TEST_F(SlowJournal, ATaskBeginsWhenItsEntryIsWrittenAndItsClientIsToldThatItWaits) {
+    rig.task("client1", "t1", "Turning");
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+    EXPECT_FALSE(rig.busy) << "the long watchdog: nothing moves";
+    EXPECT_EQ(stateOf("t1"), proto::TASK_UNSPECIFIED) << "mostly it begins at once";
+    rig.advance(100ms);
+    EXPECT_EQ(stateOf("t1"), proto::TASK_QUEUED);
+    EXPECT_EQ(statusFor(rig, "client1").tasks(0).state(), proto::TASK_QUEUED);
+    rig.advance(2s);
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+    answer();
+    EXPECT_EQ(dispatches(rig, "t1"), 1);
+    EXPECT_EQ(stateOf("t1"), proto::TASK_DISPATCHED);
+    EXPECT_EQ(kinds(rig).back(), "dispatched");
+}
+
+TEST_F(SlowJournal, WhatWaitsForAnotherTaskIsToldAtOnceAndWritesNothing) {
+    rig.task("client1", "t1", "Turning");
+    rig.task("client1", "t2", "Turning");
+    EXPECT_EQ(stateOf("t2"), proto::TASK_QUEUED);
+    answer();
+    EXPECT_EQ(dispatches(rig, "t1"), 1);
+    rig.grant("t1");
+    answer();
+    EXPECT_EQ(dispatches(rig, "t2"), 0);
+    EXPECT_EQ(std::count_if(rig.journal.records.begin(), rig.journal.records.end(),
+                            [](const auto& record) { return record.kind == Kind::Dispatched; }),
+              1);
+    rig.update("t1", proto::TASK_SUCCEEDED);
+    answer();
+    EXPECT_EQ(dispatches(rig, "t2"), 1);
+}
+
+TEST_F(SlowJournal, ATaskWhoseEntryCannotBeWrittenIsRefusedAndTheNextOneGoesOn) {
+    rig.task("client1", "t1", "Turning");
+    rig.task("client1", "t2", "Turning");
+    rig.journal.full = true;
+    answer();
+    EXPECT_EQ(stateOf("t1"), proto::TASK_REFUSED);
+    EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::OVERLOADED);
+    rig.journal.full = false;
+    answer();
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+    EXPECT_EQ(dispatches(rig, "t2"), 1);
+}
+
+TEST(SlowJournalAlone, WhateverVoidsTheQueueVoidsTheTaskThatWaitsForItsEntry) {
+    const std::vector<std::pair<const char*, std::function<void(CoreRig&)>>> ways{
+        {"stop", [](CoreRig& rig) { rig.stop("client2"); }},
+        {"clear", [](CoreRig& rig) { rig.clear("client1"); }},
+        {"cancel",
+         [](CoreRig& rig) {
+             proto::ToEntity cancel;
+             cancel.mutable_task_control()->set_task_id(idOf("t1"));
+             cancel.mutable_task_control()->set_action(proto::CANCEL);
+             rig.send("client1", cancel);
+         }},
+        {"release",
+         [](CoreRig& rig) {
+             proto::ToEntity release;
+             release.mutable_release();
+             rig.send("client1", release);
+         }},
+        {"loss of the client",
+         [](CoreRig& rig) {
+             Header head;
+             head.sender = {"client1", "client1@lab", Role::Operator};
+             rig.core().onClientUpdate(head, ClientChange::Lost);
+         }},
+        {"loss of the server", [](CoreRig& rig) { rig.core().onServerDown("gone"); }},
+        {"loss of the link", [](CoreRig& rig) { rig.core().onLinkDown("gone"); }},
+        {"not_after", [](CoreRig& rig) { rig.advance(2s); }},
+    };
+    for (const auto& [name, happens] : ways) {
+        SCOPED_TRACE(name);
+        CoreRig rig;
+        rig.makeIdle();
+        rig.take("client1", "r1");
+        rig.journal.slow = true;
+        rig.task("client1", "t1", "Turning", {}, name == std::string("not_after") ? 1 : 0);
+        happens(rig);
+        const auto answer = [&] {
+            rig.journal.answerAll();
+            rig.core().onStored();
+        };
+        answer();
+        rig.stopDone(rig.gate.generation());
+        rig.rearm("client1", "rearm");
+        answer();
+        EXPECT_EQ(dispatches(rig, "t1"), 0);
+        // The entry was written, and so is how it ended: a next life does not think that it ran.
+        ASSERT_TRUE(std::any_of(rig.journal.records.begin(), rig.journal.records.end(),
+                                [](const auto& record) { return record.kind == Kind::TaskEnded; }));
+    }
+}
+
+TEST_F(SlowJournal, AStopThatIsOnItsWayAsTheEntryIsWrittenLetsNothingBegin) {
+    rig.task("client1", "t1", "Turning");
+    rig.gate.raise("client2", 1);  // the signal thread has passed it on, the strand does not know it
+    answer();
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+}
+
+TEST_F(SlowJournal, KilledBeforeTheEntryIsWrittenItMayBeSentAgainAndAfterwardsItMayNot) {
+    rig.task("client1", "t1", "Turning");
+    rig.journal.slow = false;  // what was not written is lost
+    newLife();
+    rig.task("client1", "t1", "Turning");
+    EXPECT_EQ(dispatches(rig, "t1"), 1);
+    newLife();
+    rig.task("client1", "t1", "Turning");
+    EXPECT_EQ(dispatches(rig, "t1"), 1);
+    EXPECT_EQ(stateOf("t1"), proto::TASK_UNKNOWN);
+}
+
 TEST_F(Tasks, AFloodOfRefusalsDoesNotWashTheJournalOut) {
     const auto before = rig.journal.records.size();
     for (int i = 0; i < 1000; ++i) {
@@ -288,6 +414,249 @@ TEST_F(Tasks, ATaskThatWaitedTooLongIsExpiredBehindOthersAndAfterAStandstill) {
     rig.stopDone(rig.gate.generation());
     EXPECT_EQ(lastOf(rig, "t3").reason().code(), proto::EXPIRED);
     EXPECT_EQ(dispatches(rig, "t2") + dispatches(rig, "t3"), 0);
+}
+
+TEST_F(Tasks, WhatIsGivenWithATaskIsToBeAskedForWhatWasSetBeforeIsNot) {
+    rig.task("client1", "t1", "Driving", {"Distance=500"});
+    ASSERT_TRUE(rig.to_application.back().has_task());
+    const auto& dispatch = rig.to_application.back().task();
+    EXPECT_EQ(dispatch.params_size(), 2) << "Speed has a value of its own";
+    ASSERT_EQ(dispatch.given_size(), 1);
+    EXPECT_EQ(dispatch.given(0).service(), "Driving");
+    EXPECT_EQ(dispatch.given(0).param().name(), "Distance");
+    EXPECT_EQ(dispatch.given(0).param().values_size(), 0) << "it is among params already";
+    rig.deny("t1", "parameter 'Distance' of 'Driving': there is a wall");
+    EXPECT_EQ(lastOf(rig, "t1").state(), proto::TASK_REFUSED);
+    EXPECT_EQ(lastOf(rig, "t1").reason().message(), "parameter 'Distance' of 'Driving': there is a wall");
+}
+
+struct SavableValues : Tasks {
+    /// What a client sets and the application grants.
+    void set(const std::string& service, const std::string& param) {
+        rig.setParam("client1", "p", service, param);
+        answer();
+    }
+    void answer() {
+        proto::EiToEm granted;
+        granted.mutable_answer()->set_request(rig.to_application.back().param().request());
+        rig.fromApplication(granted);
+        ASSERT_FALSE(rig.to_clients.empty());
+    }
+    /// The present record, as everybody is told it.
+    proto::EntityStatus status() {
+        proto::ToEntity message;
+        message.mutable_status_request()->set_request_id(idOf("status"));
+        message.mutable_status_request()->set_with_services(true);
+        rig.send("client2", message);
+        return rig.to_clients.back().message.status();
+    }
+    std::string speed() {
+        const auto now = status();
+        for (const auto& param : now.services(0).params())
+            if (param.name() == "Speed")
+                return param.ready() ? std::to_string(param.initial(0).int_()) + param.units() : "none";
+        return "not there";
+    }
+    /// The application is started again, with this services profile.
+    void relink(const std::string& services = test::kRigServicesProfile) {
+        rig.core().onLinkDown("the application was restarted");
+        rig.linkUp();
+        rig.upload(false, test::kRigBasicProfile);
+        rig.upload(true, services);
+        if (rig.core().state() == EntityState::IDLE) rig.take("client1", "r2");
+    }
+    /// Likewise, with one text in place of another throughout the profile.
+    void change(const std::string& from, const std::string& to) {
+        std::string xml = test::kRigServicesProfile;
+        for (auto at = xml.find(from); at != std::string::npos; at = xml.find(from, at + to.size()))
+            xml.replace(at, from.size(), to);
+        relink(xml);
+    }
+};
+
+TEST_F(SavableValues, SurviveANewLinkTheProfileReadAnewAndARestart) {
+    set("Driving", "Speed=300");
+    set("Driving", "Distance=700");  // not savable
+    ASSERT_EQ(speed(), "300mm/s");
+    relink();
+    EXPECT_EQ(speed(), "300mm/s");
+    EXPECT_FALSE(status().services(0).params(0).ready()) << "Distance is not savable";
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
+    rig.stopDone(rig.gate.generation());
+    rig.uploadProfiles();
+    EXPECT_EQ(speed(), "300mm/s");
+    rig.restart();
+    rig.makeIdle();
+    EXPECT_EQ(speed(), "300mm/s");
+    EXPECT_EQ(status().findings_size(), 0);
+    EXPECT_EQ(rig.core().takeWarning(), "");
+    rig.take("client1", "r3");
+    rig.task("client1", "t1", "Driving", {"Distance=1"});
+    ASSERT_TRUE(rig.to_application.back().has_task());
+    EXPECT_EQ(rig.to_application.back().task().params(1).values(0).int_(), 300);
+    EXPECT_EQ(rig.to_application.back().task().given_size(), 1) << "it was asked for when it was set";
+}
+
+TEST_F(SavableValues, SurviveAProfileThatStillAdmitsThem) {
+    set("Driving", "Speed=300");
+    change("value=\"200\" savable", "value=\"100\" maximum=\"400\" savable");
+    EXPECT_EQ(speed(), "300mm/s");
+    EXPECT_EQ(status().findings_size(), 0);
+}
+
+TEST_F(SavableValues, AreDroppedByAProfileThatDoesNotAdmitThemAndItIsSaid) {
+    const std::pair<const char*, const char*> changes[] = {
+        {"value=\"200\" savable", "value=\"100\" maximum=\"250\" savable"},
+        {"units=\"mm/s\" value=\"200\"", "units=\"m/s\" value=\"100\""},
+        {"value=\"200\" savable=\"true\"", "value=\"100\" savable=\"false\""},
+        {"data_type=\"INT\" units=\"mm/s\" value=\"200\"", "data_type=\"BOOL\" value=\"true\""}};
+    for (const auto& [from, to] : changes) {
+        SCOPED_TRACE(to);
+        set("Driving", "Speed=300");
+        ASSERT_EQ(status().findings_size(), 0);
+        change(from, to);
+        EXPECT_NE(speed(), "300mm/s");
+        const auto told = status();
+        ASSERT_EQ(told.findings_size(), 1);
+        EXPECT_NE(told.findings(0).message().find(
+                      "the saved value 300 mm/s of parameter \"Speed\" of \"Driving\" was dropped: "),
+                  std::string::npos)
+            << told.findings(0).message();
+        EXPECT_EQ(rig.core().takeWarning(), told.findings(0).message());
+        relink();
+        EXPECT_EQ(speed(), "200mm/s") << "what was dropped does not come back";
+    }
+}
+
+TEST_F(SavableValues, AreDroppedWithTheirServiceAndStayDroppedInTheNextLife) {
+    set("Driving", "Speed=300");
+    change("\"Driving\"", "\"driving\"");
+    EXPECT_EQ(status().services(0).params(1).initial(0).int_(), 200);
+    ASSERT_EQ(status().findings_size(), 1);
+    rig.restart();
+    rig.makeIdle();
+    EXPECT_EQ(speed(), "200mm/s");
+    EXPECT_EQ(status().findings_size(), 0) << "nothing was dropped in this life";
+}
+
+TEST_F(SavableValues, StayWhileAProfileIsBroken) {
+    set("Driving", "Speed=300");
+    change("<Service name=\"Turning\"", "<Service");
+    EXPECT_EQ(rig.core().state(), EntityState::ERR);
+    relink();
+    EXPECT_EQ(speed(), "300mm/s");
+}
+
+TEST_F(SavableValues, ThatAreNotGrantedAreNotKept) {
+    rig.setParam("client1", "p", "Driving", "Speed=300");
+    proto::EiToEm denied;
+    denied.mutable_answer()->set_request(rig.to_application.back().param().request());
+    denied.mutable_answer()->mutable_refusal()->set_code(proto::DENIED);
+    rig.fromApplication(denied);
+    rig.restart();
+    rig.makeIdle();
+    EXPECT_EQ(speed(), "200mm/s");
+}
+
+TEST_F(SavableValues, ThatAreDamagedOnTheDiskAreSaidToBeLost) {
+    set("Driving", "Speed=300");
+    rig.storage.values["values"] = "\xff\xff";
+    rig.restart();
+    EXPECT_NE(rig.core().takeWarning(), "");
+    rig.makeIdle();
+    EXPECT_EQ(speed(), "200mm/s");
+    EXPECT_EQ(status().findings_size(), 1);
+}
+
+struct Urls : SavableValues {
+    /// The profile's one resource, with these attributes beside its name and `required`.
+    void declare(const std::string& attributes) {
+        const std::string old = "name=\"Map\" required=\"true\" savable=\"false\"";
+        change(old, "name=\"Map\" required=\"true\" " + attributes);
+    }
+    proto::Resource map() { return status().services(4).resources(0); }
+    void deliver(const std::string& id) { rig.task("client1", id, "Delivery", {"Room=Lab"}); }
+    std::vector<std::string> findings() {
+        std::vector<std::string> all;
+        const auto told = status();
+        for (const auto& finding : told.findings()) all.push_back(finding.message());
+        return all;
+    }
+};
+
+TEST_F(Urls, WhatTheProfileDeclaresReadyIsThereWithItsPathAndSize) {
+    rig.resources.files["/profiles/maps/lab.map"] = 1234;
+    declare("url=\"maps/lab.map\" ready=\"true\" savable=\"true\"");
+    EXPECT_TRUE(map().ready());
+    EXPECT_EQ(map().size(), 1234U);
+    EXPECT_TRUE(findings().empty());
+    deliver("t1");
+    ASSERT_TRUE(rig.to_application.back().has_task());
+    EXPECT_EQ(rig.to_application.back().task().resources(0).url(), "/profiles/maps/lab.map");
+}
+
+TEST_F(Urls, WhatTheProfileDeclaresReadyAndIsNotThereIsSaidAndComesWhenItIsPutThere) {
+    declare("url=\"maps/lab.map\" ready=\"true\" savable=\"true\"");
+    EXPECT_NE(rig.core().takeWarning(), "");
+    EXPECT_FALSE(map().ready());
+    EXPECT_EQ(findings(), std::vector<std::string>{"resource \"Map\" of \"Delivery\" is declared ready, and "
+                                                   "there is no file \"/profiles/maps/lab.map\""});
+    deliver("t1");
+    EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::MISSING_DEPENDENCY);
+    rig.resources.files["/profiles/maps/lab.map"] = 5;
+    deliver("t2");
+    EXPECT_EQ(lastOf(rig, "t2").state(), proto::TASK_DISPATCHED);
+    EXPECT_TRUE(findings().empty());
+}
+
+TEST_F(Urls, AFileThatIsGoneIsNoLongerReadyAndItsTaskIsRefused) {
+    rig.resources.files["/profiles/lab.map"] = 1;
+    declare("url=\"lab.map\" savable=\"true\"");
+    EXPECT_TRUE(map().ready()) << "savable: it is there";
+    rig.resources.files.clear();
+    deliver("t1");
+    EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::MISSING_DEPENDENCY);
+    EXPECT_EQ(dispatches(rig, "t1"), 0);
+    EXPECT_FALSE(map().ready());
+}
+
+TEST_F(Urls, WhatMustBeGivenEachTimeIsNotReadyBecauseAFileIsThere) {
+    rig.resources.files["/profiles/lab.map"] = 1;
+    declare("url=\"lab.map\" savable=\"false\"");
+    EXPECT_FALSE(map().ready());
+    EXPECT_TRUE(findings().empty());
+}
+
+TEST_F(Urls, AnAbsoluteOneThatIsNotPermittedIsSaidEvenWhereNothingIsDeclaredReady) {
+    declare("url=\"/srv/lab.map\"");
+    ASSERT_EQ(findings().size(), 1U);
+    EXPECT_NE(findings()[0].find("cannot be used: It is not permitted."), std::string::npos);
+}
+
+TEST_F(Urls, ReadyWithoutAUrlAndWithoutAnUploadIsSaid) {
+    declare("ready=\"true\"");
+    EXPECT_FALSE(map().ready());
+    ASSERT_EQ(findings().size(), 1U);
+    EXPECT_NE(findings()[0].find("it has no url"), std::string::npos);
+}
+
+TEST_F(Urls, AreLookedForBeforeTheEntityAppearsAndNobodyWaitsForTheDisk) {
+    rig.resources.slow = true;
+    rig.resources.files["/profiles/lab.map"] = 1;
+    declare("url=\"lab.map\" ready=\"true\" savable=\"true\"");
+    EXPECT_EQ(rig.core().state(), EntityState::INIT);
+    rig.core().onLinkDown("the application was restarted once more");
+    rig.resources.answerAll();
+    rig.core().onStored();
+    EXPECT_EQ(rig.core().state(), EntityState::UNAV) << "an answer about the link before";
+    declare("url=\"lab.map\" ready=\"true\" savable=\"true\"");
+    rig.resources.answerAll();
+    rig.core().onStored();
+    EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+    rig.resources.slow = false;
+    EXPECT_TRUE(map().ready());
 }
 
 TEST_F(Tasks, AnApplicationThatDoesNotAnswerAParameterIsNotWaitedFor) {

@@ -571,14 +571,12 @@ proto::Resource readResource(Reader& reader) {
     proto::Resource resource;
     resource.set_name(reader.name("name"));
     if (!resource.name().empty()) reader.nameIt(resource.name());
-    const auto* url = reader.take("url");
-    resource.set_url(url == nullptr ? resource.name() : std::string(trimmed(url->value)));
-    if (url != nullptr || !resource.name().empty()) {
-        if (const auto refusal = checkConfinedPath(resource.url()); !refusal.ok())
-            reader.error(url == nullptr ? reader.lineOf("name") : url->line, url == nullptr ? "name" : "url",
-                         refusal.message,
-                         url == nullptr ? "add a url such as files/"
-                                        : "write a relative path with / between its steps");
+    if (const auto* url = reader.take("url"); url != nullptr) {
+        resource.set_url(std::string(trimmed(url->value)));
+        if (const auto refusal = checkResourceUrl(resource.url()); !refusal.ok())
+            reader.error(url->line, "url", refusal.message,
+                         "write a path with / between its steps, or leave the url out: then the Entity "
+                         "Manager keeps the file");
     }
     resource.set_descr(reader.text("descr"));
     resource.set_ready(reader.flag("ready", "set", false));

@@ -142,7 +142,7 @@ void writeParam(Writer& out, const proto::CtrlParam& param) {
 void writeResource(Writer& out, const proto::Resource& resource) {
     out.open("Resource");
     out.attribute("name", resource.name());
-    out.attribute("url", resource.url());
+    out.text("url", resource.url());
     out.flag("ready", resource.ready(), false);
     out.flag("required", resource.required(), false);
     out.flag("savable", resource.savable(), false);

@@ -133,7 +133,7 @@ class ProfileMaker {
             for (int r = static_cast<int>(below(3)); r > 0; --r) {
                 auto& resource = *service.add_resources();
                 resource.set_name(name(r));
-                resource.set_url("files/r" + std::to_string(r));
+                if (coin()) resource.set_url((coin() ? "/srv/files/r" : "files/r") + std::to_string(r));
                 resource.set_ready(coin());
                 resource.set_required(coin());
                 resource.set_savable(coin());

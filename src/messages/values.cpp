@@ -369,23 +369,23 @@ bool equalValues(const proto::Value& a, const proto::Value& b) {
     return true;
 }
 
-Refusal checkConfinedPath(std::string_view path) {
+Refusal checkResourceUrl(std::string_view path) {
     const auto bad = [&](const std::string& reason) {
         return Refusal{RefusalCode::BadName,
-                       "a path inside the entity's own folder is expected, such as maps/lab.map; " +
+                       "a path below the folder of the profiles is expected, such as maps/lab.map, or an "
+                       "absolute one; " +
                            inQuotes(path) + " " + reason,
                        {}};
     };
     if (path.empty()) return bad("is empty");
     if (path.size() > 512) return bad("is longer than 512 bytes");
     if (!isUtf8(path)) return bad("is not UTF-8 text");
-    if (path.front() == '/') return bad("is absolute");
     for (const char c : path) {
         if (static_cast<unsigned char>(c) < 0x20U || c == 0x7F) return bad("has a control character");
         if (c == '\\' || c == ':')
             return bad("has a \\ or a colon: write steps with / and leave drive or scheme out");
     }
-    std::string_view rest = path;
+    std::string_view rest = path.substr(path.front() == '/' ? 1 : 0);
     while (true) {
         const std::size_t slash = rest.find('/');
         const auto step = rest.substr(0, slash);

@@ -45,9 +45,10 @@ std::string toText(const proto::Value& value);
 
 bool equalValues(const proto::Value& a, const proto::Value& b);
 
-/// A path inside the entity's own folder: relative, no "..", no empty step, no drive, scheme, backslash or
-/// control character, at most 512 characters. BAD_NAME otherwise.
-Refusal checkConfinedPath(std::string_view path);
+/// Where a file lies on the robot's machine: a path below the folder of the profiles, or an absolute one,
+/// which the robot application must permit. No "..", no empty step, no drive, scheme, backslash or control
+/// character, at most 512 characters. BAD_NAME otherwise.
+Refusal checkResourceUrl(std::string_view url);
 
 Refusal toRefusal(const proto::Refusal& refusal);
 proto::Refusal toProto(const Refusal& refusal);

@@ -207,14 +207,15 @@ TEST(ToText, IsWhatParseValueReadsBack) {
     EXPECT_EQ(toText(proto::Value()), "");
 }
 
-TEST(ConfinedPath, LeavesTheEntitysFolderByNoWay) {
-    for (const auto* path : {"lab.map", "maps/lab.map", "a..b", "...", ".hidden", "ma ps/\xC3\xA9"})
-        EXPECT_TRUE(checkConfinedPath(path).ok()) << path;
-    for (const auto* path : {"", "/", "/etc/passwd", "..", "../x", "a/../b", "a/..", "./a", "a//b", "a/",
-                             "C:x", "a\\b", "file:///x", "a\nb", "a\x7F", "\xFF"})
-        EXPECT_EQ(checkConfinedPath(path).code, RefusalCode::BadName) << path;
-    EXPECT_EQ(checkConfinedPath(std::string(513, 'a')).code, RefusalCode::BadName);
-    EXPECT_EQ(checkConfinedPath(std::string_view("a\0b", 3)).code, RefusalCode::BadName);
+TEST(ResourceUrl, LeavesItsFolderByNoWay) {
+    for (const auto* path :
+         {"lab.map", "maps/lab.map", "a..b", "...", ".hidden", "ma ps/\xC3\xA9", "/srv/maps/lab.map"})
+        EXPECT_TRUE(checkResourceUrl(path).ok()) << path;
+    for (const auto* path : {"", "/", "//srv/x", "/srv/../etc/passwd", "/..", "..", "../x", "a/../b", "a/..",
+                             "./a", "a//b", "a/", "C:x", "a\\b", "file:///x", "a\nb", "a\x7F", "\xFF"})
+        EXPECT_EQ(checkResourceUrl(path).code, RefusalCode::BadName) << path;
+    EXPECT_EQ(checkResourceUrl(std::string(513, 'a')).code, RefusalCode::BadName);
+    EXPECT_EQ(checkResourceUrl(std::string_view("a\0b", 3)).code, RefusalCode::BadName);
 }
 
 TEST(RefusalConversion, KeepsCodeMessageAndHolder) {

@@ -404,7 +404,9 @@ TEST(Link, ASecondManagerSaysThatTheApplicationIsLinkedWithTheFirst) {
 TEST(Link, ProfilesAndStatementsArriveOnLinkUp) {
     const ScratchFile basic("basic.xml", "<BasicProfile/>");
     const ScratchFile services("services.xml", "<ServiceProfile/>");
-    EntityInterfacer interfacer(options("P"));
+    auto o = options("P");
+    o.resource_folders = {"/srv/maps", "relative"};
+    EntityInterfacer interfacer(o);
     interfacer.uploadBasicProfile(basic.path());
     interfacer.uploadServiceProfile(services.path());
     interfacer.setPosition(1, 2, 3);
@@ -418,6 +420,10 @@ TEST(Link, ProfilesAndStatementsArriveOnLinkUp) {
     EXPECT_EQ(messages[0].profile().file_name(), basic.path().string());
     EXPECT_EQ(messages[1].profile().xml(), "<ServiceProfile/>");
     EXPECT_TRUE(messages[1].profile().services());
+    EXPECT_EQ(messages[1].profile().folder(), std::filesystem::absolute(services.path()).parent_path());
+    ASSERT_EQ(messages[1].profile().resource_folders_size(), 2);
+    EXPECT_EQ(messages[1].profile().resource_folders(0), "/srv/maps");
+    EXPECT_EQ(messages[1].profile().resource_folders(1), std::filesystem::current_path() / "relative");
     EXPECT_EQ(messages[2].position().zpos(), 3);
     EXPECT_EQ(messages[3].active().reason(), "no battery");
 }
@@ -464,6 +470,63 @@ TEST(Link, ParametersAndResourcesAreGrantedOrDeniedWithTheReason) {
     EXPECT_EQ(manager.answerTo(2)->message(), "faster than this floor allows");
     EXPECT_EQ(manager.answerTo(11)->code(), proto::OK);
     EXPECT_EQ(manager.answerTo(12)->message(), "no such map");
+}
+
+TEST(Link, WhatIsGivenWithATaskIsPutToOnParameterAndAVetoRefusesTheTask) {
+    std::atomic<int> asked{0}, requests{0}, runs{0};
+    EntityInterfacer interfacer(options("GivenVeto"));
+    interfacer.onParameter([&](const std::string& service, const Parameter& p) {
+        asked++;
+        if (service == "Drive" && p.name == "Speed" && p.number() > 100)
+            return Decision::deny("faster than this floor allows");
+        if (service == "Tour") return Decision::robotLost("the base does not answer");
+        return Decision::grant();
+    });
+    interfacer.onTaskRequest([&](const Task&) {
+        requests++;
+        return Decision::grant();
+    });
+    interfacer.onTask("Drive", [&](Task&) { runs++; });
+    interfacer.start();
+    Manager manager("GivenVeto");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    const auto dispatch = [&](const std::string& id, double speed, const std::string& declared_by,
+                              bool given) {
+        proto::EmToEi message;
+        auto& task = *message.mutable_task();
+        task.set_task_id(id);
+        task.set_service("Drive");
+        *task.add_params() = param("Speed", speed);
+        if (given) {
+            task.add_given()->set_service(declared_by);
+            if (declared_by == "Drive")
+                task.mutable_given(0)->mutable_param()->set_name("Speed");
+            else
+                *task.mutable_given(0)->mutable_param() = param("Speed", speed);
+        }
+        manager.send(message);
+    };
+    const std::string too_fast(16, 'a'), slow(16, 'b'), stored(16, 'c'), whole(16, 'd');
+    dispatch(too_fast, 500, "Drive", true);
+    dispatch(slow, 50, "Drive", true);
+    dispatch(stored, 500, "Drive", false);  // set before: it was asked for then
+    dispatch(whole, 50, "Tour", true);
+    ASSERT_TRUE(waitUntil([&] {
+        return manager.answerOf(too_fast) && manager.finalOf(slow) && manager.finalOf(stored) &&
+               manager.answerOf(whole);
+    }));
+    EXPECT_EQ(manager.answerOf(too_fast), proto::DENIED);
+    for (const auto& message : manager.messages()) {
+        if (!message.has_task_answer() || message.task_answer().task_id() != too_fast) continue;
+        EXPECT_EQ(message.task_answer().refusal().message(),
+                  "parameter 'Speed' of 'Drive': faster than this floor allows");
+    }
+    EXPECT_EQ(manager.answerOf(slow), proto::OK);
+    EXPECT_EQ(manager.answerOf(stored), proto::OK);
+    EXPECT_EQ(manager.answerOf(whole), proto::ROBOT_LOST);
+    EXPECT_EQ(asked, 3);
+    EXPECT_EQ(requests, 2) << "what is refused for a parameter is no request any more";
+    EXPECT_EQ(runs, 2);
 }
 
 TEST(Link, ATaskRunsWithProgressFeedbackAndResults) {

@@ -27,11 +27,19 @@ class MemoryStore final : public entity_manager::Storage, public entity_manager:
     }
     void save(std::string_view key, std::string_view value) override { values_[std::string(key)] = value; }
     void forget(std::string_view key) override { values_.erase(std::string(key)); }
-    Result<std::uint64_t> begin(const proto::ResourceOffer&) override { return std::uint64_t{0}; }
+    entity_manager::Later<Result<std::uint64_t>> begin(const proto::ResourceOffer&,
+                                                       const std::string&) override {
+        return Result<std::uint64_t>(0);
+    }
     Result<void> write(std::string_view, std::uint64_t, std::string_view) override { return {}; }
-    Result<std::string> finish(std::string_view) override { return std::string(); }
+    entity_manager::Later<Result<std::string>> check(std::string_view) override {
+        return Result<std::string>("");
+    }
+    entity_manager::Later<Result<std::string>> place(std::string_view) override {
+        return Result<std::string>("");
+    }
     void suspend(std::string_view) override {}
-    void dropSuspended() override {}
+    void drop(std::string_view) override {}
     void remove(std::string_view, std::string_view) override {}
     std::optional<std::string> find(std::string_view, std::string_view) override { return std::nullopt; }
 

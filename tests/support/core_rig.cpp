@@ -92,6 +92,9 @@ bool MemoryJournal::append(const entity_manager::JournalRecord& record) {
     records.push_back(record);
     return true;
 }
+entity_manager::Later<bool> MemoryJournal::appendDispatch(const entity_manager::JournalRecord& record) {
+    return answer<bool>([this, record] { return append(record); });
+}
 void MemoryJournal::replay(const std::function<void(const entity_manager::JournalRecord&)>& each) {
     for (const auto& record : records) each(record);
 }
@@ -102,9 +105,14 @@ std::string MemoryResources::fakeHash(std::string_view content) {
     random.fill(hash.data(), hash.size());
     return hash;
 }
-Result<std::uint64_t> MemoryResources::begin(const proto::ResourceOffer& offer) {
-    open[offer.transfer_id()] = offer;
-    return static_cast<std::uint64_t>(partial[offer.sha256()].size());
+entity_manager::Later<Result<std::uint64_t>> MemoryResources::begin(const proto::ResourceOffer& offer,
+                                                                    const std::string& owner) {
+    return answer<Result<std::uint64_t>>([this, offer, owner] {
+        open[offer.transfer_id()] = offer;
+        if (owners[offer.sha256()] != owner) partial[offer.sha256()].clear();
+        owners[offer.sha256()] = owner;
+        return static_cast<std::uint64_t>(partial[offer.sha256()].size());
+    });
 }
 Result<void> MemoryResources::write(std::string_view transfer_id, std::uint64_t offset,
                                     std::string_view content) {
@@ -117,27 +125,33 @@ Result<std::uint64_t> MemoryResources::waiting(std::string_view) const {
     if (!failure.ok()) return failure;
     return behind;
 }
-Result<std::string> MemoryResources::finish(std::string_view transfer_id) {
-    const auto at = open.find(transfer_id);
-    const auto offer = at->second;
-    open.erase(at);
-    const auto content = partial[offer.sha256()];
-    partial.erase(offer.sha256());
-    if (fakeHash(content) != offer.sha256())
+entity_manager::Later<Result<std::string>> MemoryResources::check(std::string_view transfer_id) {
+    return answer<Result<std::string>>([this, id = std::string(transfer_id)]() -> Result<std::string> {
+        const auto& offer = open.at(id);
+        if (fakeHash(partial[offer.sha256()]) == offer.sha256())
+            return "/store/" + offer.service() + '/' + offer.resource();
+        drop(id);
         return Refusal{RefusalCode::HashMismatch, "The hash differs.", {}};
-    const auto path = offer.service() + '/' + offer.resource();
-    complete[path] = content;
-    return "/store/" + path;
+    });
+}
+entity_manager::Later<Result<std::string>> MemoryResources::place(std::string_view transfer_id) {
+    return answer<Result<std::string>>([this, id = std::string(transfer_id)]() -> Result<std::string> {
+        const auto offer = open.at(id);
+        const auto path = offer.service() + '/' + offer.resource();
+        complete[path] = partial[offer.sha256()];
+        drop(id);
+        return "/store/" + path;
+    });
 }
 void MemoryResources::suspend(std::string_view transfer_id) {
     const auto at = open.find(transfer_id);
     if (at != open.end()) open.erase(at);
 }
-void MemoryResources::dropSuspended() {
-    std::erase_if(partial, [this](const auto& arrived) {
-        return std::none_of(open.begin(), open.end(),
-                            [&](const auto& transfer) { return transfer.second.sha256() == arrived.first; });
-    });
+void MemoryResources::drop(std::string_view transfer_id) {
+    const auto at = open.find(transfer_id);
+    if (at == open.end()) return;
+    partial.erase(at->second.sha256());
+    open.erase(at);
 }
 void MemoryResources::remove(std::string_view service, std::string_view resource) {
     complete.erase(std::string(service) + '/' + std::string(resource));
@@ -145,6 +159,41 @@ void MemoryResources::remove(std::string_view service, std::string_view resource
 std::optional<std::string> MemoryResources::find(std::string_view service, std::string_view resource) {
     const auto path = std::string(service) + '/' + std::string(resource);
     return complete.contains(path) ? std::optional("/store/" + path) : std::nullopt;
+}
+
+entity_manager::Later<std::vector<entity_manager::ResourcePlace>> MemoryResources::locate(
+    const entity_manager::ResourceRoots& told, std::vector<entity_manager::ResourceQuery> queries) {
+    roots = told;
+    auto places = ResourceStore::locate(told, queries).value();
+    return answer<std::vector<entity_manager::ResourcePlace>>(
+        [this, places, queries = std::move(queries)]() mutable {
+            for (std::size_t i = 0; i < queries.size(); ++i) {
+                const auto& url = queries[i].url;
+                if (url.empty()) continue;
+                auto& place = places[i];
+                place = {};
+                if (url.front() == '/' && roots.permitted.empty()) {
+                    place.refusal = {RefusalCode::BadName, "It is not permitted.", {}};
+                    continue;
+                }
+                place.path = url.front() == '/' ? url : roots.profiles + '/' + url;
+                const auto at = files.find(place.path);
+                place.there = at != files.end();
+                if (place.there) place.size = at->second;
+            }
+            return places;
+        });
+}
+
+entity_manager::Later<std::vector<std::string>> MemoryResources::absent(std::vector<std::string> files) {
+    return answer<std::vector<std::string>>([this, files = std::move(files)]() mutable {
+        std::erase_if(files, [this](const std::string& file) {
+            return this->files.contains(file) ||
+                   std::any_of(complete.begin(), complete.end(),
+                               [&](const auto& resource) { return "/store/" + resource.first == file; });
+        });
+        return files;
+    });
 }
 
 // -- the rig
@@ -174,6 +223,7 @@ void CoreRig::upload(bool services, const std::string& xml) {
     message.mutable_profile()->set_services(services);
     message.mutable_profile()->set_file_name(services ? "services.xml" : "basic.xml");
     message.mutable_profile()->set_xml(xml);
+    message.mutable_profile()->set_folder("/profiles");
     fromApplication(std::move(message));
 }
 

@@ -7,6 +7,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/clock.hpp"
@@ -30,29 +31,61 @@ class MemoryStorage final : public entity_manager::Storage {
     bool full = false;  ///< what is to be kept does not come to the disk
 };
 
+/// What a store in memory answers: at once, or, as a slow disk, when the test lets it (answerAll()).
+class Answers {
+  public:
+    bool slow = false;
+    /// And says so to nobody: the test calls EntityManagerCore::onStored().
+    void answerAll() {
+        for (const auto& answer : std::exchange(waiting_, {})) answer();
+    }
+
+  protected:
+    template <class T>
+    entity_manager::Later<T> answer(std::function<T()> work) {
+        if (!slow) return work();
+        const auto later = entity_manager::Later<T>::pending();
+        waiting_.push_back([later, work = std::move(work)] { later.set(work()); });
+        return later;
+    }
+
+  private:
+    std::vector<std::function<void()>> waiting_;
+};
+
 /// A journal in memory; outlives a core too.
-class MemoryJournal final : public entity_manager::Journal {
+class MemoryJournal final : public entity_manager::Journal, public Answers {
   public:
     bool append(const entity_manager::JournalRecord& record) override;
+    entity_manager::Later<bool> appendDispatch(const entity_manager::JournalRecord& record) override;
     void replay(const std::function<void(const entity_manager::JournalRecord&)>& each) override;
     std::vector<entity_manager::JournalRecord> records;
     bool full = false;  ///< takes nothing more
 };
 
 /// Resources in memory. Its "SHA-256" is fakeHash().
-class MemoryResources final : public entity_manager::ResourceStore {
+class MemoryResources final : public entity_manager::ResourceStore, public Answers {
   public:
     static std::string fakeHash(std::string_view content);
-    Result<std::uint64_t> begin(const proto::ResourceOffer& offer) override;
+    entity_manager::Later<Result<std::uint64_t>> begin(const proto::ResourceOffer& offer,
+                                                       const std::string& owner) override;
     Result<void> write(std::string_view transfer_id, std::uint64_t offset, std::string_view content) override;
     Result<std::uint64_t> waiting(std::string_view transfer_id) const override;
-    Result<std::string> finish(std::string_view transfer_id) override;
+    entity_manager::Later<Result<std::string>> check(std::string_view transfer_id) override;
+    entity_manager::Later<Result<std::string>> place(std::string_view transfer_id) override;
     void suspend(std::string_view transfer_id) override;
-    void dropSuspended() override;
+    void drop(std::string_view transfer_id) override;
     void remove(std::string_view service, std::string_view resource) override;
     std::optional<std::string> find(std::string_view service, std::string_view resource) override;
+    entity_manager::Later<std::vector<entity_manager::ResourcePlace>> locate(
+        const entity_manager::ResourceRoots& roots,
+        std::vector<entity_manager::ResourceQuery> queries) override;
+    entity_manager::Later<std::vector<std::string>> absent(std::vector<std::string> files) override;
 
+    std::map<std::string, std::uint64_t> files;   ///< beside the store, where urls lead: path → size
+    entity_manager::ResourceRoots roots;          ///< as locate() was told
     std::map<std::string, std::string> partial;   ///< hash → content so far
+    std::map<std::string, std::string> owners;    ///< hash → of the content so far
     std::map<std::string, std::string> complete;  ///< service/resource → content
     std::map<std::string, proto::ResourceOffer, std::less<>> open;
     std::uint64_t behind = 0;  ///< bytes that a slow disk has not taken yet, of each

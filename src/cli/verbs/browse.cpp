@@ -53,7 +53,10 @@ int info(Session& session) {
     const auto details = session.station->details(entity->id);
     auto list = Json::array();
     auto margins = Json::array();
+    auto findings = Json::array();
     if (details) {
+        for (const auto& finding : details->findings)
+            findings.push_back({{"message", finding.message}, {"mend", finding.fix}});
         for (const auto& margin : details->watchdogs) {
             margins.push_back({{"hop", margin.hop},
                                {"timeout_ms", margin.timeout.count() * 1000},
@@ -69,6 +72,7 @@ int info(Session& session) {
     }
     json["services"] = std::move(list);
     json["watchdogs"] = std::move(margins);
+    json["findings"] = std::move(findings);
     session.events.emit(json);
     return details ? static_cast<int>(kDone) : refuse(session, details.refusal(), name);
 }

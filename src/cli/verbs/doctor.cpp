@@ -58,6 +58,29 @@ double secondsSince(Clock::time_point start) {
     return Seconds(Clock::now() - start).count();
 }
 
+/// "all of them are switched off (battery low)", "2 of them are switched off: Driving (battery low),
+/// Turning"; empty where none is.
+std::string switchedOff(const std::vector<Service>& services) {
+    std::vector<const Service*> off;
+    for (const auto& service : services)
+        if (!service.active) off.push_back(&service);
+    if (off.empty()) return {};
+    const auto why = [](const Service& service) {
+        return service.inactive_reason.empty() ? std::string() : " (" + service.inactive_reason + ")";
+    };
+    const bool all = off.size() == services.size();
+    const bool same = std::all_of(off.begin(), off.end(),
+                                  [&](const Service* one) { return why(*one) == why(*off.front()); });
+    auto text = std::string(all               ? "all of them are"
+                            : off.size() == 1 ? "one of them is"
+                                              : fmt::format("{} of them are", off.size()));
+    text += " switched off by the robot's application";
+    if (all && same) return text + why(*off.front());
+    text += ':';
+    for (const auto* one : off) text += (one == off.front() ? " " : ", ") + one->name + why(*one);
+    return text;
+}
+
 void checkEntities(Report& report, Station& station) {
     const auto all = station.entities(Listed::All);
     if (all.empty()) {
@@ -94,16 +117,26 @@ void checkEntities(Report& report, Station& station) {
                 break;
         }
         const auto start = Clock::now();
-        const auto services = station.services(entity.id);
+        const auto details = station.details(entity.id);
         const auto round_trip = secondsSince(start);
-        if (!services) {
-            report.bad(name, state + ", and does not tell its services: " + services.refusal().message,
+        if (!details) {
+            report.bad(name, state + ", and does not tell its services: " + details.refusal().message,
                        "see the log of its axon-entity-manager");
             continue;
         }
-        auto message = fmt::format("{}, tells its {} service{} in {}", state, services->size(),
-                                   services->size() == 1 ? "" : "s", duration(round_trip));
-        if (entity.latched) {
+        for (const auto& finding : details->findings) report.warn(name, finding.message, finding.fix);
+        const auto& services = details->services;
+        auto message = fmt::format("{}, tells its {} service{} in {}", state, services.size(),
+                                   services.size() == 1 ? "" : "s", duration(round_trip));
+        const auto off = switchedOff(services);
+        if (!off.empty()) message += "; " + off;
+        const bool any_on =
+            std::any_of(services.begin(), services.end(), [](const Service& one) { return one.active; });
+        if (!off.empty() && !any_on) {
+            report.warn(name, message + (entity.latched ? "; stopped" : ""),
+                        "it takes no task before its application switches a service on again: see to the "
+                        "reason it gives, or to its log");
+        } else if (entity.latched) {
             report.warn(name, message + "; stopped",
                         "axon rearm " + shellWord(name) + ", when it is safe to move again");
         } else if (round_trip > 0.1) {

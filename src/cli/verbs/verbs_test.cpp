@@ -562,3 +562,37 @@ TEST(Completion, OffersWhatFitsTheWord) {
         << "which takes no word of its own";
     EXPECT_EQ(offered({"axon", "nonsense", ""}), "");
 }
+
+TEST_F(Verbs, DoctorDoesNotSayThatAllIsWellWhileEveryServiceIsSwitchedOff) {
+    const auto examine = [this] {
+        seen.events.clear();
+        Session session{Json::object(), seen, mailbox, nullptr, settings, false};
+        session.connect = [this](const Settings&) -> Result<std::shared_ptr<Station>> {
+            return std::shared_ptr<Station>(station);
+        };
+        findVerb("doctor")->perform(session);
+        std::string said;
+        for (const auto& event : seen.events)
+            if (event.value("name", "") == "Cyton")
+                said += event.value("level", "") + ": " + event.value("message", "") + '\n';
+        return said;
+    };
+    EXPECT_THAT(examine(), HasSubstr("ok: IDLE, tells its 1 service in"));
+    station->services_[0].active = false;
+    EXPECT_THAT(examine(), HasSubstr("all of them are switched off by the robot's application\n"));
+    EXPECT_THAT(examine(), HasSubstr("warn: "));
+    station->services_[0].inactive_reason = "battery low";
+    EXPECT_THAT(examine(),
+                HasSubstr("all of them are switched off by the robot's application (battery low)\n"));
+    station->services_.push_back(station->services_[0]);
+    station->services_[1].name = "Turning";
+    station->services_[1].inactive_reason = "no floor";
+    EXPECT_THAT(examine(), HasSubstr("all of them are switched off by the robot's application: Driving "
+                                     "(battery low), Turning (no floor)\n"));
+    station->services_[1].active = true;
+    EXPECT_THAT(examine(), HasSubstr("ok: "));
+    EXPECT_THAT(examine(),
+                HasSubstr("one of them is switched off by the robot's application: Driving (battery low)\n"));
+    station->findings = {{"the saved value 5 of parameter \"Speed\" was dropped", "set it again"}};
+    EXPECT_THAT(examine(), HasSubstr("warn: the saved value 5 of parameter \"Speed\" was dropped\n"));
+}

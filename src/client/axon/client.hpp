@@ -55,6 +55,7 @@ struct Resource {
 struct Service {
     std::string name, global_id, type, descr, notes;  ///< type SMPL or CMPLX
     bool active = true, executing = false, blocking = true, pausable = false;
+    std::string inactive_reason;  ///< why it is switched off, where the robot application has said it
     std::vector<Parameter> parameters;
     std::vector<Resource> resources;
     std::vector<std::string> missing;  ///< what must be set or uploaded before it can run
@@ -89,10 +90,16 @@ struct WatchdogMargin {
     Seconds longest_gap{0};  ///< the longest silence of the last minute
 };
 
+/// What is not as an entity's profiles or its users mean it to be, for people.
+struct EntityFinding {
+    std::string message, fix;  ///< what is the matter, and what to do about it
+};
+
 /// What an entity tells of itself when it is asked.
 struct Details {
     std::vector<Service> services;
     std::vector<WatchdogMargin> watchdogs;
+    std::vector<EntityFinding> findings;
 };
 
 enum class TaskState : std::uint8_t {
@@ -414,9 +421,11 @@ class CheckOut {
 
     /// Granted or denied by the robot application; DENIED carries its reason.
     Result<void> set(std::string_view service, const Argument& argument) const;
-    /// Sends a file in chunks, resuming where an earlier try ended. progress(sent, total) on the calling
-    /// thread. A stop asked for through `give_up` ends it with CANCELLED before its next chunk; the same
-    /// upload goes on from there.
+    /// Sends a file in chunks, resuming where an earlier try of the same user ended, under this check-out or
+    /// an earlier one. progress(sent, total) on the calling thread. A stop asked for through `give_up` ends
+    /// it with CANCELLED before its next chunk; the same upload goes on from there. Returns when the robot
+    /// application has accepted the file and it is in its place; behind a slow disk that takes as long as it
+    /// takes.
     Result<void> upload(std::string_view service, std::string_view resource,
                         const std::filesystem::path& file,
                         std::function<void(std::uint64_t, std::uint64_t)> progress = {},

@@ -220,6 +220,10 @@ class AXON_EI_API EntityInterfacer {
         std::string address = "127.0.0.1";  ///< IPv4 address to listen on
         bool beyond_loopback = false;       ///< the link has no authentication: only for networks you trust
         bool watch_profiles = true;         ///< upload the profiles again when their files change
+        /// Below these folders a resource's url may be an absolute path; a relative one begins in the folder
+        /// of the services profile. The Entity Manager reads and replaces files there, and nowhere else but
+        /// in its own.
+        std::vector<std::filesystem::path> resource_folders{};
         std::function<void(LogLevel, const std::string&)> logger{};  ///< any thread; none = standard error
         /// What beats, watchdogs and waiting tasks count by (axon's common/clock.hpp); none = the time of
         /// this machine, or in trials that of the virtual laboratory whose file the variable AXON_CLOCK
@@ -239,7 +243,12 @@ class AXON_EI_API EntityInterfacer {
 
     // Requests of the client. Without a callback the first two are granted; a task is granted when its
     // service has a handler.
+    /// Asked for every value that a client gives, whether it sets it by itself or gives it with a task: then
+    /// before onTaskRequest, and a denial refuses the task. Of a composite service, all that was given is
+    /// asked for before the first part begins; `service` is the one whose profile declares the parameter.
     void onParameter(std::function<Decision(const std::string& service, const Parameter&)> callback);
+    /// The file that a client has uploaded, to be looked at: it replaces what was there before only when it
+    /// is granted, and then lies somewhere else, where each task's resource() says.
     void onResource(std::function<Decision(const std::string& service, const std::string& resource,
                                            const std::filesystem::path&)>
                         callback);
