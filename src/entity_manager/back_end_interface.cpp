@@ -139,7 +139,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 return true;
             }
             asio::post(strand_, [self = shared_from_this(), peer] {
-                self->lost(peer, "the robot application does not read: the queue to it is full");
+                self->lost(peer, "the robot application does not read: the queue to it is full",
+                           LinkEnd::Silent);
             });
             return true;
         }
@@ -196,7 +197,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         std::deque<Queued> queued;
         std::size_t queued_bytes = 0, queued_raw = 0;
         std::string writing;
-        bool ending = false;  // the signal connection has ended, last words on the other are awaited
+        bool ending = false;  // one connection has ended, last words on the other are awaited
+        bool said_good_bye = false;
     };
 
     /// One connection on which Hello has been said and Welcome is awaited.
@@ -441,20 +443,28 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
             asio::buffer(peer->signal_bytes),
             [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
                 if (self->peer_ != peer) return;
-                if (error) return self->awaitLastWords(peer);
+                if (error) return self->ended(peer);
                 peer->signal_reader.feed({peer->signal_bytes.data(), count});
                 if (self->deliver(peer, peer->signal_reader, true)) self->readSignal(peer);
             });
     }
 
-    /// An application that ends the link says why on the data connection, whose end may be read later than
-    /// that of the signal connection. The application has stopped by itself.
-    void awaitLastWords(const std::shared_ptr<Peer>& peer) {
+    /// One of the two connections has. An application that ends the link may have said why on the data
+    /// connection, and good-bye on the signal connection, and either may be read after the end of the other.
+    void ended(const std::shared_ptr<Peer>& peer) {
+        if (peer->ending) return closed(peer);
         peer->ending = true;
         look_timer_.expires_after(kLastWords);
         look_timer_.async_wait([self = shared_from_this(), peer](const asio::error_code& error) {
-            if (!error) self->lost(peer, "the robot application has closed the link");
+            if (!error) self->closed(peer);
         });
+    }
+
+    void closed(const std::shared_ptr<Peer>& peer) {
+        if (peer->said_good_bye)
+            lost(peer, "the robot application has stopped its robot and ended", LinkEnd::GoodBye);
+        else
+            lost(peer, "the robot application has closed the link", LinkEnd::Closed);
     }
 
     void readData(const std::shared_ptr<Peer>& peer) {
@@ -462,7 +472,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
             asio::buffer(peer->data_bytes),
             [self = shared_from_this(), peer](const asio::error_code& error, std::size_t count) {
                 if (self->peer_ != peer) return;
-                if (error) return self->lost(peer, "the robot application has closed the link");
+                if (error) return self->ended(peer);
                 peer->data_reader.feed({peer->data_bytes.data(), count});
                 if (self->deliver(peer, peer->data_reader, false)) self->readData(peer);
             });
@@ -474,10 +484,10 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         while (peer_ == peer && reader.next(payload)) {
             proto::EiToEm message;
             const bool parsed = message.ParseFromString(payload);
-            const bool is_signal = message.has_beat() || message.has_stop_done();
+            const bool is_signal = message.has_beat() || message.has_stop_done() || message.has_good_bye();
             if (!parsed || message.has_welcome() ||
                 (is_signal != signal && message.body_case() != proto::EiToEm::BODY_NOT_SET)) {
-                lost(peer, "the robot application has sent a malformed message");
+                lost(peer, "the robot application has sent a malformed message", LinkEnd::Closed);
                 return false;
             }
             if (message.has_beat()) {
@@ -485,13 +495,15 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 signs_.heard(now());
                 told_ = {std::chrono::milliseconds{message.beat().longest_gap_ms()},
                          std::chrono::milliseconds{message.beat().allowed_ms()}};
+            } else if (message.has_good_bye()) {
+                peer->said_good_bye = true;
             } else if (message.body_case() != proto::EiToEm::BODY_NOT_SET) {
                 events_.onLinkMessage(message);
             }
         }
         if (peer_ != peer) return false;
         if (!reader.failed()) return true;
-        lost(peer, "the robot application has sent a malformed frame: " + reader.error());
+        lost(peer, "the robot application has sent a malformed frame: " + reader.error(), LinkEnd::Closed);
         return false;
     }
 
@@ -516,7 +528,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         asio::async_write(peer->data, asio::buffer(peer->writing),
                           [self = shared_from_this(), peer](const asio::error_code& error, std::size_t) {
                               if (self->peer_ != peer) return;
-                              if (error) return self->lost(peer, "the robot application has closed the link");
+                              if (error) return;  // what there is to read says why
                               peer->writing.clear();
                               if (!peer->queued.empty()) self->writeNext(peer);
                           });
@@ -557,7 +569,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                     std::chrono::duration_cast<std::chrono::milliseconds>(watchdog_.timeout()).count();
                 asio::post(strand_, [self = shared_from_this(), peer, ms] {
                     self->lost(peer,
-                               "the robot application has been silent for " + std::to_string(ms) + " ms");
+                               "the robot application has been silent for " + std::to_string(ms) + " ms",
+                               LinkEnd::Silent);
                 });
                 return;
             }
@@ -591,11 +604,11 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         beat_timer_.cancel();
     }
 
-    void lost(const std::shared_ptr<Peer>& peer, const std::string& reason) {
+    void lost(const std::shared_ptr<Peer>& peer, const std::string& reason, LinkEnd end) {
         if (closed_ || peer_ != peer) return;
         dropPeer();
         lookIn(kFirstBackoff);
-        events_.onLinkDown(reason);
+        events_.onLinkDown(reason, end);
     }
 
     // Constant after construction

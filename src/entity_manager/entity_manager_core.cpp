@@ -18,8 +18,8 @@ EntityManagerCore::~EntityManagerCore() = default;
 void EntityManagerCore::onLinkUp() {
     machine_->onLinkUp();
 }
-void EntityManagerCore::onLinkDown(const std::string& reason) {
-    machine_->onLinkDown(reason);
+void EntityManagerCore::onLinkDown(const std::string& reason, LinkEnd end) {
+    machine_->onLinkDown(reason, end);
 }
 void EntityManagerCore::onLinkMessage(const proto::EiToEm& message) {
     auto copy = message;

@@ -67,7 +67,7 @@ class EntityManagerCore {
 
     // From the link to the robot application.
     void onLinkUp();
-    void onLinkDown(const std::string& reason);
+    void onLinkDown(const std::string& reason, LinkEnd end = LinkEnd::Closed);
     void onLinkMessage(const proto::EiToEm& message);
     /// The same without a copy of bulk data; the message is left in some valid state.
     void onLinkMessage(proto::EiToEm&& message);
