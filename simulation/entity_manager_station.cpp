@@ -321,14 +321,15 @@ void EntityManagerStation::linkAnswered(std::uint64_t attempt, std::uint64_t lin
     if (application_.process().frozen()) applicationFrozen();
 }
 
-void EntityManagerStation::linkLost(std::uint64_t link, const char* reason) {
+void EntityManagerStation::linkLost(std::uint64_t link, const char* reason, entity_manager::LinkEnd end) {
     auto& life = *life_;
     if (life.link != link || link == 0) return;
     life.link = 0;
     life.link_signal->close(process_);
     life.link_data->close(process_);
     lookIn(kLinkBackoff);
-    life.core.onLinkDown(reason);
+    observer_.linkLost(entity_);
+    life.core.onLinkDown(reason, end);
     settle();
 }
 
@@ -378,7 +379,7 @@ void EntityManagerStation::judgeSilence() {
         return;
     }
     if (life.link_watchdog.expired(process_.now())) {
-        linkLost(life.link, "the robot application has been silent");
+        linkLost(life.link, "the robot application has been silent", entity_manager::LinkEnd::Silent);
         return;
     }
     timeline_.at(process_.whenItShows(life.link_watchdog.deadline()), process_, [this, link = life.link] {

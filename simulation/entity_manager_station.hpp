@@ -108,7 +108,8 @@ class EntityManagerStation final : public entity_manager::BackEndPort, public en
     // The link.
     void look();
     void lookIn(Duration time);
-    void linkLost(std::uint64_t link, const char* reason);
+    void linkLost(std::uint64_t link, const char* reason,
+                  entity_manager::LinkEnd end = entity_manager::LinkEnd::Closed);
     void judgeSilence();
     void beat();
     // The server.

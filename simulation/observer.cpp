@@ -187,10 +187,19 @@ void Observer::stopGoesOut(std::size_t number, std::uint32_t generation, StopCau
         entity.voided_order = ++order_;
     }
     entity.stops_to_note.push_back(generation);
-    if (latches(cause) && (signal || cause == StopCause::ClientLost)) {
-        entity.latch_wanted = true;
-        entity.latch_told = false;
-    }
+    const bool held = entity.status && !entity.status->holder.id.empty();
+    if (latches(cause) && (signal || cause == StopCause::ClientLost)) wantLatch(entity);
+    if (cause == StopCause::ServerLost && held) wantLatch(entity);
+}
+
+void Observer::linkLost(std::size_t number) {
+    auto& entity = entities_[number];
+    if (entity.status && !entity.status->holder.id.empty()) wantLatch(entity);
+}
+
+void Observer::wantLatch(Entity& entity) {
+    entity.latch_wanted = true;
+    entity.latch_told = false;
 }
 
 void Observer::toClient(std::size_t number, const Header& head, const proto::ToClient& message) {

@@ -117,6 +117,8 @@ class Observer {
     // At an Entity Manager, by the entity's number.
     void managerStarts(std::size_t entity);
     void managerDies(std::size_t entity);
+    /// The link to its application has broken: a loss, which latches what somebody holds.
+    void linkLost(std::size_t entity);
     void taskArrives(std::size_t entity, const Header& head, const proto::TaskRequest& request,
                      TimePoint local);
     /// A client's message is being handled, or (null) no longer.
@@ -198,6 +200,7 @@ class Observer {
     void watchMotion(std::size_t entity, Duration in);
     void judgeMotion(std::size_t entity);
     std::string label(const std::string& task_id) const;
+    static void wantLatch(Entity& entity);
 
     Timeline& timeline_;
     Process& world_;

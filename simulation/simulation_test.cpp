@@ -269,6 +269,18 @@ TEST_F(Judge, FindsAStopThatDoesNotLatch) {
     observer.managerIs(0, status);
     EXPECT_EQ(broken(), "latch");
 }
+TEST_F(Judge, FindsTheLossOfAnApplicationUnderAHolderThatDoesNotLatch) {
+    isHeld();
+    observer.linkLost(0);
+    EntityStatus status;
+    status.state = EntityState::UNAV;
+    entity_manager::JournalRecord record;
+    record.kind = entity_manager::JournalRecord::Kind::LeaseEnded;
+    record.lease = {1, 1};
+    observer.noted(0, record);
+    observer.managerIs(0, status);
+    EXPECT_EQ(broken(), "latch");
+}
 TEST_F(Judge, FindsARobotThatMovesOnWithoutItsManager) {
     isHeld();
     observer.moves(0, true);

@@ -30,6 +30,7 @@ constexpr double kTolerance_deg = 0.01;
 EntityInterfacer::Options interfacerOptions(const Settings& settings, std::shared_ptr<const Clock> clock) {
     EntityInterfacer::Options options;
     options.application = settings.application;
+    options.reports_standstill = true;
     options.instance = settings.instance;
     options.clock = std::move(clock);
     if (std::filesystem::exists(settings.ports)) {

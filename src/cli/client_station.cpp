@@ -56,8 +56,9 @@ class ClientStation final : public Station {
         return client_->services(entity);
     }
     Result<Details> details(const std::string& entity) const override { return client_->details(entity); }
-    Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline) override {
-        return client_->stop(names, deadline);
+    Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline,
+                                      Seconds standstill) override {
+        return client_->stop(names, deadline, standstill);
     }
     Result<void> rearm(const std::string& entity) override { return client_->rearm(entity); }
     Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names) override {
@@ -111,12 +112,8 @@ class ClientStation final : public Station {
     Result<void> release(const std::string& entity) override {
         return with(entity, [](const CheckOut& held) { return held.release(); });
     }
-    Result<void> reset(const std::string& entity) override {
-        return with(entity, [](const CheckOut& held) { return held.reset(); });
-    }
-    Result<void> clear(const std::string& entity) override {
-        return with(entity, [](const CheckOut& held) { return held.clear(); });
-    }
+    Result<Receipt> reset(const std::string& entity) override { return command(entity, &CheckOut::reset); }
+    Result<Receipt> clear(const std::string& entity) override { return command(entity, &CheckOut::clear); }
     Result<void> set(const std::string& entity, const std::string& service,
                      const Argument& argument) override {
         return with(entity, [&](const CheckOut& held) { return held.set(service, argument); });
@@ -313,6 +310,12 @@ class ClientStation final : public Station {
 
     static Refusal notHolder(const std::string& entity) {
         return {RefusalCode::NotHolder, entity + " is not checked out here", {}};
+    }
+
+    Result<Receipt> command(const std::string& entity, Result<Receipt> (CheckOut::*give)() const) const {
+        const auto held = heldBy(entity);
+        if (!held) return notHolder(entity);
+        return ((*held).*give)();
     }
 
     template <class Call>

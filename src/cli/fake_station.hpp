@@ -82,8 +82,10 @@ class FakeStation : public Station {
     Result<Details> details(const std::string&) const override {
         return Details{services_, watchdogs, findings};
     }
-    Result<std::vector<Receipt>> stop(const std::vector<std::string>& entities, Seconds) override {
+    Result<std::vector<Receipt>> stop(const std::vector<std::string>& entities, Seconds,
+                                      Seconds standstill) override {
         stopped = entities;
+        waited_for_standstill = standstill;
         std::vector<Receipt> list;
         for (const auto& one : entities_) {
             const auto meant = [&](const std::string& word) {
@@ -97,6 +99,11 @@ class FakeStation : public Station {
             receipt.server = Seconds(0.0004);
             receipt.manager = Seconds(0.0009);
             if (stop_is_confirmed) receipt.callback_returned = Seconds(0.0125);
+            if (!lost_application.empty()) {
+                receipt.callback_returned.reset();
+                receipt.application_lost = lost_application;
+                receipt.application_lost_for = Seconds(12.5);
+            }
             list.push_back(receipt);
         }
         return list;
@@ -181,8 +188,8 @@ class FakeStation : public Station {
         journal.push_back("release");
         return {};
     }
-    Result<void> reset(const std::string&) override { return {}; }
-    Result<void> clear(const std::string&) override { return {}; }
+    Result<Receipt> reset(const std::string&) override { return answer_of_command; }
+    Result<Receipt> clear(const std::string&) override { return answer_of_command; }
     Result<void> set(const std::string&, const std::string&, const Argument& argument) override {
         set_arguments.push_back(argument);
         return {};
@@ -417,6 +424,9 @@ class FakeStation : public Station {
     int refused_drill = 0;  ///< the one that is refused
     std::atomic<bool> is_connected{true};
     bool stop_is_confirmed = true;
+    std::string lost_application;
+    Seconds waited_for_standstill{-1};
+    Result<Receipt> answer_of_command = Receipt{};
     bool cancel_is_heard = true;
     bool upload_is_stuck = false;
     std::function<void()> on_check_out, on_run;

@@ -91,8 +91,10 @@ class Station {
     virtual Result<std::vector<Service>> services(const std::string& entity) const = 0;
     virtual Result<Details> details(const std::string& entity) const = 0;
 
-    /// By what the user wrote; in doubt all that it may mean. None = everything.
-    virtual Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline) = 0;
+    /// By what the user wrote; in doubt all that it may mean. None = everything. `standstill`: how long,
+    /// after all are confirmed, for robots that come to rest.
+    virtual Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline,
+                                              Seconds standstill) = 0;
     virtual Result<void> rearm(const std::string& entity) = 0;
     /// One try for each; none named = everything that is known.
     virtual Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names) = 0;
@@ -115,8 +117,8 @@ class Station {
     virtual bool direct(const std::string& entity) const = 0;
 
     // Of a held entity; NOT_HOLDER otherwise.
-    virtual Result<void> reset(const std::string& entity) = 0;
-    virtual Result<void> clear(const std::string& entity) = 0;
+    virtual Result<Receipt> reset(const std::string& entity) = 0;
+    virtual Result<Receipt> clear(const std::string& entity) = 0;
     virtual Result<void> set(const std::string& entity, const std::string& service,
                              const Argument& argument) = 0;
     virtual Result<void> upload(const std::string& entity, const std::string& service,

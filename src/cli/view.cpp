@@ -275,11 +275,11 @@ void PersonView::show(const Json& event) {
     if (kind == "done") {
         static const std::pair<const char*, const char*> kSaid[] = {
             {"rearm", "is rearmed and takes tasks again"},
-            {"reset", "ends its task and goes on with the next"},
-            {"clear", "ends its task and forgets the ones waiting"},
             {"pause", "is to pause"},
             {"resume", "is to go on"},
             {"cancel", "is to end"}};
+        if (const auto verb = event.value("verb", ""); verb == "reset" || verb == "clear")
+            return showCommand(event);
         if (event.value("verb", "") == "handover") {
             return say(textOf(event, "entity") +
                        (event.value("answer", "") == "accept" ? " is handed over" : " stays yours"));
@@ -538,6 +538,25 @@ void PersonView::showUpload(const Json& event) {
              part);
 }
 
+void PersonView::showCommand(const Json& event) {
+    const auto tasks = [](int count) {
+        return count == 1 ? std::string("1 task") : fmt::format("{} tasks", count);
+    };
+    const int ended = event.value("tasks_ended", 0);
+    const int removed = event.value("tasks_removed", 0);
+    auto said = textOf(event, "entity") + (ended > 0 ? " has ended " + tasks(ended) : " ran no task");
+    if (event.value("verb", "") == "clear")
+        said += removed > 0 ? fmt::format(", and {} that waited {} removed", tasks(removed),
+                                          removed == 1 ? "is" : "are")
+                            : ", and none waited";
+    else if (ended > 0)
+        said += "; the next one that waits begins";
+    say(said);
+    if (!event.value("confirmed", true))
+        err_ << paint("axon: its stop callback has not returned yet: look at the robot", Tint::Red) << '\n'
+             << std::flush;
+}
+
 void PersonView::showReceipts(const Json& event) {
     const auto& list = event.at("receipts");
     if (list.empty()) return;  // a notice says so
@@ -549,11 +568,13 @@ void PersonView::showReceipts(const Json& event) {
         const auto precision = receipt.value("precision_ms", 0.0);
         std::string verdict = confirmed ? "✓ confirmed" : "✗ NOT CONFIRMED";
         if (confirmed && no_application) verdict = "✓ no application, nothing to stop";
+        const bool rolls =
+            confirmed && receipt.value("standstill_follows", false) && receipt.at("standstill_ms").is_null();
         table.add({{textOf(receipt, "call"), Tint::Bold},
                    {stageText(receipt.at("server_ms"), precision)},
                    {stageText(receipt.at("manager_ms"), precision)},
                    {stageText(receipt.at("callback_returned_ms"), precision)},
-                   {stageText(receipt.at("standstill_ms"), precision)},
+                   {rolls ? "not yet" : stageText(receipt.at("standstill_ms"), precision)},
                    {state, stateTint(state)},
                    {verdict, confirmed ? Tint::Green : Tint::Red}});
     }
@@ -565,6 +586,18 @@ void PersonView::showReceipts(const Json& event) {
                               " is called again and again: " + fault,
                           Tint::Red)
                  << '\n';
+    for (const auto& receipt : list) {
+        const auto lost = textOf(receipt, "application_lost");
+        if (lost.empty()) continue;
+        const auto since = receipt.at("application_lost_s");
+        err_ << paint("axon: " + textOf(receipt, "call") +
+                          " may be moving: its robot application was there and cannot be "
+                          "reached" +
+                          (since.is_number() ? fmt::format(" since {:.1f} s", since.get<double>()) : "") +
+                          ": " + lost,
+                      Tint::Red)
+             << '\n';
+    }
     if (!event.value("confirmed", false)) {
         err_ << paint("axon: not every stop is confirmed: go and look, use the emergency stop of the robot",
                       Tint::Red)

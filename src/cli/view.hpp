@@ -35,6 +35,7 @@ class PersonView final : public Events {
     void showTasks(const Json& event);
     void showUpload(const Json& event);
     void showReceipts(const Json& event);
+    void showCommand(const Json& event);
     void showCheckedOut(const Json& event);
     void showSample(const Json& event);
     void showFinding(const Json& event);

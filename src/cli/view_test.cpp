@@ -256,6 +256,55 @@ TEST_F(View, WhatTheClockCannotTellIsNotZero) {
                 AllOf(HasSubstr("< 4.0 ms"), HasSubstr("  8.0 ms"), Not(HasSubstr("0.0 ms"))));
 }
 
+TEST_F(View, ARobotWhoseApplicationIsLostIsNeverShownAsNothingToStop) {
+    Receipt hung;
+    hung.name = "PeopleBot";
+    hung.state = EntityState::UNAV;
+    hung.server = Seconds(0.0004);
+    hung.manager = Seconds(0.0009);
+    hung.application_lost = "the robot application has been silent for 250 ms";
+    hung.application_lost_for = Seconds(12.5);
+    auto list = Json::array({toJson(hung)});
+    list[0]["call"] = "PeopleBot";
+    EXPECT_EQ(shown({{{"event", "receipts"}, {"confirmed", false}, {"receipts", list}}}),
+              "STOPPED    SERVER  MANAGER  CALLBACK  STANDSTILL  STATE  RECEIPT\n"
+              "PeopleBot  0.4 ms  0.9 ms   -         -           UNAV   ✗ NOT CONFIRMED\n");
+    EXPECT_THAT(err.str(),
+                HasSubstr("PeopleBot may be moving: its robot application was there and cannot be reached "
+                          "since 12.5 s: the robot application has been silent for 250 ms"));
+    EXPECT_THAT(err.str(), HasSubstr("go and look"));
+}
+
+TEST_F(View, ShowsWhoHasNotComeToRestYet) {
+    Receipt rolls;
+    rolls.name = "PeopleBot";
+    rolls.state = EntityState::REG;
+    rolls.server = rolls.manager = rolls.callback_returned = Seconds(0.001);
+    rolls.standstill_follows = true;
+    auto list = Json::array({toJson(rolls)});
+    list[0]["call"] = "PeopleBot";
+    EXPECT_EQ(shown({{{"event", "receipts"}, {"confirmed", true}, {"receipts", list}}}),
+              "STOPPED    SERVER  MANAGER  CALLBACK  STANDSTILL  STATE  RECEIPT\n"
+              "PeopleBot  1.0 ms  1.0 ms   1.0 ms    not yet     REG    ✓ confirmed\n");
+}
+
+TEST_F(View, SaysWhatAResetAndAClearHaveDone) {
+    const auto done = [&](const char* verb, int ended, int removed, bool confirmed = true) {
+        out.str({});
+        return shown({{{"event", "done"},
+                       {"verb", verb},
+                       {"entity", "Cyton"},
+                       {"confirmed", confirmed},
+                       {"tasks_ended", ended},
+                       {"tasks_removed", removed}}});
+    };
+    EXPECT_EQ(done("reset", 1, 0), "Cyton has ended 1 task; the next one that waits begins\n");
+    EXPECT_EQ(done("reset", 0, 0), "Cyton ran no task\n");
+    EXPECT_EQ(done("clear", 2, 1), "Cyton has ended 2 tasks, and 1 task that waited is removed\n");
+    EXPECT_EQ(done("clear", 0, 0, false), "Cyton ran no task, and none waited\n");
+    EXPECT_THAT(err.str(), HasSubstr("its stop callback has not returned yet"));
+}
+
 TEST_F(View, ShowsErrorsWithCodeHolderAndMend) {
     shown({errorEvent({RefusalCode::AlreadyHeld, "PeopleBot is not free", "cl2@lab"}, "PeopleBot")});
     EXPECT_EQ(out.str(), "");

@@ -327,7 +327,11 @@ Json toJson(const Receipt& receipt) {
             {"callback_returned_ms", milliseconds(receipt.callback_returned)},
             {"standstill_ms", milliseconds(receipt.standstill)},
             {"precision_ms", receipt.precision.count() * 1000},
+            {"standstill_follows", receipt.standstill_follows},
             {"no_application", receipt.no_application},
+            {"application_lost", receipt.application_lost},
+            {"application_lost_s",
+             receipt.application_lost_for ? Json(receipt.application_lost_for->count()) : Json()},
             {"fault", receipt.fault}};
 }
 

@@ -14,6 +14,7 @@
 #include "common/shared_clock.hpp"
 #include "common/waiting.hpp"
 #include "direct/always_relayed.hpp"
+#include "messages/values.hpp"
 #include "transport/communicator.hpp"
 #include "transport/routed_session.hpp"
 #include "transport/tls.hpp"
@@ -771,9 +772,19 @@ bool Client::Session::receipt(const Header& head, std::string_view message) {
     return true;
 }
 
+/// Of the signal lane: a reset or clear is refused. The core hears of it too.
+void Client::Session::signalReply(const Header& head, std::string_view message) {
+    proto::ToClient body;
+    if (!body.ParseFromArray(message.data(), static_cast<int>(message.size())) || !body.has_reply()) return;
+    withDesk([&](StopDesk& desk) {
+        desk.onReply(head.entity, body.reply().request_id(), toRefusal(body.reply().refusal()));
+    });
+}
+
 void Client::Session::newEntityMsg(std::uint64_t attempt, Lane lane, direct::Keeping keeping, const Header& head,
                                    std::string_view message) {
     if (receipt(head, message)) return;
+    if (lane == Lane::Signal && head.msg_type == kMsgReply) signalReply(head, message);
     onCore(attempt, [&](SessionCore& core) {
         const auto deliver = [&](const Header& its_head, std::string_view its) { core.onEntityMsg(its_head, its, false); };
         if (lane == Lane::Signal || direct_.relayed(keeping, head, message, deliver)) core.onEntityMsg(head, message);
@@ -814,6 +825,8 @@ void Client::Session::newRefusal(std::uint64_t attempt, const Header& head, cons
         onCore(attempt, [&](SessionCore&) { closing = direct_.markRefused(head.entity); });
         return close(closing, "the servers refuse its beginning: " + refusal.message);
     }
+    if (head.msg_type == kMsgReset || head.msg_type == kMsgClear)
+        withDesk([&](StopDesk& desk) { desk.onRefusal(head.sequence, head.entity, refusal); });
     if (head.msg_type == kMsgStop) {
         withDesk([&](StopDesk& desk) { desk.onRefusal(head.sequence, head.entity, refusal); });
         return;
@@ -1277,13 +1290,41 @@ Result<void> Client::Session::release(const Held& held) {
     });
 }
 
-Result<std::vector<Receipt>> Client::Session::stop(const std::vector<std::string>& names, Seconds deadline) {
+Result<Receipt> Client::Session::command(const Held& held,
+                                         Result<void> (SessionCore::*give)(const Held&, std::int64_t)) {
+    using Answer = Result<std::vector<Receipt>>;
+    const auto promise = std::make_shared<std::promise<Answer>>();
+    auto future = promise->get_future();
+    const auto sequence = marks_.nextSequence();
+    withDesk([&](StopDesk& desk) {
+        desk.await(held.entity, sequence, settingsOf(options_).timeout,
+                   [promise](Answer answer) { promise->set_value(std::move(answer)); });
+    });
+    const auto sent = withCore([&](SessionCore& core) { return (core.*give)(held, sequence); });
+    if (!sent) {
+        withDesk([&](StopDesk& desk) { desk.withdraw(sequence); });
+        return sent.refusal();
+    }
+    mayWait();  // after it has left, as a stop does
+    auto receipts = future.get();
+    if (!receipts) return receipts.refusal();
+    if (receipts->empty() || !receipts->front().manager)
+        return Refusal{
+            RefusalCode::TimedOut,
+            "The entity has not answered in time; it is not known whether its task has ended. Look at it.",
+            {}};
+    return std::move(receipts->front());
+}
+
+Result<std::vector<Receipt>> Client::Session::stop(const std::vector<std::string>& names, Seconds deadline,
+                                                   Seconds standstill) {
     using Answer = Result<std::vector<Receipt>>;
     const auto promise = std::make_shared<std::promise<Answer>>();
     auto future = promise->get_future();
     withDesk([&](StopDesk& desk) {
-        desk.stop(names, toDuration(deadline),
-                  [promise](Answer answer) { promise->set_value(std::move(answer)); });
+        desk.stop(
+            names, toDuration(deadline), [promise](Answer answer) { promise->set_value(std::move(answer)); },
+            toDuration(standstill));
     });
     mayWait();  // after the stop has left: misuse is no reason not to stop
     auto answer = future.get();
@@ -1479,8 +1520,9 @@ std::vector<CheckOut> Client::held() const {
     return session_->held();
 }
 
-Result<std::vector<Receipt>> Client::stop(const std::vector<std::string>& names, Seconds deadline) {
-    return session_->stop(names, deadline);
+Result<std::vector<Receipt>> Client::stop(const std::vector<std::string>& names, Seconds deadline,
+                                          Seconds standstill) {
+    return session_->stop(names, deadline, standstill);
 }
 
 Result<void> Client::rearm(std::string_view name) {
@@ -1808,16 +1850,16 @@ std::string CheckOut::ticket() const {
     return ticket ? ticket->toText() : std::string();
 }
 
-Result<void> CheckOut::reset() const {
+Result<Receipt> CheckOut::reset() const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
-    return session->withCore([&](SessionCore& core) { return core.reset(shared_->held); });
+    return session->command(shared_->held, &SessionCore::reset);
 }
 
-Result<void> CheckOut::clear() const {
+Result<Receipt> CheckOut::clear() const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
-    return session->withCore([&](SessionCore& core) { return core.clear(shared_->held); });
+    return session->command(shared_->held, &SessionCore::clear);
 }
 
 Result<void> CheckOut::release() const {

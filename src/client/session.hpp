@@ -134,7 +134,10 @@ class Client::Session final : public SessionObserver,
                         const std::function<void(std::uint64_t, std::uint64_t)>& progress,
                         const std::stop_token& give_up);
     Result<void> release(const Held& held);
-    Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline);
+    Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline,
+                                      Seconds standstill);
+    /// A reset or clear, and what became of it.
+    Result<Receipt> command(const Held& held, Result<void> (SessionCore::*give)(const Held&, std::int64_t));
     Result<std::vector<DrillReport>> drill(const std::vector<std::string>& names, int count, Seconds period,
                                            const std::stop_token& give_up);
     Result<Entity> waitFor(std::string_view name, Seconds time) const;
@@ -257,6 +260,7 @@ class Client::Session final : public SessionObserver,
     void stopDirectly(const DirectLinks::Paths& paths, const OutgoingStop& stop);
     /// Whether it was a receipt.
     bool receipt(const Header& head, std::string_view message);
+    void signalReply(const Header& head, std::string_view message);
     /// What is due of the direct paths; when next.
     TimePoint directTurn();
     static void close(const DirectLinks::Closing& closing, const std::string& why);

@@ -126,6 +126,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
     std::filesystem::path folder() const { return folder_; }
     std::atomic<int> stops{0};
     std::atomic<bool> deaf{false};  ///< the application does not return from its stop callback
+    std::atomic<bool> rolls{false};  ///< it comes to rest after that
 
   private:
     class Callback final : public slice::EntityCallback {
@@ -262,7 +263,12 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
         proto::EiToEm done;
         done.mutable_stop_done()->set_stop_generation(generation);
         done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+        done.mutable_stop_done()->set_standstill_follows(rolls);
         answer(done);
+        if (rolls) {
+            done.mutable_stop_done()->set_stage(proto::StopReceipt::STANDSTILL);
+            answer(done);
+        }
         const auto task = lastTask();
         if (task.empty()) return;
         proto::EiToEm ended;
@@ -447,6 +453,58 @@ TEST_F(ClientTest, AStopIsConfirmedLatchesAndIsRearmed) {
     EXPECT_EQ(refused.wait(5s).reason.code, RefusalCode::Latched);
     ASSERT_TRUE(me->rearm("PeopleBot").ok());
     drive(held, *robots);
+}
+
+TEST_F(ClientTest, StandstillIsToldToWhoeverStoppedItAndOfARobotThatStoodNobodyWaits) {
+    const auto robots = robot();
+    robots->rolls = true;
+    const auto me = client();
+    auto with = options();
+    with.display_name = "client2@lab";
+    const auto other = client(with);
+    ASSERT_TRUE(other->waitFor("PeopleBot", 5s).ok());
+    const auto held = take(*me);
+    for (auto* who : {me.get(), other.get()}) {
+        drive(held, *robots);
+        const auto receipts = who->stop({"PeopleBot"}, 1s, 5s);
+        ASSERT_TRUE(receipts.ok());
+        ASSERT_THAT(receipts.value(), SizeIs(1));
+        EXPECT_TRUE(receipts->front().standstill);
+        ASSERT_TRUE(waitUntil([&] { return me->rearm("PeopleBot").ok(); })) << "once it knows of the stop";
+    }
+    const auto receipts = me->stop({"PeopleBot"}, 1s, 60s);
+    ASSERT_TRUE(receipts.ok());
+    EXPECT_FALSE(receipts->front().standstill_follows) << "nothing moved";
+}
+
+TEST_F(ClientTest, AResetAndAClearSayWhatTheyHaveDone) {
+    const auto robots = robot();
+    const auto me = client();
+    const auto held = take(*me);
+    auto done = held.reset();
+    ASSERT_TRUE(done.ok()) << done.refusal().message;
+    EXPECT_TRUE(done->confirmed());
+    EXPECT_EQ(done->tasks_ended, 0);
+    const auto first = drive(held, *robots);
+    done = held.reset();
+    ASSERT_TRUE(done.ok()) << done.refusal().message;
+    EXPECT_EQ(done->tasks_ended, 1);
+    EXPECT_EQ(first.wait(5s).state, TaskState::Stopped);
+    drive(held, *robots);
+    const auto waiting = held.run("Drive", {{"Distance", {std::int64_t{1}}}});
+    ASSERT_TRUE(waitUntil([&] { return waiting.report().state == TaskState::Queued; }));
+    done = held.clear();
+    ASSERT_TRUE(done.ok()) << done.refusal().message;
+    EXPECT_EQ(done->tasks_ended, 1);
+    EXPECT_EQ(done->tasks_removed, 1);
+    robots->deaf = true;
+    const auto begin = std::chrono::steady_clock::now();
+    done = held.clear();
+    ASSERT_TRUE(done.ok()) << "the Entity Manager has it";
+    EXPECT_FALSE(done->confirmed());
+    EXPECT_GE(std::chrono::steady_clock::now() - begin, 1s);
+    ASSERT_TRUE(held.release().ok());
+    EXPECT_EQ(held.reset().refusal().code, RefusalCode::NotHolder);
 }
 
 TEST_F(ClientTest, AnybodyStopsEverythingAndALateStageIsShownAsMissing) {

@@ -777,7 +777,7 @@ Result<void> SessionCore::sendRaw(const Held& held, std::string_view bytes) {
     return {};
 }
 
-Result<void> SessionCore::reset(const Held& held) {
+Result<void> SessionCore::reset(const Held& held, std::int64_t sequence) {
     const auto refusal = ready(held);
     if (!refusal.ok()) return refusal;
     if (const auto known = entities_.find(held.entity);
@@ -785,16 +785,16 @@ Result<void> SessionCore::reset(const Held& held) {
         return Refusal{RefusalCode::Latched, label(held.entity) + " was stopped. Rearm it first.", {}};
     }
     auto head = header(held.entity, kMsgReset, held.lease);
-    head.sequence = marks_.nextSequence();
+    head.sequence = sequence > 0 ? sequence : marks_.nextSequence();
     link_.sendReset(head);
     return {};
 }
 
-Result<void> SessionCore::clear(const Held& held) {
+Result<void> SessionCore::clear(const Held& held, std::int64_t sequence) {
     const auto refusal = ready(held);
     if (!refusal.ok()) return refusal;
     auto head = header(held.entity, kMsgClear, held.lease);
-    head.sequence = marks_.nextSequence();
+    head.sequence = sequence > 0 ? sequence : marks_.nextSequence();
     link_.sendClear(head);
     return {};
 }

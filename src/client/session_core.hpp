@@ -235,8 +235,9 @@ class SessionCore {
     void fetchRuns(const std::string& entity, int most, RunRecordsDone done);
     Result<void> sendText(const Held& held, std::string_view text);
     Result<void> sendRaw(const Held& held, std::string_view bytes);
-    Result<void> reset(const Held& held);
-    Result<void> clear(const Held& held);
+    /// `sequence`: of the signals of this client; 0 = the next one.
+    Result<void> reset(const Held& held, std::int64_t sequence = 0);
+    Result<void> clear(const Held& held, std::int64_t sequence = 0);
     void rearm(const std::string& entity, Done done);
     /// Asks the entity itself; no lease needed.
     void fetchDetails(const std::string& entity, DetailsDone done);

@@ -21,6 +21,14 @@ std::int64_t sequenceOf(std::string_view stop_id) {
     return error == std::errc{} && !digits.empty() ? sequence : -1;
 }
 
+/// For people: what the application that is missing was last known to do.
+std::string lossOf(const proto::StopReceipt& receipt) {
+    if (!receipt.absence_reason().empty()) return receipt.absence_reason();
+    return receipt.absence() == proto::StopReceipt::SILENT
+               ? "the robot application is silent"
+               : "the robot application has gone without a good-bye";
+}
+
 }  // namespace
 
 void StopDesk::onConnected(const Sender& self) {
@@ -28,7 +36,7 @@ void StopDesk::onConnected(const Sender& self) {
     self_ = self;
     // The entities come with the next profiles.
     for (auto& [sequence, order] : orders_) {
-        if (order.cause != StopCause::Drill) schedule(order, clock_.now());
+        if (order.repeats) schedule(order, clock_.now());
     }
 }
 
@@ -70,7 +78,8 @@ void StopDesk::send(const Order& order, Lane lane, std::vector<std::string> ids)
     }
 }
 
-void StopDesk::stop(const std::vector<std::string>& names, Duration deadline, Done done) {
+void StopDesk::stop(const std::vector<std::string>& names, Duration deadline, Done done,
+                    Duration standstill) {
     if (!connected_) {
         done(Refusal{RefusalCode::NotConnected,
                      "There is no connection to the server, so no stop can be sent. What this client held is "
@@ -80,6 +89,7 @@ void StopDesk::stop(const std::vector<std::string>& names, Duration deadline, Do
     }
     Order order;
     order.everything = names.empty();
+    order.rests_by = clock_.now() + standstill;
     give(std::move(order), names, deadline, std::move(done));
 }
 
@@ -90,6 +100,7 @@ void StopDesk::drill(const std::vector<std::string>& names, Duration deadline, D
     }
     Order order;
     order.cause = StopCause::Drill;
+    order.repeats = false;
     give(std::move(order), names.empty() ? names_.ids() : names, deadline, std::move(done));
 }
 
@@ -118,9 +129,32 @@ void StopDesk::give(Order order, const std::vector<std::string>& names, Duration
     const auto sequence = order.sequence;
     auto& given = orders_.emplace(sequence, std::move(order)).first->second;
     if (given.everything) everything_.insert(sequence);
-    schedule(given, given.cause == StopCause::Drill ? TimePoint::max() : given.given + kStopFirstResend);
+    schedule(given, given.repeats ? given.given + kStopFirstResend : TimePoint::max());
     send(given, Lane::Signal, std::move(ids));
     finishIfSettled(given);
+}
+
+void StopDesk::await(const std::string& entity, std::int64_t sequence, Duration deadline, Done done) {
+    Order order;
+    order.sequence = sequence;
+    order.repeats = false;
+    order.given = order.heard_at = order.rests_by = clock_.now();
+    order.deadline = order.given + deadline;
+    order.named = {entity};
+    order.done = std::move(done);
+    auto& given = orders_.emplace(sequence, std::move(order)).first->second;
+    list(given);
+    schedule(given, TimePoint::max());
+}
+
+void StopDesk::withdraw(std::int64_t sequence) {
+    if (orders_.contains(sequence)) take(sequence);
+}
+
+void StopDesk::onReply(const std::string& entity, std::string_view request_id, const Refusal& refusal) {
+    const auto whose = request_id.substr(0, request_id.rfind(':'));
+    if (refusal.ok() || uuidOf(whose) != uuidOf(self_.id)) return;
+    onRefusal(sequenceOf(request_id), entity, refusal);
 }
 
 void StopDesk::list(Order& order) const {
@@ -147,6 +181,7 @@ Receipt& StopDesk::add(Order& order, const std::string& entity) const {
 
 bool StopDesk::settled(const Order& order) {
     if (order.unconfirmed > 0 || !order.named.empty()) return false;
+    if (order.rolling > 0 && order.given < order.rests_by) return false;
     return !order.everything || allKnown(order);
 }
 
@@ -228,6 +263,7 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
     order->heard_at = now;
     Receipt& receipt = entry == order->receipts.end() ? add(*order, entity) : entry->second;
     const bool was_confirmed = receipt.confirmed();
+    const bool rolled = was_confirmed && !receipt.atRest();
     const Seconds after = now - order->given;
     receipt.stop_generation = std::max(receipt.stop_generation, generation);
     // The other copy of an earlier one may come after a later one (several servers: directly, and by the topic).
@@ -235,6 +271,14 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
         said_at = incoming.at_us();
         receipt.state = stateFromProto(incoming.state()).value_or(receipt.state);
         receipt.fault = incoming.fault();
+        receipt.application_lost =
+            incoming.absence() > proto::StopReceipt::NONE ? lossOf(incoming) : std::string();
+        receipt.application_lost_for.reset();
+        if (!receipt.application_lost.empty())
+            receipt.application_lost_for = std::chrono::milliseconds(incoming.absent_for_ms());
+        receipt.standstill_follows = incoming.standstill_follows();
+        receipt.tasks_ended = static_cast<int>(incoming.tasks_ended());
+        receipt.tasks_removed = static_cast<int>(incoming.tasks_removed());
     }
     const auto mark = [&](std::optional<Seconds>& stage) {
         if (!stage) stage = after;
@@ -248,7 +292,7 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
             break;
         case proto::StopReceipt::NO_APPLICATION:
             mark(receipt.manager);
-            receipt.no_application = true;
+            if (incoming.absence() <= proto::StopReceipt::NONE) receipt.no_application = true;
             break;
         case proto::StopReceipt::STANDSTILL:
             mark(receipt.standstill);
@@ -261,6 +305,9 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
             break;
     }
     if (!was_confirmed && receipt.confirmed()) --order->unconfirmed;
+    const bool rolls = receipt.confirmed() && !receipt.atRest();
+    if (rolls && !rolled) ++order->rolling;
+    if (rolled && !rolls) --order->rolling;
     finishIfSettled(*order);
 }
 
@@ -295,11 +342,19 @@ void StopDesk::onTimer() {
     while (!due_.empty() && due_.begin()->first <= now) {
         auto& order = orders_.at(due_.begin()->second);
         if (now >= order.deadline) {
-            finish(order.sequence);
-            continue;
+            const bool comes_to_rest = order.unconfirmed == 0 && order.rolling > 0 && now < order.rests_by;
+            if (!comes_to_rest) {
+                finish(order.sequence);
+                continue;
+            }
+            order.deadline = order.rests_by;
         }
         if (const auto quiet = std::min(order.heard_at + kStopFirstResend, order.given + kStopPatience); now < quiet) {
             schedule(order, quiet);
+            continue;
+        }
+        if (!order.repeats) {
+            schedule(order, TimePoint::max());
             continue;
         }
         schedule(order, now + kStopResendPeriod);
@@ -311,6 +366,7 @@ void StopDesk::onTimer() {
             for (const auto& [id, receipt] : order.receipts) {
                 if (!receipt.confirmed()) ids.push_back(id);
             }
+            if (ids.empty()) continue;  // they come to rest
         }
         send(order, Lane::Signal, ids);
         send(order, Lane::Data, std::move(ids));

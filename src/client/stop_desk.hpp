@@ -61,10 +61,20 @@ class StopDesk {
     /// a name that is not found does not hold up the others (its refusal is the order's answer, when they are
     /// done). A stop of everything needs no names: it is done when the servers have said how many entities it
     /// reached and as many have answered, known here or not; those that have not are receipts without a name.
-    void stop(const std::vector<std::string>& names, Duration deadline, Done done);
+    /// Once all are confirmed it waits, up to `standstill` after the call, for those that are to come to
+    /// rest.
+    void stop(const std::vector<std::string>& names, Duration deadline, Done done, Duration standstill = {});
     /// Likewise, a drill: acknowledged and nothing else. It is sent once, so that its times are those of one
     /// message. No names = every entity that is known.
     void drill(const std::vector<std::string>& names, Duration deadline, Done done);
+
+    /// The receipts of a reset or clear that somebody else sends, under this sequence, once and after this
+    /// call.
+    void await(const std::string& entity, std::int64_t sequence, Duration deadline, Done done);
+    /// It is not sent after all; `done` is not called.
+    void withdraw(std::int64_t sequence);
+    /// A reply of the entity itself to a reset or clear: refused.
+    void onReply(const std::string& entity, std::string_view request_id, const Refusal& refusal);
 
     void onTimer();
     TimePoint nextDeadline() const;
@@ -77,7 +87,9 @@ class StopDesk {
         std::int64_t sequence = 0;
         StopCause cause = StopCause::Requested;
         bool everything = false;
+        bool repeats = true;  // sent again while it is not confirmed
         TimePoint given, deadline, resend;
+        TimePoint rests_by;                       // how long it waits for robots to come to rest
         TimePoint heard_at;                       // the newest receipt
         TimePoint due;                            // the earlier of the two, in due_
         std::vector<std::string> named;           // UUIDs, until they are listed
@@ -85,6 +97,7 @@ class StopDesk {
         std::map<std::string, Receipt> receipts;  // by UUID
         std::map<std::string, std::int64_t> said_at;  // by UUID, on the Entity Manager's clock: the newest receipt
         std::size_t unconfirmed = 0;              // of the receipts
+        std::size_t rolling = 0;                  // confirmed, and to come to rest
         std::optional<int> reached;               // entities, of a stop of everything that was accepted
         std::optional<Seconds> accepted;          // likewise
         Refusal unknown;                          // of a name that was not found

@@ -421,5 +421,153 @@ TEST_F(StopDeskTest, ManyOrdersHaveEachTheirOwnTimes) {
     EXPECT_EQ(desk.nextDeadline(), TimePoint::max());
 }
 
+TEST_F(StopDeskTest, ALostApplicationIsNotConfirmedUntilItComesBack) {
+    stop({"Cyton"}, 1s);
+    const auto lost = [&](proto::StopReceipt::Absence absence) {
+        proto::StopReceipt message;
+        message.set_stop_id(kMe.id + ":1");
+        message.set_stage(proto::StopReceipt::NO_APPLICATION);
+        message.set_absence(absence);
+        message.set_absence_reason("it has been silent for 250 ms");
+        message.set_absent_for_ms(12'500);
+        desk.onReceipt(uuid(3), message);
+    };
+    lost(proto::StopReceipt::SILENT);
+    EXPECT_EQ(answers, 0) << "it may come back";
+    link.sent.clear();
+    advance(100ms);
+    EXPECT_THAT(link.sent, SizeIs(2)) << "asked again";
+    advance(900ms);
+    ASSERT_EQ(answers, 1);
+    ASSERT_THAT(receipts, SizeIs(1));
+    EXPECT_FALSE(receipts[0].confirmed());
+    EXPECT_FALSE(receipts[0].no_application);
+    EXPECT_EQ(receipts[0].application_lost, "it has been silent for 250 ms");
+    EXPECT_EQ(receipts[0].application_lost_for, Seconds(12.5));
+
+    stop({"Cyton"}, 1s);
+    proto::StopReceipt gone;
+    gone.set_stop_id(kMe.id + ":2");
+    gone.set_stage(proto::StopReceipt::NO_APPLICATION);
+    gone.set_absence(proto::StopReceipt::GONE);
+    desk.onReceipt(uuid(3), gone);
+    EXPECT_EQ(answers, 1);
+    receipt(3, proto::StopReceipt::CALLBACK_RETURNED, 2);
+    EXPECT_EQ(answers, 2);
+    EXPECT_TRUE(receipts.at(0).confirmed());
+    EXPECT_EQ(receipts.at(0).application_lost, "");
+
+    stop({"Cyton"}, 1s);
+    proto::StopReceipt none;
+    none.set_stop_id(kMe.id + ":3");
+    none.set_stage(proto::StopReceipt::NO_APPLICATION);
+    none.set_absence(proto::StopReceipt::NONE);
+    desk.onReceipt(uuid(3), none);
+    EXPECT_EQ(answers, 3);
+    EXPECT_TRUE(receipts.at(0).confirmed() && receipts.at(0).no_application);
+}
+
+TEST_F(StopDeskTest, StandstillIsWaitedForOnlyOfThoseThatAreToComeToRestAndOnlyWhereItIsWanted) {
+    const auto returned = [&](int number, std::int64_t sequence, bool follows) {
+        proto::StopReceipt message;
+        message.set_stop_id(kMe.id + ":" + std::to_string(sequence));
+        message.set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+        message.set_standstill_follows(follows);
+        desk.onReceipt(uuid(number), message);
+    };
+    stop({"Cyton", "PeopleBot#1"}, 1s);
+    returned(3, 1, true);
+    returned(1, 1, false);
+    EXPECT_EQ(answers, 1) << "nobody wants to wait";
+
+    const auto stopAndWait = [&] {
+        desk.stop(
+            {"Cyton", "PeopleBot#1"}, 1s,
+            [this](Result<std::vector<Receipt>> result) {
+                ++answers;
+                receipts = std::move(result).value();
+            },
+            5s);
+    };
+    stopAndWait();
+    returned(3, 2, true);
+    returned(1, 2, false);
+    EXPECT_EQ(answers, 1);
+    link.sent.clear();
+    advance(1500ms);
+    EXPECT_EQ(answers, 1) << "the deadline is that of the confirmations";
+    EXPECT_THAT(link.sent, IsEmpty()) << "what is confirmed is not asked again";
+    receipt(3, proto::StopReceipt::STANDSTILL, 2);
+    ASSERT_EQ(answers, 2);
+    for (const auto& one : receipts) EXPECT_EQ(one.standstill.has_value(), one.entity == uuid(3));
+
+    stopAndWait();  // it says that it will, and does not
+    returned(3, 3, true);
+    returned(1, 3, false);
+    advance(4900ms);
+    EXPECT_EQ(answers, 2);
+    advance(100ms);
+    ASSERT_EQ(answers, 3);
+    for (const auto& one : receipts) EXPECT_TRUE(one.confirmed());
+
+    stopAndWait();  // one that is not confirmed is not waited for so long
+    returned(3, 4, true);
+    advance(1s);
+    EXPECT_EQ(answers, 4);
+
+    stopAndWait();  // its application is lost meanwhile
+    returned(3, 5, true);
+    returned(1, 5, false);
+    EXPECT_EQ(answers, 4);
+    returned(3, 5, false);
+    EXPECT_EQ(answers, 5);
+}
+
+TEST_F(StopDeskTest, AResetIsAnsweredByItsReceiptsOrRefusedAndIsNeverSentAgain) {
+    const auto await = [&](std::int64_t sequence) {
+        desk.await(uuid(3), sequence, 5s, [this](Result<std::vector<Receipt>> result) {
+            ++answers;
+            if (result)
+                receipts = std::move(result).value();
+            else
+                refusal = result.refusal();
+        });
+    };
+    await(7);
+    proto::StopReceipt message;
+    message.set_stop_id(kMe.id + ":7");
+    message.set_stage(proto::StopReceipt::MANAGER);
+    message.set_tasks_ended(1);
+    message.set_tasks_removed(2);
+    desk.onReceipt(uuid(3), message);
+    advance(1s);
+    EXPECT_EQ(answers, 0);
+    message.set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+    desk.onReceipt(uuid(3), message);
+    ASSERT_EQ(answers, 1);
+    EXPECT_TRUE(receipts.at(0).confirmed());
+    EXPECT_EQ(receipts.at(0).tasks_ended, 1);
+    EXPECT_EQ(receipts.at(0).tasks_removed, 2);
+
+    await(8);
+    desk.onReply(uuid(3), "somebody-else:8", {RefusalCode::WrongState, "not mine", {}});
+    desk.onReply(uuid(3), kMe.id + ":9", {RefusalCode::WrongState, "not this one", {}});
+    EXPECT_EQ(answers, 1);
+    desk.onReply(uuid(3), kMe.id + ":8", {RefusalCode::WrongState, "it takes part in a collaboration", {}});
+    ASSERT_EQ(answers, 2);
+    EXPECT_EQ(refusal.code, RefusalCode::WrongState);
+
+    await(10);
+    desk.withdraw(10);
+    desk.onDisconnected();
+    desk.onConnected(kMe);
+    await(11);
+    advance(5s);
+    ASSERT_EQ(answers, 3);
+    EXPECT_FALSE(receipts.at(0).confirmed());
+    EXPECT_THAT(link.sent, IsEmpty());
+    EXPECT_EQ(desk.openOrders(), 0U);
+}
+
 }  // namespace
 }  // namespace axon::client::test

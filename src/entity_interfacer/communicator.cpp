@@ -93,7 +93,9 @@ std::shared_ptr<const Clock> clockOfProcess() {
 }  // namespace
 
 Communicator::Communicator(EntityInterfacer::Options options)
-    : options_(std::move(options)), clock_(options_.clock ? options_.clock : clockOfProcess()) {
+    : options_(std::move(options)),
+      clock_(options_.clock ? options_.clock : clockOfProcess()),
+      reports_standstill_(options_.reports_standstill) {
     if (options_.application.empty() || options_.application.size() > kNameMax ||
         options_.instance.size() > kNameMax || validUtf8(options_.application) != options_.application ||
         validUtf8(options_.instance) != options_.instance)
@@ -457,10 +459,12 @@ void Communicator::acknowledge(Link& link, std::uint32_t generation) {
     proto::EiToEm message;
     message.mutable_stop_done()->set_stop_generation(generation);
     message.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+    message.mutable_stop_done()->set_standstill_follows(reports_standstill_);
     link.sendSignal(message);
 }
 
 void Communicator::standstill() {
+    reports_standstill_ = true;
     const auto link = currentLink();
     if (!link || stop_failed_) return;
     proto::EiToEm message;
@@ -519,7 +523,8 @@ void Communicator::watchThread() {
         if (watched_ && next_beat_ <= now()) beat();
         if (watched_) checkSilence();
     }
-    if (watched_) watched_->cut("the robot application shuts down");
+    // The stop thread has ended: what it has settled stays so.
+    if (watched_) watched_->cut("the robot application shuts down", level_.settled());
     pending_.clear();
     listener_.reset();
     this_thread_of = nullptr;

@@ -28,6 +28,7 @@ class EiToEm;
 class EmToEi;
 class Hello;
 class LinkBeat;
+class NotSent;
 class Refusal;
 class StopSignal;
 class TaskDispatch;
@@ -64,6 +65,7 @@ class Communicator {
         std::function<void(const StopSignal&)> stop;
         std::function<void()> link_up;
         std::function<void(const std::string&)> link_down;
+        std::function<void(const std::string&, const std::string&)> not_sent;
     };
 
     explicit Communicator(EntityInterfacer::Options options);
@@ -141,6 +143,7 @@ class Communicator {
     void onData(const std::shared_ptr<Link>& link, const proto::EmToEi& message);
     /// Of every value that a client gives, by itself or with a task.
     Decision decideParameter(const std::string& service, const Parameter& parameter) const;
+    void onNotSent(const proto::NotSent& refused);
     void onTask(const std::shared_ptr<Link>& link, const proto::TaskDispatch& dispatch);
     void runTask(const std::shared_ptr<Task::Running>& task, const EntityInterfacer::TaskHandler& handler);
     void adoptDataLink(const std::shared_ptr<Link>& link);
@@ -174,6 +177,7 @@ class Communicator {
     // Constant after start()
     EntityInterfacer::Options options_;
     std::shared_ptr<const Clock> clock_;
+    std::atomic<bool> reports_standstill_;
     PortRange ports_;
     std::string address_;
     Callbacks callbacks_;
@@ -218,6 +222,8 @@ class Communicator {
 
     // Data thread
     std::deque<std::string> recent_tasks_;
+    std::string last_not_sent_;
+    TimePoint tell_not_sent_{};
     TimePoint next_profile_look_{};
 
     mutable std::mutex link_mutex_;

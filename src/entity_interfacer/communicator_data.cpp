@@ -23,6 +23,7 @@ constexpr std::size_t kTasksMax = 64;
 constexpr std::size_t kRecentMax = 256;
 constexpr std::size_t kStreamsMax = 4096;
 constexpr auto kProfileLook = 1s;
+constexpr auto kNotSentAgain = 10s;
 
 std::optional<std::string> readFile(const std::filesystem::path& file) {
     std::ifstream in(file, std::ios::binary);
@@ -281,6 +282,18 @@ void Communicator::readData(const std::shared_ptr<Link>& link) {
     if (link->data_reader.failed()) link->cut("data connection: " + link->data_reader.error());
 }
 
+/// A stream of refusals is one line.
+void Communicator::onNotSent(const proto::NotSent& refused) {
+    const auto what = refused.to() + ": " + refused.reason().message();
+    if (what != last_not_sent_ || now() >= tell_not_sent_) {
+        log(LogLevel::Warning, "raw data was not sent to " + what);
+        last_not_sent_ = what;
+        tell_not_sent_ = now() + kNotSentAgain;
+    }
+    if (callbacks_.not_sent)
+        guarded("onNotSent", [&] { callbacks_.not_sent(refused.to(), refused.reason().message()); });
+}
+
 void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi& message) {
     const auto respond = [&](std::uint64_t request, RefusalCode code, const std::string& reason) {
         proto::EiToEm reply;
@@ -360,6 +373,8 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
                 channel->wanted = all_streams_ || wanted_streams_.contains(name);
             return;
         }
+        case proto::EmToEi::kNotSent:
+            return onNotSent(message.not_sent());
         case proto::EmToEi::kProfileError: {
             const auto& said = message.profile_error();
             if (said.code() == proto::OK) return log(LogLevel::Info, said.message());

@@ -148,6 +148,9 @@ void EntityInterfacer::onRaw(
     std::function<void(const std::vector<std::string>&, const std::string&)> callback) {
     communicator_->settableCallbacks().raw = std::move(callback);
 }
+void EntityInterfacer::onNotSent(std::function<void(const std::string&, const std::string&)> callback) {
+    communicator_->settableCallbacks().not_sent = std::move(callback);
+}
 void EntityInterfacer::onStop(std::function<void(const StopSignal&)> callback) {
     communicator_->settableCallbacks().stop = std::move(callback);
 }

@@ -38,12 +38,13 @@ void Link::condemn(const std::string& reason) {
     lost_.store(true, std::memory_order_release);
 }
 
-void Link::cut(const std::string& reason) {
+void Link::cut(const std::string& reason, bool stopped) {
     condemn(reason);
     if (!closed_.exchange(true, std::memory_order_acq_rel)) {
         // Best effort: it is lost where the other side has gone or the socket is full.
         proto::EiToEm last;
         last.mutable_end()->set_reason(this->reason());
+        last.mutable_end()->set_stopped(stopped);
         std::string frame;
         if (appendFrame(frame, last.SerializeAsString()))
             static_cast<void>(::send(signal_.get(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL));

@@ -48,8 +48,9 @@ class Link {
     /// the cut, which must follow.
     void condemn(const std::string& reason);
     /// Tells the manager the reason, where the socket takes it, and ends both connections; the stop thread
-    /// sees it as end of file. The first reason counts.
-    void cut(const std::string& reason);
+    /// sees it as end of file. The first reason counts. `stopped`: the program ends in order, and its stop
+    /// callback has returned.
+    void cut(const std::string& reason, bool stopped = false);
     std::string reason() const;
     bool lost() const { return lost_.load(std::memory_order_acquire); }
 

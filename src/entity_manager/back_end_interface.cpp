@@ -143,7 +143,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                 return true;
             }
             asio::post(strand_, [self = shared_from_this(), peer] {
-                self->lost(peer, "the robot application does not read: the queue to it is full");
+                self->lost(peer, "the robot application does not read: the queue to it is full",
+                           LinkEnd::Silent);
             });
             return true;
         }
@@ -209,6 +210,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         bool signal_ended = false,
              data_ended = false;  // after one of them last words on the other are awaited
         std::string parting;      // why the application ends the link, in its own words
+        bool stopped = false;     // it ends in order: its stop callback has returned
 
         bool ending() const { return signal_ended || data_ended; }
     };
@@ -480,8 +482,9 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
     void closed(const std::shared_ptr<Peer>& peer) {
-        lost(peer, peer->parting.empty() ? "the robot application has closed the link"
-                                         : "the robot application has ended the link: " + peer->parting);
+        if (peer->parting.empty() && !peer->stopped) return lost(peer, "the robot application has closed the link", LinkEnd::Closed);
+        lost(peer, "the robot application has ended the link: " + peer->parting,
+             peer->stopped ? LinkEnd::GoodBye : LinkEnd::Closed);
     }
 
     void readData(const std::shared_ptr<Peer>& peer) {
@@ -504,7 +507,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
             const bool is_signal = message.has_beat() || message.has_stop_done() || message.has_end();
             if (!parsed || message.has_welcome() ||
                 (is_signal != signal && message.body_case() != proto::EiToEm::BODY_NOT_SET)) {
-                lost(peer, "the robot application has sent a malformed message");
+                lost(peer, "the robot application has sent a malformed message", LinkEnd::Closed);
                 return false;
             }
             if (message.has_beat()) {
@@ -514,13 +517,14 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                          std::chrono::milliseconds{message.beat().allowed_ms()}};
             } else if (message.has_end()) {
                 peer->parting = message.end().reason().substr(0, kPartingMax);
+                peer->stopped = message.end().stopped();
             } else if (message.body_case() != proto::EiToEm::BODY_NOT_SET) {
                 events_.onLinkMessage(message);
             }
         }
         if (peer_ != peer) return false;
         if (!reader.failed()) return true;
-        lost(peer, "the robot application has sent a malformed frame: " + reader.error());
+        lost(peer, "the robot application has sent a malformed frame: " + reader.error(), LinkEnd::Closed);
         return false;
     }
 
@@ -588,7 +592,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                     // It was this process that hung, and the application has said so.
                     if (!peer->parting.empty()) return self->closed(peer);
                     self->lost(peer,
-                               "the robot application has been silent for " + std::to_string(ms) + " ms");
+                               "the robot application has been silent for " + std::to_string(ms) + " ms",
+                               LinkEnd::Silent);
                 });
                 return;
             }
@@ -622,12 +627,12 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         beat_timer_.cancel();
     }
 
-    void lost(const std::shared_ptr<Peer>& peer, const std::string& reason) {
+    void lost(const std::shared_ptr<Peer>& peer, const std::string& reason, LinkEnd end) {
         if (closed_ || peer_ != peer) return;
         dropPeer();
         search_.begin(now());
         lookIn(kFirstBackoff);
-        events_.onLinkDown(reason);
+        events_.onLinkDown(reason, end);
     }
 
     // Constant after construction

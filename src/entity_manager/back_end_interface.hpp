@@ -35,7 +35,7 @@ class BackEndEvents {
   public:
     virtual ~BackEndEvents() = default;
     virtual void onLinkUp() = 0;
-    virtual void onLinkDown(const std::string& reason) = 0;
+    virtual void onLinkDown(const std::string& reason, LinkEnd end) = 0;
     /// Everything but Welcome and beats, from both lanes.
     virtual void onLinkMessage(const proto::EiToEm& message) = 0;
     /// For the operator: our application is there and does not want us (ALREADY_HELD, NOT_SUPPORTED), or a

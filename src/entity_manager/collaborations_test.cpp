@@ -328,6 +328,7 @@ TEST(Collaboration, ARunIsBegunOnceHoweverOftenItIsAskedFor) {
     fleet.rig(0).restart();
     fleet.rig(0).makeIdle();
     fleet.rig(0).take("client1", "r2", std::string(16, 'o'));
+    fleet.rig(0).rearm("client1", "again");
     fleet.launch(request, 0);
     EXPECT_EQ(fleet.told.refused.code, RefusalCode::Duplicate);
 }
@@ -662,6 +663,8 @@ TEST(Collaboration, ALostMasterIsMissedByEverySlave) {
         EXPECT_FALSE(fleet.moves(1));
         EXPECT_EQ(fleet.state(1), EntityState::REG);
         EXPECT_EQ(fleet.state(2), EntityState::REG);
+        EXPECT_TRUE(fleet.rig(1).core().latched());
+        EXPECT_TRUE(fleet.rig(2).core().latched());
         if (!frozen) {
             EXPECT_FALSE(fleet.moves(0));  // the master misses them as well
             EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
@@ -737,6 +740,7 @@ TEST(Collaboration, AnEndThatNeverArrivesIsMissedAndALostStopIsSaidAgain) {
     fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0);
     fleet.advance(6s);
     expectAllAtRest(fleet);
+    fleet.rig(1).rearm("client1", "again");  // it has missed its master
     fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
     Late stop(fleet, [](const auto& message) { return message.from_master().end().stop(); });
     fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 0, "next");
@@ -983,8 +987,18 @@ TEST(Collaboration, RawDataGoesFromRobotToRobotOfARunAlone) {
             return message.has_raw() && message.raw().data(0) == "scan" && message.raw().from() == "Robot 0";
         });
     };
+    const auto refusal = [&] {
+        const auto& sent = fleet.rig(0).to_application;
+        return !sent.empty() && sent.back().has_not_sent() ? sent.back().not_sent().reason().code()
+                                                           : proto::OK;
+    };
     fleet.rig(0).fromApplication(raw);
-    fleet.advance(10ms);
+    EXPECT_EQ(refusal(), proto::WRONG_STATE) << "there is no run";
+    EXPECT_EQ(fleet.rig(0).to_application.back().not_sent().to(), "Robot 1");
+    const auto told = fleet.rig(0).to_application.size();
+    for (int i = 0; i < 100; ++i) fleet.rig(0).fromApplication(raw);
+    EXPECT_EQ(fleet.rig(0).to_application.size(), told) << "a stream is not answered with a stream";
+    fleet.advance(300ms);
     EXPECT_EQ(arrived(1), 0);
     fleet.launch(globalService({"0 Turning 1", "1 Turning 1"}), 1);
     fleet.advance(10ms);
@@ -992,10 +1006,28 @@ TEST(Collaboration, RawDataGoesFromRobotToRobotOfARunAlone) {
     fleet.advance(10ms);
     EXPECT_EQ(arrived(1), 1);
     EXPECT_EQ(arrived(2), 0);
+    auto astray = raw;
+    astray.mutable_raw()->set_to("Robot 2");
+    fleet.rig(0).fromApplication(astray);
+    EXPECT_EQ(refusal(), proto::UNKNOWN_ENTITY) << "it takes no part";
     fleet.stop(1);
     fleet.rig(0).fromApplication(raw);
     fleet.advance(10ms);
     EXPECT_EQ(arrived(1), 1);
+}
+
+TEST(Collaboration, AResetOfAParticipantThatRunsNoStepIsRefusedWithWhatToDo) {
+    Fleet fleet(2);
+    fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 10s}; };
+    fleet.launch(globalService({"0 Turning 1", "1 Turning 2"}), 0);
+    fleet.advance(100ms);
+    ASSERT_EQ(fleet.state(1), EntityState::SLAVE);
+    fleet.rig(1).reset("client1");
+    const auto& told = fleet.rig(1).to_clients.back();
+    EXPECT_EQ(told.lane, Lane::Signal);
+    EXPECT_EQ(told.message.reply().refusal().code(), proto::WRONG_STATE);
+    EXPECT_NE(told.message.reply().refusal().message().find("Cancel the run"), std::string::npos);
+    EXPECT_EQ(fleet.state(1), EntityState::SLAVE);
 }
 
 }  // namespace

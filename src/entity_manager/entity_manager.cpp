@@ -279,9 +279,9 @@ void EntityManager::onLinkUp() {
     afterEvents();
 }
 
-void EntityManager::onLinkDown(const std::string& reason) {
+void EntityManager::onLinkDown(const std::string& reason, LinkEnd end) {
     spdlog::warn("{}: the link to the robot application is down: {}", name_, reason);
-    core_->onLinkDown(reason);
+    core_->onLinkDown(reason, end);
     afterEvents();
 }
 

@@ -99,7 +99,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
 
     // BackEndEvents, on the strand.
     void onLinkUp() override;
-    void onLinkDown(const std::string& reason) override;
+    void onLinkDown(const std::string& reason, LinkEnd end) override;
     void onLinkMessage(const proto::EiToEm& message) override;
     void onLinkRefused(const Refusal& refusal) override;
     void onLinkSought(const SearchReport& report) override;

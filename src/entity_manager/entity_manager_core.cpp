@@ -24,8 +24,8 @@ void EntityManagerCore::onApplicationSought(const std::string& finding) {
 void EntityManagerCore::onLinkUp() {
     machine_->onLinkUp();
 }
-void EntityManagerCore::onLinkDown(const std::string& reason) {
-    machine_->onLinkDown(reason);
+void EntityManagerCore::onLinkDown(const std::string& reason, LinkEnd end) {
+    machine_->onLinkDown(reason, end);
 }
 void EntityManagerCore::onLinkMessage(const proto::EiToEm& message) {
     auto copy = message;

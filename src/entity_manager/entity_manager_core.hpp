@@ -75,7 +75,7 @@ class EntityManagerCore {
     void onLinkUp();
     /// It has been looked for in vain: what was found instead, for whoever asks why the entity is UNAV.
     void onApplicationSought(const std::string& finding);
-    void onLinkDown(const std::string& reason);
+    void onLinkDown(const std::string& reason, LinkEnd end = LinkEnd::Closed);
     void onLinkMessage(const proto::EiToEm& message);
     /// The same without a copy of bulk data; the message is left in some valid state.
     void onLinkMessage(proto::EiToEm&& message);

@@ -18,8 +18,8 @@ namespace {
 
 constexpr Duration kPositionPeriod = std::chrono::milliseconds{200};
 constexpr Duration kRestUntold = std::chrono::milliseconds{20};
-constexpr Duration kRawRefusalPeriod = std::chrono::milliseconds{200};
-constexpr std::size_t kOpenStops = 16;
+constexpr std::size_t kOpenStops = 32;  // as many as StopGate knows
+constexpr Duration kComesToRest = std::chrono::seconds{10};
 constexpr std::size_t kOpenDrills = 64;
 constexpr std::size_t kActiveTold = 1024;
 constexpr std::size_t kStreamName = 255;
@@ -28,6 +28,8 @@ constexpr const char* kGenerationKey = "stop_generation";
 /// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
 /// deleted on a full disk, and what is in doubt is latched.
 constexpr const char* kRearmedKey = "rearmed";
+/// There from the first link until the application has said good-bye.
+constexpr const char* kLinkedKey = "application_linked";
 constexpr std::size_t kReasonMax = 2000;
 
 const Refusal kTooLargeForLink{RefusalCode::TooLarge,
@@ -154,6 +156,11 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     };
     registration_.heartbeat_busy_ms = fifth(settings_.server_watchdog_busy);
     registration_.heartbeat_idle_ms = fifth(settings_.server_watchdog_idle);
+    link_kept_ = storage.load(kLinkedKey).has_value();
+    if (link_kept_)
+        application_lost_ = {proto::StopReceipt::GONE,
+                             "it was linked with an Entity Manager that ended, and has not linked since",
+                             clock.now()};
     if (!AXON_PLANTED(GenerationsNotReserved))
         storage.save(kGenerationKey, std::to_string(generation_ + kGenerationsReserved));
     reserved_ = generation_ + kGenerationsReserved;
@@ -168,13 +175,25 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
 /// Of what earlier lives dispatched: it is not dispatched again, and what has no end there has none any more.
 void EntityManagerCore::Machine::replayJournal() {
     if (journal_ == nullptr || AXON_PLANTED(JournalNotRead)) return;
-    journal_->replay([this](const JournalRecord& record) {
+    bool held = false;
+    journal_->replay([this, &held](const JournalRecord& record) {
+        if (record.kind == JournalRecord::Kind::Granted || record.kind == JournalRecord::Kind::Resumed ||
+            record.kind == JournalRecord::Kind::Dispatched)
+            held = true;
+        if (record.kind == JournalRecord::Kind::LeaseEnded || record.kind == JournalRecord::Kind::Started)
+            held = false;
         if (record.kind == JournalRecord::Kind::Dispatched) memory_.dispatched(record.task);
         if (record.kind != JournalRecord::Kind::TaskEnded) return;
         auto state = proto::TASK_UNKNOWN;  // of a later version, perhaps
         proto::TaskState_Parse(record.code, &state);
         memory_.ended(record.task, state);
     });
+    // The last life was broken off while somebody held the robot, which has stopped by itself: a loss like
+    // the others.
+    if (held && !AXON_PLANTED(LatchForgotten)) {
+        latched_ = true;
+        keepLatch();
+    }
     note({.kind = JournalRecord::Kind::Started, .lease = lease_.last(), .text = "entity " + uuid_});
     for (const auto& id : memory_.unfinished()) {
         memory_.ended(id, proto::TASK_UNKNOWN);
@@ -322,6 +341,9 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             basic_.reset();
             services_.reset();
             profiles_due_ = clock_.now() + settings_.profiles_within;
+            break;
+        case Action::DeliverStops:
+            deliverStops();
             break;
         case Action::ConsiderProfiles:
             considerProfiles();
@@ -485,9 +507,12 @@ void EntityManagerCore::Machine::onApplicationSought(const std::string& finding)
 
 void EntityManagerCore::Machine::onLinkUp() {
     if (quit_) return;
-    if (link_up_) onLinkDown("the robot application has connected anew");
+    if (link_up_) onLinkDown("the robot application has connected again", LinkEnd::Closed);
     link_up_ = true;
     sought_.clear();
+    came_back_ = application_lost_.has_value();
+    application_lost_.reset();
+    if (!std::exchange(link_kept_, true)) storage_.keep(kLinkedKey, "1");
     // It has stopped by itself when its last link ended: before all stops so far, those on their way here included.
     link_generation_ = commanded_ = confirmed_ = stop_gate_.generation();
     link_drill_ = stop_gate_.drills();
@@ -500,33 +525,67 @@ void EntityManagerCore::Machine::onLinkUp() {
     settle();
 }
 
-void EntityManagerCore::Machine::onLinkDown(const std::string& reason) {
+void EntityManagerCore::Machine::onLinkDown(const std::string& reason, LinkEnd end) {
     if (quit_) return;
-    link_up_ = false;
+    linkEnded(reason, end);
     sought_.clear();
     profiles_due_.reset();
     kept_profiles_.clear();  // the next link begins with what the application has then
     located_.reset();
     reason_ = "the link to the robot application is down: " + reason;
-    Incident incident{Event::LinkDown};
+    Incident incident{end == LinkEnd::GoodBye ? Event::LinkEnded : Event::LinkDown};
     incident.cause = StopCause::LinkLost;
     incident.reason = {RefusalCode::Unavailable, "The link to the robot application was lost: " + reason, {}};
     lingering_.clear();
     application_busy_ = false;
-    for (auto* all : {&open_stops_, &open_drills_}) {
-        for (auto& open : *all) {
-            open.receipt.set_stage(proto::StopReceipt::NO_APPLICATION);
-            proto::ToClient message;
-            *message.mutable_receipt() = open.receipt;
-            message.mutable_receipt()->set_at_us(toMicroseconds(clock_.now()));
-            for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
-        }
-        all->clear();
+    for (auto& open : open_drills_) {
+        describeAbsence(open.receipt);
+        tellStage(open);
     }
+    open_drills_.clear();
     early_done_.clear();
     early_drills_.clear();
     fire(incident);
     settle();
+}
+
+/// What is known of the robot from now on, and what becomes of the stops that wait for its application.
+void EntityManagerCore::Machine::linkEnded(const std::string& reason, LinkEnd end) {
+    if (std::exchange(link_up_, false)) {
+        came_back_ = false;
+        if (end == LinkEnd::GoodBye) {
+            application_lost_.reset();
+            if (std::exchange(link_kept_, false)) storage_.forget(kLinkedKey);
+        } else {
+            application_lost_ = {
+                end == LinkEnd::Silent ? proto::StopReceipt::SILENT : proto::StopReceipt::GONE, reason,
+                clock_.now()};
+        }
+    }
+    for (auto& open : open_stops_) {
+        if (open.over()) continue;
+        auto& receipt = open.receipt;
+        if (receipt.stage() == proto::StopReceipt::CALLBACK_RETURNED) {
+            if (!receipt.standstill_follows()) continue;
+            receipt.set_standstill_follows(false);
+        } else if (!application_lost_) {
+            describeAbsence(receipt);
+        }
+        tellStage(open);
+    }
+}
+
+/// What was ordered while the application was lost is given to it now that it is back: it has stopped by
+/// itself when its link ended, but another process may be in its place.
+void EntityManagerCore::Machine::deliverStops() {
+    const bool owed = std::any_of(open_stops_.begin(), open_stops_.end(), [](const OpenStop& open) {
+        return open.receipt.stage() < proto::StopReceipt::CALLBACK_RETURNED;
+    });
+    if (!owed) return;
+    Incident again{Event::LinkUp};
+    again.cause = StopCause::LinkLost;
+    again.reason = {RefusalCode::Stopped, "It was stopped while its application was lost.", {}};
+    stopApplication(again);
 }
 
 void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
@@ -615,6 +674,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             sendSample(*message.mutable_sample());
             break;
         case proto::EiToEm::kWelcome:
+        case proto::EiToEm::kGoodBye:
             break;  // the link's own business
         case proto::EiToEm::BODY_NOT_SET:
             ++counters_.malformed;
@@ -942,12 +1002,10 @@ void EntityManagerCore::Machine::onDrill(const Header& head, std::uint32_t numbe
     if (holder() != nullptr && holder()->id != head.sender.id && !open.of_server)
         open.to.push_back(*holder());
 
-    proto::ToClient message;
-    *message.mutable_receipt() = open.receipt;
-    for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+    tellReceipt(open, open.receipt);
     if (!link_up_ || number <= link_drill_) {
-        message.mutable_receipt()->set_stage(proto::StopReceipt::NO_APPLICATION);
-        for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+        describeAbsence(open.receipt);
+        tellStage(open);
         return;
     }
     if (open_drills_.size() == kOpenDrills) open_drills_.pop_front();
@@ -967,14 +1025,10 @@ void EntityManagerCore::Machine::drillDone(std::uint32_t number) {
     const auto found = std::find_if(open_drills_.begin(), open_drills_.end(),
                                     [&](const OpenStop& open) { return open.drill == number; });
     if (found == open_drills_.end()) return;
-    const auto open = std::move(*found);
+    auto open = std::move(*found);
     open_drills_.erase(found);
-    proto::ToClient message;
-    auto& receipt = *message.mutable_receipt() = open.receipt;
-    receipt.set_stage(proto::StopReceipt::CALLBACK_RETURNED);
-    receipt.set_at_us(toMicroseconds(clock_.now()));
-    receipt.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
-    for (const auto& to : open.to) tell(to, open.of_server ? kMsgDrill : kMsgReceipt, message, Lane::Signal);
+    open.receipt.set_stage(proto::StopReceipt::CALLBACK_RETURNED);
+    tellStage(open);
 }
 
 void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
@@ -985,15 +1039,12 @@ void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
 
 void EntityManagerCore::Machine::onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation) {
     if (quit_) return;
-    proto::ToClient message;
-    auto& receipt = *message.mutable_receipt();
-    receipt = receiptOf(head, cause, generation);
+    OpenStop asked;
+    asked.receipt = receiptOf(head, cause, generation);
     for (const auto& open : open_stops_)
-        if (open.receipt.stop_id() == receipt.stop_id()) {
-            receipt.set_stage(open.receipt.stage());
-            receipt.set_fault(open.receipt.fault());
-        }
-    tell(head.sender, kMsgReceipt, message, Lane::Signal);
+        if (open.receipt.stop_id() == asked.receipt.stop_id()) asked = open;
+    asked.to = {head.sender};
+    tellStage(asked);
 }
 
 proto::StopReceipt EntityManagerCore::Machine::receiptOf(const Header& head, StopCause cause,
@@ -1004,9 +1055,44 @@ proto::StopReceipt EntityManagerCore::Machine::receiptOf(const Header& head, Sto
     receipt.set_stop_generation(generation);
     receipt.set_by(named(head.sender));
     receipt.set_stage(proto::StopReceipt::MANAGER);
-    receipt.set_at_us(toMicroseconds(clock_.now()));
-    receipt.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
     return receipt;
+}
+
+void EntityManagerCore::Machine::tellStage(const OpenStop& open) {
+    auto receipt = open.receipt;
+    // The order stays open: an application that comes back is given it.
+    if (receipt.stage() == proto::StopReceipt::MANAGER && application_lost_) describeAbsence(receipt);
+    tellReceipt(open, std::move(receipt));
+}
+
+void EntityManagerCore::Machine::tellReceipt(const OpenStop& open, proto::StopReceipt receipt) {
+    const bool answered = open.of_server && receipt.stage() == proto::StopReceipt::CALLBACK_RETURNED;
+    proto::ToClient message;
+    message.mutable_receipt()->Swap(&receipt);
+    message.mutable_receipt()->set_at_us(toMicroseconds(clock_.now()));
+    message.mutable_receipt()->set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
+    for (const auto& to : open.to) tell(to, answered ? kMsgDrill : kMsgReceipt, message, Lane::Signal);
+}
+
+void EntityManagerCore::Machine::describeAbsence(proto::StopReceipt& receipt) const {
+    receipt.set_stage(proto::StopReceipt::NO_APPLICATION);
+    if (!application_lost_) {
+        receipt.set_absence(proto::StopReceipt::NONE);
+        return;
+    }
+    const auto& lost = *application_lost_;
+    receipt.set_absence(lost.how);
+    receipt.set_absence_reason(std::string(cutUtf8(lost.reason, kReasonMax)));
+    receipt.set_absent_for_ms(static_cast<std::uint64_t>(
+        std::chrono::duration_cast<std::chrono::milliseconds>(clock_.now() - lost.since).count()));
+}
+
+/// Whether the robot moves, or has been told to stop and has not come to rest yet.
+bool EntityManagerCore::Machine::moving() const {
+    const auto now = clock_.now();
+    return busy_told_ || std::any_of(open_stops_.begin(), open_stops_.end(), [now](const OpenStop& open) {
+               return open.moving && !open.over() && now < open.at + kComesToRest;
+           });
 }
 
 void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
@@ -1015,17 +1101,23 @@ void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
     receipt = receiptOf(*incident.head, incident.cause, incident.generation);
     if (!incident.head->sender.id.empty()) open.to.push_back(incident.head->sender);
     if (holder() != nullptr && holder()->id != incident.head->sender.id) open.to.push_back(*holder());
+    open.at = clock_.now();
+    open.moving = moving();
+    if (incident.event == Event::Reset || incident.event == Event::Clear) {
+        receipt.set_tasks_ended(static_cast<std::uint32_t>(active_.size()));
+        if (incident.event == Event::Clear)
+            receipt.set_tasks_removed(static_cast<std::uint32_t>(queue_.waiting().size()));
+    }
 
-    proto::ToClient message;
-    *message.mutable_receipt() = receipt;
-    for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
-    if (!link_up_ || incident.generation <= link_generation_) {  // at the time of the stop there was none
-        message.mutable_receipt()->set_stage(proto::StopReceipt::NO_APPLICATION);
-        for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
-        return;
+    tellReceipt(open, receipt);
+    const bool before_link = incident.generation <= link_generation_;  // and so never sent to it
+    if (!link_up_ || (before_link && !came_back_)) {
+        if (!application_lost_) describeAbsence(receipt);
+        tellStage(open);
     }
     if (open_stops_.size() == kOpenStops) open_stops_.pop_front();
     open_stops_.push_back(std::move(open));
+    if (link_up_ && before_link && came_back_) deliverStops();
 }
 
 void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
@@ -1039,8 +1131,6 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
         if (early_done_.size() < kOpenStops) early_done_.push_back(done);
         return;
     }
-    proto::ToClient message;
-    const auto now = toMicroseconds(clock_.now());
     if (!done.fault().empty()) {
         const auto fault = std::string(cutUtf8(done.fault(), kReasonMax));
         warning_ = "the stop callback of the robot application threw, and is called again: " + fault;
@@ -1049,25 +1139,23 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
                 open.receipt.stage() >= proto::StopReceipt::CALLBACK_RETURNED)
                 continue;
             open.receipt.set_fault(fault);
-            *message.mutable_receipt() = open.receipt;
-            message.mutable_receipt()->set_at_us(now);
-            for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+            tellStage(open);
         }
         return;
     }
     for (auto& open : open_stops_) {
         // The Entity Interfacer answers the newest of several stops for all of them.
-        if (open.receipt.stop_generation() > done.stop_generation() || open.receipt.stage() >= done.stage())
+        if (open.over() || open.receipt.stop_generation() > done.stop_generation() ||
+            open.receipt.stage() >= done.stage())
             continue;
+        if (done.stage() == proto::StopReceipt::STANDSTILL && clock_.now() >= open.at + kComesToRest)
+            continue;  // it tells nobody anything of a stop so long ago
         open.receipt.set_stage(done.stage());
         open.receipt.clear_fault();
-        *message.mutable_receipt() = open.receipt;
-        message.mutable_receipt()->set_at_us(now);
-        message.mutable_receipt()->set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
-        for (const auto& to : open.to) tell(to, kMsgReceipt, message, Lane::Signal);
+        open.receipt.set_standstill_follows(done.stage() == proto::StopReceipt::CALLBACK_RETURNED &&
+                                            done.standstill_follows() && open.moving);
+        tellStage(open);
     }
-    while (!open_stops_.empty() && open_stops_.front().receipt.stage() >= proto::StopReceipt::STANDSTILL)
-        open_stops_.pop_front();
     if (done.stage() >= proto::StopReceipt::CALLBACK_RETURNED) confirmStop(done.stop_generation());
 }
 
@@ -1406,6 +1494,8 @@ void EntityManagerCore::Machine::shutDown() {
     fire(incident);
     attendRun();
     if (busy_told_ && link_up_) back_end_.setBusy(false);
+    // An application that is heard stops its robot as this link ends.
+    if (link_up_ && std::exchange(link_kept_, false)) storage_.forget(kLinkedKey);
     keepLatch();
     quit_ = true;
 }

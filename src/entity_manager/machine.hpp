@@ -44,7 +44,7 @@ class EntityManagerCore::Machine {
     void start();
     void onLinkUp();
     void onApplicationSought(const std::string& finding);
-    void onLinkDown(const std::string& reason);
+    void onLinkDown(const std::string& reason, LinkEnd end);
     void onLinkMessage(proto::EiToEm& message);
     void onServerUp();
     void onServerDown(const std::string& reason);
@@ -113,12 +113,23 @@ class EntityManagerCore::Machine {
         int service;
         bool blocking;
     };
-    /// A stop whose later receipts are still to come.
+    /// A stop and how far it has come. Kept beyond its last stage, for whoever asks again because a receipt
+    /// was lost.
     struct OpenStop {
+        /// Nothing that is still to come changes what it says.
+        bool over() const { return receipt.stage() >= proto::StopReceipt::STANDSTILL; }
         proto::StopReceipt receipt;
         std::vector<Sender> to;
         std::uint32_t drill = 0;  ///< its number, where it is one
-        bool of_server = false;   ///< a drill of the entity server itself, which reads no payload
+        bool of_server = false;  ///< a drill of the entity server itself, which reads no payload
+        bool moving = false;     ///< the robot was, as far as is known, when the stop came
+        TimePoint at{};
+    };
+    /// A robot application that was linked and of which nobody knows whether it has stopped its robot.
+    struct LostApplication {
+        proto::StopReceipt::Absence how;
+        std::string reason;
+        TimePoint since;
     };
     /// A question to the robot application: a parameter or a resource.
     struct Question {
@@ -191,7 +202,14 @@ class EntityManagerCore::Machine {
     void stopDone(const proto::StopDone& done);
     void drillDone(std::uint32_t number);
     void confirmStop(std::uint32_t generation);
+    void deliverStops();
+    void linkEnded(const std::string& reason, LinkEnd end);
     proto::StopReceipt receiptOf(const Header& head, StopCause cause, std::uint32_t generation) const;
+    /// Its stage as it is now, to all who are told of it.
+    void tellStage(const OpenStop& open);
+    void tellReceipt(const OpenStop& open, proto::StopReceipt receipt);
+    void describeAbsence(proto::StopReceipt& receipt) const;
+    bool moving() const;
     /// Every stop that has been given is confirmed by the robot application, those on their way here
     /// included.
     bool standing() const {
@@ -319,6 +337,7 @@ class EntityManagerCore::Machine {
         Refusal reason;  ///< why it left; OK = the master has ended it
     };
     static constexpr std::size_t kPastRuns = 64;
+    static constexpr Duration kRawRefusalPeriod = std::chrono::milliseconds{200};
     /// An end that was sent and of which it is not known whether it has arrived: until then its participant hears
     /// from its master on the signal lane.
     struct Farewell {
@@ -360,6 +379,8 @@ class EntityManagerCore::Machine {
     void repeatFarewells();
     void sendToPeer(Lane lane, const std::string& entity, const char* type, const proto::ToEntity& message);
     void sendRawToPartner(proto::LinkRaw& raw);
+    /// What it has sent to another entity goes no further; a stream of them is told seldom.
+    void refuseToApplication(const std::string& to, const Refusal& refusal);
     const proto::Participant* partner(std::string_view name) const;
     bool controlRun(const Incident& incident);
     void loadRuns();
@@ -462,11 +483,14 @@ class EntityManagerCore::Machine {
     std::uint32_t commanded_ = 0;              ///< newest stop that the robot application must have been told
     std::uint32_t confirmed_ = 0;              ///< newest stop whose callback has returned
     std::uint32_t link_generation_ = 0;        ///< stops up to this one the application has never been sent
-    std::deque<OpenStop> open_stops_;
     std::deque<OpenStop> open_drills_;
     std::vector<std::uint32_t> early_drills_;  ///< answered above drill_
     std::uint32_t drill_ = 0;                  ///< newest drill that was heard of here
     std::uint32_t link_drill_ = 0;             ///< drills up to this one the application has never been sent
+    std::deque<OpenStop> open_stops_;          ///< the newest, oldest first
+    std::optional<LostApplication> application_lost_;
+    bool link_kept_ = false;  ///< as the storage has it: an application has linked, and has not said good-bye
+    bool came_back_ = false;  ///< the application that is linked now is one that was lost
 
     std::optional<collaboration::Collaboration> run_;  ///< of which this entity is the master
     std::optional<Membership> member_;                 ///< of the run in which it takes part
@@ -488,7 +512,7 @@ class EntityManagerCore::Machine {
     std::uint64_t next_question_ = 1;
     StreamWatches watches_;
     bool streams_off_ = false;  ///< the application has been told to send only what is watched by name
-    TimePoint raw_refused_{};
+    TimePoint raw_refused_{}, not_sent_told_{};
 
     /// The resets and clears that were taken last. Between servers each goes two ways, and the second one, late,
     /// would end the next task.

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "collaboration/sub_lease.hpp"
+#include "common/utf8.hpp"
 #include "entity_manager/machine.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -528,7 +529,7 @@ void EntityManagerCore::Machine::expireCollaboration() {
     if (!member_ || isMaster(*member_)) return;
     if (now >= masterLostAt()) {
         const auto silence = std::chrono::duration_cast<std::chrono::milliseconds>(now - member_->heard);
-        Incident incident{Event::CollaborationStopped};
+        Incident incident{Event::MasterLost};
         incident.cause = StopCause::ServerLost;
         incident.reason = {RefusalCode::TimedOut,
                            "The master " + inQuotes(member_->master.name) + " has been silent for " +
@@ -585,10 +586,30 @@ const proto::Participant* EntityManagerCore::Machine::partner(std::string_view n
     return found;
 }
 
+void EntityManagerCore::Machine::refuseToApplication(const std::string& to, const Refusal& refusal) {
+    if (clock_.now() < not_sent_told_ + kRawRefusalPeriod) return;
+    not_sent_told_ = clock_.now();
+    proto::EmToEi message;
+    message.mutable_not_sent()->set_to(std::string(cutUtf8(to, 255)));
+    *message.mutable_not_sent()->mutable_reason() = toProto(refusal);
+    back_end_.send(message);
+}
+
 void EntityManagerCore::Machine::sendRawToPartner(proto::LinkRaw& raw) {
     const auto* to = partner(raw.to());
     if (to == nullptr || !server_up_) {
         ++counters_.undelivered;
+        refuseToApplication(
+            raw.to(),
+            !server_up_ ? Refusal{RefusalCode::NotConnected, "There is no session with the server.", {}}
+            : !member_  ? Refusal{RefusalCode::WrongState,
+                                 "Robots talk to each other within a run of a global service, and this one "
+                                  "takes part in none. Send it from a task that is a step of a run.",
+                                 {}}
+                        : Refusal{RefusalCode::UnknownEntity,
+                                 "No other participant of this run is called so, by name (of which there "
+                                  "may be one only), UUID or role.",
+                                 {}});
         return;
     }
     proto::ToEntity message;

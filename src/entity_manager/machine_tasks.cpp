@@ -428,9 +428,10 @@ void EntityManagerCore::Machine::leaveService(const Task& task, bool clear) {
 }
 
 void EntityManagerCore::Machine::voidQueue(const Incident& incident) {
-    const auto state = incident.event == Event::Clear      ? proto::TASK_CANCELLED
-                       : incident.event == Event::LinkDown ? proto::TASK_REFUSED
-                                                           : proto::TASK_STOPPED;
+    const auto state = incident.event == Event::Clear ? proto::TASK_CANCELLED
+                       : incident.event == Event::LinkDown || incident.event == Event::LinkEnded
+                           ? proto::TASK_REFUSED
+                           : proto::TASK_STOPPED;
     auto reason = incident.reason;
     if (incident.event == Event::Clear) reason.code = RefusalCode::Cancelled;
     for (const auto& task : queue_.clear()) sendTask(task, state, reason);

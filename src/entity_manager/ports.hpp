@@ -30,6 +30,14 @@ struct HopMargin {
     LifeSigns::Gap gap;
 };
 
+/// How the link to the robot application has ended, which decides whether anybody can say that its robot was
+/// stopped.
+enum class LinkEnd : std::uint8_t {
+    GoodBye,  ///< its stop callback has returned, and it said so
+    Closed,   ///< by the application or its death, or because it sent nonsense: no word of its robot
+    Silent,   ///< nothing was closed and nothing came: it may live, and move its robot
+};
+
 // What EntityManagerCore needs from the world, each an interface that the daemon, the benchmark and a
 // simulation implement in their own way. The core calls them from its strand; none may call back into the
 // core before returning.

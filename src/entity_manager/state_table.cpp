@@ -38,6 +38,7 @@ class Rows {
 std::vector<Row> makeRows() {
     Rows rows;
     const auto linked = {S::INIT, S::ENVCONN, S::IDLE, S::REG, S::COLLAB, S::SLAVE, S::BUSY, S::ERR};
+    const auto linked_unheld = {S::INIT, S::ENVCONN, S::IDLE, S::ERR};
     const auto unready = {S::UNAV, S::INIT, S::ERR};
     const auto held = {S::REG, S::COLLAB, S::SLAVE, S::BUSY};
     const auto any = {S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::REG, S::COLLAB, S::SLAVE, S::BUSY, S::ERR};
@@ -49,13 +50,17 @@ std::vector<Row> makeRows() {
              {A::Latch, A::Acknowledge, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::TellStatus}, to(S::REG));
 
     // The link to the robot application. Its end ends everything but the session with the server; the Entity
-    // Interfacer stops the robot by itself.
-    rows.add({S::UNAV}, E::LinkUp, {A::AwaitProfiles, A::TellStatus}, to(S::INIT));
-    rows.add(linked, E::LinkDown,
-             {A::LeaveCollaboration, A::LoseTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads, A::DismissWaiting,
-              A::EndLease, A::TellStatus},
-             to(S::UNAV));
-    rows.add({S::UNAV}, E::LinkDown, {A::TellStatus}, kStay);
+    // Interfacer stops the robot by itself. An end that nobody wanted latches what somebody held (ADR 0022).
+    rows.add({S::UNAV}, E::LinkUp, {A::AwaitProfiles, A::DeliverStops, A::TellStatus}, to(S::INIT));
+    const std::vector<Action> unlinked{A::LeaveCollaboration, A::LoseTasks,      A::VoidQueue,
+                                       A::AbandonRequests,    A::SuspendUploads, A::DismissWaiting,
+                                       A::EndLease,           A::TellStatus};
+    auto broken = unlinked;
+    broken.insert(broken.begin(), A::Latch);
+    rows.add(held, E::LinkDown, broken, to(S::UNAV));
+    rows.add(linked_unheld, E::LinkDown, unlinked, to(S::UNAV));
+    rows.add(linked, E::LinkEnded, unlinked, to(S::UNAV));
+    for (const auto event : {E::LinkDown, E::LinkEnded}) rows.add({S::UNAV}, event, {A::TellStatus}, kStay);
 
     rows.add({S::INIT}, E::ProfileUploaded, {A::ConsiderProfiles}, kStay);
     rows.add({S::ERR, S::ENVCONN, S::IDLE}, E::ProfileUploaded,
@@ -71,10 +76,11 @@ std::vector<Row> makeRows() {
     rows.add(unready, E::ServerUp, {A::Register, A::TellStatus}, kStay);
     rows.add({S::IDLE}, E::ServerDown, {A::StopApplication, A::DismissWaiting, A::SeekServer, A::TellStatus},
              to(S::ENVCONN));
-    rows.add(held, E::ServerDown,
-             {A::StopApplication, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::AbandonRequests, A::SuspendUploads,
-              A::DismissWaiting, A::OrphanLease, A::SeekServer, A::TellStatus},
-             to(S::ENVCONN));
+    rows.add(
+        held, E::ServerDown,
+        {A::StopApplication, A::Latch, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::AbandonRequests,
+         A::SuspendUploads, A::DismissWaiting, A::OrphanLease, A::SeekServer, A::TellStatus},
+        to(S::ENVCONN));
     rows.add({S::UNAV, S::INIT, S::ENVCONN, S::ERR}, E::ServerDown, {A::SeekServer}, kStay);
 
     // Check-out, its end, and the loss of a client.
@@ -136,6 +142,10 @@ std::vector<Row> makeRows() {
     // Anyone, always.
     rows.add(any, E::Status, {A::AnswerStatus}, kStay);
     rows.add(any, E::Watch, {A::NoteWatch}, kStay);
+
+    // A master that is gone is a loss like that of a client; its own word is an order.
+    rows.add({S::SLAVE, S::BUSY}, E::MasterLost,
+             {A::StopApplication, A::Latch, A::EndTasks, A::VoidQueue, A::TellStatus}, to(S::REG));
 
     // Collaboration. While it runs, BUSY is on the way back to COLLAB or SLAVE.
     rows.add({S::REG}, E::CollaborativeTask, {A::ConsiderRun}, kStay);
@@ -251,6 +261,12 @@ Refusal refusalFor(EntityState state, Event event, const std::string& reason) {
             return {RefusalCode::NotHolder, cannot + ": nobody has checked it out. Check it out first.", {}};
         case S::COLLAB:
         case S::SLAVE:
+            if (event == E::Reset)
+                return {RefusalCode::WrongState,
+                        cannot +
+                            ": it takes part in a collaboration, and none of its tasks runs. Cancel the "
+                            "run, or clear the entity, which takes it out.",
+                        {}};
             return {RefusalCode::WrongState,
                     cannot + ": it takes part in a collaboration. Wait for its end, or stop it.",
                     {}};
@@ -319,6 +335,7 @@ bool isRequest(Event event) {
 const char* toString(Event event) {
     static constexpr std::array<const char*, kEvents> kNames{"LinkUp",
                                                              "LinkDown",
+                                                             "LinkEnded",
                                                              "ProfileUploaded",
                                                              "KeptProfileTaken",
                                                              "ProfilesGood",
@@ -362,21 +379,53 @@ const char* toString(Event event) {
                                                              "CollaborationJoined",
                                                              "CollaborationEnded",
                                                              "CollaborationStopped",
+                                                             "MasterLost",
                                                              "RunHistory",
                                                              "Quit"};
     return kNames[static_cast<std::size_t>(event)];
 }
 
 const char* toString(Action action) {
-    static constexpr std::array kNames{
-        "AwaitProfiles",   "ConsiderProfiles", "ReportProfiles", "SeekServer",      "Register",
-        "LeaveServer",     "ConsiderCheckOut", "SendGrant",      "StopApplication", "Latch",
-        "Unlatch",         "Acknowledge",      "VoidQueue",      "EndTasks",        "LoseTasks",
-        "SpareTasks",      "HaltTasks",        "DispatchNext",   "CancelTask",      "PauseTask",
-        "ResumeTask",      "AdmitTask",        "AskParameter",   "CarryResource",   "SuspendUploads",
-        "AbandonRequests", "OrphanLease",      "EndLease",       "DismissWaiting",  "ConsiderHandOver",
-        "ConsiderRun",     "ConsiderInvitation", "LeaveCollaboration", "TellRunHistory", "PassText",
-        "PassRaw",         "AnswerStatus",     "NoteWatch",      "TellStatus"};
+    static constexpr std::array kNames{"AwaitProfiles",
+                                       "DeliverStops",
+                                       "ConsiderProfiles",
+                                       "ReportProfiles",
+                                       "SeekServer",
+                                       "Register",
+                                       "LeaveServer",
+                                       "ConsiderCheckOut",
+                                       "SendGrant",
+                                       "StopApplication",
+                                       "Latch",
+                                       "Unlatch",
+                                       "Acknowledge",
+                                       "VoidQueue",
+                                       "EndTasks",
+                                       "LoseTasks",
+                                       "SpareTasks",
+                                       "HaltTasks",
+                                       "DispatchNext",
+                                       "CancelTask",
+                                       "PauseTask",
+                                       "ResumeTask",
+                                       "AdmitTask",
+                                       "AskParameter",
+                                       "CarryResource",
+                                       "SuspendUploads",
+                                       "AbandonRequests",
+                                       "OrphanLease",
+                                       "EndLease",
+                                       "DismissWaiting",
+                                       "ConsiderHandOver",
+                                       "ConsiderRun",
+                                       "ConsiderInvitation",
+                                       "LeaveCollaboration",
+                                       "TellRunHistory",
+                                       "PassText",
+                                       "PassRaw",
+                                       "AnswerStatus",
+                                       "NoteWatch",
+                                       "TellStatus"};
     static_assert(kNames.size() == static_cast<std::size_t>(Action::TellStatus) + 1);
     return kNames[static_cast<std::size_t>(action)];
 }
@@ -399,7 +448,7 @@ std::string stateDiagram() {
     // read.
     std::map<std::pair<S, S>, std::vector<std::string>> arrows;
     for (const auto& row : stateTable()) {
-        if (row.event == E::LinkDown || row.event == E::Quit) continue;
+        if (row.event == E::LinkDown || row.event == E::LinkEnded || row.event == E::Quit) continue;
         if (row.next.kind == Next::Kind::To && row.next.state != row.state)
             arrows[{row.state, row.next.state}].emplace_back(toString(row.event));
         if (row.next.kind == Next::Kind::Previous)
@@ -413,7 +462,7 @@ std::string stateDiagram() {
         for (std::size_t i = 0; i < events.size(); ++i) text += (i == 0 ? "" : ", ") + events[i];
         text += '\n';
     }
-    text += "    note right of UNAV : from any state by LinkDown, and by Quit at the end\n";
+    text += "    note right of UNAV : from any state by LinkDown and LinkEnded, and by Quit at the end\n";
     text += "    note right of REG : Stop is accepted in every state and latches\n";
     return text;
 }

@@ -16,7 +16,8 @@ namespace axon::entity_manager {
 enum class Event : std::uint8_t {
     // facts of the link to the robot application
     LinkUp,
-    LinkDown,
+    LinkDown,   ///< without a good-bye: silent, closed, or the application has stopped itself
+    LinkEnded,  ///< in order: the application has stopped its robot and said so
     ProfileUploaded,
     KeptProfileTaken,  ///< uploaded while the entity was held, and taken at the release
     ProfilesGood,
@@ -63,7 +64,8 @@ enum class Event : std::uint8_t {
     CollaborationRequest,  ///< a master invites
     CollaborationJoined,   ///< this entity is its slave
     CollaborationEnded,    ///< nothing runs any more
-    CollaborationStopped,  ///< by its master, or because that is gone
+    CollaborationStopped,  ///< by its master
+    MasterLost,            ///< the master of the run in which it takes part is silent
     RunHistory,
     // the operator of the daemon
     Quit,
@@ -75,6 +77,7 @@ inline constexpr std::size_t kStates = static_cast<std::size_t>(EntityState::ERR
 /// each.
 enum class Action : std::uint8_t {
     AwaitProfiles,
+    DeliverStops,
     ConsiderProfiles,
     ReportProfiles,
     SeekServer,

@@ -49,7 +49,7 @@ TEST(StateTable, WhateverEndsALeaseAtALivingApplicationStopsIt) {
         const auto has = [&](Action action) {
             return std::find(row.actions.begin(), row.actions.end(), action) != row.actions.end();
         };
-        if (row.event != Event::LinkDown && has(Action::EndLease)) {
+        if (row.event != Event::LinkDown && row.event != Event::LinkEnded && has(Action::EndLease)) {
             EXPECT_TRUE(has(Action::StopApplication))
                 << axon::toString(row.state) << ' ' << toString(row.event);
         }
@@ -85,22 +85,25 @@ TEST(StateTable, AnOrphanedLeaseCanExpireInEveryStateThatItCanBeIn) {
         EXPECT_NE(findRow(state, Event::LeaseExpired), nullptr) << axon::toString(state);
 }
 
-TEST(StateTable, OnlyStopAndLossOfTheClientLatchAndOnlyRearmUnlatches) {
-    for (const auto& row : stateTable())
-        for (const auto action : row.actions) {
-            if (action == Action::Latch) {
-                EXPECT_TRUE(row.event == Event::Stop || row.event == Event::ClientLost);
-            }
-            if (action == Action::Unlatch) {
-                EXPECT_EQ(row.event, Event::Rearm);
-            }
-        }
+TEST(StateTable, StopsAndLossesLatchOrderlyEndsDoNotAndOnlyRearmUnlatches) {
+    const std::set losses{Event::ClientLost, Event::ServerDown, Event::LinkDown, Event::MasterLost};
+    for (const auto& row : stateTable()) {
+        const auto has = [&](Action action) {
+            return std::find(row.actions.begin(), row.actions.end(), action) != row.actions.end();
+        };
+        const bool held = row.state == EntityState::REG || row.state == EntityState::COLLAB ||
+                          row.state == EntityState::SLAVE || row.state == EntityState::BUSY;
+        EXPECT_EQ(has(Action::Latch), row.event == Event::Stop || (losses.contains(row.event) && held))
+            << axon::toString(row.state) << ' ' << toString(row.event);
+        EXPECT_EQ(has(Action::Unlatch), row.event == Event::Rearm);
+    }
 }
 
 TEST(StateTable, TheLossOfTheLinkLeadsFromEveryStateToUnav) {
     for (std::size_t s = 1; s < kStates; ++s)
-        EXPECT_EQ(findRow(static_cast<EntityState>(s), Event::LinkDown)->next,
-                  (Next{Next::Kind::To, EntityState::UNAV}));
+        for (const auto event : {Event::LinkDown, Event::LinkEnded})
+            EXPECT_EQ(findRow(static_cast<EntityState>(s), event)->next,
+                      (Next{Next::Kind::To, EntityState::UNAV}));
 }
 
 TEST(StateTable, EveryEventAndEveryActionIsUsed) {

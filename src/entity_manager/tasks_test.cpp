@@ -52,6 +52,7 @@ struct Tasks : testing::Test {
         rig.restart();
         rig.makeIdle();
         rig.take("client1", "r2");
+        rig.rearm("client1", "again");
     }
     CoreRig rig;
 };
@@ -105,6 +106,9 @@ TEST_F(Tasks, ALatchOutlivesTheManagerUntilARearm) {
     EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::LATCHED);
     EXPECT_EQ(dispatches(rig, "t1"), 0);
     rig.rearm("client1", "rearm");
+    proto::ToEntity release;
+    release.mutable_release();
+    rig.send("client1", release);
     rig.restart();
     EXPECT_FALSE(rig.core().latched());
 }

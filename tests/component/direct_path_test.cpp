@@ -373,6 +373,20 @@ TEST_F(DirectPathTest, AStopGoesByAllWaysAndIsExecutedOnce) {
     }
 }
 
+TEST_F(DirectPathTest, EachStageOfAReceiptReachesTheHolderByTheDirectPath) {
+    startManager();
+    const auto held = take();
+    ASSERT_TRUE(waitUntil([&] { return direct(held); }));
+    seen_.rolls = true;
+    const auto task = held.run("Drive");
+    ASSERT_TRUE(waitUntil([&] { return task.report().state == client::TaskState::Running; }));
+    const auto receipts = client_->stop({"PeopleBot"}, client::Seconds{1}, client::Seconds{5});
+    ASSERT_TRUE(receipts.ok()) << receipts.refusal().message;
+    ASSERT_EQ(receipts->size(), 1U);
+    EXPECT_TRUE(receipts->front().standstill);
+    EXPECT_TRUE(receipts->front().atRest());
+}
+
 TEST_F(DirectPathTest, TheEndOfTheLeaseEndsThePathAndTheNextHolderHasItsOwn) {
     startManager();
     const auto held = take();

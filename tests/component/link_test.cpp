@@ -36,6 +36,7 @@ using namespace std::chrono_literals;
 using entity_manager::BackEndEvents;
 using entity_manager::BackEndInterface;
 using entity_manager::BackEndSettings;
+using entity_manager::LinkEnd;
 using entity_manager::StopGate;
 using test::waitUntil;
 using Clock = std::chrono::steady_clock;
@@ -124,9 +125,10 @@ class Manager : public BackEndEvents {
         up_at = Clock::now();
         ups++;
     }
-    void onLinkDown(const std::string& reason) override {
+    void onLinkDown(const std::string& reason, LinkEnd end) override {
         const std::lock_guard lock(mutex_);
         down_reason_ = reason;
+        down_end_ = end;
         downs++;
     }
     void onLinkMessage(const proto::EiToEm& message) override {
@@ -159,6 +161,10 @@ class Manager : public BackEndEvents {
     std::string downReason() {
         const std::lock_guard lock(mutex_);
         return down_reason_;
+    }
+    std::optional<LinkEnd> downEnd() {
+        const std::lock_guard lock(mutex_);
+        return down_end_;
     }
     bool linked() const { return ups > downs; }
     std::optional<proto::TaskEvent> finalOf(const std::string& id) {
@@ -211,6 +217,7 @@ class Manager : public BackEndEvents {
     std::mutex mutex_;
     std::vector<proto::EiToEm> messages_;
     std::string down_reason_;
+    std::optional<LinkEnd> down_end_;
     Refusal refusal_;
     entity_manager::SearchReport sought_;
     std::thread thread_;
@@ -726,6 +733,69 @@ TEST(Link, StandstillIsTheLastStageOfTheReceipt) {
     ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
     const auto generation = manager.stop();
     ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation, proto::StopReceipt::STANDSTILL); }));
+}
+
+TEST(Link, WhetherStandstillFollowsIsDeclaredOrKnownFromTheFirstTimeOn) {
+    for (const bool declared : {true, false}) {
+        auto with = options("Rolls");
+        with.reports_standstill = declared;
+        EntityInterfacer interfacer(with);
+        interfacer.start();
+        Manager manager("Rolls");
+        ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+        const auto follows = [&](std::uint32_t generation) {
+            for (const auto& message : manager.messages())
+                if (message.stop_done().stop_generation() == generation &&
+                    message.stop_done().standstill_follows())
+                    return true;
+            return false;
+        };
+        const auto first = manager.stop();
+        ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(first); }));
+        EXPECT_EQ(follows(first), declared);
+        interfacer.standstill();
+        const auto second = manager.stop();
+        ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(second); }));
+        EXPECT_TRUE(follows(second));
+    }
+}
+
+TEST(Link, AnApplicationThatEndsInOrderSaysGoodByeUnlessItsStopCallbackHasThrown) {
+    for (const bool broken : {false, true}) {
+        std::atomic<int> calls{0};
+        auto interfacer = std::make_unique<EntityInterfacer>(options("Bye"));
+        interfacer->onStop([&](const StopSignal&) {
+            ++calls;
+            if (broken) throw std::runtime_error("the brake does not answer");
+        });
+        interfacer->start();
+        Manager manager("Bye");
+        ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer->linked(); }));
+        interfacer.reset();
+        ASSERT_TRUE(waitUntil([&] { return manager.downs == 1; }));
+        EXPECT_GE(calls, 1);
+        EXPECT_EQ(manager.downEnd(), broken ? LinkEnd::Closed : LinkEnd::GoodBye);
+    }
+}
+
+TEST(Link, WhatIsRefusedToAnApplicationReachesIt) {
+    std::atomic<int> told{0};
+    std::string why;
+    EntityInterfacer interfacer(options("Astray"));
+    interfacer.onNotSent([&](const std::string& to, const std::string& reason) {
+        why = to + ": " + reason;
+        ++told;
+    });
+    interfacer.start();
+    Manager manager("Astray");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    proto::EmToEi message;
+    message.mutable_not_sent()->set_to("Cyton");
+    message.mutable_not_sent()->mutable_reason()->set_message("there is no run");
+    manager.send(message);
+    ASSERT_TRUE(waitUntil([&] { return told == 1; }));
+    EXPECT_EQ(why, "Cyton: there is no run");
+    EXPECT_TRUE(manager.linked());
 }
 
 TEST(Link, AStopCallbackThatThrowsIsNotConfirmedIsCalledAgainAndNobodyLinksMeanwhile) {
@@ -1435,6 +1505,48 @@ TEST(HelloEntity, GreetsWithProgressWaitsAndEndsOnSigterm) {
     EXPECT_EQ(::waitpid(child, &status, 0), child);
     EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0);
     EXPECT_TRUE(waitUntil([&] { return manager.downs == 1; }));
+    EXPECT_EQ(manager.downEnd(), LinkEnd::GoodBye);
+}
+
+/// An application in a process of its own, killed with the test.
+class HelloProcess {
+  public:
+    explicit HelloProcess(const std::string& ports) : id_(::fork()) {
+        if (id_ != 0) return;
+        ::execl(HELLO_ENTITY, "hello-entity", "examples/01_hello_entity", ports.c_str(), nullptr);
+        ::_exit(127);
+    }
+    ~HelloProcess() {
+        ::kill(id_, SIGKILL);
+        ::waitpid(id_, nullptr, 0);
+    }
+    HelloProcess(const HelloProcess&) = delete;
+    HelloProcess& operator=(const HelloProcess&) = delete;
+    void signal(int which) const { ::kill(id_, which); }
+
+  private:
+    const pid_t id_;
+};
+
+TEST(HelloEntity, OneThatIsKilledHasSaidNoGoodByeAndOneThatIsFrozenIsSilent) {
+    const ScratchFile ports("killed-ports.cfg",
+                            "Axon.Ports = 5600-5620\nAxon.Address = " + test::loopbackAddress() + "\n");
+    Manager manager("Greeter", {5600, 5620}, {}, 100ms, 500ms);
+    {
+        const HelloProcess application(ports.path());
+        ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+        application.signal(SIGKILL);
+        ASSERT_TRUE(waitUntil([&] { return manager.downs == 1; }));
+        EXPECT_EQ(manager.downEnd(), LinkEnd::Closed);
+    }
+    const HelloProcess application(ports.path());
+    ASSERT_TRUE(waitUntil([&] { return manager.linked(); }));
+    application.signal(SIGSTOP);
+    ASSERT_TRUE(waitUntil([&] { return manager.downs == 2; }));
+    EXPECT_EQ(manager.downEnd(), LinkEnd::Silent);
+    EXPECT_NE(manager.downReason().find("silent"), std::string::npos);
+    application.signal(SIGCONT);
+    EXPECT_TRUE(waitUntil([&] { return manager.linked(); }, 10s)) << "it stops by itself, and links again";
 }
 
 TEST(HelloEntity, EndedInTheMiddleOfATaskItLeavesOnceItHasStopped) {

@@ -56,6 +56,7 @@ class MemoryRobot final : public entity_manager::BackEndPort {
         std::vector<std::string> texts;  // guarded by mutex
         std::string task;                // guarded by mutex: that runs
         std::atomic<int> stops{0}, tasks{0};
+        std::atomic<bool> rolls{false};  // comes to rest after its stop callback has returned
         std::size_t count() {
             const std::lock_guard lock(mutex);
             return texts.size();
@@ -93,7 +94,12 @@ class MemoryRobot final : public entity_manager::BackEndPort {
         }
         done.mutable_stop_done()->set_stop_generation(generation);
         done.mutable_stop_done()->set_stage(proto::StopReceipt::CALLBACK_RETURNED);
-        answer(std::move(done));
+        done.mutable_stop_done()->set_standstill_follows(seen_.rolls);
+        answer(done);
+        if (seen_.rolls) {
+            done.mutable_stop_done()->set_stage(proto::StopReceipt::STANDSTILL);
+            answer(std::move(done));
+        }
         proto::EiToEm ended;
         {
             const std::lock_guard lock(seen_.mutex);

@@ -8,6 +8,7 @@ Each test has a laboratory of its own: ports of its own, applications named by t
 """
 import os
 import pathlib
+import signal
 import socket
 import sys
 import threading
@@ -25,6 +26,11 @@ def final(lines):
     """The last report of a task among the lines that `axon run --json` printed."""
     reports = [line for line in lines if "state" in line and "service" in line]
     return reports[-1] if reports else {}
+
+
+def receipts(lines):
+    """What `axon stop --json` printed of each entity."""
+    return next(line for line in lines if line["event"] == "receipts")["receipts"]
 
 
 class ChainTest(unittest.TestCase):
@@ -101,6 +107,9 @@ class ChainTest(unittest.TestCase):
         client = self.start_driving()
         status, lines, errors = self.lab.axon("stop", "PeopleBot")
         self.assertEqual(status, 0, errors)
+        receipt = receipts(lines)[0]
+        self.assertIsNotNone(receipt["standstill_ms"], "it drove, so its standstill is waited for")
+        self.assertGreater(receipt["standstill_ms"], receipt["callback_returned_ms"])
         self.lab.wait_until_standing(self.robot)
         client.child.wait(10)
         self.assertEqual(client.child.returncode, 5, "the run was stopped")
@@ -170,6 +179,7 @@ class ChainTest(unittest.TestCase):
         self.assertNotEqual(client.child.returncode, 0)
         self.lab.start_server(at)
         self.lab.wait_for_entity()
+        self.assertTrue(self.lab.entities()[0]["latched"], "nobody ordered this stop")
         self.assert_works()
 
     def test_entity_manager_killed_in_mid_drive(self):
@@ -182,6 +192,7 @@ class ChainTest(unittest.TestCase):
         wait_until(lambda: not self.lab.entities(), "the clients see it leave")
         self.manager = self.lab.start_manager()
         self.lab.wait_for_entity()
+        self.assertTrue(self.lab.entities()[0]["latched"], "nobody ordered this stop")
         self.assert_works()
 
     def test_application_killed_in_mid_drive(self):
@@ -193,9 +204,43 @@ class ChainTest(unittest.TestCase):
         self.assertNotEqual(client.child.returncode, 0)
         unavailable = self.lab.wait_for_entity(state="UNAV")[0]
         self.assertTrue(unavailable["reason"], "it says why")
+        self.assertTrue(unavailable["latched"], "nobody ordered this stop")
+        status, lines, errors = self.lab.axon("stop", "PeopleBot")
+        self.assertEqual(status, 4, "nobody is left who could stop it")
+        self.assertTrue(receipts(lines)[0]["application_lost"])
         self.app = self.lab.start_application(self.robot.address)
         self.lab.wait_for_entity()
+        status, lines, errors = self.lab.axon("stop", "PeopleBot")
+        self.assertEqual(status, 0, f"{lines} {errors}")
         self.assert_works()
+
+    def test_a_frozen_application_is_never_called_stopped(self):
+        self.start_all()
+        client = self.start_driving()
+        self.app.child.send_signal(signal.SIGSTOP)
+        self.lab.wait_for_entity(state="UNAV")
+        for words in (("stop", "PeopleBot"), ("stop", "--all")):
+            status, lines, errors = self.lab.axon(*words)
+            self.assertEqual(status, 4, f"{words}: {lines} {errors}")
+            receipt = receipts(lines)[0]
+            self.assertFalse(receipt["confirmed"] or receipt["no_application"], receipt)
+            self.assertIn("silent", receipt["application_lost"])
+        self.app.child.send_signal(signal.SIGCONT)
+        self.lab.wait_for_entity(state="IDLE")
+        self.lab.wait_until_standing(self.robot)
+        status, lines, errors = self.lab.axon("stop", "PeopleBot")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        client.child.wait(20)
+        self.assert_works()
+
+    def test_an_application_that_ends_in_order_leaves_nothing_to_stop(self):
+        self.start_all()
+        self.app.end()
+        self.lab.wait_for_entity(state="UNAV")
+        status, lines, errors = self.lab.axon("stop", "PeopleBot")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        self.assertTrue(receipts(lines)[0]["no_application"])
+        self.assertFalse(receipts(lines)[0]["application_lost"])
 
     def test_robot_killed_in_mid_drive(self):
         self.start_all()

@@ -222,6 +222,22 @@ class CollaborationTest(unittest.TestCase):
         self.assertEqual((client.child.returncode, run.get("state")), (0, "SUCCEEDED"), client.text()[-500:])
         self.assertEqual(self.steps_of(run)["drive"]["results"]["Cell"], ["7,3"])
 
+    def test_a_reset_is_refused_to_who_runs_no_step_and_a_clear_says_what_it_has_ended(self):
+        self.start_all()
+        self.assertEqual(self.lab.axon("checkout", *ENTITIES)[0], 0)
+        self.serve("Drive", DRIVE)
+        client = self.begin("Drive")
+        status, lines, errors = self.lab.axon("reset", "Planner")
+        self.assertEqual(status, 1, f"{lines} {errors}")
+        self.assertIn("WRONG_STATE", str(lines) + errors)
+        status, lines, errors = self.lab.axon("clear", "Shuttle")
+        self.assertEqual(status, 0, f"{lines} {errors}")
+        done = next(line for line in lines if line["event"] == "done")
+        self.assertEqual((done["tasks_ended"], done["tasks_removed"]), (1, 0))
+        run = self.ended(client)
+        self.assertEqual(run["state"], "STOPPED", run)
+        self.assert_nobody_moves()
+
     def test_a_run_is_paused_only_where_all_that_runs_can_be(self):
         self.start_all(speed=0.2)  # a way takes the planner 1.5 s
         self.assertEqual(self.lab.axon("checkout", *ENTITIES)[0], 0)

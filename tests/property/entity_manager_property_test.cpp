@@ -450,7 +450,7 @@ class World {
                 last_ += "server";
                 if (!server_) return serverUp();
                 serverDown();
-                rig_.core().onServerDown("cut");
+                latchesWhenHeld("server", [this] { rig_.core().onServerDown("cut"); });
                 return;
             default:
                 last_ += "silence of the server";
@@ -464,6 +464,12 @@ class World {
                     serverDown();
         }
     }
+    template <class Lose>
+    void latchesWhenHeld(const std::string& what, Lose lose) {
+        const bool held = rig_.core().held() != nullptr;
+        lose();
+        if (held && !rig_.core().latched()) broken("the loss of the " + what + " did not latch");
+    }
     /// kill -9 and a new life: what it had not been told is lost, what it had on the disk is not.
     void killed() {
         last_ += "the Entity Manager is killed";
@@ -473,7 +479,9 @@ class World {
         questions_.clear();
         pending_stops_.clear();
         rig_.wanted = false;
+        const bool held = rig_.core().held() != nullptr;
         rig_.restart();
+        if (held && !rig_.core().latched()) broken("a life that was broken off under a holder did not latch");
         before_ = rig_.core().status();
     }
     void linkUp() {
@@ -487,7 +495,17 @@ class World {
         link_ = false;
         at_work_.clear();
         questions_.clear();
-        rig_.core().onLinkDown("cut");
+        const bool held = rig_.core().held() != nullptr;
+        const auto end =
+            any<entity_manager::LinkEnd>({entity_manager::LinkEnd::Closed, entity_manager::LinkEnd::Silent,
+                                          entity_manager::LinkEnd::GoodBye});
+        const bool was_latched = rig_.core().latched();
+        rig_.core().onLinkDown("cut", end);
+        if (end == entity_manager::LinkEnd::GoodBye) {
+            if (rig_.core().latched() != was_latched) broken("a good-bye changed the latch");
+        } else if (held && !rig_.core().latched()) {
+            broken("the loss of the application did not latch");
+        }
     }
     void serverUp() {
         if (!rig_.wanted) return;

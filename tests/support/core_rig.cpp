@@ -266,10 +266,11 @@ void CoreRig::update(const std::string& task, proto::TaskState state, double pro
     fromApplication(std::move(message));
 }
 
-void CoreRig::stopDone(std::uint32_t stopped, proto::StopReceipt::Stage stage) {
+void CoreRig::stopDone(std::uint32_t stopped, proto::StopReceipt::Stage stage, bool standstill_follows) {
     proto::EiToEm message;
     message.mutable_stop_done()->set_stop_generation(stopped);
     message.mutable_stop_done()->set_stage(stage);
+    message.mutable_stop_done()->set_standstill_follows(standstill_follows);
     fromApplication(std::move(message));
 }
 
@@ -525,7 +526,14 @@ std::string shown(const proto::ToClient& message) {
                    proto::StopReceipt::Stage_Name(receipt.stage()) +
                    " gen=" + std::to_string(receipt.stop_generation()) + ' ' +
                    proto::StopCause_Name(receipt.cause()) + " by=" + receipt.by() +
-                   " state=" + proto::EntityState_Name(receipt.state());
+                   " state=" + proto::EntityState_Name(receipt.state()) +
+                   (receipt.absence() > proto::StopReceipt::NONE
+                        ? ' ' + proto::StopReceipt::Absence_Name(receipt.absence()) + " \"" +
+                              receipt.absence_reason() + '"'
+                        : "") +
+                   (receipt.standstill_follows() ? " standstill follows" : "") +
+                   (receipt.tasks_ended() > 0 ? " ended=" + std::to_string(receipt.tasks_ended()) : "") +
+                   (receipt.tasks_removed() > 0 ? " removed=" + std::to_string(receipt.tasks_removed()) : "");
         }
         case proto::ToClient::kResourceCredit:
             return "ResourceCredit " + nameOf(message.resource_credit().transfer_id()) +
@@ -595,6 +603,8 @@ std::string shown(const proto::EmToEi& message, const CoreRig& rig) {
         case proto::EmToEi::kStream:
             return "StreamControl \"" + message.stream().stream() + "\" " +
                    (message.stream().on() ? "on" : "off");
+        case proto::EmToEi::kNotSent:
+            return "NotSent to " + message.not_sent().to() + ' ' + shown(message.not_sent().reason());
         case proto::EmToEi::kProfileError:
             return "profile_error " + shown(message.profile_error());
         default:

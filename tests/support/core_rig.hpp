@@ -110,7 +110,8 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     void deny(const std::string& task, const std::string& reason);
     void update(const std::string& task, proto::TaskState state, double progress = -1);
     void stopDone(std::uint32_t stopped,
-                  proto::StopReceipt::Stage stage = proto::StopReceipt::CALLBACK_RETURNED);
+                  proto::StopReceipt::Stage stage = proto::StopReceipt::CALLBACK_RETURNED,
+                  bool standstill_follows = false);
     void drillDone(std::uint32_t number);
 
     // The clients' side.

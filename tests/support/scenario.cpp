@@ -77,8 +77,11 @@ void application(CoreRig& rig, Words& words) {
     }
     if (verb == "stopped") {
         const auto generation = static_cast<std::uint32_t>(std::stoul(words.need("a generation")));
-        return rig.stopDone(generation, words.next() == "standstill" ? proto::StopReceipt::STANDSTILL
-                                                                     : proto::StopReceipt::CALLBACK_RETURNED);
+        const auto how = words.next();
+        return rig.stopDone(
+            generation,
+            how == "standstill" ? proto::StopReceipt::STANDSTILL : proto::StopReceipt::CALLBACK_RETURNED,
+            how == "rolling");
     }
     if (verb == "drilled")
         return rig.drillDone(static_cast<std::uint32_t>(std::stoul(words.need("a number"))));
@@ -260,10 +263,13 @@ void play(CoreRig& rig, const std::string& event) {
     Words words(event);
     const auto who = words.need("an event");
     if (who == "link") {
-        if (words.need("up or down") == "up")
+        const auto what = words.need("up, down, silent or ends");
+        if (what == "up")
             rig.linkUp();
         else
-            rig.core().onLinkDown(words.need("a reason"));
+            rig.core().onLinkDown(words.need("a reason"), what == "silent" ? entity_manager::LinkEnd::Silent
+                                                          : what == "ends" ? entity_manager::LinkEnd::GoodBye
+                                                                           : entity_manager::LinkEnd::Closed);
     } else if (who == "server") {
         const auto what = words.need("up, down or beats");
         if (what == "up")

@@ -180,7 +180,7 @@ int stopThose(Session& session, const Ids& meant) {
         const auto known = std::find_if(all.begin(), all.end(), [&](const Entity& entity) { return entity.id == id; });
         names += (names.empty() ? "" : ", ") + (known == all.end() ? id : callName(*known, all));
     }
-    const auto exit = stopAndShow(session, {meant.begin(), meant.end()}, Seconds(session.args.value("deadline", 1.0)));
+    const auto exit = stopAndShow(session, {meant.begin(), meant.end()}, stopTimes(session.args));
     session.events.emit({{"event", "notice"}, {"message", "a stop was sent to " + names}});
     return exit;
 }
@@ -280,13 +280,16 @@ extern const Verb kGlobalStop{
     "                                  SLAVE or BUSY, since who carries out a step is BUSY\n"
     "  axon global stop 'Fetch ball'   who takes part in it, whoever began it\n"
     "  axon global stop 3f2a           in the run whose id begins so\n"
-    "By name the masters are asked who takes part, after what is known here has been stopped; one that works and\n"
-    "does not answer is stopped too. A stop as of axon stop: receipts, exit status 0 only when all are confirmed, no task until axon rearm.\n"
+    "By name the masters are asked who takes part, after what is known here has been stopped; one that works "
+    "and\n"
+    "does not answer is stopped too. A stop as of axon stop: receipts, exit status 0 only when all are "
+    "confirmed, no task until axon rearm.\n"
     "axon global cancel ends a run without a latch.\n",
     Runs::Anywhere,
     {{"run", Takes::GlobalService, false, false,
       "The service, or the beginning of the run's id; none = all that work"}},
-    {{"deadline", Takes::Duration, "How long to wait for the receipts (1)"}},
+    {{"deadline", Takes::Duration, "How long to wait for the receipts (1; 5 for the standstill)"},
+     {"no-wait", Takes::Nothing, "Not for the standstill of robots that were moving"}},
     stop};
 
 extern const Verb kGlobalPause{"global pause",

@@ -242,7 +242,7 @@ class RunFollower {
             }
             if (ended_by != kDone && interrupted) {
                 say("stopping everybody who takes part");
-                static_cast<void>(stopAndShow(session_, entities_, Seconds(1)));
+                static_cast<void>(stopAndShow(session_, entities_, {Seconds(1), Seconds(0)}));
                 return kInterrupted;
             }
             if (ended_by != kDone) {

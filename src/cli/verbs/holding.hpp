@@ -40,8 +40,15 @@ class Holding {
 Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std::string>& ids,
                                         const std::string& query, CheckOutOptions options, bool& interrupted);
 
+/// How long a stop is waited for: until it is confirmed, and until a robot that was moving stands still.
+struct StopTimes {
+    Seconds deadline, standstill;
+};
+inline constexpr Seconds kStandstillWait{5};
+/// As `--deadline` and `--no-wait` say.
+StopTimes stopTimes(const Json& args);
 /// `axon stop`: stops these (none = everything), shows the receipts and after them the `errors`.
-int stopAndShow(Session& session, const std::vector<std::string>& names, Seconds deadline,
+int stopAndShow(Session& session, const std::vector<std::string>& names, StopTimes times,
                 const std::vector<Json>& errors = {});
 
 /// `axon checkout` up to the grant: reads what is asked for (names or a query, wait, ask, force, policy),

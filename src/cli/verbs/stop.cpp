@@ -8,9 +8,15 @@
 // axon stop, rearm, reset, clear
 namespace axon::cli {
 
-int stopAndShow(Session& session, const std::vector<std::string>& names, Seconds deadline,
+StopTimes stopTimes(const Json& args) {
+    const Seconds deadline(args.value("deadline", 1.0));
+    if (args.value("no-wait", false)) return {deadline, Seconds(0)};
+    return {deadline, args.contains("deadline") ? deadline : kStandstillWait};
+}
+
+int stopAndShow(Session& session, const std::vector<std::string>& names, StopTimes times,
                 const std::vector<Json>& errors) {
-    const auto receipts = session.station->stop(names, deadline);
+    const auto receipts = session.station->stop(names, times.deadline, times.standstill);
     if (!receipts) {
         for (const auto& error : errors) session.events.emit(error);
         return refuse(session, receipts.refusal());
@@ -59,7 +65,7 @@ int stop(Session& session) {
             return kRefused;
         }
     }
-    return stopAndShow(session, names, Seconds(session.args.value("deadline", 1.0)), errors);
+    return stopAndShow(session, names, stopTimes(session.args), errors);
 }
 
 int rearm(Session& session) {
@@ -78,14 +84,19 @@ int rearm(Session& session) {
     return exit;
 }
 
-int command(Session& session, const char* verb, Result<void> (Station::*give)(const std::string&)) {
+int command(Session& session, const char* verb, Result<Receipt> (Station::*give)(const std::string&)) {
     const auto name = session.args.at("entity").get<std::string>();
     const auto found = findHeld(session, name);
     if (!found) return refuse(session, found.refusal(), name);
-    if (const auto done = ((*session.station).*give)(found->id); !done)
-        return refuse(session, done.refusal(), name);
-    session.events.emit({{"event", "done"}, {"verb", verb}, {"entity", callOf(session, found.value())}});
-    return kDone;
+    const auto done = ((*session.station).*give)(found->id);
+    if (!done) return refuse(session, done.refusal(), name);
+    session.events.emit({{"event", "done"},
+                         {"verb", verb},
+                         {"entity", callOf(session, found.value())},
+                         {"confirmed", done->confirmed()},
+                         {"tasks_ended", done->tasks_ended},
+                         {"tasks_removed", done->tasks_removed}});
+    return done->confirmed() ? kDone : kNotConfirmed;
 }
 
 int reset(Session& session) {
@@ -103,13 +114,17 @@ extern const Verb kStop{
     "  axon stop PeopleBot      also when somebody else holds it\n"
     "  axon stop --all          the whole laboratory (so does axon stop alone)\n"
     "Prints the receipt: when the server, the manager and the robot's stop callback had it, and when the\n"
-    "application said that it stands still. Exit status 0 only when all of them are confirmed, else 4.\n"
+    "application said that it stands still. Exit status 0 only when every stop is confirmed, which is when\n"
+    "the callback has returned, else 4. Of a robot that was moving, and whose application reports that it\n"
+    "stands still, that is waited for as well: 5 seconds, or what --deadline says; --no-wait does not.\n"
+    "An application that is silent, or has died, cannot confirm: 4. Go and look at the robot then.\n"
     "A stopped entity refuses tasks until axon rearm. This is a control-system stop, not an emergency "
     "stop.\n",
     Runs::Anywhere,
     {{"entity", Takes::Entity, false, true, "What to stop; a name that several share stops all of them"}},
     {{"all", Takes::Nothing, "Everything there is"},
-     {"deadline", Takes::Duration, "How long to wait for the receipts (1)"}},
+     {"deadline", Takes::Duration, "How long to wait for the receipts (1; 5 for the standstill)"},
+     {"no-wait", Takes::Nothing, "Not for the standstill of a robot that was moving"}},
     stop};
 
 extern const Verb kRearm{
@@ -117,22 +132,26 @@ extern const Verb kRearm{
     Runs::Anywhere, {{"entity", Takes::Entity, true, true, "What to rearm"}}, {},
     rearm};
 
-extern const Verb kReset{"reset",
-                         "End the running task and go on with the next one waiting",
-                         "  axon reset PeopleBot\n"
-                         "Unlike axon stop, the entity is not latched.\n",
-                         Runs::Kept,
-                         {{"entity", Takes::Entity, true, false, "Which entity"}},
-                         {},
-                         reset};
+extern const Verb kReset{
+    "reset",
+    "End the running task and go on with the next one waiting",
+    "  axon reset PeopleBot\n"
+    "Unlike axon stop, the entity is not latched. Refused (WRONG_STATE) while it takes part in a\n"
+    "global service and runs no step of it; exit status 4 when the robot has not confirmed.\n",
+    Runs::Kept,
+    {{"entity", Takes::Entity, true, false, "Which entity"}},
+    {},
+    reset};
 
-extern const Verb kClear{"clear",
-                         "End the running task and forget the ones waiting",
-                         "  axon clear PeopleBot\n"
-                         "Unlike axon stop, the entity is not latched.\n",
-                         Runs::Kept,
-                         {{"entity", Takes::Entity, true, false, "Which entity"}},
-                         {},
-                         clear};
+extern const Verb kClear{
+    "clear",
+    "End the running task and forget the ones waiting",
+    "  axon clear PeopleBot\n"
+    "Unlike axon stop, the entity is not latched. A run of a global service in which it takes part\n"
+    "ends. Exit status 4 when the robot has not confirmed.\n",
+    Runs::Kept,
+    {{"entity", Takes::Entity, true, false, "Which entity"}},
+    {},
+    clear};
 
 }  // namespace axon::cli

@@ -408,6 +408,43 @@ TEST_F(Verbs, StopSucceedsOnlyWhenConfirmed) {
     EXPECT_FALSE(seen.last("receipts")->at("confirmed"));
 }
 
+TEST_F(Verbs, AStopOfASilentApplicationIsNotConfirmed) {
+    station->lost_application = "the robot application has been silent for 250 ms";
+    EXPECT_EQ(perform("stop", Json::object()), kNotConfirmed);
+    EXPECT_FALSE(seen.last("receipts")->at("confirmed"));
+    EXPECT_EQ(seen.last("receipts")->at("receipts").at(0).at("application_lost"), station->lost_application);
+    EXPECT_FALSE(seen.last("receipts")->at("receipts").at(0).at("no_application"));
+}
+
+TEST_F(Verbs, StopWaitsForStandstillUnlessItIsToldNotTo) {
+    perform("stop", Json::object());
+    EXPECT_EQ(station->waited_for_standstill, Seconds(5));
+    perform("stop", {{"deadline", 2.0}});
+    EXPECT_EQ(station->waited_for_standstill, Seconds(2));
+    perform("stop", {{"no-wait", true}});
+    EXPECT_EQ(station->waited_for_standstill, Seconds(0));
+}
+
+TEST_F(Verbs, ResetAndClearSayWhatWasDoneAndPassOnARefusal) {
+    kept = true;
+    ASSERT_TRUE(station->checkOut({cyton()}));
+    for (const auto* verb : {"reset", "clear"}) {
+        Receipt done;
+        done.manager = done.callback_returned = Seconds(0.001);
+        done.tasks_ended = 1;
+        station->answer_of_command = done;
+        EXPECT_EQ(perform(verb, {{"entity", "Cyton"}}), kDone);
+        EXPECT_EQ(seen.last("done")->at("tasks_ended"), 1);
+        EXPECT_TRUE(seen.last("done")->at("confirmed"));
+        done.callback_returned.reset();
+        station->answer_of_command = done;
+        EXPECT_EQ(perform(verb, {{"entity", "Cyton"}}), kNotConfirmed);
+        station->answer_of_command = Refusal{RefusalCode::WrongState, "it takes part in a collaboration", {}};
+        EXPECT_EQ(perform(verb, {{"entity", "Cyton"}}), kRefused);
+        EXPECT_EQ(seen.last("error")->at("code"), "WRONG_STATE");
+    }
+}
+
 TEST_F(Verbs, StopDoesWhatItCanWhenANameIsWrong) {
     EXPECT_EQ(perform("stop", {{"entity", {"Cyton", "Citon"}}}), kRefused);
     EXPECT_THAT(station->stopped, ElementsAre("Cyton"));

@@ -266,12 +266,24 @@ struct Receipt {
     std::int32_t stop_generation = 0;
     EntityState state = EntityState::UNAV;
     std::optional<Seconds> server, manager, callback_returned, standstill;
-    bool no_application = false;  ///< no robot application is linked: there was nothing to stop
+    bool no_application =
+        false;  ///< no robot application is linked, and none is missing: there was nothing to stop
+    /// Why nobody can tell that the robot was stopped: its application was linked and fell silent, or its
+    /// connection was closed without a good-bye. Empty = it is not so. An application that comes back within
+    /// the deadline is given the stop, and confirms it.
+    std::string application_lost;
+    std::optional<Seconds> application_lost_for;  ///< at the time of the receipt
     std::string fault;  ///< the application's stop callback threw this; it is called again until it returns
     Seconds precision{0};  ///< of the times: the step of a laboratory's time (AXON_CLOCK), in which nothing
                            ///< shorter can be told
+    /// The robot was moving, and its application reports when it stands still.
+    bool standstill_follows = false;
+    int tasks_ended = 0;    ///< of CheckOut::reset() and clear(): the running ones
+    int tasks_removed = 0;  ///< of CheckOut::clear(): those that waited
     /// The EM and, where there is an application, its stop callback have answered.
     bool confirmed() const { return manager && (callback_returned || no_application); }
+    /// Nothing more is expected of this robot.
+    bool atRest() const { return confirmed() && (standstill || !standstill_follows); }
 };
 
 /// What a drill measured of one entity: one entry for each try, in order; no time = it never arrived.
@@ -464,9 +476,12 @@ class CheckOut {
     std::string ticket() const;
 
     /// Stops the running task and goes on with the next of the queue; does not latch (thesis: reset command).
-    Result<void> reset() const;
-    /// Stops the running task and empties the queue; does not latch (thesis: clear command).
-    Result<void> clear() const;
+    /// The receipt says how many tasks that ended, which may be none. WRONG_STATE where it takes part in a
+    /// collaboration and runs no step.
+    Result<Receipt> reset() const;
+    /// Stops the running task, empties the queue and leaves a collaboration; does not latch (thesis: clear
+    /// command).
+    Result<Receipt> clear() const;
     Result<void> release() const;
 
     struct Shared;
@@ -524,8 +539,10 @@ class Client {
     std::vector<CheckOut> held() const;
 
     /// Stops entities, held or not; none named = every entity there is. Waits for the receipts up to the
-    /// deadline.
-    Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline = Seconds{1});
+    /// deadline, and, once all are confirmed, up to `standstill` after the call for those of robots that were
+    /// moving and whose applications report when they stand still.
+    Result<std::vector<Receipt>> stop(const std::vector<std::string>& names, Seconds deadline = Seconds{1},
+                                      Seconds standstill = Seconds{0});
     /// Measures the way of a stop without stopping anything: the Entity Interfacer acknowledges without
     /// calling the application, nothing latches and no task ends. `count` tries, one each `period` (each may
     /// take a second, then it counts as never arrived). None named = every entity there is.

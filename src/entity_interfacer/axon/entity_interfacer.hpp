@@ -224,6 +224,9 @@ class AXON_EI_API EntityInterfacer {
         /// of the services profile. The Entity Manager reads and replaces files there, and nowhere else but
         /// in its own.
         std::vector<std::filesystem::path> resource_folders{};
+        /// It calls standstill() after every stop of a moving robot, so whoever stops it may wait for that.
+        /// Known by itself from the first call of standstill() on.
+        bool reports_standstill = false;
         std::function<void(LogLevel, const std::string&)> logger{};  ///< any thread; none = standard error
         /// What beats, watchdogs and waiting tasks count by (axon's common/clock.hpp); none = the time of
         /// this machine, or in trials that of the virtual laboratory whose file the variable AXON_CLOCK
@@ -261,11 +264,15 @@ class AXON_EI_API EntityInterfacer {
     void onResume(std::function<void(const Task&)> callback);
     void onText(std::function<void(const std::string& text, const std::string& from)> callback);
     void onRaw(std::function<void(const std::vector<std::string>& blocks, const std::string& from)> callback);
+    /// What sendRawTo() was given has not been sent, and why. Of a stream of refusals at most five a second
+    /// are told. Without this callback the log has it.
+    void onNotSent(std::function<void(const std::string& participant, const std::string& why)> callback);
 
     /// On the stop thread, after every running task has been told. Return when the machine has been told to
     /// stop; that is acknowledged to whoever gave the stop.
     void onStop(std::function<void(const StopSignal&)> callback);
-    /// The machine stands still (as its own sensors tell): the last stage of a stop's receipt.
+    /// The machine stands still (as its own sensors tell): the last stage of a stop's receipt, for which
+    /// `axon stop` waits. See Options::reports_standstill.
     void standstill();
 
     void onLinkUp(std::function<void()> callback);
@@ -280,9 +287,10 @@ class AXON_EI_API EntityInterfacer {
                           std::string_view text);  ///< all running tasks of a service
     void sendRaw(std::string_view bytes);
     void sendRaw(const std::vector<std::string>& blocks);  ///< together at most 1 MiB
-    /// To another participant of the run of a global service in which this entity takes part: its name, UUID or role.
-    /// Its onRaw() is called with this entity's name. Dropped, as sendRaw(), when somebody on the way is slower; and
-    /// when there is no such run or participant. What must arrive is a result of the task that a later step takes.
+    /// To another participant of the run of a global service in which this entity takes part: its name, UUID
+    /// or role. Its onRaw() is called with this entity's name. Dropped, as sendRaw(), when somebody on the
+    /// way is slower. Where there is no such run or participant nothing is sent: onNotSent() says why. What
+    /// must arrive is a result of the task that a later step takes.
     void sendRawTo(std::string_view participant, const std::vector<std::string>& blocks);
     void setPosition(double x_mm, double y_mm, double z_mm);
     void setServiceActive(std::string_view service, bool active, std::string_view reason = {});
