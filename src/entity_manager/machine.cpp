@@ -674,7 +674,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             sendSample(*message.mutable_sample());
             break;
         case proto::EiToEm::kWelcome:
-        case proto::EiToEm::kGoodBye:
+        case proto::EiToEm::kEnd:
             break;  // the link's own business
         case proto::EiToEm::BODY_NOT_SET:
             ++counters_.malformed;
