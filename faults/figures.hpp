@@ -36,6 +36,7 @@ struct Promise {
     double p99_ms =
         0;  ///< of the distribution, on a host with time to spare (without --busy), from 100 stops on
     std::string text;
+    double p999_ms = 0;  ///< likewise, from 1,000 stops on
 };
 
 /// What a run found. Everything in `broken` is a broken promise.
