@@ -28,7 +28,7 @@ using Clock = std::chrono::steady_clock;
 constexpr std::size_t kLoginsAtOnce = 16;
 /// Batches under way to a robot. Beyond that the client waits for its application, so that all of them
 /// together fill the processors and not the memory.
-constexpr std::uint32_t kAhead = 16;
+constexpr std::int32_t kAhead = 16;
 /// A robot that takes nothing for this long is sent more all the same: whoever stops reading must not slow
 /// the load down.
 constexpr auto kPatience = 200ms;
@@ -65,14 +65,14 @@ class Loader {
             look_at_ = now + kLook;
             look();
         }
-        const std::uint32_t under_way = slot_.sent - slot_.received - given_up_;
+        const auto under_way = static_cast<std::int32_t>(slot_.sent - slot_.received - given_up_);
         if (slot_.received != received_) {
             received_ = slot_.received;
             since_ = now;
         }
         if (under_way >= kAhead) {
             if (now - since_ >= kPatience) {
-                given_up_ += under_way;
+                given_up_ = slot_.sent - slot_.received;
                 since_ = now;
             } else {
                 std::this_thread::sleep_for(kNoRoom);
@@ -102,8 +102,12 @@ class Loader {
     /// A stop latches, and what is sent to a latched robot is refused.
     void look() {
         if (lost_ && !hold()) return;
-        if (const auto entity = client_->find(name_); entity && entity->latched)
-            if (!client_->rearm(name_)) ++slot_.refused;
+        const auto entity = client_->find(name_);
+        if (!entity || !entity->latched) return;
+        if (client_->rearm(name_))
+            given_up_ = slot_.sent - slot_.received;  // what was under way is refused
+        else
+            ++slot_.refused;
     }
 
     const std::string name_;
@@ -113,7 +117,8 @@ class Loader {
     std::unique_ptr<Client> client_;
     std::optional<CheckOut> held_;
     Clock::time_point look_at_{}, since_ = Clock::now();
-    std::uint32_t received_ = 0, given_up_ = 0;
+    std::uint32_t received_ = 0;  // when last looked at
+    std::uint32_t given_up_ = 0;  // sent, and not to be waited for
 };
 
 }  // namespace
