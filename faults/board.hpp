@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cstddef>
@@ -28,6 +29,11 @@ struct alignas(64) Slot {
         0};  ///< the client was told that it is UNAV or has left; 0 = it is there
     std::array<StopMark, kMarks> marks;
 
+    // Of the robot under load (load.hpp): what its application has received, and what its client did.
+    std::atomic<std::uint32_t> received{0};
+    std::atomic<std::uint32_t> sent{0}, refused{0};
+    std::atomic<std::uint32_t> disconnected{0}, leases_lost{0}, left{0};  ///< times the client noticed it
+
     /// Called on one thread at a time: the Entity Interfacer has one for stops.
     void stopped(std::uint32_t cause);
     /// The first stop after the first `before` ones that was not before `since`; null = none yet.
@@ -41,7 +47,10 @@ struct alignas(64) Desk {
     std::atomic<std::uint32_t> wedged{0};    ///< 1: keep_running says no; 2: it does not return
     std::atomic<std::uint32_t> together{0};  ///< 1: the robots move as steps of one run; 2: of the first one's
     std::atomic<std::uint32_t> master{0};    ///< whose run it is
+    std::atomic<std::uint32_t> movers{0};    ///< the first so many robots are made to move; 0: all
     std::atomic<std::uint32_t> applications{0};
+    std::atomic<std::uint32_t> load{0};     ///< 1: the clients of the load send
+    std::atomic<std::uint32_t> loaders{0};  ///< so many of them hold their robot
 };
 
 /// A file of slots in memory that all processes of a run share. What is written there survives whoever wrote
@@ -55,6 +64,8 @@ class Board {
 
     Slot& operator[](std::size_t i) { return slots_[i]; }
     std::size_t size() const { return count_; }
+    /// How many robots are made to move.
+    std::size_t movers() const { return desk_->movers == 0 ? count_ : std::min<std::size_t>(desk_->movers, count_); }
     Desk& desk() { return *desk_; }
 
   private:

@@ -147,6 +147,10 @@ class StaleCommands {
                 throw std::runtime_error("the robot did not begin to move");
             waitUntil([&] { return slot.moving != 0; }, 1s);
         }
+        // In half of the blocks what is wrong goes straight to the Entity Manager.
+        const bool direct = run_.lab.managerOfEach() && run_.among(0, 1) == 1;
+        if (direct && !holder.awaitDirect(entity, 1s)) ++run_.report.counts["direct paths that did not open within 1 s"];
+        const auto sent_directly = holder.sentDirectly() + other.sentDirectly();
         const auto starts = slot.starts.load();
         const auto stops = slot.stops.load();
 
@@ -209,6 +213,7 @@ class StaleCommands {
         if (!drain(0))
             run_.report.violation(std::to_string(giveUp()) + " commands of a block were never answered");
         run_.report.trials += count;
+        run_.report.counts[kSentDirectly] += holder.sentDirectly() + other.sentDirectly() - sent_directly;
         // What belongs to the holder goes on undisturbed.
         if (slot.starts != starts)
             run_.report.violation(robotName(index) + " began " + std::to_string(slot.starts - starts) +
@@ -289,6 +294,7 @@ class Contention {
                 one();
             ++run_.report.trials;
         }
+        for (const auto& client : clients_) run_.report.counts[kSentDirectly] += client->sentDirectly();
     }
 
   private:

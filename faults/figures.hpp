@@ -38,6 +38,7 @@ struct Promise {
     std::string text;
     std::size_t late_of_thousand =
         0;  ///< so many of each thousand may come after the bound: with 1, p99.9 is within it
+    double p999_ms = 0;  ///< likewise, from 1,000 stops on
 };
 
 /// What a run found. Everything in `broken` is a broken promise.

@@ -69,6 +69,14 @@ TEST(Figures, EachWayToBreakThePromiseIsNamed) {
     EXPECT_EQ(slow.broken().size(), 1U) << "p99 is 198 ms";
     slow.busy = true;
     EXPECT_TRUE(slow.broken().empty()) << "the percentile is promised for a host with time to spare";
+    auto tail = kept();
+    tail.promise.p99_ms = 0;
+    tail.promise.p999_ms = 500;
+    tail.latency = upTo(999);
+    tail.promise.bound_ms = 2000;
+    EXPECT_TRUE(tail.broken().empty()) << "999 stops do not support a p99.9";
+    tail.latency = upTo(1000);
+    EXPECT_EQ(tail.broken().size(), 1U) << "p99.9 is 999 ms";
     auto moved = kept();
     moved.moved_after_stop = 1;
     EXPECT_EQ(moved.broken().size(), 1U);

@@ -16,12 +16,12 @@ std::uint64_t Run::among(std::uint64_t least, std::uint64_t most) {
 
 const std::vector<Kind>& kinds() {
     static const std::vector<Kind> all = [] {
-        auto both = stopKinds();
-        for (auto& kind : loginKinds()) both.push_back(std::move(kind));
-        for (auto& kind : commandKinds()) both.push_back(std::move(kind));
-        std::stable_sort(both.begin(), both.end(),
+        auto every = stopKinds();
+        for (const auto& more : {loginKinds, commandKinds, loadKinds})
+            for (auto& kind : more()) every.push_back(std::move(kind));
+        std::stable_sort(every.begin(), every.end(),
                          [](const Kind& a, const Kind& b) { return a.trial < b.trial; });
-        return both;
+        return every;
     }();
     return all;
 }

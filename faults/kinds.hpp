@@ -42,6 +42,9 @@ struct Kind {
     std::function<void(Run&)> run;
 };
 
+/// What Report::counts calls the commands that went by direct paths.
+inline constexpr const char* kSentDirectly = "commands sent by direct paths";
+
 /// Every kind, in the order of the trials of docs/explanation/safety.md.
 const std::vector<Kind>& kinds();
 const Kind* findKind(const std::string& name);
@@ -53,5 +56,7 @@ std::vector<Kind> loginKinds();
 /// Those that ask what a robot obeys; of them, those in which processes and connections end meanwhile.
 std::vector<Kind> commandKinds();
 std::vector<Kind> restartKinds();
+/// Those that ask what a stop costs when there is much of everything.
+std::vector<Kind> loadKinds();
 
 }  // namespace axon::faults

@@ -89,11 +89,12 @@ Laboratory::Laboratory(const Wishes& wishes, const Needs& needs)
 }
 
 void Laboratory::endAll() {
-    for (auto* child : {operator_.get(), server_.get(), application_.get()})
+    for (auto* child : {operator_.get(), load_.get(), server_.get(), application_.get()})
         if (child) child->kill();
     for (auto& manager : managers_)
         if (manager) manager->kill();
     operator_.reset();
+    load_.reset();
     managers_.clear();
     server_.reset();
     application_.reset();
@@ -101,6 +102,32 @@ void Laboratory::endAll() {
 
 void Laboratory::endClient() {
     operator_.reset();
+}
+
+void Laboratory::startLoad() {
+    board_->desk().load = board_->desk().loaders = 0;
+    load_ = std::make_unique<Child>(
+        std::vector<std::string>{fs::canonical("/proc/self/exe").string(), "load", (folder_ / "board").string(),
+                                 std::to_string(wishes_.entities), clientAddress()},
+        folder_ / "load.log");
+}
+
+void Laboratory::endLoad() {
+    load_.reset();
+}
+
+std::size_t Laboratory::managerIndex(std::size_t i) const {
+    if (daemons_) return i;
+    return needs_.tenth_apart && i >= lastTenth() ? 1 : 0;
+}
+
+std::vector<Child*> Laboratory::managersOfLastTenth() {
+    std::vector<Child*> processes;
+    for (auto i = lastTenth(); i < wishes_.entities; ++i) {
+        auto* const process = &manager(i);
+        if (processes.empty() || processes.back() != process) processes.push_back(process);
+    }
+    return processes;
 }
 
 void Laboratory::startAnew() {
@@ -152,14 +179,20 @@ void Laboratory::startManagers() {
     const auto server = (needs_.relay_managers ? between_ : own_) + ":" + portText(kClientPort + 2);
     const auto links = needs_.relay_links ? between_ : own_;
     if (!daemons_) {
-        if (managers_.empty()) managers_.resize(1);
-        if (managers_[0] && managers_[0]->running()) return;
-        managers_[0] = std::make_unique<Child>(
-            std::vector<std::string>{fs::canonical("/proc/self/exe").string(), "managers",
-                                     (folder_ / "board").string(), folder_.string(),
-                                     std::to_string(wishes_.entities), links, server},
-            folder_ / "managers.log");
-        managers_[0]->waitForLine("ready");
+        managers_.resize(needs_.tenth_apart ? 2 : 1);
+        const auto apart = needs_.tenth_apart ? lastTenth() : wishes_.entities;
+        for (std::size_t k = 0; k < managers_.size(); ++k) {
+            if (managers_[k] && managers_[k]->running()) continue;
+            const auto first = k == 0 ? 0 : apart;
+            const auto count = k == 0 ? apart : wishes_.entities - apart;
+            managers_[k] = std::make_unique<Child>(
+                std::vector<std::string>{fs::canonical("/proc/self/exe").string(), "managers",
+                                         (folder_ / "board").string(), folder_.string(),
+                                         std::to_string(wishes_.entities), links, server, std::to_string(first),
+                                         std::to_string(count)},
+                folder_ / (k == 0 ? "managers.log" : "managers-apart.log"));
+            managers_[k]->waitForLine("ready");
+        }
         return;
     }
     managers_.resize(wishes_.entities);
@@ -206,7 +239,7 @@ bool Laboratory::prepare(std::chrono::seconds patience) {
     return waitUntil(
         [&] {
             if (board_->desk().prepared != order) return false;
-            for (std::size_t i = 0; i < board_->size(); ++i)
+            for (std::size_t i = 0; i < board_->movers(); ++i)
                 if ((*board_)[i].moving == 0) {
                     board_->desk().prepared = 0;  // one was stopped meanwhile: the order stands
                     return false;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
@@ -24,6 +25,8 @@ struct Needs {
         false;  ///< a process for each Entity Manager, for faults of one; without, only where robots are few
     bool slow_disk =
         false;  ///< the disk of every Entity Manager takes its time (with daemons): Laboratory::slowDisk()
+    bool tenth_apart =
+        false;  ///< the Entity Managers of the last tenth of the robots are in no process with others
     bool together = false;     ///< the robots move as steps of one run; Desk::master is whose it is
     bool first_master = false; ///< it is always the first robot's, whose Entity Manager has a cable of its own:
                                ///< Hop::Master (with relay_managers and daemons)
@@ -64,8 +67,16 @@ class Laboratory {
     Child& server() { return *server_; }
     Child& client() { return *operator_; }
     Child& application() { return *application_; }
-    /// The one of the i-th robot; all are the same process without Needs::daemons.
-    Child& manager(std::size_t i) { return *managers_[i % managers_.size()]; }
+    /// The one of the i-th robot; without Needs::daemons others are in the same process.
+    Child& manager(std::size_t i) { return *managers_[managerIndex(i)]; }
+    /// The first robot of the last tenth, which has at least one.
+    std::size_t lastTenth() const { return wishes_.entities - std::max<std::size_t>(1, wishes_.entities / 10); }
+    /// The processes of the Entity Managers of the last tenth (Needs::tenth_apart, or daemons).
+    std::vector<Child*> managersOfLastTenth();
+    /// Clients that hold a robot each and send data while Desk::load says so (load.hpp).
+    void startLoad();
+    void endLoad();
+    Child& load() { return *load_; }
     bool managerOfEach() const { return daemons_; }
     std::size_t entities() const { return wishes_.entities; }
     const std::filesystem::path& folder() const { return folder_; }
@@ -83,6 +94,7 @@ class Laboratory {
     void startServer();
     void startApplication();
     void startManagers();
+    std::size_t managerIndex(std::size_t i) const;
 
     const Wishes wishes_;
     const Needs needs_;
@@ -93,7 +105,7 @@ class Laboratory {
     HostProbe probe_;
     Relay relay_;
     std::unique_ptr<Burners> burners_;
-    std::unique_ptr<Child> server_, application_, operator_;
+    std::unique_ptr<Child> server_, application_, operator_, load_;
     std::vector<std::unique_ptr<Child>> managers_;
     std::uintmax_t motions_read_ = 0;
     std::uint32_t orders_ = 0;

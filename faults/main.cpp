@@ -9,6 +9,7 @@
 #include <iostream>
 
 #include "kinds.hpp"
+#include "load.hpp"
 #include "operator.hpp"
 #include "robots.hpp"
 
@@ -59,11 +60,16 @@ Report carryOut(const Kind& kind, Laboratory& lab, const Wishes& wishes, std::si
     return report;
 }
 
-int runKinds(const std::string& name, const Wishes& wishes, std::size_t trials, double seconds,
+int runKinds(const std::vector<std::string>& names, const Wishes& wishes, std::size_t trials, double seconds,
              const std::string& json_file) {
-    const bool every = name == "all";
-    const auto* one = findKind(name);
-    if (!every && !one) {
+    const bool every = names == std::vector<std::string>{"all"};
+    std::vector<const Kind*> chosen;
+    for (const auto& name : names) {
+        if (every) break;
+        if (const auto* kind = findKind(name)) {
+            chosen.push_back(kind);
+            continue;
+        }
         std::string known;
         for (const auto& kind : kinds()) known += " " + kind.name;
         std::cerr << "axon-faults: no kind '" << name << "'; expected all, or one of" << known << "\n";
@@ -72,17 +78,30 @@ int runKinds(const std::string& name, const Wishes& wishes, std::size_t trials, 
     catchInterrupts();
     // Children are killed with the thread that made them: this one, which outlives them.
     std::vector<Report> reports;
-    const Needs in_every_hop{true, true, true, true};
-    Laboratory lab(wishes, every ? in_every_hop : one->needs);
-    for (const auto& kind : kinds()) {
-        if (interrupted() || (!every && &kind != one)) continue;
-        if (every && kind.needs.first_master) continue;  // its cable would be missing in the faults of all managers
+    bool not_run = false;
+    const auto run = [&](const Kind& kind, Laboratory& lab) {
         const auto count = trials == 0 ? kind.usual_trials : every ? trials * kind.short_factor : trials;
         reports.push_back(
             carryOut(kind, lab, wishes, count, seconds > 0 ? seconds : static_cast<double>(count)));
         std::printf("%s", toText(reports.back()).c_str());
         std::fflush(stdout);
         if (!reports.back().broken().empty()) lab.keepLogs();
+    };
+    if (every) {
+        const Needs in_every_hop{true, true, true, true};
+        Laboratory lab(wishes, in_every_hop);
+        for (const auto& kind : kinds())  // the cable of a first master would be missing in the faults of all managers
+            if (!interrupted() && !kind.needs.first_master) run(kind, lab);
+    }
+    for (const auto* kind : chosen) {
+        if (interrupted()) break;
+        try {
+            Laboratory lab(wishes, kind->needs);
+            run(*kind, lab);
+        } catch (const std::exception& problem) {  // what the others have found is worth telling
+            std::cerr << "axon-faults: " << kind->name << ": " << problem.what() << "\n";
+            not_run = true;
+        }
     }
     if (!json_file.empty()) {
         std::ofstream out(json_file);
@@ -100,6 +119,7 @@ int runKinds(const std::string& name, const Wishes& wishes, std::size_t trials, 
     const bool kept = std::all_of(reports.begin(), reports.end(),
                                   [](const Report& report) { return report.broken().empty(); });
     if (interrupted()) std::printf("interrupted; this is what there was\n");
+    if (not_run) return 2;
     return kept && !interrupted() ? 0 : 1;
 }
 
@@ -117,17 +137,18 @@ int main(int argc, char** argv) {
         "  axon-faults all --trials 2 --entities 4\n\n"
         "Exit status: 0 every promise was kept, 1 one was broken or the run was interrupted, 2 it could not "
         "be run.\n"};
-    std::string name, json_file, programs;
+    std::vector<std::string> names;
+    std::string json_file, programs;
     Wishes wishes;
     std::size_t trials = 0;
     double seconds = 0;
     bool show_list = false;
-    app.add_option("kind", name, "What to do; all = each but cut-master");
+    app.add_option("kind", names, "What to do, one after the other, each in a laboratory of its own; all = each but cut-master, in one laboratory");
     app.add_flag("--list", show_list, "Every kind with its promise, and end");
     app.add_option("--trials", trials, "How many faults, commands or sequences [of the kind]")
         ->check(CLI::Range(1, 10'000'000));
     app.add_option("--entities", wishes.entities, "How many robots")
-        ->check(CLI::Range(1, 2000))
+        ->check(CLI::Range(1, 4000))
         ->capture_default_str();
     app.add_option("--seed", wishes.seed, "Chooses moments and victims")->capture_default_str();
     app.add_option("--seconds", seconds, "How long `steady` lasts [as many as trials]")
@@ -148,6 +169,8 @@ int main(int argc, char** argv) {
         sub->add_option("entities", plan.entities)->required();
         sub->add_option("address", plan.address)->required();
         sub->add_option("server", plan.server)->required();
+        sub->add_option("first", plan.first);
+        sub->add_option("count", plan.count);
         return sub;
     };
     const auto* application = robots("application");
@@ -156,6 +179,10 @@ int main(int argc, char** argv) {
     client->add_option("board", plan.board)->required();
     client->add_option("entities", plan.entities)->required();
     client->add_option("server", plan.server)->required();
+    auto* load = app.add_subcommand("load", "(internal)")->group("");
+    load->add_option("board", plan.board)->required();
+    load->add_option("entities", plan.entities)->required();
+    load->add_option("server", plan.server)->required();
     try {
         app.parse(argc, argv);
     } catch (const CLI::ParseError& problem) {
@@ -166,17 +193,18 @@ int main(int argc, char** argv) {
         if (application->parsed()) return runApplication(plan);
         if (managers->parsed()) return runManagers(plan);
         if (client->parsed()) return runOperator(plan.board, plan.entities, plan.server);
+        if (load->parsed()) return runLoad(plan.board, plan.entities, plan.server);
         if (show_list) {
             list();
             return 0;
         }
-        if (name.empty()) {
+        if (names.empty()) {
             std::cerr << "axon-faults: expected a kind; axon-faults --list shows them\n";
             return 2;
         }
         wishes.programs =
             programs.empty() ? fs::canonical("/proc/self/exe").parent_path() : fs::path(programs);
-        return runKinds(name, wishes, trials, seconds, json_file);
+        return runKinds(names, wishes, trials, seconds, json_file);
     } catch (const std::exception& problem) {
         std::cerr << "axon-faults: " << problem.what() << "\n";
         return 2;

@@ -47,6 +47,9 @@ class Operator {
     }
 
   private:
+    /// Of the robots that are to move.
+    std::vector<std::string> names() { return {names_.begin(), names_.begin() + static_cast<std::ptrdiff_t>(board_.movers())}; }
+
     void say(const std::string& words) {
         if (words == said_) return;
         said_ = words;
@@ -88,10 +91,11 @@ class Operator {
 
     bool prepare() {
         if (!connect()) return false;
+        const auto movers = names();
         std::map<std::string, CheckOut> held;
         for (auto& one : client_->held()) held.emplace(one.entity().name, one);
         std::vector<std::string> missing;
-        for (const auto& name : names_) {
+        for (const auto& name : movers) {
             const auto entity = client_->find(name);
             if (!entity) return no(entity.refusal());
             if (entity->state < EntityState::IDLE || entity->state == EntityState::ERR) {
@@ -107,7 +111,7 @@ class Operator {
         }
         if (board_.desk().together != 0) return together();
         bool all = true;
-        for (const auto& name : names_) {
+        for (const auto& name : movers) {
             if (const auto task = tasks_.find(name); task != tasks_.end()) {
                 const auto report = task->second.report();
                 if (report.state == TaskState::Running) continue;

@@ -13,6 +13,7 @@
 #include <thread>
 
 #include "common/ids.hpp"
+#include "raw_paths.hpp"
 #include "transport/communicator.hpp"
 #include "transport/convert.hpp"
 
@@ -45,12 +46,18 @@ class RawClient::Session {
 
     void open(const std::string& address, const std::shared_ptr<Session>& self) {
         try {
-            const auto callback = openLane(
-                *data_.communicator(), "ClientGate:" + transport::tcpEndpoint(address), self, data_session_);
+            paths_ = std::make_shared<RawPaths>(
+                home(data_.communicator()), home(signal_.communicator()),
+                [this](const Header& head, const std::string& bytes) { relay(head, bytes); },
+                [weak = std::weak_ptr<Session>(self)](const Header& head, std::string_view bytes) {
+                    if (const auto still = weak.lock()) still->hear(head, bytes);
+                });
+            const auto callback = openLane(Lane::Data, *data_.communicator(), "ClientGate:" + transport::tcpEndpoint(address),
+                                           self, data_session_);
             const auto facts = data_session_->setCallback(callback);
             id_ = facts.me.id;
-            const auto signal = openLane(*signal_.communicator(), "ClientGate:" + facts.signalEndpoint, self,
-                                         signal_session_);
+            const auto signal = openLane(Lane::Signal, *signal_.communicator(), "ClientGate:" + facts.signalEndpoint,
+                                         self, signal_session_);
             signal_session_->attachSignalLane(facts.token, signal);
         } catch (const Ice::Exception&) {
             throw std::runtime_error(name_ + " has no session at " + address + ": " +
@@ -60,6 +67,7 @@ class RawClient::Session {
             Ice::uncheckedCast<ClientSessionPrx>(data_session_->ice_oneway()->ice_invocationTimeout(-1));
         signal_oneway_ =
             Ice::uncheckedCast<ClientSessionPrx>(signal_session_->ice_oneway()->ice_invocationTimeout(-1));
+        paths_->start(id_);
         beats_ = std::thread([this] {
             std::unique_lock lock(mutex_);
             for (double beat = 1; !closing_; ++beat) {
@@ -78,6 +86,7 @@ class RawClient::Session {
         }
         changed_.notify_all();
         if (beats_.joinable()) beats_.join();
+        if (paths_) paths_->close();
         data_.communicator()->destroy();
         signal_.communicator()->destroy();
     }
@@ -90,15 +99,20 @@ class RawClient::Session {
         }
     }
 
-    Header headTo(const std::string& entity, const char* type, bool signal) {
+    Header signalTo(const std::string& entity) {
         Header head;
         head.entity = entity;
-        head.msg_type = type;
-        head.sequence = ++(signal ? signals_ : messages_);
+        head.sequence = ++signals_;
         return head;
+    }
+    void relay(const Header& head, const std::string& bytes) const {
+        guarded([&] {
+            data_oneway_->sendToEntityAsync(transport::toIce(head), toRange(bytes), [] {}, {}, {});
+        });
     }
 
     void told(const std::string& entity, std::string name, bool left) {
+        if (left) paths_->left(entity);
         const std::lock_guard lock(mutex_);
         auto& one = entities_[entity];
         if (!name.empty()) one.name = std::move(name);
@@ -111,23 +125,30 @@ class RawClient::Session {
         entities_[status.entity].state = status.state;
         changed_.notify_all();
     }
-    void hear(Header head, ByteRange bytes) {
+    void hear(const Header& head, std::string_view bytes) {
         proto::ToClient message;
-        if (!message.ParseFromArray(bytes.first, static_cast<int>(bytes.second - bytes.first))) return;
+        if (!message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) return;
+        if (message.has_check_out() && message.check_out().has_lease()) {
+            const auto& reply = message.check_out();
+            if (!reply.direct_endpoint().empty() && !reply.direct_signal_endpoint().empty())
+                paths_->offer(head.entity, numberOf(reply.lease()), reply.lease().key(), reply.direct_endpoint(),
+                              reply.direct_signal_endpoint());
+        }
+        if (message.has_lease_ended()) paths_->withdraw(head.entity, numberOf(message.lease_ended().lease()));
         if (heard_) heard_(head, message);
         const std::lock_guard lock(mutex_);
         if (message.has_check_out() && message.check_out().has_lease())
-            leases_[head.entity] = {static_cast<std::int32_t>(message.check_out().lease().epoch()),
-                                    static_cast<std::int32_t>(message.check_out().lease().number())};
-        messages_heard_.push_back({std::move(head.entity), std::move(message)});
+            leases_[head.entity] = numberOf(message.check_out().lease());
+        messages_heard_.push_back({head.entity, std::move(message)});
         if (messages_heard_.size() > kKept) messages_heard_.pop_front();
         changed_.notify_all();
     }
 
-    void refused(std::int64_t sequence) {
+    void refused(const Header& head) {
+        if (head.msg_type == kMsgWay) paths_->markRefused(head.entity);
         const std::lock_guard lock(mutex_);
         ++undelivered_;
-        refused_ = sequence;
+        refused_ = head.sequence;
         changed_.notify_all();
     }
     void ended() {
@@ -147,7 +168,8 @@ class RawClient::Session {
     const Heard heard_;
     std::string id_;
     std::shared_ptr<ClientSessionPrx> data_session_, signal_session_, data_oneway_, signal_oneway_;
-    std::atomic<std::int64_t> messages_{0}, signals_{0};
+    std::shared_ptr<RawPaths> paths_;
+    std::atomic<std::int64_t> signals_{0};
     std::atomic<std::size_t> undelivered_{0};
     std::mutex mutex_;
     std::condition_variable changed_;
@@ -162,7 +184,7 @@ class RawClient::Session {
   private:
     class Callback final : public ClientCallback {
       public:
-        explicit Callback(std::weak_ptr<Session> session) : session_(std::move(session)) {}
+        Callback(std::weak_ptr<Session> session, Lane lane) : session_(std::move(session)), lane_(lane) {}
         void newBasicPrflMsg(::Axon::CommUtil::Presence presence, ::Axon::CommUtil::Registration registration,
                              ByteRange, const Ice::Current&) override {
             if (const auto session = session_.lock())
@@ -174,13 +196,17 @@ class RawClient::Session {
         }
         void newSvcRecordMsg(::Axon::CommUtil::Header, int, int, ByteRange, const Ice::Current&) override {}
         void newEntityMsg(::Axon::CommUtil::Header head, ByteRange message, const Ice::Current&) override {
-            if (const auto session = session_.lock())
-                session->hear(transport::fromIce(std::move(head)), message);
+            const auto session = session_.lock();
+            if (!session) return;
+            if (lane_ == Lane::Data)
+                session->paths_->relayed(transport::fromIce(std::move(head)), toView(message));
+            else
+                session->hear(transport::fromIce(std::move(head)), toView(message));
         }
         void newEntityMsgDataSeq(::Axon::CommUtil::Header, ByteRange, const Ice::Current&) override {}
         void newRefusalMsg(::Axon::CommUtil::Header head, int, std::string, const Ice::Current&) override {
             if (const auto session = session_.lock())
-                session->refused(transport::fromIce(std::move(head)).sequence);
+                session->refused(transport::fromIce(std::move(head)));
         }
         void newStopAccepted(::Axon::CommUtil::Header, int, const Ice::Current&) override {}
         void newUpdateMsg(int, std::string, const Ice::Current&) override {}
@@ -188,9 +214,21 @@ class RawClient::Session {
 
       private:
         const std::weak_ptr<Session> session_;
+        const Lane lane_;
     };
 
-    std::shared_ptr<ClientCallbackPrx> openLane(Ice::Communicator& communicator, const std::string& gate_text,
+    static LeaseNumber numberOf(const proto::Lease& lease) {
+        return {static_cast<std::int32_t>(lease.epoch()), static_cast<std::int32_t>(lease.number())};
+    }
+
+    /// Where direct paths of this lane begin.
+    static client::LaneHome home(const std::shared_ptr<Ice::Communicator>& communicator) {
+        const auto adapter = communicator->createObjectAdapter("");
+        adapter->activate();
+        return {communicator, adapter, nullptr};
+    }
+
+    std::shared_ptr<ClientCallbackPrx> openLane(Lane lane, Ice::Communicator& communicator, const std::string& gate_text,
                                                 const std::shared_ptr<Session>& self,
                                                 std::shared_ptr<ClientSessionPrx>& session) const {
         const auto gate = Ice::uncheckedCast<ClientGatePrx>(
@@ -199,7 +237,7 @@ class RawClient::Session {
         const auto connection = gate->ice_getCachedConnection();
         const auto adapter = communicator.createObjectAdapter("");
         auto callback =
-            Ice::uncheckedCast<ClientCallbackPrx>(adapter->addWithUUID(std::make_shared<Callback>(self)));
+            Ice::uncheckedCast<ClientCallbackPrx>(adapter->addWithUUID(std::make_shared<Callback>(self, lane)));
         adapter->activate();
         connection->setAdapter(adapter);
         connection->setCloseCallback(
@@ -239,6 +277,12 @@ const std::string& RawClient::name() const {
 const std::string& RawClient::id() const {
     return session_->id_;
 }
+bool RawClient::awaitDirect(const std::string& entity, std::chrono::milliseconds time) {
+    return session_->paths_->awaitOpen(entity, time);
+}
+std::size_t RawClient::sentDirectly() const {
+    return session_->paths_->sent();
+}
 std::size_t RawClient::undelivered() const {
     return session_->undelivered_;
 }
@@ -261,28 +305,30 @@ bool RawClient::available(const std::string& entity) const {
 
 void RawClient::send(const std::string& entity, const char* type, const proto::ToEntity& body,
                      LeaseNumber lease, std::int32_t generation) {
-    auto head = session_->headTo(entity, type, false);
+    Header head;
+    head.entity = entity;
+    head.msg_type = type;
     head.held = lease;
     head.stop_generation = generation;
-    const auto bytes = body.SerializeAsString();
-    session_->guarded([&] {
-        session_->data_oneway_->sendToEntityAsync(transport::toIce(head), toRange(bytes), [] {}, {}, {});
-    });
+    session_->paths_->send(std::move(head), body.SerializeAsString());
 }
 void RawClient::stop(const std::string& entity) {
-    const auto head = transport::toIce(session_->headTo(entity, "", true));
+    const auto head = session_->signalTo(entity);
     session_->guarded([&] {
-        session_->signal_oneway_->sendStopSignalAsync(head, ::Axon::CommUtil::StopCause::Requested, [] {}, {},
-                                                      {});
+        session_->signal_oneway_->sendStopSignalAsync(transport::toIce(head), ::Axon::CommUtil::StopCause::Requested,
+                                                      [] {}, {}, {});
     });
+    session_->paths_->signal(entity, [&](const auto& path) { path.sendStopSignal(head, StopCause::Requested); });
 }
 void RawClient::reset(const std::string& entity) {
-    const auto head = transport::toIce(session_->headTo(entity, "", true));
-    session_->guarded([&] { session_->signal_oneway_->sendResetSignalAsync(head, [] {}, {}, {}); });
+    const auto head = session_->signalTo(entity);
+    session_->guarded([&] { session_->signal_oneway_->sendResetSignalAsync(transport::toIce(head), [] {}, {}, {}); });
+    session_->paths_->signal(entity, [&](const auto& path) { path.sendResetSignal(head); });
 }
 void RawClient::clear(const std::string& entity) {
-    const auto head = transport::toIce(session_->headTo(entity, "", true));
-    session_->guarded([&] { session_->signal_oneway_->sendClearSignalAsync(head, [] {}, {}, {}); });
+    const auto head = session_->signalTo(entity);
+    session_->guarded([&] { session_->signal_oneway_->sendClearSignalAsync(transport::toIce(head), [] {}, {}, {}); });
+    session_->paths_->signal(entity, [&](const auto& path) { path.sendClearSignal(head); });
 }
 
 std::optional<proto::ToClient> RawClient::await(const std::string& entity,
@@ -381,7 +427,7 @@ std::optional<proto::EntityStatus> RawClient::status(const std::string& entity) 
     const auto id = newId();
     body.mutable_status_request()->set_request_id(id);
     send(entity, kMsgStatus, body);
-    const auto sent = session_->messages_.load();
+    const auto sent = session_->paths_->sequence();
     std::unique_lock lock(session_->mutex_);
     std::optional<proto::EntityStatus> status;
     session_->changed_.wait_for(lock, kStatusTime, [&] {

@@ -25,7 +25,7 @@ struct Grant {
 /// what a proper client never would: a lease that is not its own, a generation of long ago, the same task
 /// twice.
 ///
-/// Both lanes; a thread of its own sends keepAlive. Threads: any member from any thread; `heard` is called on
+/// Both lanes, and a direct path for each lease that offers one (RawPaths); a thread of its own sends keepAlive. Threads: any member from any thread; `heard` is called on
 /// Ice's. Failure: the constructor throws std::runtime_error when there is no session; what is sent after the
 /// connection has gone is lost without a word, as on a wire.
 class RawClient {
@@ -59,6 +59,10 @@ class RawClient {
     void forget();
     /// The lease that this session was given last, whether it is still good or not.
     std::optional<LeaseNumber> lease(const std::string& entity) const;
+    /// Whether the direct path of the entity is open, within this time: what is sent from now on goes by it.
+    bool awaitDirect(const std::string& entity, std::chrono::milliseconds time);
+    /// How many messages have gone by direct paths.
+    std::size_t sentDirectly() const;
     /// Told by the server itself: it could not deliver so many messages.
     std::size_t undelivered() const;
 

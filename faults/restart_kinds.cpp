@@ -23,8 +23,16 @@ class Hardship {
         join(second_, "client2@faults");
     }
 
-    void join(std::unique_ptr<RawClient>& client, const std::string& name) {
+    ~Hardship() {
+        for (auto* client : {&first_, &second_}) leave(*client);
+    }
+
+    void leave(std::unique_ptr<RawClient>& client) {
+        if (client) run_.report.counts[kSentDirectly] += client->sentDirectly();
         client.reset();
+    }
+    void join(std::unique_ptr<RawClient>& client, const std::string& name) {
+        leave(client);
         for (int i = 0;; ++i) {  // a server that has just been started may need a moment
             try {
                 client = std::make_unique<RawClient>(run_.lab.clientAddress(), name);
@@ -67,6 +75,12 @@ class Hardship {
         run_.lab.startAll();
         rejoin(true);
         rejoin(false);
+    }
+
+    /// In half of the cases, what comes next goes by the direct path; otherwise by whichever way is open by then.
+    void maybeDirect(const std::string& id) {
+        if (run_.lab.managerOfEach() && run_.among(0, 1) == 1 && !first_->awaitDirect(id, 500ms))
+            ++run_.report.counts["direct paths that did not open within 500 ms"];
     }
 
     /// Held and rearmed, whatever it takes; nothing when that does not come about within ten seconds.
@@ -153,6 +167,7 @@ class Latch : private Hardship {
             if (!held) return false;
             grant = *held;
             id = first_->entity(robotName(r), 5s);
+            maybeDirect(id);
             driven = run_.among(0, 2) == 0 ? stepTask(newId()) : driveTask(newId());
             begun = first_->run(id, driven, grant.lease, grant.generation, driven.service() == "Step");
         } while (begun && begun->reason().code() == proto::CLIENT_LOST);
@@ -328,6 +343,7 @@ class Retries : private Hardship {
         for (auto* client : {first_.get(), second_.get()}) client->forget();
         auto grant = takeReady(*first_, r);
         if (!grant) return false;
+        maybeDirect(first_->entity(robotName(r), 5s));
         std::vector<proto::TaskRequest> tasks;
         const auto count = run_.among(2, 6);
         for (std::uint64_t i = 0; i < count; ++i) {

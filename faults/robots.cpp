@@ -118,6 +118,9 @@ int runApplication(const RobotsPlan& plan) {
             ++slot.starts;
             slot.moving = task.stopRequested() ? 0 : 1;
         };
+        robot->onRaw([&slot](const std::vector<std::string>& blocks, const std::string&) {
+            slot.received += static_cast<std::uint32_t>(blocks.size());
+        });
         robot->onTask("Drive", [&slot, begin](Task& task) {
             begin(task);
             while (task.waitFor(Seconds(3600))) {
@@ -159,7 +162,8 @@ int runManagers(const RobotsPlan& plan) {
         std::shared_ptr<EntityManager> manager;
     };
     std::vector<std::unique_ptr<Member>> members;
-    for (std::size_t i = 0; i < plan.entities; ++i) {
+    const auto end = plan.count == 0 ? plan.entities : plan.first + plan.count;
+    for (auto i = plan.first; i < end; ++i) {
         auto member = std::make_unique<Member>(plan.folder / ("state-" + std::to_string(i)));
         CoreSettings core;
         core.application = applicationName(i);
@@ -175,7 +179,7 @@ int runManagers(const RobotsPlan& plan) {
         member->manager->start();
         members.push_back(std::move(member));
         // Logging in costs the server; 32 at a time keeps every handshake within its time-out.
-        while (i >= 32 && members[i - 32]->manager->state() != EntityState::IDLE)
+        while (members.size() > 32 && members[members.size() - 33]->manager->state() != EntityState::IDLE)
             std::this_thread::sleep_for(1ms);
     }
     std::puts("ready");

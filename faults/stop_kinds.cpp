@@ -21,6 +21,7 @@ constexpr double kKill_ms = 20;        // p99 of what the kernel tells at once
 constexpr double kServerHop_ms = 350;  // watchdog of client and server hops, 250 ms, + 100 ms
 constexpr double kLinkHop_ms = 350;    // watchdog of the link to the application, 250 ms, + 100 ms
 constexpr int kPreparesMax = 20;
+constexpr std::uint32_t kMoversMax = 64;
 
 /// How a fault is brought about and taken back.
 struct Fault {
@@ -36,10 +37,10 @@ std::string causeName(std::uint32_t cause) {
     return toString(static_cast<StopSignal::Cause>(cause));
 }
 
-/// Whether every robot still moves; those that do not have stopped before the fault.
+/// Of the robots that are to move, those that do not: they have stopped before the fault.
 std::size_t standing(Board& board) {
     std::size_t count = 0;
-    for (std::size_t i = 0; i < board.size(); ++i) count += board[i].moving == 0 ? 1 : 0;
+    for (std::size_t i = 0; i < board.movers(); ++i) count += board[i].moving == 0 ? 1 : 0;
     return count;
 }
 
@@ -179,6 +180,23 @@ void stopBesideSlowDisk(Run& run) {
     carryOut(run, fault);
 }
 #endif
+
+/// One order for everything. Beats of so many moving robots as there may be are more than two cores carry, so that some
+/// of them stand; they are stopped all the same.
+void stopEverything(Run& run) {
+    std::unique_ptr<RawClient> stopper;
+    Fault fault;
+    fault.before = [&](Run& now) {
+        if (!stopper || !stopper->connected())
+            stopper = std::make_unique<RawClient>(now.lab.clientAddress(), "stopper@faults");
+    };
+    fault.inject = [&](Run&, const Robots&) { stopper->stop(""); };
+    fault.heal = [](Run&, const Robots&) {};
+    auto& desk = run.lab.board().desk();
+    desk.movers = kMoversMax;
+    carryOut(run, fault);
+    desk.movers = 0;
+}
 
 /// Cables whose delay changes ten times a second.
 void shake(Run& run) {
@@ -334,6 +352,17 @@ std::vector<Kind> stopKinds() {
     add("freeze-application", 4, "SIGSTOP of the application of all robots", client_told, {},
         {[](Run& run, const Robots&) { run.lab.application().freeze(); },
          [](Run& run, const Robots&) { run.lab.application().thaw(); }, false, true, 150ms});
+
+    // Trial 6: everything at once.
+    all.push_back({"stop-all",
+                   6,
+                   "a client stops every entity with one order; the first 64 robots move",
+                   {kServerHop_ms, 0, "every robot stops within 350 ms of the order"},
+                   {},
+                   "stops",
+                   20,
+                   1,
+                   stopEverything});
 
     // The master of a run: nobody else would tell its slaves.
     const Promise run_hop{kServerHop_ms, 0, "every robot of the run stops within 350 ms (watchdog + 100 ms)"};

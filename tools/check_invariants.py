@@ -37,6 +37,7 @@ ICE_ALLOWED = (
     "src/server/*",
     "bench/*",
     "faults/raw_client.*",
+    "faults/raw_paths.*",
 )
 # Where IceStorm may be named. No server knows whether it talks to a topic or to its neighbour.
 STORM_ALLOWED = ("src/transport/storm_topics.*",)
