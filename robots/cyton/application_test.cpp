@@ -191,7 +191,7 @@ class Manager : public entity_manager::BackEndEvents {
     }
 
     void onLinkUp() override {}
-    void onLinkDown(const std::string& /*reason*/) override {}
+    void onLinkDown(const std::string& /*reason*/, entity_manager::LinkEnd /*end*/) override {}
     void onLinkMessage(const proto::EiToEm& message) override {
         const std::lock_guard lock(mutex_);
         if (message.has_task()) events_.push_back(message.task().event());

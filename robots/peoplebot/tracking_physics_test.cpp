@@ -61,7 +61,8 @@ class GraspTrial : public arcos::ClientSession::Port {
             tick();
             if (lab_.age() >= next_picture) {
                 next_picture += std::chrono::milliseconds{100};
-                const auto picture = cameras_.take(0);
+                lab::Picture picture;
+                cameras_.take(0, {}, [&](lab::Picture taken) { picture = std::move(taken); }).get();
                 CameraPicture seen{++pictures_, lab_.now(), picture.width, picture.height, picture.rgb};
                 view = {seen.sequence, seen.taken, seen.width, seen.height, findBlobs(seen, request.colour)};
                 fresh_ = true;

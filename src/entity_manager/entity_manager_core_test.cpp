@@ -305,7 +305,9 @@ TEST_F(Held, DrillsChangeNothingHoweverManyThereAre) {
     rig.stopDone(1);
     rig.rearm("client1", "r2");
     rig.task("client1", "again", "Turning");
+    ASSERT_EQ(refusalOf(rig, "again"), proto::OK);
     rig.grant("again");
+    ASSERT_EQ(rig.core().state(), EntityState::BUSY);
     const auto generation = rig.gate.generation();
     const auto statuses = rig.statuses.size();
     const auto stops = rig.stops.size();
