@@ -302,6 +302,7 @@ TEST_F(Held, DrillsChangeNothingHoweverManyThereAre) {
     rig.grant("run");
     rig.stop("client2");  // remembered: the same stop by another path raises nothing
     const auto sequence = rig.clients["client2"].sequence;
+    rig.update("run", proto::TASK_STOPPED);
     rig.stopDone(1);
     rig.rearm("client1", "r2");
     rig.task("client1", "again", "Turning");
