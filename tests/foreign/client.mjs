@@ -158,9 +158,9 @@ const { taskId } = await run(entity, 100000, ({ progress }) => progress > 0);
 const stop = head(entity, "", "signal");
 signals.sendStopSignal(stop, CommUtil.StopCause.Requested);
 say("accepted", { entities: (await wait(({ accepted }) => accepted !== undefined)).accepted });
-for (let stage = 0; stage < 4;) {
+for (let stage = 0, more = true; stage < 3 || (stage === 3 && more);) { // 3: the callback has returned, 4: it stands, 5: no application
     const receipt = await told("receipt", ({ stopId }) => stopId === `${facts.me.id}:${stop.seq}`);
-    ({ stage } = receipt);
+    ({ stage, standstillFollows: more } = receipt);
     generation = receipt.stopGeneration;
     say("receipt", { stage: root.lookupEnum("axon.proto.StopReceipt.Stage").valuesById[stage] });
 }

@@ -18,6 +18,13 @@ PROPERTIES = {"Ice.RetryIntervals": "-1", "Ice.MessageSizeMax": "4096", "Ice.ACM
 FINAL = task_pb2.TASK_SUCCEEDED  # this task state and those above it are final
 
 
+def over(receipt, until):
+    """Whether a stop has come as far as `until`, or nobody can say when it will."""
+    if receipt.stage == status_pb2.StopReceipt.CALLBACK_RETURNED and not receipt.standstill_follows:
+        return True
+    return receipt.stage >= until  # NO_APPLICATION is above all others: `absence` says whether there was anything to stop
+
+
 class Callback(FrontEndComm.ClientCallback):
     """What the server pushes on one lane. Ice calls it on the one thread of that lane's communicator."""
 
@@ -211,11 +218,12 @@ class Client:
         self.send(entity, "WATCH", {"watch": messages_pb2.Watch(streams=streams, on=on)})
 
     def stop(self, entity, cause=CommUtil.StopCause.Requested, until=status_pb2.StopReceipt.STANDSTILL):
-        """Needs no lease. Returns the receipts up to the stage `until`, or the one that says that there is no application."""
+        """Needs no lease. Returns the receipts up to the stage `until`, or up to the last one that can be waited for: no
+        application is linked, or the callback has returned and no standstill follows."""
         head = self.head(entity, "", "signal")
         self.oneway("signal").sendStopSignal(head, cause)
         receipts = []
-        while not receipts or receipts[-1].stage < until:
+        while not receipts or not over(receipts[-1], until):
             receipts.append(self.answer("receipt", entity, stop_id=f"{self.facts.me.id}:{int(head.seq)}"))
         return receipts
 

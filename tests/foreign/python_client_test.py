@@ -138,6 +138,7 @@ class PythonClientTest(unittest.TestCase):
         receipts = other.stop(entity)
         self.assertEqual([receipt.stage for receipt in receipts], [Receipt.MANAGER, Receipt.CALLBACK_RETURNED, Receipt.STANDSTILL])
         self.assertEqual({receipt.cause for receipt in receipts}, {status_pb2.STOP_REQUESTED})
+        self.assertEqual([receipt.standstill_follows for receipt in receipts], [False, True, False], "the robot was moving")
         self.assertEqual(self.stops()[before:], ["stop: stop requested"])
         lane, head, entities = other.wait(lambda lane, head, message: isinstance(message, int))
         self.assertEqual((lane, entities), ("signal", 1))
@@ -365,14 +366,34 @@ class PythonClientTest(unittest.TestCase):
     def test_a_drill_measures_the_way_and_calls_nobody(self):
         holder, entity = self.holder()
         other = self.client()
-        before = len(self.stops())
+        before, generation = len(self.stops()), self.assert_alive(holder, entity).stop_generation
         receipts = other.stop(entity, CommUtil.StopCause.Drill, until=Receipt.CALLBACK_RETURNED)
         self.assertEqual([receipt.stage for receipt in receipts], [Receipt.MANAGER, Receipt.CALLBACK_RETURNED])
         self.assertEqual({receipt.cause for receipt in receipts}, {status_pb2.STOP_DRILL})
+        self.assertEqual({receipt.stop_generation for receipt in receipts}, {generation}, "it raises none")
+        self.assertEqual(self.refusal_of_task(holder, entity, stopGeneration=generation), "MISSING_DEPENDENCY", "and makes no command an old one")
         self.assertFalse(self.assert_alive(holder, entity).latched)
         self.assertEqual(len(self.stops()), before)
         self.assertEqual(other.stop(entity, CommUtil.StopCause.ClientLost)[0].cause, status_pb2.STOP_REQUESTED,
                          "what only servers may say is taken for a request")
+        self.rearm(holder, entity)
+
+    def test_who_drills_too_much_is_refused_and_may_still_stop(self):
+        holder, entity = self.holder()
+        other = self.client()
+
+        def is_refused():
+            """1,000 entities in one second, and one more; which begins a new second now and then."""
+            crowd = other.head("", "", "signal")
+            other.oneway("signal").sendStopSignals(crowd, [str(uuid.uuid4()) for _ in range(1000)], CommUtil.StopCause.Drill)
+            head = other.head(entity, "", "signal")
+            other.oneway("signal").sendStopSignal(head, CommUtil.StopCause.Drill)
+            _, _, message = other.wait(lambda _, its, message: its.seq == head.seq and not isinstance(message, messages_pb2.ToClient))
+            return isinstance(message, tuple) and refusal_pb2.RefusalCode.Name(message[0]) == "OVERLOADED"
+        self.assertTrue(any(is_refused() for _ in range(3)))
+        before = len(self.stops())
+        self.assertEqual([receipt.stage for receipt in other.stop(entity)][:2], [Receipt.MANAGER, Receipt.CALLBACK_RETURNED])
+        self.assertEqual(self.stops()[before:], ["stop: stop requested"])
         self.rearm(holder, entity)
 
     def test_a_drill_that_names_itself_so_is_taken_for_the_entity_server_s(self):
@@ -421,10 +442,8 @@ class PythonClientTest(unittest.TestCase):
         generations = []
         for _ in range(2):
             holder.oneway("signal").sendStopSignal(head, CommUtil.StopCause.Requested)
-            generations.append(holder.answer("receipt", entity, stop_id=stop_id, stage=Receipt.MANAGER).stop_generation)
-            if len(generations) == 1:
-                holder.answer("receipt", entity, stop_id=stop_id, stage=Receipt.STANDSTILL)
-        self.assertEqual(generations[0], generations[1], "the second is the first one again")
+            generations.append(holder.answer("receipt", entity, stop_id=stop_id, stage=Receipt.STANDSTILL).stop_generation)
+        self.assertEqual(generations[0], generations[1], "the second is the first one again, and answered with the stage that it has")
         self.assertEqual(len(self.stops()), before + 1)
         head.seq = 0  # none: always a new stop
         for _ in range(2):
