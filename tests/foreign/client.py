@@ -79,6 +79,7 @@ class Client:
         self.entities, self.statuses, self.leases, self.generations = {}, {}, {}, {}
         self.arrived = []  # (lane, header, ToClient | (code, reason) | number of entities), oldest first
         self.seq, self.closed, self.communicators = {"data": 0, "signal": 0}, threading.Event(), []
+        self.hurry = threading.Event()  # the next beat does not wait
         try:
             self.join(address, user, password, name)
         except Exception:
@@ -110,7 +111,7 @@ class Client:
         connection = gate.ice_getCachedConnection()
         adapter = communicator.createObjectAdapter("")  # without endpoints: callbacks come back over this connection
         connection.setAdapter(adapter)
-        connection.setCloseCallback(lambda _: self.closed.set())
+        connection.setCloseCallback(lambda _: (self.closed.set(), self.hurry.set()))
         adapter.activate()
         callback = adapter.addWithUUID(Callback(self, lane))
         session = FrontEndComm.ClientSessionPrx.uncheckedCast(connection.createProxy(opened.ice_getIdentity()))
@@ -121,7 +122,7 @@ class Client:
 
     def beat(self):
         """At a fifth of the watchdog. It is short as soon as the server sees an entity of ours BUSY, so it is kept for as long
-        as something is held."""
+        as something is held. A grant ends the long wait between two idle beats."""
         count = 0
         while not self.closed.is_set():
             count += 1
@@ -129,7 +130,8 @@ class Client:
                 self.oneway("signal").keepAlive(count)
             except Ice.Exception:
                 return
-            self.closed.wait((self.facts.watchdogBusyMs if self.leases else self.facts.watchdogIdleMs) / 5000)
+            self.hurry.wait((self.facts.watchdogBusyMs if self.leases else self.facts.watchdogIdleMs) / 5000)
+            self.hurry.clear()
 
     def close(self):
         if not self.closed.is_set():
@@ -197,6 +199,7 @@ class Client:
         if reply.HasField("lease"):
             with self.news:
                 self.leases[entity], self.generations[entity] = reply.lease, reply.stop_generation
+            self.hurry.set()
         return reply
 
     def start(self, entity, service, **params):

@@ -10,6 +10,7 @@ Real processes: axon-server, the Entity Manager, and a robot application that co
 import pathlib
 import re
 import shutil
+import signal
 import struct
 import subprocess
 import sys
@@ -153,6 +154,25 @@ class PythonClientTest(unittest.TestCase):
         self.rearm(holder, entity)
         done = list(holder.events(entity, holder.start(entity, "Count", To=1)))[-1]
         self.assertEqual(done.state, task_pb2.TASK_SUCCEEDED)
+
+    def test_a_stop_of_a_silent_application_says_so_and_is_carried_out_when_it_links_again(self):
+        holder, entity = self.holder()
+        task = holder.start(entity, "Count", To=100000)
+        holder.answer("task", entity, task_id=task, state=task_pb2.TASK_RUNNING)
+        application = self.lab.app.child
+        self.addCleanup(application.send_signal, signal.SIGCONT)
+        application.send_signal(signal.SIGSTOP)
+        wait_until(lambda: holder.statuses[entity].state == State.UNAV, "it is lost")
+        self.assertTrue(holder.statuses[entity].latched)
+        other = self.client("guest")
+        receipts = other.stop(entity)
+        self.assertEqual([(receipt.stage, receipt.absence) for receipt in receipts],
+                         [(Receipt.MANAGER, Receipt.ABSENCE_UNSPECIFIED), (Receipt.NO_APPLICATION, Receipt.SILENT)])
+        self.assertNotEqual(receipts[-1].absence_reason, "")
+        drilled = other.stop(entity, CommUtil.StopCause.Drill)[-1]
+        self.assertEqual((drilled.stage, drilled.absence), (Receipt.NO_APPLICATION, Receipt.SILENT))
+        application.send_signal(signal.SIGCONT)
+        other.answer("receipt", entity, 15.0, stop_id=receipts[0].stop_id, stage=Receipt.CALLBACK_RETURNED)
 
     def test_a_reset_ends_the_running_task_alone_and_a_clear_all_and_both_need_the_lease(self):
         holder, entity = self.holder()
