@@ -129,13 +129,16 @@ class OwnershipTest(unittest.TestCase):
         return {entity["name"]: entity for line in lines for entity in line.get("entities", ())}
 
     def setUp(self):
+        self.addCleanup(self.note_failure)  # also where this fails, and there is no tearDown
         for name, entity in self.status().items():
             self.assertEqual((entity["state"], entity["latched"]), ("IDLE", False), f"{name} was left so by a test")
 
-    def tearDown(self):
+    def note_failure(self):
         result = self._outcome.result
         if any(test is self for test, _ in result.failures + result.errors):
             type(self).failed = True
+
+    def tearDown(self):
         for person in (self.client1, self.client2, self.boss):
             if person.agent().get("running"):
                 person.axon("release", "--all")
