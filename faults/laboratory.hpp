@@ -70,7 +70,7 @@ class Laboratory {
     /// The one of the i-th robot; without Needs::daemons others are in the same process.
     Child& manager(std::size_t i) { return *managers_[managerIndex(i)]; }
     /// The first robot of the last tenth, which has at least one.
-    std::size_t lastTenth() const { return wishes_.entities - std::max<std::size_t>(1, wishes_.entities / 10); }
+    std::size_t lastTenth() const { return lastTenthOf(wishes_.entities); }
     /// The processes of the Entity Managers of the last tenth (Needs::tenth_apart, or daemons).
     std::vector<Child*> managersOfLastTenth();
     /// Clients that hold a robot each and send data while Desk::load says so (load.hpp).

@@ -3,6 +3,7 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <cstdio>
@@ -26,12 +27,25 @@ using Clock = std::chrono::steady_clock;
 
 /// A login is mostly waiting for round trips.
 constexpr std::size_t kLoginsAtOnce = 16;
-/// Batches under way to a robot. Beyond that the client waits for its application, so that all of them
-/// together fill the processors and not the memory.
-constexpr std::int32_t kAhead = 16;
-/// A robot that takes nothing for this long is sent more all the same: whoever stops reading must not slow
-/// the load down.
-constexpr auto kPatience = 200ms;
+/// Batches under way to all robots that read, and to one of them. Beyond that their clients wait, so that together they
+/// fill the processors and not the queues: where more is under way than a busy host carries within kPatience, the
+/// clients would send what can only be dropped, and nothing would arrive whole.
+constexpr std::size_t kAheadTogether = 640;
+constexpr std::size_t kAheadMax = 16;
+constexpr std::size_t kAheadMin = 2;
+/// The same for the robots that stop reading: enough to fill the queues to each of them within the time for which it
+/// does not read.
+constexpr std::size_t kAheadOfStalled = 64;
+/// What has not arrived for this long is not waited for any longer: it was dropped, or refused after a stop.
+constexpr auto kPatience = 2s;
+/// A robot that has stopped reading must not slow the load down.
+constexpr auto kPatienceOfStalled = 200ms;
+
+std::int32_t share(std::size_t together, std::size_t clients) {
+    return static_cast<std::int32_t>(
+        std::clamp(together / std::max<std::size_t>(1, clients), kAheadMin, kAheadMax));
+}
+
 /// How often a client looks whether it is to rearm, and whether there is room again: hundreds of threads that
 /// look often would be a load of their own.
 constexpr auto kLook = 50ms;
@@ -40,7 +54,9 @@ constexpr auto kNoRoom = 20ms;
 /// One client with its robot; used by one thread at a time.
 class Loader {
   public:
-    Loader(const std::string& server, std::string name, Slot& slot) : name_(std::move(name)), slot_(slot) {
+    Loader(const std::string& server, std::string name, Slot& slot, std::int32_t ahead,
+           std::chrono::milliseconds patience)
+        : name_(std::move(name)), slot_(slot), ahead_(ahead), patience_(patience) {
         Options options;
         options.server = server;
         options.timeout = 30s;
@@ -70,8 +86,8 @@ class Loader {
             received_ = slot_.received;
             since_ = now;
         }
-        if (under_way >= kAhead) {
-            if (now - since_ >= kPatience) {
+        if (under_way >= ahead_) {
+            if (now - since_ >= patience_) {
                 given_up_ = slot_.sent - slot_.received;
                 since_ = now;
             } else {
@@ -112,6 +128,8 @@ class Loader {
 
     const std::string name_;
     Slot& slot_;
+    const std::int32_t ahead_;
+    const std::chrono::milliseconds patience_;
     const std::string bytes_ = std::string(kBatchBytes, 'x');
     std::atomic<bool> lost_{false};
     std::unique_ptr<Client> client_;
@@ -127,6 +145,14 @@ int runLoad(const std::string& board_file, std::size_t entities, const std::stri
     Board board(board_file, entities, false);
     auto& desk = board.desk();
     const auto parent = ::getppid();
+    const auto reading = lastTenthOf(entities);
+    const auto make = [&](std::size_t i) {
+        if (i < reading)
+            return std::make_unique<Loader>(server, robotName(i), board[i], share(kAheadTogether, reading),
+                                            kPatience);
+        return std::make_unique<Loader>(server, robotName(i), board[i],
+                                        share(kAheadOfStalled, entities - reading), kPatienceOfStalled);
+    };
     std::vector<std::unique_ptr<Loader>> loaders(entities);
     std::atomic<std::size_t> next{0};
     std::atomic<bool> failed{false};
@@ -135,7 +161,7 @@ int runLoad(const std::string& board_file, std::size_t entities, const std::stri
         threads.emplace_back([&] {
             for (auto i = next++; i < entities && !failed; i = next++) {
                 try {
-                    loaders[i] = std::make_unique<Loader>(server, robotName(i), board[i]);
+                    loaders[i] = make(i);
                     ++desk.loaders;
                 } catch (const std::exception& problem) {
                     std::fprintf(stderr, "%s\n", problem.what());

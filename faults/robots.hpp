@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -14,6 +15,11 @@ std::string applicationName(std::size_t i);
 inline constexpr double kLeaseGrace = 0.5;
 /// The port of the i-th Entity Interfacer.
 std::uint16_t linkPort(std::size_t i);
+
+/// The first robot of the last tenth, which has at least one robot.
+constexpr std::size_t lastTenthOf(std::size_t entities) {
+    return entities - (entities < 20 ? 1 : entities / 10);
+}
 
 /// One motion that an application began, as a line of the run's log of motions.
 struct Motion {
