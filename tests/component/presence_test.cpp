@@ -183,6 +183,7 @@ TEST_F(PresenceTest, AnApplicationWithOneProfileIsSeenInInitAndIsTold) {
     const auto ready = client_->waitFor("Greeter", client::Seconds{10});
     ASSERT_TRUE(ready.ok()) << said();
     EXPECT_TRUE(ready->ready);
+    EXPECT_TRUE(waitUntil([&] { return !told().empty(); })) << "the callback's thread may be later";
     EXPECT_THAT(told(), ::testing::ElementsAre("joined Greeter"));
     EXPECT_TRUE(client_->checkOut("Greeter").ok());
 }
