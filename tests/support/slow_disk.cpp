@@ -102,6 +102,7 @@ FILE* fopen64(const char* path, const char* mode) {
 int close(int fd) {
     AXON_NEXT(close);
     touch(fd);
+    // Before it is closed: another thread may then be given the same number, for a socket.
     if (fd >= 0 && static_cast<std::size_t>(fd) < kDescriptors) ours[static_cast<std::size_t>(fd)] = false;
     return real(fd);
 }
