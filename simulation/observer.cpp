@@ -20,6 +20,8 @@ constexpr Duration kServerWatchdog = 250ms;
 constexpr Duration kManagerWatchdog = 100ms;
 constexpr Duration kAllowance = 100ms;
 constexpr Duration kLookAgain = 40ms;
+/// Tasks one after another are one motion if the robot stands for less than this between them.
+constexpr Duration kPause = 20ms;
 
 bool latches(StopCause cause) {
     return cause == StopCause::Requested || cause == StopCause::ClientLost || cause == StopCause::Improper;
@@ -383,17 +385,23 @@ void Observer::dispatched(std::size_t number, const std::string& task_id) {
 
 void Observer::moves(std::size_t number, bool moves, Duration alone) {
     auto& entity = entities_[number];
-    if (moves && (!entity.moves || alone != entity.alone)) {
+    const auto now = timeline_.now();
+    const auto pause = entity.moves ? Duration{} : now - entity.stands_since;
+    const bool begins = pause >= kPause;
+    if (moves) {
         // A stricter one has begun to move, or the strict one has ended: from now on it counts.
-        if (!entity.moves || alone < entity.alone) entity.alone_since = timeline_.now();
+        entity.alone_since = begins || alone < entity.alone ? now : entity.alone_since + pause;
         entity.alone = alone;
     }
     if (entity.moves == moves) return;
     entity.moves = moves;
     timeline_.mark(moves ? 3 : 5);
     timeline_.tell(entity.name, [&] { return moves ? "MOVES" : "stands"; });
-    if (!moves) return;
-    entity.moves_since = timeline_.now();
+    if (!moves) {
+        entity.stands_since = now;
+        return;
+    }
+    entity.moves_since = begins ? now : entity.moves_since + pause;
     watchMotion(number, kManagerWatchdog + kAllowance);
 }
 
@@ -450,8 +458,13 @@ void Observer::judgeMotion(std::size_t number) {
     const auto server_bound = bound(kServerWatchdog);
     const bool below_server =
         worksFor(*hops.manager, server_bound) && worksFor(*hops.application, server_bound);
+    // A way that is whole again brings the beats that it had held back, and they are signs of life.
+    const auto unheard = [](const Process& process, const Path& path, std::size_t direction) {
+        return path.cut[direction] ? process.changedAt()
+                                   : std::max(process.changedAt(), path.changed_at[direction]);
+    };
     if (!hops.server->running())
-        judge(hops.server->changedAt(), server_bound, below_server, "the server failed");
+        judge(unheard(*hops.server, *hops.server_path, 1), server_bound, below_server, "the server failed");
     if (hops.server_path->cut[1])
         judge(hops.server_path->changed_at[1], server_bound, below_server, "the way from the server was cut");
 
@@ -473,7 +486,8 @@ void Observer::judgeMotion(std::size_t number) {
         if (session.ended_at)
             judge(*session.ended_at, alone_bound, below_client, "its client's session ended");
         else if (!session.process->running())
-            judge(session.process->changedAt(), alone_bound, below_client, "its client failed");
+            judge(unheard(*session.process, *session.path, 0), alone_bound, below_client,
+                  "its client failed");
         else if (session.path->cut[0])
             judge(session.path->changed_at[0], alone_bound, below_client, "the way from its client was cut");
     }

@@ -169,9 +169,10 @@ class Observer {
         std::string name;
         Hops hops{};
         bool moves = false;
-        TimePoint moves_since;
-        Duration alone{};       ///< of what moves now …
-        TimePoint alone_since;  ///< … since when it has been no longer than that
+        TimePoint moves_since;   ///< without the short pauses between tasks
+        TimePoint stands_since;  ///< if it does not move
+        Duration alone{};        ///< of what moves now …
+        TimePoint alone_since;   ///< … since when it has been no longer than that
         LeaseNumber highest;
         std::string holder;        ///< of the highest lease
         bool ended = true;         ///< that lease, as far as was told

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
 #pragma once
+#include <algorithm>
 #include <cstdint>
 
 #include "common/clock.hpp"
@@ -13,15 +14,24 @@ namespace axon {
 class Watchdog {
   public:
     Watchdog(Duration busy, Duration idle, TimePoint now)
-        : busy_timeout_(busy), idle_timeout_(idle), last_(now) {}
+        : busy_timeout_(busy), idle_timeout_(idle), last_(now), idle_since_(now) {}
 
     /// A sign of life.
     void feed(TimePoint now) { last_ = now; }
 
-    /// Whether a task runs. Becoming busy counts as a sign of life: the peer could not have known before.
+    /// Whether a task runs. While none does, the peer is not expected to beat fast, and that time does not
+    /// count as silence. After a pause of at least the short time-out, becoming busy counts as a sign of
+    /// life. After a shorter one it does not: otherwise a chain of short tasks would hide a peer that is
+    /// gone.
     void setBusy(bool busy, TimePoint now) {
-        if (busy && !busy_) last_ = now;
+        if (busy == busy_) return;
         busy_ = busy;
+        if (!busy) {
+            idle_since_ = now;
+            return;
+        }
+        const auto silence = now - idle_since_ < busy_timeout_ ? idle_since_ - last_ : Duration{};
+        last_ = now - std::max(silence, Duration{});  // negative: it was heard in the pause
     }
 
     bool busy() const { return busy_; }
@@ -39,6 +49,7 @@ class Watchdog {
     Duration busy_timeout_;
     Duration idle_timeout_;
     TimePoint last_;
+    TimePoint idle_since_;  ///< while not busy
     bool busy_ = false;
 };
 

@@ -32,6 +32,50 @@ TEST(Watchdog, BecomingBusyStartsTheShortTimeoutAnew) {
     EXPECT_TRUE(dog.expired(clock.now()));
 }
 
+TEST(Watchdog, AShortPauseIsNoSignOfLife) {
+    ManualClock clock;
+    Watchdog dog(250ms, 10s, clock.now());
+    dog.setBusy(true, clock.now());
+    for (int task = 0; task < 3; ++task) {
+        clock.advance(80ms);
+        dog.setBusy(false, clock.now());
+        clock.advance(100ms);  // does not count: the peer was not expected to beat fast
+        dog.setBusy(true, clock.now());
+    }
+    clock.advance(9ms);
+    EXPECT_FALSE(dog.expired(clock.now()));
+    clock.advance(1ms);
+    EXPECT_TRUE(dog.expired(clock.now()));
+}
+
+TEST(Watchdog, AfterAPauseOfTheShortTimeoutItStartsAnew) {
+    ManualClock clock;
+    Watchdog dog(250ms, 10s, clock.now());
+    dog.setBusy(true, clock.now());
+    clock.advance(200ms);
+    dog.setBusy(false, clock.now());
+    clock.advance(250ms);
+    dog.setBusy(true, clock.now());
+    clock.advance(249ms);
+    EXPECT_FALSE(dog.expired(clock.now()));
+}
+
+TEST(Watchdog, WhatIsHeardInAShortPauseCounts) {
+    ManualClock clock;
+    Watchdog dog(250ms, 10s, clock.now());
+    dog.setBusy(true, clock.now());
+    clock.advance(200ms);
+    dog.setBusy(false, clock.now());
+    clock.advance(10ms);
+    dog.feed(clock.now());
+    clock.advance(10ms);
+    dog.setBusy(true, clock.now());
+    clock.advance(239ms);
+    EXPECT_FALSE(dog.expired(clock.now()));
+    clock.advance(11ms);
+    EXPECT_TRUE(dog.expired(clock.now()));
+}
+
 TEST(Watchdog, MarginFallsFromOneToZero) {
     ManualClock clock;
     Watchdog dog(200ms, 10s, clock.now());

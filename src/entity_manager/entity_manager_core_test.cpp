@@ -712,6 +712,27 @@ TEST_F(Held, ASilentServerIsGivenUpAndAnotherSessionIsSoughtThatNothingOfTheOldO
     EXPECT_TRUE(rig.wanted);
 }
 
+TEST_F(Held, ShortTasksOneAfterAnotherDoNotHideASilentServer) {
+    rig.core().onServerHeartbeat();
+    for (const char* task : {"t1", "t2", "t3", "t4"}) rig.task("client1", task, "Turning");
+    rig.grant("t1");
+    for (const auto& [ends, begins] : {std::pair{"t1", "t2"}, std::pair{"t2", "t3"}}) {
+        rig.advance(std::chrono::milliseconds{100}, false);
+        rig.update(ends, proto::TASK_SUCCEEDED);
+        rig.grant(begins);
+        ASSERT_EQ(rig.core().state(), EntityState::BUSY);
+    }
+    rig.advance(std::chrono::milliseconds{49}, false);
+    EXPECT_TRUE(rig.core().serverUp());
+    EXPECT_TRUE(rig.stops.empty());
+    rig.advance(std::chrono::milliseconds{1}, false);
+    EXPECT_FALSE(rig.core().serverUp());
+    ASSERT_FALSE(rig.stops.empty());
+    EXPECT_EQ(rig.stops.back().second, StopCause::ServerLost);
+    rig.update("t3", proto::TASK_STOPPED);
+    EXPECT_EQ(dispatches(rig), 3);
+}
+
 TEST(StopGate, AStopWithoutASequenceNumberIsAlwaysNew) {
     StopGate gate;
     for (const std::int64_t sequence : {0, 0, -1, -1}) EXPECT_TRUE(gate.raise("browser", sequence));

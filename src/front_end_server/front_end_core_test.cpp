@@ -299,6 +299,21 @@ TEST_F(FrontEndTest, StopsForASilentClientExactlyAtItsWatchdog) {
     EXPECT_EQ(core.clients(), 0U);
 }
 
+TEST_F(FrontEndTest, ShortTasksOneAfterAnotherDoNotHideASilentClient) {
+    entity("e1");
+    const auto peer = join();
+    status("e1", EntityState::BUSY, peer.id());
+    for (int task = 0; task < 2; ++task) {
+        pass(100ms);
+        status("e1", EntityState::REG, peer.id());
+        status("e1", EntityState::BUSY, peer.id());
+    }
+    pass(49ms);
+    EXPECT_THAT(topic.lines, IsEmpty());
+    pass(1ms);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by client1 to e1", "lost to e1"));
+}
+
 TEST_F(FrontEndTest, KeepAliveFeedsTheWatchdogAndAnIdleClientHasTenSeconds) {
     entity("e1");
     const auto peer = join();
