@@ -197,26 +197,39 @@ bool FileStorage::carryOut(const std::string& key, const Wish& wish) const {
 }
 
 void FileStorage::run() {
+    // What could not be done since the last pause. It holds nothing else up: on a full disk nothing can be written, and
+    // deleted all the same.
+    std::map<std::string, Wish> failed;
+    // Deletions first: the latch is one.
+    const auto next = [&] {
+        auto found = waiting_.end();
+        for (auto at = waiting_.begin(); at != waiting_.end(); ++at) {
+            const auto before = failed.find(at->first);
+            if (before != failed.end() && before->second == at->second) continue;
+            if (!at->second) return at;
+            if (found == waiting_.end()) found = at;
+        }
+        return found;
+    };
     std::unique_lock lock(mutex_);
     while (true) {
-        wake_.wait(lock, [this] { return ending_ || !waiting_.empty(); });
-        if (waiting_.empty()) return;
-        auto at =
-            std::find_if(waiting_.begin(), waiting_.end(), [](const auto& entry) { return !entry.second; });
-        if (at == waiting_.end()) at = waiting_.begin();
+        if (failed.empty()) wake_.wait(lock, [this] { return ending_ || !waiting_.empty(); });
+        auto at = next();
+        if (at == waiting_.end()) {
+            if (ending_) return;
+            wake_.wait_for(lock, kTryAgain, [&] { return ending_ || next() != waiting_.end(); });
+            if (next() == waiting_.end()) failed.clear();  // again; at the end once more
+            continue;
+        }
         const auto [key, wish] = *at;
-        const bool last = ending_;  // what had begun before the end is tried once more
         lock.unlock();
         const bool done = carryOut(key, wish);
         lock.lock();
         at = waiting_.find(key);
-        if (at->second != wish) continue;  // meanwhile something else is wanted of it
-        if (done)
+        if (!done)
+            failed.insert_or_assign(key, wish);
+        else if (at->second == wish)  // and nothing else is wanted of it meanwhile
             waiting_.erase(at);
-        else if (last)
-            return;
-        else
-            wake_.wait_for(lock, kTryAgain, [this] { return ending_; });
     }
 }
 

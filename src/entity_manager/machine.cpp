@@ -30,6 +30,7 @@ constexpr const char* kGenerationKey = "stop_generation";
 constexpr const char* kRearmedKey = "rearmed";
 /// There from the first link until the application has said good-bye.
 constexpr const char* kLinkedKey = "application_linked";
+constexpr const char* kFreeKey = "free";  // its absence means that somebody holds the entity, as with kRearmedKey
 constexpr std::size_t kReasonMax = 2000;
 
 const Refusal kTooLargeForLink{RefusalCode::TooLarge,
@@ -43,6 +44,7 @@ std::string loadUuid(Storage& storage, RandomSource& random) {
     const auto made = Id128::uuid(random).toString();
     storage.save(kRearmedKey,
                  "1");  // before the uuid: a first life that is broken off leaves no latch that nobody set
+    storage.save(kFreeKey, "1");
     storage.save("uuid", made);
     return made;
 }
@@ -148,6 +150,9 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
     // A person stopped the robot, and that this process was killed since is no word of a person.
     latched_ = latch_kept_ = !storage.load(kRearmedKey).has_value();
+    // The last life was broken off while somebody held the robot, which has stopped by itself: a loss like
+    // the others.
+    if (!storage.load(kFreeKey) && !AXON_PLANTED(LatchForgotten)) latched_ = true;
     registration_.entity = uuid_;
     registration_.name = settings_.application;
     const auto fifth = [](Duration watchdog) {
@@ -164,6 +169,8 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     if (!AXON_PLANTED(GenerationsNotReserved))
         storage.save(kGenerationKey, std::to_string(generation_ + kGenerationsReserved));
     reserved_ = generation_ + kGenerationsReserved;
+    keepLatch();
+    if (!storage.load(kFreeKey)) storage.keep(kFreeKey, "1");  // the latch says it now, and nobody holds it
     replayJournal();
     loadRuns();
     for (const auto& finding : saved_.findings()) warning_ = finding.message();
@@ -175,25 +182,13 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
 /// Of what earlier lives dispatched: it is not dispatched again, and what has no end there has none any more.
 void EntityManagerCore::Machine::replayJournal() {
     if (journal_ == nullptr || AXON_PLANTED(JournalNotRead)) return;
-    bool held = false;
-    journal_->replay([this, &held](const JournalRecord& record) {
-        if (record.kind == JournalRecord::Kind::Granted || record.kind == JournalRecord::Kind::Resumed ||
-            record.kind == JournalRecord::Kind::Dispatched)
-            held = true;
-        if (record.kind == JournalRecord::Kind::LeaseEnded || record.kind == JournalRecord::Kind::Started)
-            held = false;
+    journal_->replay([this](const JournalRecord& record) {
         if (record.kind == JournalRecord::Kind::Dispatched) memory_.dispatched(record.task);
         if (record.kind != JournalRecord::Kind::TaskEnded) return;
         auto state = proto::TASK_UNKNOWN;  // of a later version, perhaps
         proto::TaskState_Parse(record.code, &state);
         memory_.ended(record.task, state);
     });
-    // The last life was broken off while somebody held the robot, which has stopped by itself: a loss like
-    // the others.
-    if (held && !AXON_PLANTED(LatchForgotten)) {
-        latched_ = true;
-        keepLatch();
-    }
     note({.kind = JournalRecord::Kind::Started, .lease = lease_.last(), .text = "entity " + uuid_});
     for (const auto& id : memory_.unfinished()) {
         memory_.ended(id, proto::TASK_UNKNOWN);
@@ -211,6 +206,9 @@ void EntityManagerCore::Machine::complete(JournalRecord& record) const {
 }
 
 bool EntityManagerCore::Machine::note(JournalRecord record) {
+    // Not read from the journal, whose line may be lost with a full disk: a deletion is not.
+    if (record.kind == JournalRecord::Kind::Granted) storage_.forget(kFreeKey);
+    if (record.kind == JournalRecord::Kind::LeaseEnded) storage_.keep(kFreeKey, "1");
     if (journal_ == nullptr) return true;
     complete(record);
     return recorded(journal_->append(record));
@@ -479,7 +477,10 @@ void EntityManagerCore::Machine::settle() {
     attendRun();
     passOn();
     dispatchNext();
-    const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_;
+    // A stop that the signal thread has passed on may end the last task before this strand hears of the stop:
+    // it finds a robot that moves.
+    const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_ ||
+                          (busy_told_ && !stopsAreHandled());
     if (occupied != busy_told_) {
         busy_told_ = occupied;
         back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
@@ -1494,8 +1495,6 @@ void EntityManagerCore::Machine::shutDown() {
     fire(incident);
     attendRun();
     if (busy_told_ && link_up_) back_end_.setBusy(false);
-    // An application that is heard stops its robot as this link ends.
-    if (link_up_ && std::exchange(link_kept_, false)) storage_.forget(kLinkedKey);
     keepLatch();
     quit_ = true;
 }

@@ -429,7 +429,10 @@ void EntityManagerCore::Machine::decideHandOver(const HandOver::Question& questi
 
 /// After each event: who is next.
 void EntityManagerCore::Machine::passOn() {
-    if (waiting_grant_ && standing()) {
+    const auto grants = [this](proto::CheckOutPhase phase) {
+        return findRow(state_, phase == proto::RESUME_LEASE ? Event::LeaseResumed : Event::CheckOutGranted) != nullptr;
+    };
+    if (waiting_grant_ && standing() && grants(waiting_grant_->phase)) {
         auto waiting = *std::exchange(waiting_grant_, std::nullopt);
         grantWhenStanding(std::move(waiting.claim), waiting.phase);
     }

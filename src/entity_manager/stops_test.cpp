@@ -3,6 +3,8 @@
 // anybody's wish.
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "entity_manager/entity_manager_core.hpp"
 #include "tests/support/core_rig.hpp"
 
@@ -143,9 +145,26 @@ TEST_F(Stops, TheNextLifeOfTheEntityManagerKnowsThatItsApplicationIsMissing) {
     EXPECT_TRUE(kept);
 }
 
-TEST_F(Stops, AnOrderlyEndOfTheEntityManagerLeavesNobodyMissing) {
+TEST_F(Stops, AfterTheEndOfTheEntityManagerAnApplicationIsMissingUntilItLinksOrHasSaidGoodBye) {
     rig.core().shutDown();
-    EXPECT_FALSE(rig.storage.values.contains("application_linked"));
+    EXPECT_TRUE(rig.storage.values.contains("application_linked")) << "it may have hung, or died, a moment before";
+}
+
+TEST_F(Stops, AnOrderlyLifeInWhichATaskRanIsNotFollowedByALatch) {
+    run("t1");
+    rig.core().shutDown();
+    // A file of tasks and one of all else are read one after the other.
+    std::stable_partition(rig.journal.records.begin(), rig.journal.records.end(), [](const JournalRecord& record) {
+        return record.kind != JournalRecord::Kind::Dispatched && record.kind != JournalRecord::Kind::TaskEnded;
+    });
+    rig.restart();
+    EXPECT_FALSE(rig.core().latched());
+}
+
+TEST_F(Stops, ALifeThatWasBrokenOffUnderAHolderIsFollowedByALatchWithoutAWordOfTheJournal) {
+    rig.journal.records.clear();
+    rig.restart();
+    EXPECT_TRUE(rig.core().latched());
 }
 
 TEST_F(Stops, ADrillOfALostApplicationIsNotKeptForItsReturn) {
@@ -178,6 +197,21 @@ TEST_F(Stops, OfARobotThatMovesStandstillIsAnnouncedWhereItsApplicationReportsIt
     rig.stop("client3");
     rig.stopDone(3, StopReceipt::CALLBACK_RETURNED, true);
     EXPECT_FALSE(last("client3").standstill_follows()) << "it stands";
+}
+
+TEST_F(Stops, ATaskThatEndsBeforeTheStrandHearsOfItsStopLeavesARobotThatMoves) {
+    run("t1");
+    const auto head = rig.headOf("client2");
+    const auto raised = rig.gate.raise("client2", head.sequence);  // the signal thread
+    rig.stopDone(*raised, StopReceipt::CALLBACK_RETURNED, true);
+    rig.update("t1", proto::TASK_STOPPED);
+    EXPECT_TRUE(rig.busy);
+    rig.core().onStopSignal(head, StopCause::Requested, *raised);
+    EXPECT_EQ(last("client2").stage(), StopReceipt::CALLBACK_RETURNED);
+    EXPECT_TRUE(last("client2").standstill_follows());
+    EXPECT_FALSE(rig.busy);
+    rig.stopDone(*raised, StopReceipt::STANDSTILL);
+    EXPECT_EQ(last("client2").stage(), StopReceipt::STANDSTILL);
 }
 
 TEST_F(Stops, OfARobotThatStoodOrWhoseApplicationDoesNotSayItIsNotWaitedFor) {
