@@ -65,13 +65,16 @@ void OpenEntity::clientMsgDataSeq(Header, std::string bytes) {
 
 void OpenEntity::stopSignal(Header head, StopCause cause) {
     if (cause == StopCause::Requested) slot_.stops.note(slot_.stops.next, nowNs());
-    asio::post(strand_, [self = shared_from_this(), head = std::move(head), cause, generation = ++generation_] {
+    confirm(std::move(head), cause, ++generation_);
+}
+
+void OpenEntity::confirm(Header head, StopCause cause, std::uint32_t generation) {
+    asio::post(strand_, [self = shared_from_this(), head = std::move(head), cause, generation] {
         proto::ToClient message;
         auto& receipt = *message.mutable_receipt();
         receipt.set_stop_id(head.sender.id + ':' + std::to_string(head.sequence));
         receipt.set_cause(static_cast<proto::StopCause>(cause));
         receipt.set_stop_generation(generation);
-        // Two, as an Entity Manager sends: its own, and that there is no application.
         for (const auto stage : {proto::StopReceipt::MANAGER, proto::StopReceipt::NO_APPLICATION}) {
             receipt.set_stage(stage);
             self->tell(Lane::Signal, head.sender, kMsgReceipt, message);

@@ -39,14 +39,16 @@ class OpenEntity final : public entity_manager::ServerEvents, public std::enable
     void clientMsg(Lane lane, Header head, std::string bytes) override;
     void clientMsgDataSeq(Header head, std::string bytes) override;
     void stopSignal(Header head, StopCause cause) override;
-    void resetSignal(Header) override {}
-    void clearSignal(Header) override {}
+    void resetSignal(Header head) override { confirm(std::move(head), StopCause::Reset, generation_); }
+    void clearSignal(Header head) override { confirm(std::move(head), StopCause::Clear, generation_); }
     void clientUpdate(Header, ClientChange) override {}
     void serverHeartbeat() override {}
     void undeliverable(Lane, Header, const Refusal&) override {}
 
   private:
     OpenEntity(const asio::any_io_executor& executor, std::string name, std::string uuid, Slot& slot);
+    /// By two receipts, as an Entity Manager does: its own, and that there is no application.
+    void confirm(Header head, StopCause cause, std::uint32_t generation);
     /// On the strand.
     void answer(const Header& head, const std::string& bytes);
     void tell(Lane lane, const Sender& to, const char* type, const proto::ToClient& message);

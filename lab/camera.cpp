@@ -215,6 +215,11 @@ class Cameras::Studio {
             wanted_[view] = false;
             order_.push_back({view, age, {}});
         }
+        if (!stills_.empty()) {  // else one picture after another that is watched could keep it waiting
+            const auto view = stills_.front()->view;
+            order_.push_back({view, age, std::move(stills_.front())});
+            stills_.pop_front();
+        }
         lock.unlock();
         changed_.notify_all();
     }

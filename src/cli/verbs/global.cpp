@@ -289,7 +289,7 @@ extern const Verb kGlobalStop{
     {{"run", Takes::GlobalService, false, false,
       "The service, or the beginning of the run's id; none = all that work"}},
     {{"deadline", Takes::Duration, "How long to wait for the receipts (1; 5 for the standstill)"},
-     {"no-wait", Takes::Nothing, "Not for the standstill of robots that were moving"}},
+     {"no-wait", Takes::Nothing, "Do not wait until robots that were moving stand still"}},
     stop};
 
 extern const Verb kGlobalPause{"global pause",

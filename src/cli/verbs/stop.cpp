@@ -124,7 +124,7 @@ extern const Verb kStop{
     {{"entity", Takes::Entity, false, true, "What to stop; a name that several share stops all of them"}},
     {{"all", Takes::Nothing, "Everything there is"},
      {"deadline", Takes::Duration, "How long to wait for the receipts (1; 5 for the standstill)"},
-     {"no-wait", Takes::Nothing, "Not for the standstill of a robot that was moving"}},
+     {"no-wait", Takes::Nothing, "Do not wait until robots that were moving stand still"}},
     stop};
 
 extern const Verb kRearm{

@@ -291,7 +291,7 @@ extern const Verb kWait{
     "Wait for the end of tasks that were begun with axon run --detach",
     "  axon run PeopleBot Driving Distance=1000 --detach\n"
     "  axon run Cyton 'Reach Demo' --detach\n"
-    "  axon wait                    until none is running or waiting\n"
+    "  axon wait                    until all that are running or waiting now have ended\n"
     "  axon wait 3f2a               the task whose id begins so (axon tasks)\n"
     "  axon wait 3f2a --for 30      at most 30 s; a task that has not ended goes on, and the status is 4\n"
     "Shows each change as axon run does. The status is that of the first task, as they were named, that did "
