@@ -53,8 +53,8 @@ constexpr const char* kServices = R"(<?xml version="1.0"?>
 class TestRobot final : public entity_manager::BackEndPort, public entity_manager::ServerPort {
   public:
     TestRobot(const std::string& server, const std::string& name)
-        : folder_(std::filesystem::path(testing::TempDir()) /
-                  ("axon-client-" + Id128::uuid(random_).toString())),
+        : home_{std::filesystem::path(testing::TempDir()) /
+                ("axon-client-" + Id128::uuid(random_).toString())},
           storage_(folder_),
           resources_(folder_),
           core_({name}, clock_, random_, *this, *this, storage_, resources_, gate_),
@@ -64,8 +64,12 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
         const auto facts = data_session_->setCallback(callback);
         const auto signal_callback = openLane(signal_, facts.signalEndpoint, signal_session_);
         signal_session_->attachSignalLane(facts.token, signal_callback);
+        std::filesystem::create_directories(profiles());
         resources_.onAnswer([this] { onStrand([&] { core_.onStored(); }); });
-        onStrand([&] { core_.onLinkUp(); });
+        onStrand([&] {
+            core_.start();
+            core_.onLinkUp();
+        });
         profile(false,
                 "<BasicProfile name=\"" + name + "\" category=\"ROBOT\" type=\"MOBILE\" descr=\"a robot\"/>");
         profile(true, kServices);
@@ -85,7 +89,6 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
         resources_.onAnswer({});
         data_.communicator()->destroy();
         signal_.communicator()->destroy();
-        std::filesystem::remove_all(folder_);
     }
 
     void endTask(proto::TaskState state) {
@@ -144,6 +147,13 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
         void stopSignal(Axon::CommUtil::Header ice_head, Axon::CommUtil::StopCause cause,
                         const Ice::Current&) override {
             const auto head = transport::fromIce(std::move(ice_head));
+            if (cause == Axon::CommUtil::StopCause::Drill) {
+                const auto number = robot_.gate_.drill(head.sender.id, head.sequence);
+                if (!number) return;
+                robot_.stop(*number, StopCause::Drill);
+                robot_.onStrand([&] { robot_.core_.onDrill(head, *number); });
+                return;
+            }
             const auto generation = robot_.gate_.raise(head.sender.id, head.sequence);
             if (!generation) return;
             robot_.stop(*generation, transport::fromIce(cause));
@@ -162,7 +172,9 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
             });
         }
         void newRefusalMsg(Axon::CommUtil::Header, int, std::string, const Ice::Current&) override {}
-        void newHeartbeat(double, const Ice::Current&) override {}
+        void newHeartbeat(double, const Ice::Current&) override {
+            robot_.onStrand([&] { robot_.core_.onServerHeartbeat(); });
+        }
 
       private:
         TestRobot& robot_;
@@ -201,6 +213,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
             core_.onLinkMessage(std::move(next));
         }
     }
+    std::filesystem::path profiles() const { return folder_ / "profiles"; }
     void fromApplication(proto::EiToEm message) {
         onStrand([&] { core_.onLinkMessage(std::move(message)); });
     }
@@ -208,6 +221,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
         proto::EiToEm message;
         message.mutable_profile()->set_services(services);
         message.mutable_profile()->set_file_name("profile.xml");
+        message.mutable_profile()->set_folder(profiles());
         message.mutable_profile()->set_xml(xml);
         fromApplication(std::move(message));
     }
@@ -303,7 +317,12 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
 
     SteadyClock clock_;
     SystemRandom random_;
-    std::filesystem::path folder_;
+    /// Goes when the threads of the stores have ended.
+    struct Home {
+        const std::filesystem::path folder;
+        ~Home() { std::filesystem::remove_all(folder); }
+    } home_;
+    const std::filesystem::path& folder_ = home_.folder;
     entity_manager::FileStorage storage_;
     entity_manager::FileResourceStore resources_;
     entity_manager::StopGate gate_;
