@@ -13,6 +13,8 @@
 #include <system_error>
 #include <utility>
 
+#include "common/descriptor.hpp"
+
 namespace axon::certificates {
 namespace {
 
@@ -26,20 +28,6 @@ constexpr const char* kCertificateEnd = ".cert.pem";
 std::string because() {
     return std::generic_category().message(errno);
 }
-
-class Descriptor {
-  public:
-    explicit Descriptor(int fd) : fd_(fd) {}
-    ~Descriptor() {
-        if (fd_ >= 0) ::close(fd_);
-    }
-    Descriptor(const Descriptor&) = delete;
-    Descriptor& operator=(const Descriptor&) = delete;
-    int get() const { return fd_; }
-
-  private:
-    const int fd_;
-};
 
 std::string contentOf(const fs::path& file, const std::string& mend) {
     const Descriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));

@@ -399,10 +399,8 @@ void PersonView::showRunLines(const Json& event) {
         known = step;
         auto text =
             duration(event.value("elapsed_s", 0.0)) + "  " + whatOf(step) + "  " + stepState(step, false).text;
-        if (textOf(step, "state") == "RUNNING" && step.value("progress", -1.0) >= 0) {
-            const auto progress = percent(step.at("progress").get<double>());  // with spaces before it, for columns
-            text += " " + progress.substr(progress.find_first_not_of(' '));
-        }
+        if (textOf(step, "state") == "RUNNING" && step.value("progress", -1.0) >= 0)
+            text += " " + percent(step.at("progress").get<double>(), 0);
         if (const auto remark = remarkOf(step).text; !remark.empty()) text += "  " + remark;
         say(text);
     }

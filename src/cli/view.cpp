@@ -112,8 +112,8 @@ std::string lowerCase(std::string text) {
     return text;
 }
 
-std::string percent(double part) {
-    return fmt::format("{:3.0f} %", std::max(0.0, part) * 100);  // nor is anything at -0 %
+std::string percent(double part, int width) {
+    return fmt::format("{:{}.0f} %", std::max(0.0, part) * 100, width);  // nor is anything at -0 %
 }
 
 std::string progressBar(double part, std::size_t width) {

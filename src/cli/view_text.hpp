@@ -12,7 +12,7 @@ std::string textOf(const Json& json, const char* member, bool lines = false);
 std::string valueText(const Json& value);
 std::string valuesText(const Json& values);
 std::string lowerCase(std::string text);
-/// " 42 %": three places for the number, so that a line that is redrawn stands still. Nothing is below 0 %.
-std::string percent(double part);
+/// " 42 %": as many places for the number, so that a line that is redrawn stands still. Nothing is below 0 %.
+std::string percent(double part, int width = 3);
 
 }  // namespace axon::cli

@@ -8,7 +8,7 @@
 #include <mutex>
 #include <string>
 
-#include "entity_interfacer/descriptor.hpp"
+#include "entity_interfacer/wake_up.hpp"
 #include "entity_interfacer/frame.hpp"
 
 namespace axon::proto {

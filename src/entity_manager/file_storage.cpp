@@ -597,10 +597,7 @@ Later<Result<std::uint64_t>> FileResourceStore::begin(const proto::ResourceOffer
             }
         open_.insert(transfer->path);
         auto here = transfer->open();
-        if (!here) {
-            open_.erase(transfer->path);
-            transfer->end();
-        }
+        if (!here) close(*transfer);
         return here;
     });
     transfers_[offer.transfer_id()] = transfer;
@@ -653,11 +650,7 @@ Later<Result<std::string>> FileResourceStore::check(std::string_view transfer_id
         return Answer(Refusal{RefusalCode::WrongState, "It has not been written yet.", {}});
     return worker_->ask<Answer>([this, transfer = at->second]() -> Answer {
         if (transfer->whole()) return transfer->path.string();
-        std::error_code ignored;
-        transfer->forgetNote();
-        fs::remove(transfer->path, ignored);
-        open_.erase(transfer->path);
-        transfer->end();
+        discard(*transfer);
         return Refusal{
             RefusalCode::HashMismatch,
             "What arrived has not the SHA-256 that was offered; it was deleted. Upload the file again.",
@@ -684,8 +677,7 @@ Result<std::string> FileResourceStore::putInPlace(Transfer& transfer) {
         if (const auto replaced = replaceResource(transfer.path.string(), place); !replaced)
             return replaced.refusal();
         transfer.forgetNote();
-        open_.erase(transfer.path);
-        transfer.end();
+        close(transfer);
         return place.path;
     }
     const auto place = placeOf(transfer.service, transfer.resource);
@@ -696,12 +688,25 @@ Result<std::string> FileResourceStore::putInPlace(Transfer& transfer) {
     if (error || ::rename(transfer.path.c_str(), path.c_str()) != 0)
         return storeRefusal("put in its place", path);
     transfer.forgetNote();
-    open_.erase(transfer.path);
     synchroniser_->add(transfer.release(), place);
-    transfer.end();
+    close(transfer);
     const std::lock_guard lock(mutex_);
     stored_[place] = transfer.size;
     return path.string();
+}
+
+/// On the worker's thread: nothing of it will come any more.
+void FileResourceStore::close(Transfer& transfer) {
+    transfer.end();
+    open_.erase(transfer.path);
+}
+
+/// Likewise, and nothing of it is kept.
+void FileResourceStore::discard(Transfer& transfer) {
+    std::error_code ignored;
+    transfer.forgetNote();
+    fs::remove(transfer.path, ignored);
+    close(transfer);
 }
 
 void FileResourceStore::suspend(std::string_view transfer_id) {
@@ -709,9 +714,8 @@ void FileResourceStore::suspend(std::string_view transfer_id) {
     if (!transfer) return;
     worker_->add([this, transfer, worker = worker_.get()] {
         transfer->note();
-        transfer->end();
+        close(*transfer);
         worker->forget(*transfer);
-        open_.erase(transfer->path);
         tidyIncoming();
     });
 }
@@ -720,12 +724,8 @@ void FileResourceStore::drop(std::string_view transfer_id) {
     const auto transfer = take(transfer_id);
     if (!transfer) return;
     worker_->add([this, transfer, worker = worker_.get()] {
-        std::error_code ignored;
-        transfer->forgetNote();
-        fs::remove(transfer->path, ignored);
-        transfer->end();
+        discard(*transfer);
         worker->forget(*transfer);
-        open_.erase(transfer->path);
     });
 }
 

@@ -102,6 +102,8 @@ class FileResourceStore final : public ResourceStore {
     // On the worker's thread.
     const std::string* urlOf(const std::string& service, const std::string& resource) const;
     Result<std::string> putInPlace(Transfer& transfer);
+    void close(Transfer& transfer);
+    void discard(Transfer& transfer);
     void tidyIncoming();
 
     const std::filesystem::path folder_;

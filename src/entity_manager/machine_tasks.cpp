@@ -758,14 +758,12 @@ void EntityManagerCore::Machine::uploadProgress(const UploadDesk::Upload& upload
     if (progress->next != UploadDesk::Progress::Next::Placed) return;
     // The profile may have been read anew meanwhile, and then has found the file by itself or has no such
     // resource.
-    if (const auto place = profiler_.findResource(upload.offer.service(), upload.offer.resource())) {
+    const auto place = profiler_.findResource(upload.offer.service(), upload.offer.resource());
+    if (place)
         profiler_.storeResource(place->first, place->second, progress->path, upload.offer.sha256(),
                                 upload.offer.size());
-        sendResourceDone(upload.asker, transfer_id, upload.offer.resource(), {});
-        sendServices({place->first});
-        return;
-    }
     sendResourceDone(upload.asker, transfer_id, upload.offer.resource(), {});
+    if (place) sendServices({place->first});
 }
 
 void EntityManagerCore::Machine::askResource(const UploadDesk::Upload& upload, const std::string& path) {

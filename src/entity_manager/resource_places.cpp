@@ -11,6 +11,7 @@
 #include <system_error>
 #include <utility>
 
+#include "common/descriptor.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -22,21 +23,6 @@ namespace {
 
 constexpr std::size_t kCopyAtOnce = 1U << 20U;
 constexpr std::size_t kNameShown = 100;
-
-class Descriptor {
-  public:
-    explicit Descriptor(int fd) : fd_(fd) {}
-    ~Descriptor() {
-        if (fd_ >= 0) ::close(fd_);
-    }
-    Descriptor(const Descriptor&) = delete;
-    Descriptor& operator=(const Descriptor&) = delete;
-    explicit operator bool() const { return fd_ >= 0; }
-    int get() const { return fd_; }
-
-  private:
-    const int fd_;
-};
 
 bool lies(const fs::path& path, const fs::path& folder) {
     return std::mismatch(folder.begin(), folder.end(), path.begin(), path.end()).first == folder.end();
@@ -174,7 +160,7 @@ Result<void> replaceResource(const std::string& from, const ResourcePlace& place
     fs::create_directories(to.parent_path(), error);
     if (error) return failed("make the folder", to.parent_path(), error.value());
     const Descriptor arrived(::open(from.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
-    if (!arrived) return failed("open", from, errno);
+    if (!arrived.open()) return failed("open", from, errno);
     struct stat old {};
     const mode_t mode = ::stat(to.c_str(), &old) == 0 ? old.st_mode & 0777U : 0644U;
     struct stat arrived_facts {
@@ -193,7 +179,7 @@ Result<void> replaceResource(const std::string& from, const ResourcePlace& place
     ::unlink(fresh.c_str());  // of a life that ended in the middle
     const Descriptor copied(
         ::open(fresh.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0600));
-    if (!copied) return failed("write", fresh, errno);
+    if (!copied.open()) return failed("write", fresh, errno);
     auto refusal = copy(arrived.get(), from, copied.get(), fresh);
     if (refusal.ok() && ::fchmod(copied.get(), mode) != 0) refusal = failed("set the mode of", fresh, errno);
     if (refusal.ok() && ::rename(fresh.c_str(), to.c_str()) != 0) refusal = failed("replace", to, errno);

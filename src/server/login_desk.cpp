@@ -21,7 +21,6 @@ namespace {
 constexpr std::size_t kWaitingMax = 4096;
 constexpr std::size_t kWaitingOfOneMax = 256;
 constexpr std::size_t kUserShown = 64;
-constexpr std::size_t kPasswordMax = 511;  // hashPassword()
 constexpr const char* kBehindARouter = "somebody behind a router";
 
 /// For logs and refusals.

@@ -20,6 +20,8 @@
 #include <iterator>
 #include <vector>
 
+#include "common/descriptor.hpp"
+
 namespace axon::server {
 namespace {
 
@@ -83,23 +85,14 @@ std::string contentOf(const char* file) {
     return {std::istreambuf_iterator<char>(stream), {}};
 }
 
-class NetlinkSocket {
-  public:
-    NetlinkSocket() : fd_(::socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG)) {
-        // The kernel answers before send() returns: this is for one that does not.
-        const timeval patience{.tv_sec = 0, .tv_usec = 100'000};
-        if (fd_ >= 0) ::setsockopt(fd_, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
-    }
-    ~NetlinkSocket() {
-        if (fd_ >= 0) ::close(fd_);
-    }
-    NetlinkSocket(const NetlinkSocket&) = delete;
-    NetlinkSocket& operator=(const NetlinkSocket&) = delete;
-    int get() const { return fd_; }
-
-  private:
-    const int fd_;
-};
+/// Not open where the kernel has no such sockets, or does not let this process have one.
+Descriptor netlinkSocket() {
+    Descriptor out(::socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG));
+    // The kernel answers before send() returns: this is for one that does not.
+    const timeval patience{.tv_sec = 0, .tv_usec = 100'000};
+    if (out.open()) ::setsockopt(out.get(), SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
+    return out;
+}
 
 enum class Reply : std::uint8_t { None, NoSuchSocket, Socket };
 
@@ -179,8 +172,8 @@ KernelAnswer askKernel(const std::string& from, const std::string& to) {
     const auto its = endOf(from);
     const auto ours = endOf(to);
     if (!its || !ours || its->family != ours->family) return {.heard = true, .uid = std::nullopt};
-    const NetlinkSocket netlink;
-    if (netlink.get() < 0) return {};
+    const auto netlink = netlinkSocket();
+    if (!netlink.open()) return {};
     inet_diag_msg found{};
     switch (askFor(netlink.get(), *its, *ours, found)) {
         case Reply::None:

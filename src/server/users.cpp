@@ -18,12 +18,13 @@
 #include <system_error>
 #include <utility>
 
+#include "common/descriptor.hpp"
+
 namespace axon::server {
 namespace {
 
 constexpr std::size_t kFileMax = 1024 * 1024;
 constexpr std::size_t kHashMax = 383;      // CRYPT_OUTPUT_SIZE, with its zero
-constexpr std::size_t kPasswordMax = 511;  // CRYPT_MAX_PASSPHRASE_SIZE, likewise
 constexpr std::size_t kDigestMin = 43;     // of SHA-256 and yescrypt; of MD5 22, of DES 11
 // Of no password: an unknown user's is compared with it where the file has nobody.
 constexpr const char* kNobody =
@@ -85,20 +86,6 @@ bool matches(const std::string& hash, const std::string& password) {
     explicit_bzero(work.get(), sizeof(crypt_data));
     return usable && equal;
 }
-
-class Descriptor {
-  public:
-    explicit Descriptor(int fd) : fd_(fd) {}
-    ~Descriptor() {
-        if (fd_ >= 0) ::close(fd_);
-    }
-    Descriptor(const Descriptor&) = delete;
-    Descriptor& operator=(const Descriptor&) = delete;
-    int get() const { return fd_; }
-
-  private:
-    const int fd_;
-};
 
 [[noreturn]] void fail(const std::string& file, const std::string& what) {
     throw std::runtime_error(file + ": " + what + " (" + std::generic_category().message(errno) + ")");

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <cstddef>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -44,8 +45,10 @@ class Users {
     std::vector<User> users_;
 };
 
+inline constexpr std::size_t kPasswordMax = 511;  // CRYPT_MAX_PASSPHRASE_SIZE, without its zero
+
 /// The hash of a password under a new salt: yescrypt, or SHA-512 where the library has no yescrypt. Throws
-/// std::runtime_error for a password that is empty, longer than 511 bytes or has a zero byte.
+/// std::runtime_error for a password that is empty, longer than kPasswordMax bytes or has a zero byte.
 std::string hashPassword(const std::string& password);
 
 /// The text of users.cfg with this user's line replaced, or added at the end. Pure.

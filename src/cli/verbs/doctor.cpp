@@ -18,6 +18,7 @@
 #include "cli/verbs/holding.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
+#include "common/rate_limit.hpp"
 
 // axon doctor
 namespace axon::cli {
@@ -149,9 +150,8 @@ void checkEntities(Report& report, Station& station) {
 
 /// How long a stop takes to each robot application and back, by a drill: nothing is stopped.
 void checkSignalLane(Report& report, Station& station) {
-    // A client may drill 1,000 entities in a second.
     const auto there = std::max<std::size_t>(1, station.entities(Listed::All).size());
-    const int tries = static_cast<int>(std::clamp<std::size_t>(1000 / there, 1, 10));
+    const int tries = static_cast<int>(std::clamp<std::size_t>(kDrillsPerSecond / there, 1, 10));
     constexpr double kSlow_ms = 20;
     std::map<std::string, Distribution> times;
     for (int i = 0; i < tries; ++i) {

@@ -5,6 +5,7 @@
 #include "cli/distribution.hpp"
 #include "cli/verbs/holding.hpp"
 #include "cli/words.hpp"
+#include "common/rate_limit.hpp"
 
 // axon drill
 namespace axon::cli {
@@ -45,8 +46,9 @@ int drill(Session& session) {
             return refuse(session, found.refusal(), name);
     }
     const auto count = session.args.value("count", 20);
-    // A client may drill 1,000 entities in a second; without --every as many tries as that allows.
-    const double fastest = names.empty() ? 0.0011 * static_cast<double>(session.station->entities(Listed::All).size()) : 0;
+    // Without --every as many tries as a client may make, and a tenth fewer.
+    const auto drilled = names.empty() ? session.station->entities(Listed::All).size() : 0;
+    const double fastest = 1.1 * static_cast<double>(drilled) / kDrillsPerSecond;
     const auto every = std::chrono::duration_cast<Clock::duration>(
         Seconds(session.args.value("every", std::max(0.1, fastest))));
     std::map<std::string, Drilled> all;
