@@ -169,7 +169,6 @@ Collaboration::Collaboration(proto::CollaborationRequest request, std::string se
     for (const auto& step : service.compensation()) add(step, -1);
     std::sort(levels_.begin(), levels_.end());
     levels_.erase(std::unique(levels_.begin(), levels_.end()), levels_.end());
-    invite(now);
 }
 
 // -- what goes out
@@ -182,7 +181,9 @@ proto::FromMaster& Collaboration::send(std::size_t participant) {
     return order.message;
 }
 
-void Collaboration::invite(TimePoint now) {
+void Collaboration::begin(TimePoint now) {
+    if (over()) return;
+    launched_ = now;
     proto::Invitation common;
     common.set_service(request_.service().name());
     common.set_by(by_);
@@ -196,6 +197,7 @@ void Collaboration::invite(TimePoint now) {
         other.set_name(participant.name());
     }
     for (std::size_t i = 0; i < members_.size(); ++i) {
+        members_[i].stage = Member::Stage::Invited;
         members_[i].heard = now;
         auto& invitation = *send(i).mutable_invitation();
         invitation = common;

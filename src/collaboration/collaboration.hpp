@@ -70,9 +70,11 @@ class Collaboration {
     static std::vector<proto::Problem> problemsOf(const proto::CollaborationRequest& request, const std::string& self,
                                                   const std::string& root);
 
-    /// After problemsOf(). Begins by inviting everybody. `by` is the client's name.
+    /// After problemsOf(). Nobody hears of it before begin(). `by` is the client's name.
     Collaboration(proto::CollaborationRequest request, std::string self, std::string by, RandomSource& random, Pace pace,
                   TimePoint now);
+    /// Invites everybody; once, and not when it is over.
+    void begin(TimePoint now);
 
     // From a participant (UUID of an entity); of others nothing is believed.
     void hear(const std::string& entity, const proto::FromSlave& message, TimePoint now);
@@ -130,7 +132,7 @@ class Collaboration {
     };
     struct Member {
         enum class Stage : std::uint8_t { Invited, In, Out };
-        Stage stage = Stage::Invited;
+        Stage stage = Stage::Out;  ///< until begin()
         std::uint32_t stop_generation = 0;
         TimePoint heard{};
         Duration beat_every{};
@@ -141,7 +143,6 @@ class Collaboration {
     std::optional<std::size_t> indexOf(const std::string& entity) const;
     proto::FromMaster& send(std::size_t participant);
     void enter(proto::RunState state);
-    void invite(TimePoint now);
     void answered(std::size_t participant, const proto::InvitationAnswer& answer, TimePoint now);
     void reported(std::size_t participant, const proto::StepReport& report, TimePoint now);
     void depart(std::size_t participant, const Refusal& reason, TimePoint now);
@@ -170,7 +171,7 @@ class Collaboration {
     const std::string self_, by_;
     RandomSource& random_;
     const Pace pace_;
-    const TimePoint launched_;
+    TimePoint launched_;
 
     proto::RunState state_ = proto::RUN_CHECKING;
     std::vector<Step> steps_;      ///< the compensation's after the service's

@@ -74,6 +74,86 @@ TEST(Collaboration, ShowsTheStatesOfTheThesis) {
     EXPECT_EQ(fleet.state(2), EntityState::COLLAB);
 }
 
+/// Two robots, of which the master's journal lies on a disk that takes its time.
+struct SlowJournalOfARun : testing::Test {
+    Fleet fleet{2};
+    SlowJournalOfARun() {
+        journal().slow = true;
+        fleet.launch(globalService({"0 Turning 1", "1 Turning 2"}), 0);
+    }
+    test::MemoryJournal& journal() { return fleet.rig(0).journal; }
+    void answer() {
+        journal().answerAll();
+        fleet.rig(0).core().onStored();
+    }
+    /// The next life of the master takes the same run as one that it does not know, or refuses it.
+    RefusalCode askedAgain() {
+        journal().slow = false;
+        auto& rig = fleet.rig(0);
+        rig.restart();
+        rig.makeIdle();
+        rig.take("client1", "r2", std::string(16, 'o'));
+        rig.rearm("client1", "again");
+        fleet.launch(globalService({"0 Turning 1", "1 Turning 2"}), 0);
+        fleet.advance(1s);
+        return fleet.told.refused.code;
+    }
+};
+
+TEST_F(SlowJournalOfARun, NobodyHearsOfARunBeforeItsEntryIsWritten) {
+    fleet.advance(20s);
+    EXPECT_EQ(fleet.state(0), EntityState::COLLAB);
+    EXPECT_EQ(fleet.told.state, proto::RUN_CHECKING);
+    EXPECT_EQ(fleet.state(1), EntityState::REG);
+    EXPECT_TRUE(fleet.log.empty());
+    fleet.rig(0).task("client1", "t1", "Turning");
+    fleet.advance(10ms);
+    EXPECT_TRUE(fleet.log.empty()) << "and nothing beside it";
+    journal().slow = false;  // the entries of its steps
+    answer();
+    fleet.advance(1s);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED) << fleet.told.reason.message();
+    EXPECT_EQ(fleet.order().size(), 2U);
+    EXPECT_EQ(askedAgain(), RefusalCode::Duplicate);
+}
+
+TEST_F(SlowJournalOfARun, ALifeThatEndsBeforeItHasBegunNothing) {
+    EXPECT_EQ(askedAgain(), RefusalCode::Ok);
+    EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED) << fleet.told.reason.message();
+    EXPECT_EQ(fleet.order().size(), 2U) << "once";
+}
+
+TEST_F(SlowJournalOfARun, WhatIsStoppedOrCancelledMeanwhileDoesNotBegin) {
+    for (const bool stop : {true, false}) {
+        Fleet one{2};
+        one.rig(0).journal.slow = true;
+        one.launch(globalService({"0 Turning 1", "1 Turning 2"}), 0);
+        if (stop)
+            one.stop(0);
+        else
+            one.control(0, "run", proto::CANCEL);
+        one.advance(10ms);
+        EXPECT_EQ(one.told.state, stop ? proto::RUN_STOPPED : proto::RUN_CANCELLED);
+        EXPECT_EQ(one.state(0), EntityState::REG);
+        one.rig(0).journal.answerAll();
+        one.rig(0).core().onStored();
+        one.advance(1s);
+        EXPECT_TRUE(one.log.empty());
+        EXPECT_EQ(one.state(1), EntityState::REG);
+    }
+}
+
+TEST_F(SlowJournalOfARun, WhatCannotBeWrittenIsRefusedWithTheMend) {
+    journal().full = true;
+    answer();
+    fleet.advance(10ms);
+    EXPECT_EQ(fleet.told.state, proto::RUN_REFUSED);
+    EXPECT_EQ(fleet.told.reason.code(), proto::OVERLOADED);
+    EXPECT_EQ(fleet.state(0), EntityState::REG);
+    fleet.advance(1s);
+    EXPECT_TRUE(fleet.log.empty());
+}
+
 TEST(Collaboration, StepsOfOnePlaceRunAtTheSameTime) {
     Fleet fleet(3);
     fleet.launch(globalService({"0 Turning 1", "1 Turning 1", "2 Turning 1"}), 0);

@@ -349,6 +349,7 @@ class EntityManagerCore::Machine {
     static constexpr std::size_t kFarewells = 1024;
     bool isMaster(const Membership& member) const { return member.master.id == uuid_; }
     void considerRun(const Incident& incident);
+    void beginRun();
     void refuseRun(const Incident& incident, const Refusal& refusal);
     void tellRun(const Sender& to, const proto::RunEvent& event);
     /// What the run wants done, until nothing is left.
@@ -493,6 +494,7 @@ class EntityManagerCore::Machine {
     bool came_back_ = false;  ///< the application that is linked now is one that was lost
 
     std::optional<collaboration::Collaboration> run_;  ///< of which this entity is the master
+    std::optional<Later<bool>> run_noted_;             ///< its entry in the journal, until that is written
     std::optional<Membership> member_;                 ///< of the run in which it takes part
     std::deque<PastRun> past_runs_;                    ///< newest last
     std::vector<Farewell> farewells_;

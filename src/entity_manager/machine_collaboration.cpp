@@ -72,25 +72,36 @@ void EntityManagerCore::Machine::considerRun(const Incident& incident) {
         tellRun(incident.head->sender, event);
         return;
     }
-    if (!request.check_only()) {
-        memory_.accept(*id);
-        if (!note({.kind = JournalRecord::Kind::Dispatched,
-                   .who = named(*holder()),
-                   .task = *id,
-                   .service = request.service().name()})) {
-            refuse(incident, {RefusalCode::Overloaded,
-                              "The Entity Manager cannot write its journal, so it begins no run. Is the disk full? Make "
-                              "room, then ask again under a new id.",
-                              {}});
-            return;
-        }
-        memory_.dispatched(*id);
-    }
-    const bool keeps = !request.check_only();
     run_.emplace(std::move(request), uuid_, named(*holder()), random_,
                  collaboration::Pace{.watchdog = settings_.server_watchdog_busy}, clock_.now());
-    if (keeps) keepRun(run_->record(clock_.now()));
+    if (run_->request().check_only()) {
+        run_->begin(clock_.now());
+    } else {
+        memory_.accept(*id);
+        run_noted_ = noteDispatch({.kind = JournalRecord::Kind::Dispatched,
+                                   .who = named(*holder()),
+                                   .task = *id,
+                                   .service = run_->request().service().name()});
+        keepRun(run_->record(clock_.now()));
+    }
     fire(Event::CollaborationBegun);
+}
+
+/// Before its entry is in the journal nobody hears of a run: a next life would let it begin again.
+void EntityManagerCore::Machine::beginRun() {
+    if (!run_noted_ || !run_noted_->ready()) return;
+    const bool written = recorded(std::exchange(run_noted_, std::nullopt)->value());
+    if (!written) {
+        run_->abandon(proto::RUN_REFUSED,
+                      {RefusalCode::Overloaded,
+                       "The Entity Manager cannot write its journal, so it begins no run. Is the disk full? Make "
+                       "room, then ask again under a new id.",
+                       {}},
+                      clock_.now());
+        return;
+    }
+    memory_.dispatched(*Id128::fromBytes(run_->id()));
+    run_->begin(clock_.now());
 }
 
 void EntityManagerCore::Machine::refuseRun(const Incident& incident, const Refusal& refusal) {
@@ -113,6 +124,7 @@ void EntityManagerCore::Machine::tellRun(const Sender& to, const proto::RunEvent
 
 void EntityManagerCore::Machine::attendRun() {
     if (!run_ || attending_) return;
+    beginRun();
     attending_ = true;
     for (auto orders = run_->takeOrders(); !orders.empty(); orders = run_->takeOrders()) {
         for (auto& order : orders) {
@@ -144,6 +156,7 @@ void EntityManagerCore::Machine::endRun() {
     const auto record = run_->record(clock_.now());
     const bool kept = !run_->request().check_only();
     run_.reset();
+    run_noted_.reset();
     if (kept) {
         keepRun(record);
         const auto id = *Id128::fromBytes(record.run_id());

@@ -63,7 +63,7 @@ Refusal checkSize(std::size_t bytes) {
 // ----------------------------------------------------------------------------------------------------------
 
 void EntityManagerCore::Machine::admitTask(const Incident& incident) {
-    if (member_) {
+    if (member_ || run_noted_) {
         refuse(incident, {RefusalCode::WrongState,
                           "The entity takes part in a collaboration and takes tasks of its master alone. Wait for its "
                           "end, or stop it.",
