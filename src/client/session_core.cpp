@@ -202,12 +202,12 @@ void SessionCore::onConnected(const Sender& self, int entities, const Watchdogs&
     server_.feed(clock_.now());
     next_heartbeat_ = clock_.now();
     for (const auto& [entity, mine] : leases_) {
-        if (const auto known = entities_.find(entity); known != entities_.end() && known->second.announced) {
+        if (const auto known = entities_.find(entity); known != entities_.end() && known->second.there()) {
             sendResume(entity);
         }
     }
     for (const auto& [entity, streams] : watches_) {
-        if (const auto known = entities_.find(entity); known != entities_.end() && known->second.announced) {
+        if (const auto known = entities_.find(entity); known != entities_.end() && known->second.there()) {
             sendWatches(entity);
         }
     }
@@ -252,11 +252,11 @@ void SessionCore::onDisconnected(const std::string& reason, bool for_good) {
     auto gone = std::move(entities_);
     entities_.clear();
     names_.clear();
-    announced_ = 0;
+    present_ = 0;
     promised_ = 0;
     for (auto& [id, known] : gone) {
         marks_.forget(id);
-        if (known.announced && known.facts.ready) observer_.onEntity(Presence::Left, known.facts);
+        if (known.there() && known.facts.ready) observer_.onEntity(Presence::Left, known.facts);
     }
     moving_.clear();
     busy_.clear();
@@ -295,22 +295,23 @@ void SessionCore::onProfile(Presence presence, const Registration& registration,
             if (std::find(wanted.begin(), wanted.end(), id) != wanted.end()) failCheckOut(order_id, why);
         }
         const Entity facts = std::move(known->second.facts);
-        const bool announced = known->second.announced;
+        const bool was_there = known->second.there();
         entities_.erase(known);
         names_.remove(id);
         marks_.forget(id);
         countMoving(id);
         pace();  // the server beats slowly again
-        if (announced && facts.ready) observer_.onEntity(Presence::Left, facts);
+        if (was_there && facts.ready) observer_.onEntity(Presence::Left, facts);
         return;
     }
 
     proto::BasicProfile basic;
     if (!parse(basic, profile)) ++malformed_;  // the registration alone is enough to show it
     auto& known = entities_[id];
-    const bool joined = !known.announced;
-    known.announced = true;
     Entity& facts = known.facts;
+    const bool was_there = known.there();
+    const bool was_told = was_there && facts.ready;
+    known.announced = true;
     facts.id = id;
     facts.name = registration.name;
     facts.category = registration.category;
@@ -319,23 +320,35 @@ void SessionCore::onProfile(Presence presence, const Registration& registration,
     facts.x_mm = basic.xpos();
     facts.y_mm = basic.ypos();
     facts.z_mm = basic.zpos();
-    const bool was_told = std::exchange(facts.ready, !profile.empty()) && !joined;
-    names_.put(id, registration.name, facts.ready);
-    if (joined) ++announced_;
+    facts.ready = !profile.empty();
+    if (!known.there()) return;
+    if (!was_there) {
+        join(known);
+        return;
+    }
+    names_.put(id, facts.name, facts.ready);
     if (facts.ready)
         observer_.onEntity(was_told ? Presence::Changed : Presence::Joined, facts);
     else if (was_told)
         observer_.onEntity(Presence::Left, facts);
-    if (joined && connected_) {
-        sendResume(id);
-        sendWatches(id);
-    }
+}
+
+void SessionCore::join(const KnownEntity& known) {
+    const auto& facts = known.facts;
+    ++present_;
+    names_.put(facts.id, facts.name, facts.ready);
+    if (facts.ready) observer_.onEntity(Presence::Joined, facts);
+    if (!connected_) return;
+    sendResume(facts.id);
+    sendWatches(facts.id);
 }
 
 void SessionCore::onStatus(const EntityStatus& status) {
     server_.feed(clock_.now());
     marks_.raise(status.entity, status.stop_generation);
     auto& known = entities_[status.entity];
+    const bool joins = known.announced && !known.heard;
+    known.heard = true;
     Entity& facts = known.facts;
     facts.id = status.entity;
     facts.state = status.state;
@@ -348,6 +361,7 @@ void SessionCore::onStatus(const EntityStatus& status) {
     facts.stop_latency.reset();
     if (status.stop_latency_us > 0) facts.stop_latency = std::chrono::microseconds(status.stop_latency_us);
     countMoving(status.entity);
+    if (joins) join(known);
 
     if (const auto mine = leases_.find(status.entity); mine != leases_.end()) {
         if (status.held > mine->second.number && status.holder.id != self_.id) {
@@ -369,7 +383,7 @@ void SessionCore::onStatus(const EntityStatus& status) {
     }
     wakeParked();
     pace();
-    tellChanged(known);
+    if (!joins) tellChanged(known);
 }
 
 void SessionCore::onServiceRecord(const Header& head, std::string_view record) {
@@ -397,7 +411,7 @@ void SessionCore::onService(const std::string& entity, const proto::Service& ser
 }
 
 void SessionCore::tellChanged(const KnownEntity& known) {
-    if (known.announced && known.facts.ready) observer_.onEntity(Presence::Changed, known.facts);
+    if (known.there() && known.facts.ready) observer_.onEntity(Presence::Changed, known.facts);
 }
 
 std::vector<Entity> SessionCore::entities(Listed listed) const {
@@ -418,7 +432,7 @@ Result<Entity> SessionCore::find(std::string_view name) const {
 
 Result<Entity> SessionCore::entity(const std::string& id) const {
     const auto known = entities_.find(id);
-    if (known == entities_.end() || !known->second.announced) {
+    if (known == entities_.end() || !known->second.there()) {
         return Refusal{RefusalCode::UnknownEntity,
                        "The entity " + id + " is not connected to the server (any more).",
                        {}};

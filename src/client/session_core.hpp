@@ -179,7 +179,7 @@ class SessionCore {
     bool connected() const { return connected_; }
     const Sender& self() const { return self_; }
     /// Every entity that the server promised at the connection has been told of.
-    bool complete() const { return connected_ && announced_ >= promised_; }
+    bool complete() const { return connected_ && present_ >= promised_; }
     std::vector<Entity> entities(Listed listed = Listed::Ready) const;
     Result<Entity> find(std::string_view name) const;
     Result<Entity> entity(const std::string& id) const;
@@ -256,10 +256,14 @@ class SessionCore {
     Result<void> sendChunk(const Id128& transfer, std::uint64_t offset, std::string_view content);
 
   private:
+    /// It is there for the program once its profile and its status have come; either may be first.
     struct KnownEntity {
         Entity facts;
-        bool announced = false;  // a status can come before the profile
+        bool announced = false;
+        bool heard = false;  // its status
+        bool there() const { return announced && heard; }
     };
+    void join(const KnownEntity& known);
     /// To the observer, of an entity that it knows.
     void tellChanged(const KnownEntity& known);
     struct Lease {
@@ -456,7 +460,7 @@ class SessionCore {
     bool connected_ = false;
     Sender self_;
     int promised_ = 0;
-    int announced_ = 0;
+    int present_ = 0;
     Watchdog server_;
     Watchdogs watchdogs_;  // of the server, for this client
     std::int64_t sequence_ = 0;

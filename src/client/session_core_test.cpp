@@ -66,6 +66,7 @@ TEST_F(SessionCoreTest, AnEntityWithoutAProfileIsListedOnlyWithAllAndJoinsWhenIt
 
 TEST_F(SessionCoreTest, TheEntityItselfSaysWhyItCannotBeCheckedOutBeforeItIsReady) {
     core.onProfile(Presence::Joined, {uuid(4), "greeter", "", ""}, "");
+    status(4, EntityState::INIT);
     Answer<std::vector<Held>> answer;
     core.checkOut({"greeter"}, answer.taker());
     ASSERT_THAT(link.sent, SizeIs(1));
@@ -758,6 +759,29 @@ TEST_F(SessionCoreTest, ProfilesThatOvertakeTheHandshakeCount) {
     world.core.onConnected(kMe, 1);
     EXPECT_TRUE(world.core.complete());
     EXPECT_TRUE(world.core.find("PeopleBot").ok());
+}
+
+TEST_F(SessionCoreTest, AnEntityIsThereOnceItsProfileAndItsStatusHaveComeInEitherOrder) {
+    for (const bool profile_first : {true, false}) {
+        CoreWorld world;
+        world.core.onConnected(kMe, 1);
+        const auto one = [&](bool profile) {
+            if (profile)
+                world.announce(1, "PeopleBot");
+            else
+                world.status(1, EntityState::REG);
+        };
+        one(profile_first);
+        EXPECT_FALSE(world.core.complete()) << "what is listed now has a state that nobody has told";
+        EXPECT_THAT(world.core.entities(Listed::All), IsEmpty());
+        EXPECT_FALSE(world.core.find("PeopleBot").ok());
+        EXPECT_THAT(world.observer.entities, IsEmpty());
+        one(!profile_first);
+        EXPECT_TRUE(world.core.complete());
+        ASSERT_THAT(world.observer.entities, SizeIs(1));
+        EXPECT_EQ(world.observer.entities[0].first, Presence::Joined);
+        EXPECT_EQ(world.observer.entities[0].second.state, EntityState::REG);
+    }
 }
 
 // ---- bad input

@@ -94,7 +94,12 @@ class CoreWorld {
         join(2, "PeopleBot");
         join(3, "Cyton");
     }
+    /// Its profile, and a status where none has come before.
     void join(int number, const std::string& name, const char* type = "MOBILE") {
+        announce(number, name, type);
+        if (!core.entity(uuid(number)).ok()) status(number, EntityState::UNAV);
+    }
+    void announce(int number, const std::string& name, const char* type = "MOBILE") {
         proto::BasicProfile profile;
         profile.set_descr("a robot");
         core.onProfile(Presence::Joined, {uuid(number), name, "ROBOT", type}, profile.SerializeAsString());

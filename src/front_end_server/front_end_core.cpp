@@ -166,14 +166,16 @@ std::size_t FrontEndCore::pushAll(ClientOutbox& to) {
             changed = true;
             to.newBasicPrflMsg(before == told.end() ? Presence::Joined : Presence::Changed,
                                record->registration, *record->profile);
-            to.newStatusMsg(record->status);
+            if (record->heard) to.newStatusMsg(record->status);
         }
         for (const auto& [entity, record] : told) {
             if (now.contains(entity)) continue;
             changed = true;
             to.newBasicPrflMsg(Presence::Left, record->registration, {});
         }
-        if (!changed) return now.size();
+        if (!changed)
+            return static_cast<std::size_t>(
+                std::count_if(now.begin(), now.end(), [](const auto& one) { return one.second->heard; }));
         told = std::move(now);
     }
 }
@@ -618,7 +620,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
             return;
         }
         if (number != 0 && number <= found->second->number) return;
-        if (found->second->status == status) {
+        if (found->second->heard && found->second->status == status) {
             if (number == 0) return;
             auto same = std::make_shared<Record>(*found->second);
             same->number = number;
@@ -630,6 +632,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
         const auto holder = status.holder.id;
         auto next = std::make_shared<Record>(*found->second);
         next->status = status;
+        next->heard = true;
         next->number = number;
         countBusy(found->second.get(), next.get());
         found->second = std::move(next);

@@ -91,7 +91,7 @@ class FrontEndCore {
     Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);
     static const Sender& me(const Client& client);
     static const std::string& token(const Client& client);
-    /// How many entities it was told of when it joined, those that left meanwhile not counted.
+    /// Of how many entities it was told profile and status when it joined, those that left meanwhile not counted.
     static std::size_t told(const Client& client);
     /// STATUS: everything that is known is sent again. GLOBAL_SERVICES: answered with that msg_type, of no entity.
     void sendRequest(const ClientRef& client, Header head, std::string_view message);
@@ -138,6 +138,7 @@ class FrontEndCore {
         Registration registration;
         std::shared_ptr<const std::string> profile;
         EntityStatus status;
+        bool heard = false;       // the status: it comes after the profile
         std::int64_t number = 0;  // of the status, as its server counts
     };
     using RecordRef = std::shared_ptr<const Record>;

@@ -172,6 +172,7 @@ class FrontEndTest : public testing::Test {
 
 TEST_F(FrontEndTest, TellsAClientWhoIsThereAndWhatChanges) {
     entity("e1");
+    status("e1", EntityState::UNAV);
     const auto peer = join();
     EXPECT_THAT(peer.data->take(), ElementsAre("joined e1", "e1 UNAV"));
     status("e1", EntityState::IDLE);
@@ -203,9 +204,23 @@ TEST_F(FrontEndTest, ANameIsCutBetweenTwoCharacters) {
     EXPECT_EQ(FrontEndCore::me(*join("Zo\xc3").client).name, "Zo\xef\xbf\xbd");
 }
 
-TEST_F(FrontEndTest, AClientIsToldHowManyEntitiesItWasToldOf) {
+TEST_F(FrontEndTest, AStatusThatNobodyHasHeardIsNotTold) {
     entity("e1");
-    entity("e2");
+    auto data = std::make_shared<FakeOutbox>();
+    const auto client = core.setCallback("client1", Role::Operator, data).value();
+    EXPECT_THAT(data->take(), ElementsAre("joined e1"));
+    EXPECT_EQ(FrontEndCore::told(*client), 0U) << "whoever waits for all waits for no status that may never come";
+    status("e1", EntityState::UNAV);
+    EXPECT_THAT(data->take(), ElementsAre("e1 UNAV"));
+    status("e1", EntityState::UNAV);
+    EXPECT_THAT(data->take(), IsEmpty());
+}
+
+TEST_F(FrontEndTest, AClientIsToldHowManyEntitiesItWasToldOf) {
+    for (const auto* name : {"e1", "e2"}) {
+        entity(name);
+        status(name, EntityState::IDLE);
+    }
     auto data = std::make_shared<FakeOutbox>();
     data->while_told = [&] { core.entityBasicPrflUpdate(Presence::Left, {"e1"}, {}); };
     const auto client = core.setCallback("client1", Role::Operator, data).value();
@@ -390,6 +405,7 @@ TEST_F(FrontEndTest, RoutesToTheRecipientOrToAll) {
 
 TEST_F(FrontEndTest, AnswersRequests) {
     entity("e1");
+    status("e1", EntityState::UNAV);
     const auto peer = join();
     peer.data->take();
     auto request = to("");
