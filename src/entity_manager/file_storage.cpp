@@ -211,14 +211,17 @@ void FileStorage::run() {
         }
         return found;
     };
+    bool last = false;
     std::unique_lock lock(mutex_);
     while (true) {
         if (failed.empty()) wake_.wait(lock, [this] { return ending_ || !waiting_.empty(); });
         auto at = next();
         if (at == waiting_.end()) {
-            if (ending_) return;
-            wake_.wait_for(lock, kTryAgain, [&] { return ending_ || next() != waiting_.end(); });
-            if (next() == waiting_.end()) failed.clear();  // again; at the end once more
+            if (last || (ending_ && waiting_.empty())) return;
+            if (!ending_) wake_.wait_for(lock, kTryAgain, [&] { return ending_ || next() != waiting_.end(); });
+            if (next() != waiting_.end()) continue;
+            failed.clear();   // again
+            last = ending_;  // and once more at the end
             continue;
         }
         const auto [key, wish] = *at;
@@ -496,6 +499,10 @@ class FileResourceStore::Worker {
         const std::lock_guard lock(mutex_);
         return bytes_;
     }
+    std::size_t jobs() const {
+        const std::lock_guard lock(mutex_);
+        return jobs_.size();
+    }
     /// On the thread: nothing of it will come any more.
     void forget(const Transfer& transfer) {
         const std::lock_guard lock(mutex_);
@@ -583,7 +590,7 @@ Later<Result<std::uint64_t>> FileResourceStore::begin(const proto::ResourceOffer
         if (other->path == incoming)
             return Answer(Refusal{
                 RefusalCode::Duplicate, "The same content is being uploaded already. Wait for its end.", {}});
-    if (worker_->bytes() > kBacklog)
+    if (worker_->bytes() > kBacklog || worker_->jobs() >= kJobs)
         return Answer(Refusal{RefusalCode::Overloaded,
                               "The disk has not taken yet what was uploaded before. Try again in a moment.",
                               {}});
@@ -619,6 +626,10 @@ Result<void> FileResourceStore::write(std::string_view transfer_id, std::uint64_
     }
     if (offset != transfer.accepted || content.size() > transfer.size - transfer.accepted)
         return Refusal{RefusalCode::Malformed, "The chunk does not continue the upload.", {}};
+    if (worker_->jobs() >= kJobs)
+        return Refusal{RefusalCode::Overloaded,
+                       "Too many small pieces wait for the disk. Send larger ones, or try again in a moment.",
+                       {}};
     transfer.accepted += content.size();
     worker_->write(at->second, std::string(content));
     return {};

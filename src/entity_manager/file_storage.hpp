@@ -65,14 +65,15 @@ class FileStorage final : public Storage {
 /// next life and is uploaded again.
 ///
 /// Threads: one at a time; two of its own. Bounded: what waits to be written by whoever calls write(), who
-/// asks waiting() first, and begin() takes nothing new above kBacklog; kUnsynchronised files wait for their
-/// thread, of more the oldest is not marked. Failure: refusals; the message names the file. A disk that is
+/// asks waiting() first; begin() takes nothing new above kBacklog bytes or kJobs pieces of work that wait, and
+/// write() no more pieces than that; kUnsynchronised files wait for their thread, of more the oldest is not marked. Failure: refusals; the message names the file. A disk that is
 /// full is OVERLOADED.
 class FileResourceStore final : public ResourceStore {
   public:
     static constexpr std::size_t kUnsynchronised = 64;
     static constexpr std::chrono::hours kIncomingKept{24};
     static constexpr std::uint64_t kBacklog = 8U << 20U;
+    static constexpr std::size_t kJobs = 4096;
 
     explicit FileResourceStore(std::filesystem::path folder, std::uint64_t kept_bytes = 1ULL << 30U);
     ~FileResourceStore() override;

@@ -104,10 +104,10 @@ struct StuckFile {
     }
     ~StuckFile() { ::close(fd); }
     void release() const {
+        fs::remove(path);  // first: what is written now must not be put in the place of the value
         char part[4096];
         while (::read(fd, part, sizeof part) > 0) {
         }
-        fs::remove(path);
     }
     const fs::path path;
     int fd;
@@ -123,6 +123,16 @@ TEST_F(Folder, WhatIsKeptIsNotWaitedForAndIsTriedUntilTheDiskHasIt) {
         stuck.release();
     }
     EXPECT_EQ(FileStorage(folder).load("k"), "2");
+    {
+        const StuckFile again(folder / "6b.value.new");
+        FileStorage storage(folder);
+        storage.keep("k", "3");
+        storage.keep("k", "4");
+        again.release();
+        ASSERT_TRUE(test::waitUntil([&] { return storage.load("k") == "4"; }));
+        storage.keep("k", "5");
+        EXPECT_TRUE(test::waitUntil([&] { return storage.load("k") == "5"; })) << "it goes on afterwards";
+    }
 }
 
 TEST_F(Folder, WhatIsForgottenIsNotWaitedForAndDoesNotComeBack) {
@@ -319,6 +329,30 @@ TEST_F(Folder, NobodyWaitsForADiskThatDoesNotTakeWhatIsUploaded) {
     EXPECT_EQ(of(again).value(), 3U) << "all that was taken has been written";
     EXPECT_EQ(of(looked), std::vector{(folder / "none").string()});
     EXPECT_EQ(content(finish(store, "t2").value()), "abc");
+}
+
+TEST_F(Folder, WhatABlockedDiskIsAskedIsBoundedToo) {
+    std::promise<void> release;
+    const auto released = release.get_future().share();
+    FileResourceStore store(folder);
+    (void)begin(store, offer("t0", 100'000, std::string(32, 'h')));
+    std::promise<void> stuck;
+    store.onAnswer([&, released, first = true]() mutable {
+        if (!std::exchange(first, false)) return;
+        stuck.set_value();
+        released.wait();
+    });
+    ASSERT_TRUE(store.write("t0", 0, "x").ok());
+    stuck.get_future().wait();
+    std::uint64_t at = 1;
+    Result<void> written;
+    while ((written = store.write("t0", at, "x")).ok() && at < 50'000) ++at;
+    EXPECT_EQ(written.refusal().code, RefusalCode::Overloaded) << at << " pieces of one byte";
+    EXPECT_EQ(begin(store, offer("t1", 3, kAbc)).refusal().code, RefusalCode::Overloaded);
+    const auto behind = store.absent({});
+    release.set_value();
+    of(behind);
+    EXPECT_EQ(begin(store, offer("t2", 3, std::string(32, 'i'))).value(), 0U);
 }
 
 TEST_F(Folder, GivenUpAndGoneOnWithAgainAndAgainItIsWhole) {
