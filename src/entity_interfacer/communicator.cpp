@@ -437,7 +437,7 @@ void Communicator::callStop(const StopSignal& called) {
     owed_ = over ? std::nullopt : std::optional(signal);
     call_again_ = thrown.empty() ? TimePoint{} : now() + kStopAgain;
     const bool failed_before = stop_failed_.exchange(!thrown.empty());
-    if (over) level_.settle();
+    const bool rested = over && level_.settle();
     heard_ns_ = nanoseconds(now());
     manager_heard_.allow({}, now());  // nobody listened while the callback ran
     in_callback_ = false;
@@ -447,7 +447,11 @@ void Communicator::callStop(const StopSignal& called) {
                  "): it is called again until it returns, and nothing starts before; catch inside onStop");
     if (thrown.empty() && failed_before) note(LogLevel::Info, "the stop callback that threw has returned");
     if (!signal_link_ || signal_link_->lost()) return;
-    if (over) return acknowledge(*signal_link_, level_.stopped());
+    if (over) {
+        acknowledge(*signal_link_, level_.stopped());
+        if (rested) tellStandstill(*signal_link_);
+        return;
+    }
     if (thrown.empty()) return;
     proto::EiToEm message;
     message.mutable_stop_done()->set_stop_generation(level_.stopped());
@@ -465,12 +469,15 @@ void Communicator::acknowledge(Link& link, std::uint32_t generation) {
 
 void Communicator::standstill() {
     reports_standstill_ = true;
-    const auto link = currentLink();
-    if (!link || stop_failed_) return;
+    if (!level_.rest()) return;
+    if (const auto link = currentLink()) tellStandstill(*link);
+}
+
+void Communicator::tellStandstill(Link& link) {
     proto::EiToEm message;
     message.mutable_stop_done()->set_stop_generation(level_.stopped());
     message.mutable_stop_done()->set_stage(proto::StopReceipt::STANDSTILL);
-    link->sendSignal(message);
+    link.sendSignal(message);
 }
 
 void Communicator::fault(const std::string& what, const std::function<void()>& last_words) {

@@ -5,6 +5,7 @@
 #include <condition_variable>
 #include <cstdint>
 #include <mutex>
+#include <utility>
 
 #include "common/waiting.hpp"
 
@@ -49,8 +50,20 @@ class StopLevel {
             epoch_ = epoch_ + 1;
         });
     }
-    void settle() {
-        change([&] { settled_ = true; });
+    /// The stop has been carried out. Whether the machine was said to stand still meanwhile.
+    bool settle() {
+        bool rested = false;
+        change([&] {
+            settled_ = true;
+            rested = std::exchange(rested_, false);
+        });
+        return rested;
+    }
+    /// The machine stands still. False while a stop is being carried out: then settle() says it.
+    bool rest() {
+        const std::lock_guard lock(mutex_);
+        rested_ = !settled_;
+        return settled_;
     }
     /// A callback that may move the robot begins, unless the condition no longer holds. Either the condition
     /// sees a level that rises at the same moment, or whoever raised it sees the callback inside.
@@ -104,6 +117,7 @@ class StopLevel {
     std::atomic<std::uint64_t> epoch_{0};
     std::atomic<int> cause_{0};
     std::atomic<bool> settled_{true};
+    bool rested_ = false;  // guarded by mutex_
     std::atomic<int> inside_{0};
 };
 

@@ -23,6 +23,7 @@
 #include <future>
 #include <mutex>
 #include <thread>
+#include <utility>
 
 #include "common/ids.hpp"
 #include "entity_interfacer/frame.hpp"
@@ -733,6 +734,32 @@ TEST(Link, StandstillIsTheLastStageOfTheReceipt) {
     ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
     const auto generation = manager.stop();
     ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation, proto::StopReceipt::STANDSTILL); }));
+}
+
+TEST(Link, StandstillThatIsSaidWhileTheStopCallbackRunsIsToldOnceItHasReturned) {
+    EntityInterfacer interfacer(options("Still"));
+    std::promise<void> called, release;
+    const auto released = release.get_future().share();
+    interfacer.onStop([&, first = true](const StopSignal&) mutable {
+        interfacer.standstill();
+        if (!std::exchange(first, false)) return;
+        called.set_value();
+        released.wait();
+    });
+    interfacer.start();
+    Manager manager("Still");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    const auto generation = manager.stop();
+    called.get_future().wait();
+    interfacer.standstill();  // of another thread, such as one that reads the motors
+    EXPECT_FALSE(manager.acknowledged(generation, proto::StopReceipt::STANDSTILL));
+    release.set_value();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation, proto::StopReceipt::STANDSTILL); }));
+    std::vector<proto::StopReceipt::Stage> stages;
+    for (const auto& message : manager.messages())
+        if (message.has_stop_done()) stages.push_back(message.stop_done().stage());
+    EXPECT_EQ(stages, (std::vector<proto::StopReceipt::Stage>{proto::StopReceipt::CALLBACK_RETURNED,
+                                                              proto::StopReceipt::STANDSTILL}));
 }
 
 TEST(Link, WhetherStandstillFollowsIsDeclaredOrKnownFromTheFirstTimeOn) {

@@ -272,7 +272,8 @@ class AXON_EI_API EntityInterfacer {
     /// stop; that is acknowledged to whoever gave the stop.
     void onStop(std::function<void(const StopSignal&)> callback);
     /// The machine stands still (as its own sensors tell): the last stage of a stop's receipt, for which
-    /// `axon stop` waits. See Options::reports_standstill.
+    /// `axon stop` waits. From any thread; from within onStop it is told once that has returned. See
+    /// Options::reports_standstill.
     void standstill();
 
     void onLinkUp(std::function<void()> callback);
