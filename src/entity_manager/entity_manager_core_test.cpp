@@ -87,6 +87,13 @@ TEST_F(NotReady, TheServerIsWantedAtOnceAndTheEntityIsRegisteredWithoutAProfile)
     EXPECT_TRUE(ready);
 }
 
+TEST(NotReadyYet, AnApplicationThatIsCalledLikeAnotherEntityIsShownInQuotes) {
+    CoreRig rig(1, {.application = "PeopleBot#2"});
+    rig.core().start();
+    rig.core().onServerUp();
+    EXPECT_EQ(rig.takeLines().at(1), "server: not ready \"PeopleBot#2\"") << "the server would refuse the name itself";
+}
+
 TEST_F(NotReady, ACheckOutIsRefusedWithWhatTheSearchForTheApplicationHasFound) {
     rig.core().onApplicationSought("none is found; found there: \"other\" (port 5500)");
     EXPECT_TRUE(has(rig.statuses.back().reason, "found there: \"other\""));
@@ -135,6 +142,24 @@ TEST_F(NotReady, AnApplicationWithoutAnyProfileIsTold) {
     rig.advance(std::chrono::seconds{3});
     EXPECT_TRUE(has(rig.statuses.back().reason, "has uploaded no profile"));
     EXPECT_EQ(rig.statuses.back().state, EntityState::INIT);
+}
+
+TEST_F(NotReady, ADiskThatDoesNotAnswerIsNamed) {
+    rig.resources.slow = true;
+    rig.linkUp();
+    rig.upload(false, test::kRigBasicProfile);
+    rig.upload(true, test::kRigServicesProfile);
+    rig.advance(std::chrono::milliseconds{2999});
+    EXPECT_EQ(rig.core().status().reason, "");
+    rig.advance(std::chrono::milliseconds{1});
+    EXPECT_EQ(rig.core().state(), EntityState::INIT);
+    EXPECT_TRUE(has(rig.statuses.back().reason, "the disk has not answered")) << rig.statuses.back().reason;
+    EXPECT_TRUE(has(rig.core().takeWarning(), "the disk has not answered"));
+    EXPECT_TRUE(toldOfProfiles().empty()) << "nothing is wrong with them";
+    rig.resources.answerAll();
+    rig.core().onStored();
+    EXPECT_EQ(rig.core().state(), EntityState::IDLE);
+    EXPECT_EQ(rig.core().status().reason, "");
 }
 
 TEST_F(NotReady, ABrokenProfileAloneIsAnErrorThatAlsoNamesWhatIsMissing) {

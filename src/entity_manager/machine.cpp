@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "common/entity_name.hpp"
 #include "common/planted_bug.hpp"
 #include "common/utf8.hpp"
 #include "messages/text.hpp"
@@ -154,7 +155,8 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     // the others.
     if (!storage.load(kFreeKey) && !AXON_PLANTED(LatchForgotten)) latched_ = true;
     registration_.entity = uuid_;
-    registration_.name = settings_.application;
+    registration_.name =
+        isEntityName(settings_.application) ? settings_.application : inQuotes(settings_.application);
     const auto fifth = [](Duration watchdog) {
         return static_cast<std::int32_t>(
             std::chrono::duration_cast<std::chrono::milliseconds>(watchdog).count() / 5);
@@ -602,9 +604,6 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             else
                 stopDone(message.stop_done());
             break;
-        case proto::EiToEm::kBeat:
-            if (message.beat().stopped()) confirmStop(message.beat().stop_generation());
-            break;
         case proto::EiToEm::kProfile: {
             if (findRow(state_, Event::ProfileUploaded) == nullptr) {
                 keepProfile(*message.mutable_profile());
@@ -675,6 +674,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             sendSample(*message.mutable_sample());
             break;
         case proto::EiToEm::kWelcome:
+        case proto::EiToEm::kBeat:
         case proto::EiToEm::kEnd:
             break;  // the link's own business
         case proto::EiToEm::BODY_NOT_SET:
@@ -739,12 +739,14 @@ void EntityManagerCore::Machine::considerProfiles() {
         return;
     }
     located_ = store_.locate(roots_, ServiceProfiler::resourcesOf(services_->message));
+    profiles_due_ = clock_.now() + settings_.profiles_within;
     takeProfiles();
 }
 
 /// They are good, and where the files of the resources lie is known.
 void EntityManagerCore::Machine::takeProfiles() {
     if (!located_ || !located_->ready()) return;
+    profiles_due_.reset();
     const auto places = std::exchange(located_, std::nullopt)->value();
     located_again_.reset();
     const bool moved = position_waits_;  // the robot has told its position before its profiles were good
@@ -772,11 +774,18 @@ void EntityManagerCore::Machine::takeProfiles() {
     fire(Event::ProfilesGood);
 }
 
-/// An application that uploads too little would wait in INIT for ever without a word.
+/// What is missing, where an entity would wait in INIT for ever without a word: an application has uploaded too
+/// little, or the disk does not answer.
 void EntityManagerCore::Machine::expireProfiles() {
     if (!profiles_due_ || clock_.now() < *profiles_due_) return;
     profiles_due_.reset();
     if (state_ != EntityState::INIT) return;
+    if (located_) {
+        reason_ = warning_ = "the disk has not answered where the files of the resources lie; fix: see that the "
+                             "folders in which their urls lead can be read on the robot's machine";
+        tellStatus();
+        return;
+    }
     std::string missing = "the robot application " + inQuotes(settings_.application) + " has uploaded ";
     if (!basic_ && !services_)
         missing +=
@@ -1149,6 +1158,11 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
         if (open.over() || open.receipt.stop_generation() > done.stop_generation() ||
             open.receipt.stage() >= done.stage())
             continue;
+        if (done.stage() == proto::StopReceipt::STANDSTILL &&
+            open.receipt.stage() < proto::StopReceipt::CALLBACK_RETURNED) {
+            ++counters_.unexpected;  // it may stand, but its callback has still to say so
+            continue;
+        }
         if (done.stage() == proto::StopReceipt::STANDSTILL && clock_.now() >= open.at + kComesToRest)
             continue;  // it tells nobody anything of a stop so long ago
         open.receipt.set_stage(done.stage());
@@ -1157,7 +1171,7 @@ void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
                                             done.standstill_follows() && open.moving);
         tellStage(open);
     }
-    if (done.stage() >= proto::StopReceipt::CALLBACK_RETURNED) confirmStop(done.stop_generation());
+    if (done.stage() == proto::StopReceipt::CALLBACK_RETURNED) confirmStop(done.stop_generation());
 }
 
 void EntityManagerCore::Machine::confirmStop(std::uint32_t generation) {

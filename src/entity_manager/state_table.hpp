@@ -148,7 +148,7 @@ struct Needs {
 std::span<const Row> stateTable();
 /// The row of the pair, or null: then refusalFor() is the answer.
 const Row* findRow(EntityState state, Event event);
-/// The typed refusal of a pair that has no row. `reason` is that of UNAV and ERR.
+/// The typed refusal of a pair that has no row. `reason` is that of UNAV, INIT and ERR.
 Refusal refusalFor(EntityState state, Event event, const std::string& reason = {});
 Needs needsOf(Event event);
 bool isRequest(Event event);
