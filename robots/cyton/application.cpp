@@ -32,6 +32,7 @@ EntityInterfacer::Options interfacerOptions(const Settings& settings, std::share
     options.application = settings.application;
     options.reports_standstill = true;
     options.instance = settings.instance;
+    options.resource_folders = settings.resources;
     options.clock = std::move(clock);
     if (std::filesystem::exists(settings.ports)) {
         options.ports_file = settings.ports;

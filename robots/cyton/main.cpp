@@ -36,6 +36,8 @@ int main(int argc, char** argv) {
     app.add_option("--ports", settings.ports, "A ports.cfg, or the range to listen in, such as 5500-5600");
     app.add_option("--at", at, "Where the arm's base stands: X,Y,Z in mm");
     app.add_option("--profiles", settings.profiles, "Folder with basic_profile.xml and services_profile.xml");
+    app.add_option("--resources", settings.resources,
+                   "Folders in which the absolute urls of resources in the services profile may lead; none by default");
     try {
         app.parse(argc, argv);
     } catch (const CLI::ParseError& error) {

@@ -8,6 +8,7 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 namespace axon::cyton {
 
@@ -22,6 +23,7 @@ struct Settings {
     std::chrono::steady_clock::duration silence_limit = std::chrono::milliseconds{1000};
     std::array<double, 3> at_mm{};  ///< where the arm's base stands, told to clients as the entity's position
     std::filesystem::path profiles;  ///< the folder of the two profiles; empty: found beside the program
+    std::vector<std::filesystem::path> resources;  ///< folders in which absolute urls of resources may lead
 };
 
 /// A setting that cannot be used; the message says what was expected.

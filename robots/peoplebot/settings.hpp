@@ -7,6 +7,7 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include "robots/peoplebot/map_pose.hpp"
 
@@ -25,6 +26,7 @@ struct Settings {
     MapPose at;                      ///< where the robot stands when the program starts
     bool at_given = false;           ///< somebody said so; else a map's home is believed first
     std::filesystem::path profiles;  ///< the folder of the two profiles; empty: found beside the program
+    std::vector<std::filesystem::path> resources;  ///< folders in which absolute urls of resources may lead
 };
 
 /// A setting that cannot be used; the message says what was expected.
