@@ -64,7 +64,7 @@ void Report::violation(std::string sentence) {
 std::vector<std::string> Report::broken() const {
     std::vector<std::string> why;
     if (latency.never() > 0) why.push_back(std::to_string(latency.never()) + " " + measured + " never came");
-    if (late > late_beside_stall + latency.size() * promise.late_of_thousand / 1000)
+    if (late > late_beside_stall)
         why.push_back(std::to_string(late - late_beside_stall) + " " + measured + " came later than " +
                       shown(promise.bound_ms) + " ms");
     const auto judge = [&](const char* name, double q, double promised) {

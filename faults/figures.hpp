@@ -36,8 +36,6 @@ struct Promise {
     double p99_ms =
         0;  ///< of the distribution, on a host with time to spare (without --busy), from 100 stops on
     std::string text;
-    std::size_t late_of_thousand =
-        0;  ///< so many of each thousand may come after the bound: with 1, p99.9 is within it
     double p999_ms = 0;  ///< likewise, from 1,000 stops on
 };
 

@@ -74,7 +74,7 @@ struct Entity {
     bool latched = false;
     std::int32_t stop_generation = 0;
     Sender holder;  ///< id empty when free
-    std::string reason;                   ///< of UNAV, INIT and ERR
+    std::string reason;                   ///< of UNAV, INIT and ERR; in IDLE from whom it was taken, and why
     bool orphaned = false;                ///< the holder is lost, and may still come back
     int waiting = 0;                      ///< how many wait for it
     std::optional<Seconds> stop_latency;  ///< of the servers' own last drill: to the application and back
@@ -476,7 +476,7 @@ class CheckOut {
     std::string ticket() const;
 
     /// Stops the running task and goes on with the next of the queue; does not latch (thesis: reset command).
-    /// The receipt says how many tasks that ended, which may be none. WRONG_STATE where it takes part in a
+    /// Like clear() it waits for the receipt, so neither may be called on the library's callback thread. The receipt says how many tasks that ended, which may be none. WRONG_STATE where it takes part in a
     /// collaboration and runs no step.
     Result<Receipt> reset() const;
     /// Stops the running task, empties the queue and leaves a collaboration; does not latch (thesis: clear
