@@ -101,7 +101,7 @@ class DatagramsTest : public ::testing::Test {
         entity_manager::CoreSettings core;
         core.application = "peoplebot";
         manager_ = EntityManager::create(
-            executor_.get_executor(), std::make_shared<entity_manager::ServerCommunicators>(1, 1), core,
+            executor_.get_executor(), ice_, core,
             {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
              "", ""},
             [&](const EntityManager::Strand& strand, const entity_manager::StopGate&, const Clock&,
@@ -117,6 +117,7 @@ class DatagramsTest : public ::testing::Test {
     }
     void TearDown() override {
         if (manager_) manager_->stop();
+        ice_->destroy();  // its threads post to the executor
         executor_.join();
         manager_.reset();
     }
@@ -152,6 +153,8 @@ class DatagramsTest : public ::testing::Test {
     test::MemoryRobot::Seen seen_;
     std::unique_ptr<server::Server> server_;
     asio::thread_pool executor_{1};
+    const std::shared_ptr<entity_manager::ServerCommunicators> ice_ =
+        std::make_shared<entity_manager::ServerCommunicators>(1, 1);
     std::shared_ptr<EntityManager> manager_;
 };
 
