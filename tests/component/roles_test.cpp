@@ -34,6 +34,15 @@ server::ServerSettings oneOfSeveral(server::ServerRole role, const std::string& 
     return settings;
 }
 
+/// Signals and messages go straight only to servers that have been discovered; then a stop comes twice.
+bool reaches(RawClient& client, RawEntity& robot) {
+    return waitUntil([&] {
+        const auto before = robot.log.count("signal stop");
+        client.stop(robot.registration.entity);
+        return waitUntil([&] { return robot.log.count("signal stop") >= before + 2; }, 300ms);
+    });
+}
+
 /// Two front-end servers and two entity servers, whose topics are the others themselves.
 class SeveralServers : public testing::Test {
   public:
@@ -50,15 +59,6 @@ class SeveralServers : public testing::Test {
     }
     std::string clients(const server::Server& at) const { return at.clientAddress(Lane::Data); }
     std::string entities(const server::Server& at) const { return at.entityAddress(Lane::Data); }
-    /// Signals go directly only to those that have been discovered; then a stop comes twice.
-    static bool reaches(RawClient& client, RawEntity& robot) {
-        return waitUntil([&] {
-            const auto before = robot.log.count("signal stop");
-            client.stop(robot.registration.entity);
-            return waitUntil([&] { return robot.log.count("signal stop") >= before + 2; }, 300ms);
-        });
-    }
-
     std::unique_ptr<server::Server> fe1 =
         std::make_unique<server::Server>(oneOfSeveral(server::ServerRole::FrontEnd, "fe1"));
     std::unique_ptr<server::Server> fe2 =
@@ -374,6 +374,7 @@ TEST_F(RealServers, IceStormMayComeLaterDieAndComeBack) {
     EXPECT_TRUE(waitUntil([&] { return client.log.has("joined Robot"); }, 5s)) << front_end.text() << entity_server.text();
     client.text(kFirst, "first", 2);
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg client1@lab TEXT first"); }));
+    ASSERT_TRUE(reaches(client, robot)) << "straight, too: before that the topic is the only way";
 
     programs["icebox"]->kill();
     // Messages and statuses go straight: nothing of them waits or is lost, all the time until it is there again.
