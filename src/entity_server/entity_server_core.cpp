@@ -321,6 +321,7 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
         status.stop_latency_us = session->stop_latency_us;
         auto record = std::make_shared<Record>(*session->record);
         record->status = std::move(status);
+        record->heard = true;
         session->record = std::move(record);
         // The EM's own watchdog is short from now on.
         if (became_busy) heartbeat = ++session->heartbeats;
@@ -920,7 +921,7 @@ void EntityServerCore::publishOne(const std::string& entity, const RecordRef& be
     else if (!same_session)
         note_(now->registration.name + " is connected and not ready (" + entity +
               "); axon ls --all shows why");
-    if (again || !same_session || now->status != before->status) {
+    if (now->heard && (again || !same_session || !before->heard || now->status != before->status)) {
         topic_.entityUpdate(now->status, ++publications_);
     }
 }

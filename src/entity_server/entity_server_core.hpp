@@ -142,6 +142,7 @@ class EntityServerCore {
         Registration registration;
         std::shared_ptr<const std::string> profile;
         EntityStatus status;
+        bool heard = false;  ///< the status is one that it has sent
         std::uint64_t session = 0;
     };
     using RecordRef = std::shared_ptr<const Record>;
