@@ -423,6 +423,7 @@ void Communicator::dispatchStop(StopSignal::Cause cause) {
 void Communicator::callStop(const StopSignal& called) {
     const auto signal = called;  // it may be what is owed
     in_callback_ = true;
+    level_.carryOut();
     std::string thrown;
     if (callbacks_.stop) {
         try {
@@ -437,7 +438,7 @@ void Communicator::callStop(const StopSignal& called) {
     owed_ = over ? std::nullopt : std::optional(signal);
     call_again_ = thrown.empty() ? TimePoint{} : now() + kStopAgain;
     const bool failed_before = stop_failed_.exchange(!thrown.empty());
-    const bool rested = over && level_.settle();
+    if (over) level_.settle();
     heard_ns_ = nanoseconds(now());
     manager_heard_.allow({}, now());  // nobody listened while the callback ran
     in_callback_ = false;
@@ -446,13 +447,13 @@ void Communicator::callStop(const StopSignal& called) {
              "the stop callback has not stopped the robot (" + thrown +
                  "): it is called again until it returns, and nothing starts before; catch inside onStop");
     if (thrown.empty() && failed_before) note(LogLevel::Info, "the stop callback that threw has returned");
-    if (!signal_link_ || signal_link_->lost()) return;
+    const bool linked = signal_link_ && !signal_link_->lost();
     if (over) {
-        acknowledge(*signal_link_, level_.stopped());
-        if (rested) tellStandstill(*signal_link_);
+        if (linked) acknowledge(*signal_link_, level_.stopped());
+        if (level_.acknowledged() && linked) tellStandstill(*signal_link_, level_.stopped());
         return;
     }
-    if (thrown.empty()) return;
+    if (!linked || thrown.empty()) return;
     proto::EiToEm message;
     message.mutable_stop_done()->set_stop_generation(level_.stopped());
     message.mutable_stop_done()->set_fault(thrown);
@@ -469,13 +470,14 @@ void Communicator::acknowledge(Link& link, std::uint32_t generation) {
 
 void Communicator::standstill() {
     reports_standstill_ = true;
-    if (!level_.rest()) return;
-    if (const auto link = currentLink()) tellStandstill(*link);
+    const auto generation = level_.rest();
+    if (!generation) return;
+    if (const auto link = currentLink()) tellStandstill(*link, *generation);
 }
 
-void Communicator::tellStandstill(Link& link) {
+void Communicator::tellStandstill(Link& link, std::uint32_t generation) {
     proto::EiToEm message;
-    message.mutable_stop_done()->set_stop_generation(level_.stopped());
+    message.mutable_stop_done()->set_stop_generation(generation);
     message.mutable_stop_done()->set_stage(proto::StopReceipt::STANDSTILL);
     link.sendSignal(message);
 }

@@ -125,7 +125,7 @@ class Communicator {
     /// the robot runs; until then it is owed.
     void callStop(const StopSignal& signal);
     void acknowledge(Link& link, std::uint32_t generation);
-    void tellStandstill(Link& link);
+    void tellStandstill(Link& link, std::uint32_t generation);
 
     // Watch thread
     void watchThread();

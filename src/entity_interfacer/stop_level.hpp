@@ -5,6 +5,7 @@
 #include <condition_variable>
 #include <cstdint>
 #include <mutex>
+#include <optional>
 #include <utility>
 
 #include "common/waiting.hpp"
@@ -40,6 +41,7 @@ class StopLevel {
         change([&] {
             cause_ = cause;
             settled_ = false;
+            acknowledged_ = false;
             stopped_ = generation;
         });
     }
@@ -47,23 +49,33 @@ class StopLevel {
         change([&] {
             cause_ = cause;
             settled_ = false;
+            acknowledged_ = false;
             epoch_ = epoch_ + 1;
         });
     }
-    /// The stop has been carried out. Whether the machine was said to stand still meanwhile.
-    bool settle() {
-        bool rested = false;
-        change([&] {
-            settled_ = true;
-            rested = std::exchange(rested_, false);
-        });
-        return rested;
-    }
-    /// The machine stands still. False while a stop is being carried out: then settle() says it.
-    bool rest() {
+    /// The stop callback is about to be called, once more perhaps: what was said of a standstill before it counts no
+    /// more. Until acknowledged(), a standstill waits.
+    void carryOut() {
         const std::lock_guard lock(mutex_);
-        rested_ = !settled_;
-        return settled_;
+        acknowledged_ = rested_ = false;
+    }
+    /// The stop has been carried out: tasks may begin.
+    void settle() {
+        change([&] { settled_ = true; });
+    }
+    /// That it has been carried out was told, or there is nobody to tell. Whether the machine was said to stand still
+    /// since the stop callback was called last.
+    bool acknowledged() {
+        const std::lock_guard lock(mutex_);
+        acknowledged_ = true;
+        return std::exchange(rested_, false);
+    }
+    /// The machine stands still. The generation of the stop for which that can be told; none while one is being carried
+    /// out, for then acknowledged() says it.
+    std::optional<std::uint32_t> rest() {
+        const std::lock_guard lock(mutex_);
+        rested_ = !acknowledged_;
+        return acknowledged_ ? std::optional(stopped()) : std::nullopt;
     }
     /// A callback that may move the robot begins, unless the condition no longer holds. Either the condition
     /// sees a level that rises at the same moment, or whoever raised it sees the callback inside.
@@ -117,7 +129,8 @@ class StopLevel {
     std::atomic<std::uint64_t> epoch_{0};
     std::atomic<int> cause_{0};
     std::atomic<bool> settled_{true};
-    bool rested_ = false;  // guarded by mutex_
+    bool acknowledged_ = true;  // guarded by mutex_
+    bool rested_ = false;       // guarded by mutex_
     std::atomic<int> inside_{0};
 };
 

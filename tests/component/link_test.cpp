@@ -762,6 +762,38 @@ TEST(Link, StandstillThatIsSaidWhileTheStopCallbackRunsIsToldOnceItHasReturned) 
                                                               proto::StopReceipt::STANDSTILL}));
 }
 
+TEST(Link, AStandstillBeforeTheStopCallbackIsCalledAgainIsNotTold) {
+    std::promise<void> go;
+    const auto released = go.get_future().share();
+    std::atomic<bool> inside{false};
+    std::atomic<int> stops{0};
+    EntityInterfacer interfacer(options("Still"));
+    interfacer.onStop([&](const StopSignal&) {
+        if (++stops == 1) interfacer.standstill();
+    });
+    interfacer.onRaw([&, released](const std::vector<std::string>&, const std::string&) {
+        inside = true;
+        released.wait();  // then it drives on
+    });
+    Manager manager("Still");
+    interfacer.start();
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    proto::EmToEi velocities;
+    velocities.mutable_raw()->add_data("fast");
+    manager.send(velocities);
+    ASSERT_TRUE(waitUntil([&] { return inside.load(); }));
+    const auto generation = manager.stop();
+    ASSERT_TRUE(waitUntil([&] { return stops == 1; }));
+    go.set_value();
+    ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(generation); }));
+    EXPECT_EQ(stops, 2);
+    manager.rawStop(9, StopCause::Drill);
+    ASSERT_TRUE(waitUntil([&] { return manager.drilled(9); })) << "what was said before it is here";
+    EXPECT_FALSE(manager.acknowledged(generation, proto::StopReceipt::STANDSTILL));
+    interfacer.standstill();
+    EXPECT_TRUE(waitUntil([&] { return manager.acknowledged(generation, proto::StopReceipt::STANDSTILL); }));
+}
+
 TEST(Link, WhetherStandstillFollowsIsDeclaredOrKnownFromTheFirstTimeOn) {
     for (const bool declared : {true, false}) {
         auto with = options("Rolls");
