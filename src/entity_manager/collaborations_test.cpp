@@ -106,9 +106,15 @@ TEST_F(SlowJournalOfARun, NobodyHearsOfARunBeforeItsEntryIsWritten) {
     EXPECT_EQ(fleet.told.state, proto::RUN_CHECKING);
     EXPECT_EQ(fleet.state(1), EntityState::REG);
     EXPECT_TRUE(fleet.log.empty());
+    proto::EiToEm works;
+    works.mutable_status()->set_busy(true);
+    fleet.rig(0).fromApplication(works);
+    EXPECT_EQ(fleet.state(0), EntityState::BUSY) << "in which tasks are taken otherwise";
     fleet.rig(0).task("client1", "t1", "Turning");
     fleet.advance(10ms);
     EXPECT_TRUE(fleet.log.empty()) << "and nothing beside it";
+    works.mutable_status()->set_busy(false);
+    fleet.rig(0).fromApplication(works);
     journal().slow = false;  // the entries of its steps
     answer();
     fleet.advance(1s);

@@ -153,8 +153,8 @@ TEST_F(NotReady, ADiskThatDoesNotAnswerIsNamed) {
     EXPECT_EQ(rig.core().status().reason, "");
     rig.advance(std::chrono::milliseconds{1});
     EXPECT_EQ(rig.core().state(), EntityState::INIT);
-    EXPECT_TRUE(has(rig.statuses.back().reason, "the disk has not answered")) << rig.statuses.back().reason;
-    EXPECT_TRUE(has(rig.core().takeWarning(), "the disk has not answered"));
+    EXPECT_TRUE(has(rig.statuses.back().reason, "a disk of the robot's machine does not answer")) << rig.statuses.back().reason;
+    EXPECT_TRUE(has(rig.core().takeWarning(), "a disk of the robot's machine does not answer"));
     EXPECT_TRUE(toldOfProfiles().empty()) << "nothing is wrong with them";
     rig.resources.answerAll();
     rig.core().onStored();

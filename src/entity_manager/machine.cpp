@@ -781,8 +781,8 @@ void EntityManagerCore::Machine::expireProfiles() {
     profiles_due_.reset();
     if (state_ != EntityState::INIT) return;
     if (located_) {
-        reason_ = warning_ = "the disk has not answered where the files of the resources lie; fix: see that the "
-                             "folders in which their urls lead can be read on the robot's machine";
+        reason_ = warning_ = "a disk of the robot's machine does not answer, so it is not known whether the files of the resources "
+                             "are there; fix: see that the state folder and the folders of the urls can be read";
         tellStatus();
         return;
     }

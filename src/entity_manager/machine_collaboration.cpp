@@ -82,7 +82,6 @@ void EntityManagerCore::Machine::considerRun(const Incident& incident) {
                                    .who = named(*holder()),
                                    .task = *id,
                                    .service = run_->request().service().name()});
-        keepRun(run_->record(clock_.now()));
     }
     fire(Event::CollaborationBegun);
 }
@@ -101,6 +100,7 @@ void EntityManagerCore::Machine::beginRun() {
         return;
     }
     memory_.dispatched(*Id128::fromBytes(run_->id()));
+    keepRun(run_->record(clock_.now()));
     run_->begin(clock_.now());
 }
 

@@ -28,6 +28,11 @@ struct Stops : testing::Test {
         rig.linkUp();
         rig.uploadProfiles();
     }
+    bool given(const std::string& task) const {
+        return std::any_of(rig.to_application.begin(), rig.to_application.end(), [&](const auto& message) {
+            return message.has_task() && rig.nameOfSent(message.task().task_id()) == task;
+        });
+    }
     /// The last receipt that the client was told.
     StopReceipt last(const std::string& client) const {
         StopReceipt found;
@@ -197,6 +202,20 @@ TEST_F(Stops, OfARobotThatMovesStandstillIsAnnouncedWhereItsApplicationReportsIt
     rig.stop("client3");
     rig.stopDone(3, StopReceipt::CALLBACK_RETURNED, true);
     EXPECT_FALSE(last("client3").standstill_follows()) << "it stands";
+}
+
+TEST_F(Stops, AStandstillConfirmsNoCallback) {
+    run("t1");
+    rig.stop("client2");
+    rig.update("t1", proto::TASK_STOPPED);
+    rig.stopDone(1, StopReceipt::STANDSTILL);
+    EXPECT_EQ(last("client2").stage(), StopReceipt::MANAGER);
+    rig.rearm("client1", "r2");
+    rig.task("client1", "t2", "Turning");
+    EXPECT_FALSE(given("t2")) << "its stop callback may still run";
+    rig.stopDone(1);
+    EXPECT_EQ(last("client2").stage(), StopReceipt::CALLBACK_RETURNED);
+    EXPECT_TRUE(given("t2"));
 }
 
 TEST_F(Stops, ATaskThatEndsBeforeTheStrandHearsOfItsStopLeavesARobotThatMoves) {
