@@ -79,7 +79,7 @@ void Agent::serve() {
         if (connections_.empty() && holds_()) end_when_alone_ = false;
 
         std::vector<pollfd> watched{{woken_.get(), POLLIN, 0}};
-        if (listening_ && connections_.size() < kMostConnections)
+        if (listening_.open() && connections_.size() < kMostConnections)
             watched.push_back({listening_.get(), POLLIN, 0});
         const auto first = watched.size();
         std::vector<Connection*> order;
@@ -98,7 +98,7 @@ void Agent::serve() {
             Descriptor accepted(::accept4(listening_.get(), nullptr, nullptr, SOCK_CLOEXEC));
             ucred peer{};
             socklen_t size = sizeof peer;
-            if (accepted && ::getsockopt(accepted.get(), SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0 &&
+            if (accepted.open() && ::getsockopt(accepted.get(), SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0 &&
                 peer.uid == ::getuid()) {
                 adopt(std::move(accepted));
             }
@@ -190,7 +190,7 @@ Result<Descriptor> listenAt(const std::filesystem::path& socket) {
     std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
     ::unlink(path.c_str());
     Descriptor fd(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
-    if (!fd) return failed("make a socket for");
+    if (!fd.open()) return failed("make a socket for");
     // The directory is 0700 already; the mode of the socket says the same to who looks.
     const auto mask = ::umask(0177);
     const int bound = ::bind(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address);

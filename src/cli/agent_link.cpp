@@ -16,18 +16,6 @@
 
 namespace axon::cli {
 
-Descriptor& Descriptor::operator=(Descriptor&& other) noexcept {
-    if (this != &other) {
-        if (fd_ >= 0) ::close(fd_);
-        fd_ = std::exchange(other.fd_, -1);
-    }
-    return *this;
-}
-
-Descriptor::~Descriptor() {
-    if (fd_ >= 0) ::close(fd_);
-}
-
 std::filesystem::path runtimeDirectory() {
     const char* base = std::getenv("XDG_RUNTIME_DIR");
     if (base != nullptr && *base == '/') return std::filesystem::path(base) / "axon";
@@ -105,7 +93,7 @@ std::optional<AgentLink> AgentLink::open(const std::filesystem::path& socket) {
     if (path.size() >= sizeof address.sun_path) return std::nullopt;
     std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
     Descriptor fd(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
-    if (!fd || ::connect(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0)
+    if (!fd.open() || ::connect(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0)
         return std::nullopt;
     ucred peer{};
     socklen_t size = sizeof peer;

@@ -7,26 +7,13 @@
 #include <string>
 
 #include "cli/session.hpp"
+#include "common/descriptor.hpp"
 
 // The way to an agent: where it is, and how lines of JSON go to and fro. README.md describes the protocol.
 namespace axon::cli {
 
 /// The longest line on the agent's socket; who sends a longer one is cut off.
 inline constexpr std::size_t kLongestLine = std::size_t{1} << 20U;
-
-/// A file descriptor that is closed with its owner.
-class Descriptor {
-  public:
-    explicit Descriptor(int fd = -1) : fd_(fd) {}
-    Descriptor(Descriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-    Descriptor& operator=(Descriptor&& other) noexcept;
-    ~Descriptor();
-    int get() const { return fd_; }
-    explicit operator bool() const { return fd_ >= 0; }
-
-  private:
-    int fd_;
-};
 
 /// The files of the agent of one server address, in a directory that is only this user's.
 struct AgentPlace {

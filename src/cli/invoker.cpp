@@ -374,7 +374,7 @@ int Invoker::serveAgent(int ready_fd) {
         return kUsage;
     }
     const Descriptor lock(::open(place->lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
-    if (!lock || ::flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
+    if (!lock.open() || ::flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
         // Another one was faster: two `axon checkout` at once. It may still be on its way to listening.
         for (int i = 0; i < 50; ++i) {
             if (AgentLink::open(place->socket)) {
@@ -411,7 +411,7 @@ int Invoker::serveAgent(int ready_fd) {
     AgentLog::write("serving " + kept->server() + " as " + kept->self().name);
     say({{"ready", true}});
     // Not closed: it is standard output, and the next socket would get its number.
-    if (const Descriptor nowhere(::open("/dev/null", O_WRONLY | O_CLOEXEC)); nowhere)
+    if (const Descriptor nowhere(::open("/dev/null", O_WRONLY | O_CLOEXEC)); nowhere.open())
         ::dup2(nowhere.get(), ready_fd);
     agent->serve();
     onInterrupt({});

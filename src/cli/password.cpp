@@ -38,7 +38,7 @@ Result<std::string> readPassword(const std::filesystem::path& file) {
         return Refusal{RefusalCode::PermissionDenied, "the password file " + file.string() + " " + what, {}};
     };
     const Descriptor fd(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
-    if (!fd) return refused(std::string("cannot be read: ") + std::strerror(errno));
+    if (!fd.open()) return refused(std::string("cannot be read: ") + std::strerror(errno));
     struct stat found {};
     if (::fstat(fd.get(), &found) != 0 || !S_ISREG(found.st_mode))
         return refused("should be an ordinary file");
@@ -53,7 +53,7 @@ Result<std::string> readPassword(const std::filesystem::path& file) {
 std::optional<std::string> askPassword(const std::string& user, const std::string& server) {
     const Descriptor terminal(::open("/dev/tty", O_RDWR | O_CLOEXEC | O_NOCTTY));
     termios before{};
-    if (!terminal || ::tcgetattr(terminal.get(), &before) != 0) return std::nullopt;
+    if (!terminal.open() || ::tcgetattr(terminal.get(), &before) != 0) return std::nullopt;
     const auto prompt = "password of " + printable(user) + " at " + printable(server) + ": ";
     auto silent = before;
     silent.c_lflag &= ~static_cast<tcflag_t>(ECHO);

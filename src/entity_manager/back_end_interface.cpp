@@ -24,6 +24,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "common/descriptor.hpp"
 #include "common/snapshot.hpp"
 #include "common/watchdog.hpp"
 #include "entity_interfacer/frame.hpp"
@@ -61,25 +62,20 @@ constexpr int kPriority = 6;  // SO_PRIORITY: the highest that needs no privileg
 /// atomic.
 class SignalSocket {
   public:
-    explicit SignalSocket(int original) : fd_(::dup(original)) {}
-    ~SignalSocket() {
-        if (fd_ >= 0) ::close(fd_);
-    }
-    SignalSocket(const SignalSocket&) = delete;
-    SignalSocket& operator=(const SignalSocket&) = delete;
+    explicit SignalSocket(int original) : socket_(::dup(original)) {}
 
     /// Whole and at once, or the connection ends, which stops the robot as well.
     void write(const proto::EmToEi& message) const {
         std::string frame;
         appendFrame(frame, message.SerializeAsString());
-        const auto sent = ::send(fd_, frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
+        const auto sent = ::send(socket_.get(), frame.data(), frame.size(), MSG_DONTWAIT | MSG_NOSIGNAL);
         if (sent != static_cast<ssize_t>(frame.size())) cut();
     }
-    void cut() const { ::shutdown(fd_, SHUT_RDWR); }
-    bool open() const { return fd_ >= 0; }
+    void cut() const { ::shutdown(socket_.get(), SHUT_RDWR); }
+    bool open() const { return socket_.open(); }
 
   private:
-    const int fd_;
+    const Descriptor socket_;
 };
 
 }  // namespace

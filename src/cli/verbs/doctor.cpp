@@ -250,7 +250,7 @@ void checkPorts(Report& report) {
     int first_free = 0;
     for (int port = kFirstPort; port <= kLastPort; ++port) {
         const Descriptor fd(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
-        if (!fd) break;
+        if (!fd.open()) break;
         sockaddr_in address{};
         address.sin_family = AF_INET;
         address.sin_port = htons(static_cast<std::uint16_t>(port));
