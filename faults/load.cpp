@@ -176,7 +176,7 @@ int runLoad(const std::string& board_file, std::size_t entities, const std::stri
         threads.emplace_back([&desk, &loader = *loader, parent] {
             while (::getppid() == parent) {
                 if (desk.load == 0)
-                    std::this_thread::sleep_for(5ms);
+                    std::this_thread::sleep_for(100ms);  // hundreds of threads: looking more often would be a load
                 else
                     loader.turn();
             }

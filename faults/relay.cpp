@@ -298,6 +298,7 @@ class Relay::Pump {
                 auto wait = std::chrono::microseconds(retry + roll(retry));
                 late += wait;
                 while (chance(how.lost_again)) late += wait *= 2;
+                if (how.most.count() > 0) late = std::min<std::chrono::microseconds>(late, how.most);
             }
             to.waiting.push_back({now + late, std::string(bytes.substr(0, size))});
             bytes.remove_prefix(size);

@@ -21,6 +21,7 @@ struct Impairment {
     double lost = 0;        ///< part of the pieces that must be repeated …
     double lost_again = 0;  ///< … and of those that must be once more, each after twice the time
     std::chrono::milliseconds retry{0};  ///< until the first repetition, at most; at least half of it
+    std::chrono::milliseconds most{0};   ///< by all its repetitions together, at most; 0 = no bound
     std::chrono::milliseconds late{0};   ///< each piece, at most
     std::uint64_t seed = 1;
 };

@@ -396,8 +396,8 @@ std::vector<Kind> stopKinds() {
         "loss",
         "the cable between server and Entity Managers loses 3 % of what it carries; as TCP shows it, in the "
         "relay: nothing is missing, but it is late by 10 to 20 ms and twice that each time it is lost again, "
-        "and all behind it waits (packets: axon-channel)",
-        {.piece = 1448, .lost = 0.03, .lost_again = 0.2, .retry = 20ms});
+        "150 ms at most, and all behind it waits (packets: axon-channel; longer silence: stall-manager)",
+        {.piece = 1448, .lost = 0.03, .lost_again = 0.2, .retry = 20ms, .most = 150ms});
     addBadCable(
         "reorder",
         "likewise the cable changes the order of packets; as TCP shows it, in the relay: the order is "
