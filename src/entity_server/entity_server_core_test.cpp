@@ -468,8 +468,8 @@ TEST(EntityServerLocks, SignsOfLifeAndStopsDoNotWaitForTheRegistry) {
 }
 
 TEST_F(EntityServerTest, PublishesEverythingAgainOnRequest) {
-    join(kFirst, "A");
-    join(kSecond, "B");
+    status(join(kFirst, "A"), EntityState::IDLE);
+    status(join(kSecond, "B"), EntityState::IDLE);
     topic.take();
     auto request = head("");
     request.msg_type = kMsgStatus;
@@ -773,8 +773,8 @@ TEST_F(OneOfSeveral, AGrantToAClientOfAServerThatIsGoneIsTakenBackAtOnce) {
 }
 
 TEST_F(OneOfSeveral, AnswersAStatusOfItsNameWithEverythingAndTheListAtTheEnd) {
-    join(kFirst);
-    join(kSecond, "Other");
+    status(join(kFirst), EntityState::IDLE);
+    status(join(kSecond, "Other"), EntityState::ERR);
     topic.take();
     Header request;
     request.msg_type = kMsgStatus;
@@ -785,7 +785,7 @@ TEST_F(OneOfSeveral, AnswersAStatusOfItsNameWithEverythingAndTheListAtTheEnd) {
     core.clientRequest(request);
     const auto lines = topic.take();
     ASSERT_EQ(lines.size(), 5U);
-    EXPECT_THAT(lines, testing::IsSupersetOf({"changed Robot", "changed Other", "status UNAV", "status UNAV"}));
+    EXPECT_THAT(lines, testing::IsSupersetOf({"changed Robot", "changed Other", "status IDLE", "status ERR"}));
     EXPECT_EQ(lines.back(), "all of es1: 2");
     EXPECT_EQ(topic.last.server, "es1");
 }
@@ -794,6 +794,7 @@ TEST_F(OneOfSeveral, SaysHowMuchItHasPublishedWhenAllOfItIsSaid) {
     core.topicFound();
     EXPECT_THAT(topic.take(), ElementsAre("all of es1: 0", "es1 published 0"));
     const auto peer = join(kFirst);
+    status(peer, EntityState::IDLE);
     topic.take();
     pass(1s);
     EXPECT_THAT(topic.lines, testing::Contains("es1 published 2"));
