@@ -109,6 +109,7 @@ void ClientStation::welcomed(std::uint64_t attempt, ServerStation::ClientSession
     life_->signal = &signal;
     signal.onClosed(process_, [this, attempt] { lost(attempt, "the server closed the signal lane"); });
     signal.send(process_, [this, &session, &signal, token] { server_.clientAttach(session, signal, token); });
+    if (!server_.process().alive()) signal.refused(process_);
 }
 
 void ClientStation::attached(std::uint64_t attempt) {

@@ -469,6 +469,7 @@ void EntityManagerStation::welcomed(std::uint64_t attempt, ServerStation::Entity
     life_->signal = &signal;
     signal.onClosed(process_, [this, attempt] { serverLost(attempt, "the server closed the signal lane"); });
     signal.send(process_, [this, &session, &signal, token] { server_.entityAttach(session, signal, token); });
+    if (!server_.process().alive()) signal.refused(process_);
 }
 
 void EntityManagerStation::attached(std::uint64_t attempt) {

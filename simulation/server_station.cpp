@@ -251,8 +251,6 @@ struct ServerStation::Life final : public front_end_server::EntityTopic, public 
 
     front_end_server::FrontEndCore front_end;
     entity_server::EntityServerCore entities;
-    std::deque<ClientSession> client_sessions;  // never shrinks: peers hold pointers
-    std::deque<EntitySession> entity_sessions;
 };
 
 ServerStation::ServerStation(Timeline& timeline, Dice& dice, Observer& observer, std::uint64_t seed)
@@ -274,6 +272,12 @@ void ServerStation::start() {
 
 void ServerStation::kill() {
     process_.die();
+    const auto die = [](auto& session) {
+        session.ended = true;
+        session.ref = {};
+    };
+    std::for_each(client_sessions_.begin(), client_sessions_.end(), die);
+    std::for_each(entity_sessions_.begin(), entity_sessions_.end(), die);
     life_.reset();
 }
 
@@ -298,7 +302,7 @@ std::size_t ServerStation::entities() const {
 // -- clients
 
 void ServerStation::clientHello(ClientStation& who, std::uint64_t attempt, Connection& data, Role role) {
-    auto& session = life_->client_sessions.emplace_back();
+    auto& session = client_sessions_.emplace_back();
     session.who = &who;
     session.attempt = attempt;
     session.data = &data;
@@ -399,7 +403,7 @@ void ServerStation::keepAlive(ClientSession& session) {
 // -- Entity Managers
 
 void ServerStation::entityHello(EntityManagerStation& who, std::uint64_t attempt, Connection& data) {
-    auto& session = life_->entity_sessions.emplace_back();
+    auto& session = entity_sessions_.emplace_back();
     session.who = &who;
     session.attempt = attempt;
     session.data = &data;

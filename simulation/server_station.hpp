@@ -95,6 +95,9 @@ class ServerStation {
     SeededRandom random_;
     Alarm alarm_;
     std::unique_ptr<Life> life_;
+    // Of all lives; they never shrink, for peers hold pointers, and may show one of an earlier life to a later one.
+    std::deque<ClientSession> client_sessions_;
+    std::deque<EntitySession> entity_sessions_;
 };
 
 }  // namespace axon::simulation
