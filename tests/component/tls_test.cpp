@@ -127,6 +127,7 @@ TEST_F(Tls, AnEntityThatIsNotReadyGoesByTheNameOfItsCertificate) {
     RawEntity robot(server.entityAddress(Lane::Data), kEntity, "name-of-its-application", "", "",
                     entityCertificate("PeopleBot"));
     robot.data()->sendBasicPrfl(transport::toIce(robot.registration), transport::toRange(""));
+    robot.status(EntityState::INIT);
     auto connected = client::Client::connect(options(server, clientCertificate()));
     ASSERT_TRUE(connected) << connected.refusal().message;
     const auto client = std::move(connected).value();
