@@ -200,6 +200,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
 
     entity_manager::CoreSettings settings_;
     SeededRandom random_;
+    TimePoint beat_{};  ///< of the server, the next
     std::vector<std::string> lines_;
     std::vector<std::string> parts_;  ///< ids
     std::unique_ptr<entity_manager::EntityManagerCore> core_;
