@@ -10,6 +10,7 @@
 #include <condition_variable>
 #include <deque>
 #include <cstring>
+#include <exception>
 #include <mutex>
 #include <stdexcept>
 #include <thread>
@@ -254,6 +255,12 @@ class Cameras::Studio {
         std::unique_ptr<Still> still;  // none: for on_picture_
     };
 
+    struct Drawn {
+        const Order* order;
+        Picture picture;
+        std::exception_ptr problem;
+    };
+
     /// Orders the next picture that was asked for by take(), if the drawing thread is free.
     void beginStill() {
         {
@@ -281,30 +288,35 @@ class Cameras::Studio {
             auto failure = failure_;
             drawing_ = true;
             lock.unlock();
+            std::vector<Drawn> results;
             for (const auto& order : orders) {
-                Picture picture;
                 try {
                     if (failure) throw std::runtime_error(*failure);
                     if (!renderer) {
                         graphics = std::make_unique<Graphics>();
                         renderer = std::make_unique<Renderer>(model_.get(), kOverviewWidth, kOverviewHeight);
                     }
-                    picture = draw(*renderer, order);
+                    results.push_back({&order, draw(*renderer, order), nullptr});
                     ++drawn_;
                 } catch (const std::exception& error) {
                     failure = error.what();
-                    if (order.still) order.still->done.set_exception(std::current_exception());
-                    continue;
+                    results.push_back({&order, {}, std::current_exception()});
                 }
-                if (order.still)
-                    give(*order.still, std::move(picture));
-                else
-                    on_picture_(order.view, std::make_shared<const Picture>(std::move(picture)), order.age);
             }
             lock.lock();
             failure_ = failure;
-            drawing_ = false;
+            drawing_ = false;  // before anybody is given a picture, who may ask for the next one at once
+            lock.unlock();
             changed_.notify_all();
+            for (auto& [order, picture, problem] : results) {
+                if (order->still && problem)
+                    order->still->done.set_exception(problem);
+                else if (order->still)
+                    give(*order->still, std::move(picture));
+                else if (!problem)
+                    on_picture_(order->view, std::make_shared<const Picture>(std::move(picture)), order->age);
+            }
+            lock.lock();
         }
     }
 
