@@ -67,6 +67,11 @@ bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePo
     return news;
 }
 
+void Neighbours::await(std::string_view server, TimePoint now) {
+    const std::lock_guard lock(mutex_);
+    findOrAdd(server, now);
+}
+
 void Neighbours::setBusy(std::string_view server, bool busy, TimePoint now) {
     const std::lock_guard lock(mutex_);
     if (auto* its = findOrAdd(server, now)) its->watchdog.setBusy(busy, now);

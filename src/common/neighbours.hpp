@@ -55,7 +55,10 @@ class Neighbours {
 
     /// `lane`: Signal = directly, Data = by the topic. Returns whether there is news to ask for.
     bool heard(Lane lane, const ServerAnnouncement& announcement, TimePoint now);
-    /// Whether a task runs that hangs on this server. One that was never heard of is awaited from now on.
+    /// Something came by this server. One that was never heard of is awaited from now on: it is lost unless it is
+    /// heard within `met`.
+    void await(std::string_view server, TimePoint now);
+    /// Whether a task runs that hangs on this server. One that was never heard of is awaited, too.
     void setBusy(std::string_view server, bool busy, TimePoint now);
     News news(TimePoint now);
 

@@ -105,6 +105,15 @@ TEST_F(NeighboursTest, OneThatATaskHangsOnIsMissedThoughItWasNeverHeard) {
     EXPECT_FALSE(neighbours.serves("fe1:one:uuid"));
 }
 
+TEST_F(NeighboursTest, OneThatIsAwaitedAndNeverHeardIsLost) {
+    neighbours.await("fe1", clock.now());
+    clock.advance(2999ms);
+    neighbours.await("fe1", clock.now());
+    EXPECT_THAT(news().lost, IsEmpty());
+    clock.advance(1ms);
+    EXPECT_THAT(news().lost, ElementsAre("fe1"));
+}
+
 TEST_F(NeighboursTest, WhoIsNotHeardIsNotReachedAndAtLastForgotten) {
     topic();
     news();

@@ -426,6 +426,7 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
             told = false;  // published again for somebody else
         } else {
             const bool known = found != records_.end();
+            if (!alone()) entity_servers_.await(registration.server, clock_.now());
             auto next = known ? std::make_shared<Record>(*found->second) : std::make_shared<Record>();
             next->profile = std::make_shared<const std::string>(profile);
             next->status.entity = registration.entity;

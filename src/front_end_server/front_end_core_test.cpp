@@ -661,6 +661,17 @@ TEST_F(OneOfSeveral, TheEntitiesOfASilentServerHaveLeftAndTheOthersHaveNot) {
     EXPECT_THAT(data->take(), ElementsAre("joined e1"));
 }
 
+TEST_F(OneOfSeveral, TheEntitiesOfAServerThatNeverAnnouncedItselfLeaveToo) {
+    const auto [data, client] = joinHere();
+    entityAt("es1", "e1");
+    statusAt("es1", "e1", EntityState::IDLE);
+    data->take();
+    passHere(2900ms);
+    EXPECT_THAT(data->take(), IsEmpty());
+    passHere(100ms);
+    EXPECT_THAT(data->take(), ElementsAre("left e1")) << "it died between its first words";
+}
+
 TEST_F(OneOfSeveral, AsksAServerOfWhichItHasHeardLessThanThatHasPublished) {
     announce(Lane::Data, "es1", 7);
     EXPECT_THAT(topic.take(), ElementsAre("requestes1")) << "it was there first";

@@ -450,7 +450,10 @@ TEST_F(RealServers, TheEntitiesOfAKilledEntityServerHaveLeftAndComeBackWithIt) {
     for (auto* one : {&client, &other}) EXPECT_TRUE(waitUntil([&] { return one->log.has("left Robot"); }, 5s));
     robot = std::make_unique<RawEntity>(start("es1").ready("entity"), kFirst);
     robot->join();
-    for (auto* one : {&client, &other}) EXPECT_TRUE(waitUntil([&] { return one->log.count("joined Robot") == 2; }, 5s));
+    for (auto* one : {&client, &other}) {
+        EXPECT_TRUE(waitUntil([&] { return one->log.count("joined Robot") == 2; }, 5s))
+            << programs["es1"]->text() << programs["fe1"]->text();
+    }
 }
 
 }  // namespace
