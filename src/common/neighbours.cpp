@@ -43,7 +43,7 @@ bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePo
         if (!known.instance.empty()) {
             its->replaced.push_back(known.instance);
             if (its->replaced.size() > kReplacedKept) its->replaced.erase(its->replaced.begin());
-            its->restarted = true;
+            its->restarted = its->restarted || its->alive;  // else it is lost already
         }
         its->direct = false;
         its->alive = true;

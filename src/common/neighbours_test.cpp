@@ -86,6 +86,17 @@ TEST_F(NeighboursTest, AnotherInstanceIsALossOfTheOneBeforeAndNeverTheOtherWayRo
     EXPECT_TRUE(neighbours.serves("fe1:two:uuid"));
 }
 
+TEST_F(NeighboursTest, OneThatWasLostAndComesBackAsAnotherInstanceIsNotLostTwice) {
+    direct("one");
+    news();
+    clock.advance(2s);
+    EXPECT_THAT(news().lost, ElementsAre("fe1"));
+    topic("two");
+    const auto back = news();
+    EXPECT_THAT(back.lost, IsEmpty()) << "what came by the new one is there";
+    EXPECT_THAT(back.arrived, ElementsAre("fe1"));
+}
+
 TEST_F(NeighboursTest, AClientOfAnInstanceThatNobodyHasHeardOfYetIsServed) {
     direct("one");
     news();
