@@ -47,7 +47,7 @@ int runRobots(const std::string& board_file, std::size_t slots, std::size_t firs
     Board board(board_file, slots, false);
     const auto parent = ::getppid();
     const auto folder = fs::path(board_file).parent_path();
-    const auto services = folder / (prefix + ".services.xml");
+    const auto services = folder / (prefix + "-" + std::to_string(first) + ".services.xml");  // each process its own
     write(services, servicesProfile());
     std::vector<std::unique_ptr<EntityInterfacer>> all;
     for (auto i = first; i < first + count; ++i) {
