@@ -3,6 +3,8 @@
 
 #include <fcntl.h>
 #include <gmock/gmock.h>
+#include <poll.h>
+#include <sys/file.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -327,6 +329,26 @@ TEST_F(Invoked, AnAgentServesAtItsPlaceAndReleasesWhenItEnds) {
     serving.join();
     EXPECT_TRUE(station->held().empty());
     EXPECT_FALSE(std::filesystem::exists(agentPlace(settings.server)->socket));
+}
+
+TEST_F(Invoked, AnAgentTakesThePlaceOfOneThatIsAboutToEnd) {
+    std::filesystem::create_directories(agentPlace(settings.server)->lock.parent_path());
+    // It has given its socket up, and is still releasing what it held.
+    auto ending = std::make_unique<Descriptor>(
+        ::open(agentPlace(settings.server)->lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
+    ASSERT_EQ(::flock(ending->get(), LOCK_EX | LOCK_NB), 0);
+    int ends[2];
+    ASSERT_EQ(::pipe2(ends, O_CLOEXEC), 0);
+    const Descriptor ready(ends[0]);
+    std::thread serving([&] { EXPECT_EQ(invoker.serveAgent(ends[1]), kDone); });
+    pollfd watched{ready.get(), POLLIN, 0};
+    EXPECT_EQ(::poll(&watched, 1, 150), 0) << "one agent at a time";
+    ending.reset();
+    char said[256] = "";
+    ASSERT_GT(::read(ready.get(), said, sizeof said - 1), 0);
+    EXPECT_STREQ(said, "{\"ready\":true}\n");
+    invoker.interrupt(SIGTERM);
+    serving.join();
 }
 
 TEST_F(Invoked, AnInterruptDuringTheCheckOutRunsNoCommand) {

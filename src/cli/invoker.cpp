@@ -374,15 +374,19 @@ int Invoker::serveAgent(int ready_fd) {
         return kUsage;
     }
     const Descriptor lock(::open(place->lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
-    if (!lock.open() || ::flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
-        // Another one was faster: two `axon checkout` at once. It may still be on its way to listening.
-        for (int i = 0; i < 50; ++i) {
-            if (AgentLink::open(place->socket)) {
-                say({{"ready", true}});
-                return kDone;
-            }
-            std::this_thread::sleep_for(milliseconds(100));
+    const auto locked = [&lock] { return lock.open() && ::flock(lock.get(), LOCK_EX | LOCK_NB) == 0; };
+    // Another one may be faster (two `axon checkout` at once) and on its way to listening, or about to end: then it does
+    // not listen any more, and gives the lock up.
+    bool ours = locked();
+    for (int i = 0; i < 50 && !ours; ++i) {
+        if (AgentLink::open(place->socket)) {
+            say({{"ready", true}});
+            return kDone;
         }
+        std::this_thread::sleep_for(milliseconds(100));
+        ours = locked();
+    }
+    if (!ours) {
         say(usageEvent("another agent has " + place->lock.string() + " and does not listen"));
         return kUsage;
     }
