@@ -48,7 +48,11 @@ Report carryOut(const Kind& kind, Laboratory& lab, const Wishes& wishes, std::si
     Run run{
         lab,    report,  axon::SeededRandom(wishes.seed),
         trials, seconds, [&kind](std::size_t done, std::size_t of) { showProgress(kind.name, done, of); }};
-    kind.run(run);
+    try {
+        kind.run(run);
+    } catch (const std::exception&) {
+        if (!interrupted()) throw;  // else a program was just being started: what was counted before stands
+    }
     showProgress("", 0, 0);
     report.seconds = static_cast<double>(nowNs() - begin) / 1e9;
     for (const auto& stall : lab.probe().stalls()) {
