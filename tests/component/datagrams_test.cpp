@@ -53,14 +53,11 @@ class Relay {
                   return true;
               },
               nullptr) {}
-    ~Relay() {
-        const std::lock_guard lock(mutex_);
-        ended_ = true;  // a thread of one lane sends through the other
-    }
+    ~Relay() { swallow(true); }  // a thread of one lane sends through the other
     /// While it does, what comes is not passed on.
     void swallow(bool does) {
         const std::lock_guard lock(mutex_);
-        ended_ = does;
+        swallows_ = does;
     }
     const Endpoint& endpoint() const { return front_.local(); }
     std::vector<std::string> recorded() {
@@ -72,7 +69,7 @@ class Relay {
 
   private:
     void pass(std::string_view bytes, bool to_manager) {
-        if (ended_ || random_.next() % 100 < loss_percent_) return;
+        if (swallows_ || random_.next() % 100 < loss_percent_) return;
         held_.emplace_back(bytes, to_manager);
         if (random_.next() % 3 == 0) return;  // behind what comes next
         while (!held_.empty()) {
@@ -86,7 +83,7 @@ class Relay {
     const Endpoint manager_;
     const unsigned loss_percent_;
     std::mutex mutex_;
-    bool ended_ = false;
+    bool swallows_ = false;
     SeededRandom random_{11};
     Endpoint client_;
     std::vector<std::string> recorded_;

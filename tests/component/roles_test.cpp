@@ -451,7 +451,7 @@ TEST_F(RealServers, TheEntitiesOfAKilledEntityServerHaveLeftAndComeBackWithIt) {
     robot = std::make_unique<RawEntity>(start("es1").ready("entity"), kFirst);
     robot->join();
     for (auto* one : {&client, &other}) {
-        EXPECT_TRUE(waitUntil([&] { return one->log.count("joined Robot") > 1; }, 5s))
+        EXPECT_TRUE(waitUntil([&] { return one->log.count("joined Robot") == 2; }, 5s))
             << programs["es1"]->text() << programs["fe1"]->text();
     }
 }

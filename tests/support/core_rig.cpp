@@ -393,7 +393,11 @@ void CoreRig::advance(Duration by, bool server_beats) {
     const auto end = clock.now() + by;
     constexpr Duration kBeat = std::chrono::milliseconds{50};
     // One row of beats over many short calls: else a server that lives would fall silent.
-    if (!server_beats || beat_ < clock.now()) beat_ = clock.now() + kBeat;
+    if (!server_beats) {
+        beat_ = {};
+    } else if (beat_ < clock.now()) {
+        beat_ = clock.now() + kBeat;
+    }
     while (true) {
         auto next = std::min(end, std::max(core_->nextDeadline(), clock.now()));
         if (server_beats) next = std::min(next, beat_);
@@ -404,10 +408,7 @@ void CoreRig::advance(Duration by, bool server_beats) {
             beat_ += kBeat;
         }
         if (core_->nextDeadline() <= clock.now()) core_->onTimer();
-        if (clock.now() >= end) {
-            if (!server_beats) beat_ = {};
-            return;
-        }
+        if (clock.now() >= end) return;
         if (stuck && core_->nextDeadline() <= clock.now()) {
             note("a deadline that onTimer does not clear");
             return;
