@@ -591,6 +591,7 @@ void Client::Session::close() {
         });
         const auto until = std::chrono::steady_clock::now() + kReleaseTime;
         for (auto& answer : released) answer.wait_until(until);
+        flush(outgoing_.last());  // what was left to the sender: the end of a check-out that was refused, for one
 
         const auto connection = connection_.load();
         bool was_up = false;

@@ -457,6 +457,22 @@ TEST_F(ClientTest, AHeldEntityIsRefusedWithItsHoldersNameAndSeveralAllOrNone) {
     EXPECT_THAT(client2->held(), SizeIs(2));
 }
 
+TEST_F(ClientTest, WhoIsRefusedAndEndsAtOnceLeavesNothingReserved) {
+    const auto first = robot("First");
+    const auto second = robot("Second");
+    const auto holder = client();
+    const auto held = take(*holder, "Second");
+    for (int i = 0; i < 50; ++i) {
+        const auto refused = client();
+        ASSERT_TRUE(refused->waitFor("First", 5s).ok());
+        ASSERT_FALSE(refused->checkOut(std::vector<std::string>{"First", "Second"}).ok());
+        refused->close();
+        const auto free = holder->checkOut("First");
+        ASSERT_TRUE(free.ok()) << "trial " << i << ": " << free.refusal().message;
+        ASSERT_TRUE(free->release().ok());
+    }
+}
+
 TEST_F(ClientTest, AStopIsConfirmedLatchesAndIsRearmed) {
     const auto robots = robot();
     const auto me = client();
