@@ -7,6 +7,7 @@
 #include <fstream>
 #include <iterator>
 #include <optional>
+#include <utility>
 
 namespace axon {
 namespace {
@@ -75,8 +76,12 @@ Result<LinkPorts> parsePorts(std::string_view text, std::string_view file) {
             ports.address = std::string(value);
             if (inet_pton(AF_INET, ports.address.c_str(), &ignored) != 1)
                 return malformed("expected an IPv4 address, as in 'Axon.Address = 127.0.0.1'");
+        } else if (key == "Axon.Users") {
+            auto users = LinkUsers::parse(value, where);
+            if (!users) return users.refusal();
+            ports.users = std::move(users).value();
         } else {
-            return malformed("unknown setting: expected Axon.Ports or Axon.Address: correct the name");
+            return malformed("unknown setting: expected Axon.Ports, Axon.Address or Axon.Users: correct the name");
         }
     }
     return ports;

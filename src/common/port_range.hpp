@@ -5,6 +5,7 @@
 #include <string>
 #include <string_view>
 
+#include "common/link_users.hpp"
 #include "common/result.hpp"
 
 namespace axon {
@@ -25,13 +26,14 @@ struct PortRange {
 struct LinkPorts {
     PortRange ports;
     std::string address = "127.0.0.1";
+    LinkUsers users;
 };
 
 /// Refused with OUT_OF_RANGE when it leaves 5500 to 8000 or is upside down. `where` begins the message.
 Result<PortRange> checkPortRange(long first, long last, std::string_view where);
 
 /// Reads the text of a ports.cfg: lines `Axon.Ports = 5500-8000` (or a single port) and, optionally,
-/// `Axon.Address = 127.0.0.1`; `#` begins a comment. Refused with MALFORMED or OUT_OF_RANGE; the message
+/// `Axon.Address = 127.0.0.1` and `Axon.Users = axon 1001`; `#` begins a comment. Refused with MALFORMED or OUT_OF_RANGE; the message
 /// names file, line, what was expected and the mend. What is not said keeps its default.
 Result<LinkPorts> parsePorts(std::string_view text, std::string_view file);
 

@@ -144,7 +144,7 @@ inline constexpr const char* kMsgPosition = "POSITION";
 // … and between an entity server and its Entity Managers: a drill of the server's own, and its answer once
 // the Entity Interfacer has acknowledged. Such a drill is answered to the server alone.
 inline constexpr const char* kMsgDrill = "DRILL";
-// … from entity to entity, …
+// … from entity to entity, besides RAW, …
 inline constexpr const char* kMsgCollaboration = "COLLABORATION";
 // … and to a front-end server itself.
 inline constexpr const char* kMsgGlobalServices = "GLOBAL_SERVICES";

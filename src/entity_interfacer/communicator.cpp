@@ -112,6 +112,7 @@ Communicator::Communicator(EntityInterfacer::Options options)
         const auto file = readPorts(options_.ports_file);
         if (!file) misconfigured(file.refusal().message);
         ports_ = file->ports;
+        users_ = file->users;
         address_ = file->address;
     }
     in_addr parsed{};
@@ -602,6 +603,7 @@ bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
     if (!hello.instance().empty() && hello.instance() != options_.instance)
         return no(RefusalCode::UnknownEntity,
                   "this is instance '" + options_.instance + "' of '" + options_.application + "'");
+    if (const auto stranger = users_.check(pending.socket.get())) return no(stranger->code, stranger->message);
     // Who links with us takes it that we have stopped.
     if (stop_failed_)
         return no(RefusalCode::WrongState, "the stop callback of '" + options_.application +

@@ -180,6 +180,7 @@ class Communicator {
     std::shared_ptr<const Clock> clock_;
     std::atomic<bool> reports_standstill_;
     PortRange ports_;
+    LinkUsers users_;
     std::string address_;
     Callbacks callbacks_;
     Descriptor listener_;

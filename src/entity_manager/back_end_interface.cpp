@@ -394,6 +394,10 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         } else if (welcome->protocol() != kProtocol || welcome->nonce() != nonce ||
                    welcome->application() != settings_.application) {
             pass_over_[signal->port] = now() + kPassStranger;  // an echo, perhaps
+        } else if (const auto stranger = settings_.where.users.check(signal->socket.native_handle())) {
+            pass_over_[signal->port] = now() + kPassOtherApplication;
+            search_.met(signal->port, welcome->application(), welcome->instance(), stranger->message, now());
+            refused(*stranger);
         } else {
             linking_ = true;
             abandonHandshakes();

@@ -520,6 +520,7 @@ TEST_F(SubLeases, OfARunThatIsOverAreRefused) {
     Header head;
     head.entity = fleet.uuid(1);
     head.sender = {fleet.uuid(0), "Robot 0", Role::Operator};
+    head.msg_type = kMsgCollaboration;
     fleet.rig(1).core().onClientMsg(head, invitation.SerializeAsString());
     ASSERT_EQ(answer.answer().problems_size(), 1);
     EXPECT_EQ(answer.answer().problems(0).refusal().code(), proto::DUPLICATE);
@@ -543,6 +544,7 @@ TEST_F(SubLeases, AStrangerGivesNoOrders) {
     from.mutable_order()->mutable_task()->set_service("Light");
     Header head;
     head.entity = fleet.uuid(1);
+    head.msg_type = kMsgCollaboration;
     for (const auto& who : {fleet.uuid(2), std::string("client1"), std::string("stranger")}) {
         head.sender = {who, who, Role::Operator};
         fleet.rig(1).core().onClientMsg(head, message.SerializeAsString());
@@ -765,6 +767,7 @@ struct Late {
             if (kept || !which(message)) return false;
             kept = message.SerializeAsString();
             head.sender = {fleet.uuid(from), "Robot " + std::to_string(from), Role::Operator};
+            head.msg_type = kMsgCollaboration;
             head.entity = fleet.uuid(to);
             robot = to;
             return true;
@@ -926,6 +929,7 @@ TEST(Collaboration, AnEndThatComesWhileAStepGoesOnStopsIt) {
     Header head;
     head.entity = fleet.uuid(1);
     head.sender = {fleet.uuid(0), "Robot 0", Role::Operator};
+    head.msg_type = kMsgCollaboration;
     fleet.rig(1).core().onClientMsg(head, message.SerializeAsString());
     fleet.advance(10ms);
     EXPECT_FALSE(fleet.moves(1));

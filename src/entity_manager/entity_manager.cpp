@@ -136,7 +136,7 @@ Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
             core_->onDrill(head, number);
         });
     }
-    const auto generation = gate_.raise(head.sender.id, head.sequence);
+    const auto generation = gate_.raise(head.sender.id, head.sequence, static_cast<std::uint32_t>(head.stop_generation));
     if (!generation) {  // the same stop by another path, or repeated because its receipt did not arrive
         const auto known = gate_.raisedBy(head.sender.id, head.sequence);
         if (!known) return Inbox::Verdict::Dropped;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "entity_manager/entity_manager_core.hpp"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -636,6 +637,68 @@ TEST(EntityManagerCore, ADamagedStopGenerationIsAMisconfiguration) {
     EXPECT_THROW(rig.restart(), std::runtime_error);
 }
 
+/// Every value that a life has left, each damaged in every way.
+TEST(EntityManagerCore, NoDamageToItsStateUnlatchesARobot) {
+    using Values = decltype(test::MemoryStorage::values);
+    const auto afterLife = [](bool stopped) {
+        CoreRig rig;
+        rig.makeIdle();
+        rig.take("client1", "r1");
+        rig.task("client1", "t1", "Turning");
+        if (stopped) rig.stop("client2");
+        return rig.storage.values;
+    };
+    int refused = 0, latched = 0;
+    const auto look = [&](const Values& values, const std::string& what) {
+        CoreRig rig;
+        rig.storage.values = values;
+        try {
+            rig.restart();
+            EXPECT_TRUE(rig.core().latched()) << what;
+            ++latched;
+        } catch (const std::runtime_error& error) {
+            EXPECT_THAT(error.what(), testing::HasSubstr("damaged")) << what;
+            ++refused;
+        }
+    };
+    for (const bool stopped : {true, false}) {  // held as it ended: that latches, too
+        const auto values = afterLife(stopped);
+        ASSERT_GE(values.size(), 4U);
+        look(values, "nothing is damaged");
+        for (const auto& [key, value] : values) {
+            auto damaged = values;
+            damaged.erase(key);
+            look(damaged, key + " is missing");
+            for (std::size_t size = 0; size < value.size(); ++size) {
+                damaged[key] = value.substr(0, size);
+                look(damaged, key + " has " + std::to_string(size) + " bytes");
+            }
+            for (std::size_t bit = 0; bit < 8 * value.size(); ++bit) {
+                damaged[key] = value;
+                damaged[key][bit / 8] = static_cast<char>(damaged[key][bit / 8] ^ (1 << (bit % 8)));
+                look(damaged, key + " has another bit " + std::to_string(bit));
+            }
+        }
+    }
+    EXPECT_GT(refused, 100);
+    EXPECT_GT(latched, 100);
+}
+
+TEST(EntityManagerCore, ARobotThatWasFreeAndUnlatchedComesUpLatchedWhenPartOfItsStateIsLost) {
+    CoreRig rig;
+    rig.makeIdle();
+    const auto values = rig.storage.values;
+    rig.restart();
+    EXPECT_FALSE(rig.core().latched());
+    for (const auto* key : {"uuid", "lease", "stop_generation", "rearmed", "free"}) {
+        ASSERT_TRUE(values.contains(key)) << key;
+        rig.storage.values = values;
+        rig.storage.values.erase(key);
+        rig.restart();
+        EXPECT_TRUE(rig.core().latched()) << key;
+    }
+}
+
 TEST(EntityManagerCore, AStopOnItsWayAsTheLinkComesUpHoldsUpNoCheckOut) {
     CoreRig rig;
     const auto head = rig.headOf("client2");
@@ -756,6 +819,30 @@ TEST_F(Held, ShortTasksOneAfterAnotherDoNotHideASilentServer) {
     EXPECT_EQ(rig.stops.back().second, StopCause::ServerLost);
     rig.update("t3", proto::TASK_STOPPED);
     EXPECT_EQ(dispatches(rig), 3);
+}
+
+TEST_F(Held, AStopUnderANumberThatWasUsedBeforeIsCarriedOutAndNotConfirmedByTheOlderOne) {
+    const auto head = rig.headOf("client2");
+    const auto first = rig.gate.raise("client2", head.sequence);
+    rig.core().onStopSignal(head, StopCause::Requested, *first);
+    rig.stopDone(*first);
+    rig.rearm("client1", "r2");
+    rig.task("client1", "t1", "Turning");
+    rig.grant("t1");
+    rig.takeLines();
+    EXPECT_FALSE(rig.gate.raise("client2", head.sequence, 0)) << "a copy that was on its way all the time";
+    rig.core().onStopRepeated(head, StopCause::Requested, *first);
+    EXPECT_TRUE(rig.takeLines().empty()) << "what runs has not been stopped by it";
+    const auto second = rig.gate.raise("client2", head.sequence, *first);
+    ASSERT_TRUE(second) << "its sender knew of the first one";
+    EXPECT_EQ(rig.gate.raisedBy("client2", head.sequence), second);
+    EXPECT_FALSE(rig.gate.raise("client2", head.sequence, *first)) << "by the other path";
+}
+
+TEST(StopGate, AStopThatIsRepeatedBeforeARearmIsOneWhateverItsSenderKnows) {
+    StopGate gate;
+    const auto first = gate.raise("browser", 1, 0);
+    EXPECT_FALSE(gate.raise("browser", 1, *first));
 }
 
 TEST(StopGate, AStopWithoutASequenceNumberIsAlwaysNew) {

@@ -4,6 +4,7 @@
 #include <axon/transfer.pb.h>
 #include <fcntl.h>
 #include <sodium.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -100,6 +101,25 @@ void synchroniseFolder(const fs::path& folder) {
     if (handle.isOpen()) ::fsync(handle.fd());
 }
 
+/// Held until it is closed, also by a process that is killed. The file has the process id, for people.
+Descriptor lockFolder(const fs::path& folder) {
+    const auto path = folder / "lock";
+    Descriptor file(::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
+    if (!file.open()) fail("cannot open", path);
+    if (::flock(file.get(), LOCK_EX | LOCK_NB) != 0) {
+        std::array<char, 32> holder{};
+        const auto n = std::max<ssize_t>(::pread(file.get(), holder.data(), holder.size(), 0), 0);
+        const std::string process(holder.data(), static_cast<std::size_t>(n));
+        throw std::runtime_error("the state folder " + folder.string() + " is used by another Entity Manager" +
+                                 (process.empty() ? "" : " (process " + process + ')') +
+                                 "; fix: end that one, or name another folder with --state DIR (Axon.State)");
+    }
+    const auto process = std::to_string(::getpid());
+    if (::ftruncate(file.get(), 0) != 0 || ::pwrite(file.get(), process.data(), process.size(), 0) < 0)
+        return file;  // a full disk: it is locked all the same
+    return file;
+}
+
 Refusal storeRefusal(const char* what, const fs::path& path) {
     const auto error = errno;
     const bool full = error == ENOSPC || error == EDQUOT;
@@ -113,6 +133,7 @@ Refusal storeRefusal(const char* what, const fs::path& path) {
 
 FileStorage::FileStorage(fs::path folder, std::function<void()> on_thread) : folder_(std::move(folder)) {
     makeFolder(folder_);
+    lock_ = lockFolder(folder_);
     thread_ = std::thread([this, on_thread = std::move(on_thread)] {
         if (on_thread) on_thread();
         run();
@@ -185,7 +206,11 @@ void FileStorage::want(std::string_view key, Wish wish) {
 bool FileStorage::carryOut(const std::string& key, const Wish& wish) const {
     const auto path = pathOf(key);
     // What cannot be deleted is on a disk that a next life cannot write its epoch to either.
-    if (!wish) return ::unlink(path.c_str()) == 0 || errno == ENOENT;
+    if (!wish) {
+        if (::unlink(path.c_str()) != 0 && errno != ENOENT) return false;
+        synchroniseFolder(folder_);  // or a loss of power brings it back
+        return true;
+    }
     try {
         const auto fresh = write(key, *wish);
         if (::rename(fresh.c_str(), path.c_str()) != 0) return false;

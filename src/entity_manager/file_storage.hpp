@@ -13,6 +13,7 @@
 #include <thread>
 #include <vector>
 
+#include "common/descriptor.hpp"
 #include "entity_manager/ports.hpp"
 
 namespace axon::entity_manager {
@@ -21,7 +22,8 @@ namespace axon::entity_manager {
 /// path. Values are written to a new file, synchronised and renamed: after a crash there is the old or the
 /// new value. Threads: one at a time; one of its own writes what is to be kept and deletes what is to be
 /// forgotten, that first, and tries again each second while it cannot. Bounded: one value waits for each key.
-/// Failure: std::system_error with the file's name.
+/// One process has the folder: whose lock it cannot get is a std::runtime_error that names the other one, by
+/// the constructor. Failure: std::system_error with the file's name.
 class FileStorage final : public Storage {
   public:
     /// Makes the folder (mode 0700) where it is missing. `on_thread` is called first on its thread.
@@ -43,6 +45,7 @@ class FileStorage final : public Storage {
     void run();
 
     const std::filesystem::path folder_;
+    Descriptor lock_;
     std::mutex mutex_;  // never held while the disk is at work
     std::condition_variable wake_;
     std::map<std::string, Wish, std::less<>> waiting_;  // guarded by mutex_

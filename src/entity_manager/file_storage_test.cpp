@@ -3,6 +3,7 @@
 
 #include <axon/transfer.pb.h>
 #include <fcntl.h>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <stdlib.h>
 #include <sys/stat.h>
@@ -90,8 +91,24 @@ TEST_F(Folder, AValueSurvivesAndNoKeyLeavesTheFolder) {
     storage.save("../../etc/uuid", std::string("two\0x", 5));
     EXPECT_EQ(storage.load("../../etc/uuid"), std::string("two\0x", 5));
     EXPECT_EQ(storage.load("other"), std::nullopt);
-    EXPECT_EQ(std::distance(fs::directory_iterator(folder / "s"), {}), 1);
+    EXPECT_EQ(std::distance(fs::directory_iterator(folder / "s"), {}), 2) << "and the lock";
     EXPECT_EQ(std::distance(fs::directory_iterator(folder), {}), 1);
+}
+
+TEST_F(Folder, TheFolderHasOneUserAtATime) {
+    {
+        FileStorage first(folder);
+        first.save("k", "1");
+        try {
+            FileStorage second(folder);
+            FAIL() << "two lives of one robot";
+        } catch (const std::runtime_error& error) {
+            EXPECT_THAT(error.what(), testing::HasSubstr("process " + std::to_string(::getpid())));
+            EXPECT_THAT(error.what(), testing::HasSubstr("--state DIR"));
+        }
+        EXPECT_EQ(first.load("k"), "1");
+    }
+    EXPECT_EQ(FileStorage(folder).load("k"), "1") << "the next life";
 }
 
 /// A file that does not answer, as on a disk that hangs: a pipe that is full.

@@ -54,6 +54,10 @@ LeaseBook::LeaseBook(Storage& storage, RandomSource& random) : random_(random) {
     storage.save(kKey, std::to_string(last_.epoch) + ' ' + std::to_string(last_.number));
 }
 
+bool LeaseBook::isStored(Storage& storage) {
+    return storage.load(kKey).has_value();
+}
+
 std::string LeaseBook::whoHolds() const {
     if (!held_) return " Nobody holds it now; check it out first.";
     return ' ' + nameOfHolder() + " holds it now.";

@@ -60,6 +60,8 @@ class LeaseBook {
     };
 
     LeaseBook(Storage& storage, RandomSource& random);
+    /// Whether an earlier life has left its epoch.
+    static bool isStored(Storage& storage);
 
     const std::optional<Held>& held() const { return held_; }
     bool orphaned() const { return held_ && held_->grace_until; }

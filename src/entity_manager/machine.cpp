@@ -25,13 +25,15 @@ constexpr std::size_t kOpenDrills = 64;
 constexpr std::size_t kActiveTold = 1024;
 constexpr std::size_t kStreamName = 255;
 constexpr std::uint32_t kGenerationsReserved = 1000;
+constexpr const char* kUuidKey = "uuid";
 constexpr const char* kGenerationKey = "stop_generation";
-/// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
+/// kThere while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
 /// deleted on a full disk, and what is in doubt is latched.
 constexpr const char* kRearmedKey = "rearmed";
 /// There from the first link until the application has said good-bye.
 constexpr const char* kLinkedKey = "application_linked";
 constexpr const char* kFreeKey = "free";  // its absence means that somebody holds the entity, as with kRearmedKey
+constexpr const char* kThere = "1";
 constexpr std::size_t kReasonMax = 2000;
 
 const Refusal kTooLargeForLink{RefusalCode::TooLarge,
@@ -40,14 +42,29 @@ const Refusal kTooLargeForLink{RefusalCode::TooLarge,
                                {}};
 
 std::string loadUuid(Storage& storage, RandomSource& random) {
-    if (const auto stored = storage.load("uuid"))
+    if (const auto stored = storage.load(kUuidKey)) {
         if (const auto id = Id128::parse(*stored)) return id->toString();
+        throw std::runtime_error(
+            "The stored value \"uuid\" is damaged: expected a UUID, found \"" + stored->substr(0, 64) +
+            "\". Put the folder's backup in its place. Without one remove the folder: the robot then is a new "
+            "entity, without saved values and resources.");
+    }
     const auto made = Id128::uuid(random).toString();
-    storage.save(kRearmedKey,
-                 "1");  // before the uuid: a first life that is broken off leaves no latch that nobody set
-    storage.save(kFreeKey, "1");
-    storage.save("uuid", made);
+    // Before the uuid: a first life that is broken off leaves no latch that nobody set.
+    if (!storage.load(kGenerationKey)) {
+        storage.save(kRearmedKey, kThere);
+        storage.save(kFreeKey, kThere);
+    }
+    storage.save(kUuidKey, made);
     return made;
+}
+
+/// Some of what every life writes at its start is there, and some is not: a disk or a person has lost it.
+bool partsAreLost(Storage& storage) {
+    if (AXON_PLANTED(EpochNotSaved) || AXON_PLANTED(GenerationsNotReserved)) return false;
+    const std::array there{storage.load(kUuidKey).has_value(), LeaseBook::isStored(storage),
+                           storage.load(kGenerationKey).has_value()};
+    return std::count(there.begin(), there.end(), there.front()) != std::ssize(there);
 }
 
 /// Where the generations of this life begin: above all that an earlier one has told, however it ended.
@@ -141,6 +158,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       store_(resources),
       stop_gate_(stop_gate),
       journal_(journal),
+      parts_lost_(partsAreLost(storage)),
       uuid_(loadUuid(storage, random)),
       server_watchdog_(settings_.server_watchdog_busy, settings_.server_watchdog_idle, clock.now()),
       lease_(storage, random),
@@ -150,10 +168,15 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       queue_(settings_.task_queue_bound),
       uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
     // A person stopped the robot, and that this process was killed since is no word of a person.
-    latched_ = latch_kept_ = !storage.load(kRearmedKey).has_value();
+    latched_ = latch_kept_ = storage.load(kRearmedKey) != kThere;
     // The last life was broken off while somebody held the robot, which has stopped by itself: a loss like
     // the others.
-    if (!storage.load(kFreeKey) && !AXON_PLANTED(LatchForgotten)) latched_ = true;
+    if (storage.load(kFreeKey) != kThere && !AXON_PLANTED(LatchForgotten)) latched_ = true;
+    if (parts_lost_) {
+        latched_ = true;
+        warning_ = "parts of the state folder are missing (uuid, lease or stop_generation), so the robot comes up "
+                   "latched; fix: look whether all commands for it are new, then rearm it";
+    }
     registration_.entity = uuid_;
     registration_.name =
         isEntityName(settings_.application) ? settings_.application : inQuotes(settings_.application);
@@ -172,7 +195,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
         storage.save(kGenerationKey, std::to_string(generation_ + kGenerationsReserved));
     reserved_ = generation_ + kGenerationsReserved;
     keepLatch();
-    if (!storage.load(kFreeKey)) storage.keep(kFreeKey, "1");  // the latch says it now, and nobody holds it
+    if (storage.load(kFreeKey) != kThere) storage.keep(kFreeKey, kThere);  // the latch says it now, and nobody holds it
     replayJournal();
     loadRuns();
     for (const auto& finding : saved_.findings()) warning_ = finding.message();
@@ -210,7 +233,7 @@ void EntityManagerCore::Machine::complete(JournalRecord& record) const {
 bool EntityManagerCore::Machine::note(JournalRecord record) {
     // Not read from the journal, whose line may be lost with a full disk: a deletion is not.
     if (record.kind == JournalRecord::Kind::Granted) storage_.forget(kFreeKey);
-    if (record.kind == JournalRecord::Kind::LeaseEnded) storage_.keep(kFreeKey, "1");
+    if (record.kind == JournalRecord::Kind::LeaseEnded) storage_.keep(kFreeKey, kThere);
     if (journal_ == nullptr) return true;
     complete(record);
     return recorded(journal_->append(record));
@@ -237,7 +260,7 @@ void EntityManagerCore::Machine::keepLatch() {
     if (latched_)
         storage_.forget(kRearmedKey);
     else
-        storage_.keep(kRearmedKey, "1");
+        storage_.keep(kRearmedKey, kThere);
 }
 
 void EntityManagerCore::Machine::noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) {
@@ -378,6 +401,8 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             break;
         case Action::Unlatch:
             latched_ = false;
+            rearmed_ = generation_;
+            stop_gate_.rearmed(generation_);
             note({.kind = JournalRecord::Kind::Rearmed, .who = named(incident.head->sender)});
             reply(incident.head->sender, incident.body->rearm().request_id(), {});
             break;
@@ -1049,6 +1074,8 @@ void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
 
 void EntityManagerCore::Machine::onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation) {
     if (quit_) return;
+    // A late copy, whose receipt nobody waits for; or a number used twice, whose stop has not been carried out.
+    if (generation <= rearmed_ && anyRuns()) return;
     OpenStop asked;
     asked.receipt = receiptOf(head, cause, generation);
     for (const auto& open : open_stops_)
@@ -1190,6 +1217,19 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
               {RefusalCode::Malformed, "The message could not be read as an axon.proto.ToEntity.", {}});
         return;
     }
+    // Servers let entities send each other two kinds of message, and clients not the first of them, by this header.
+    const bool of_run = from_client_.has_from_master() || from_client_.has_from_slave();
+    if (of_run != (head.msg_type == kMsgCollaboration) ||
+        (from_client_.has_raw() && head.msg_type != kMsgRaw) ||
+        (of_run && holder() != nullptr && holder()->id == head.sender.id)) {
+        ++counters_.malformed;
+        reply(head.sender, {},
+              {RefusalCode::Malformed,
+               "The header's msgType is not what the message is, or not what its sender may send: RAW is raw data, "
+               "COLLABORATION what entities say to each other in a run.",
+               {}});
+        return;
+    }
     if (hearPeer(head, from_client_)) {
         settle();
         return;
@@ -1203,11 +1243,15 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
                {}});
         return;
     }
-    // By the header alone both ends of a direct path know which way these go, and the servers who rearmed.
-    if ((event == Event::CheckOut) != (head.msg_type == kMsgCheckOut) || (event == Event::Rearm) != (head.msg_type == kMsgRearm)) {
+    // By the header alone both ends of a direct path know which way these go, and the servers who rearmed, waits or
+    // watches.
+    if ((event == Event::CheckOut) != (head.msg_type == kMsgCheckOut) ||
+        (event == Event::Rearm) != (head.msg_type == kMsgRearm) || (event == Event::Watch) != (head.msg_type == kMsgWatch)) {
         ++counters_.malformed;
         refuse({event, &head, &from_client_},
-               {RefusalCode::Malformed, "The header's msgType is not what the message is: a check-out is CHECKOUT, a rearm REARM.", {}});
+               {RefusalCode::Malformed,
+                "The header's msgType is not what the message is: a check-out is CHECKOUT, a rearm REARM, a watch WATCH.",
+                {}});
         return;
     }
     // What is over must not win because its timer is late.

@@ -428,6 +428,7 @@ class EntityManagerCore::Machine {
     ResourceStore& store_;
     StopGate& stop_gate_;
     Journal* const journal_;  ///< null = none is kept
+    const bool parts_lost_;  ///< of the state; before the others, which write theirs
     std::string uuid_;
 
     EntityState state_ = EntityState::UNAV;
@@ -481,6 +482,7 @@ class EntityManagerCore::Machine {
     std::vector<std::uint32_t>
         early_;  ///< own stops above generation_, while one of the signal thread is under way
     std::vector<proto::StopDone> early_done_;  ///< answers to stops above generation_
+    std::uint32_t rearmed_ = 0;                ///< stops up to this one were rearmed after
     std::uint32_t commanded_ = 0;              ///< newest stop that the robot application must have been told
     std::uint32_t confirmed_ = 0;              ///< newest stop whose callback has returned
     std::uint32_t link_generation_ = 0;        ///< stops up to this one the application has never been sent

@@ -14,6 +14,7 @@
 #include "entity_manager/file_storage.hpp"
 #include "entity_manager/server_communicators.hpp"
 #include "transport/communicator.hpp"
+#include "transport/descriptor_limit.hpp"
 #include "transport/logging.hpp"
 #include "transport/memory_lock.hpp"
 #include "transport/routed_session.hpp"
@@ -29,6 +30,7 @@ int main(int argc, char** argv) {
         const auto options = readDaemonOptions(argc, argv);
         if (options.exit_code) return *options.exit_code;
         transport::logToStderr(options.log_level);
+        transport::raiseDescriptorLimit();
         if (options.lock_memory) transport::lockMemory();
 
         const auto time = clockFromEnvironment();

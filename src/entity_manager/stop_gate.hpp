@@ -14,7 +14,9 @@ namespace axon::entity_manager {
 
 /// The stop generation, shared by the signal thread that raises it and the strand that reads it. A stop is
 /// known by its sender and sequence number, which counts from 1: the same stop that arrives by two paths
-/// raises the generation once (architecture, section 7), and one without such a number is always new.
+/// raises the generation once (architecture, section 7), and one without such a number is always new. So is
+/// one under a number that was used before, if its sender knew of that stop and the robot has been rearmed
+/// since: no late copy knows that.
 /// Threads: any. The mutex is the signal lane's own and is held for a comparison of a few strings. Drills
 /// have numbers and a memory of their own, so that they change nothing here.
 class StopGate {
@@ -23,11 +25,14 @@ class StopGate {
 
     std::uint32_t generation() const { return generation_.load(std::memory_order_acquire); }
 
-    /// The generation of this stop if it is new, nothing if it has been seen before.
-    std::optional<std::uint32_t> raise(const std::string& sender, std::int64_t sequence) {
+    /// The generation of this stop if it is new, nothing if it has been seen before. `known`: the newest
+    /// generation that its sender had been told.
+    std::optional<std::uint32_t> raise(const std::string& sender, std::int64_t sequence, std::uint32_t known = 0) {
         if (sequence <= 0) return raise();
         const std::lock_guard lock(mutex_);
-        if (stops_.find(sender, sequence) != nullptr && !AXON_PLANTED(StopNotIdempotent)) return std::nullopt;
+        const auto* seen = stops_.find(sender, sequence);
+        const bool another = seen != nullptr && seen->generation <= rearmed_ && seen->generation <= known;
+        if (seen != nullptr && !another && !AXON_PLANTED(StopNotIdempotent)) return std::nullopt;
         const auto generation = raise();
         stops_.add({sender, sequence, generation});
         return generation;
@@ -48,6 +53,8 @@ class StopGate {
         const auto* seen = stops_.find(sender, sequence);
         return seen != nullptr ? std::optional(seen->generation) : std::nullopt;
     }
+    /// What the strand says: somebody has rearmed the robot after all stops up to this generation.
+    void rearmed(std::uint32_t generation) { rearmed_.store(generation, std::memory_order_release); }
     /// Before anything else uses it: an earlier life has told generations up to this one.
     void continueFrom(std::uint32_t generation) {
         if (generation > generation_) generation_ = generation;
@@ -72,10 +79,14 @@ class StopGate {
         std::array<Seen, 32> seen;
         std::size_t next = 0;
 
+        /// The newest, where a number was used again.
         const Seen* find(const std::string& sender, std::int64_t sequence) const {
+            const Seen* found = nullptr;
             for (const auto& one : seen)
-                if (sequence > 0 && one.sequence == sequence && one.sender == sender) return &one;
-            return nullptr;
+                if (sequence > 0 && one.sequence == sequence && one.sender == sender &&
+                    (found == nullptr || one.generation > found->generation))
+                    found = &one;
+            return found;
         }
         void add(Seen one) {
             seen[next] = std::move(one);
@@ -83,6 +94,7 @@ class StopGate {
         }
     };
     std::atomic<std::uint32_t> generation_;
+    std::atomic<std::uint32_t> rearmed_{0};
     std::atomic<bool> spares_client_loss_{false};
     std::mutex mutex_;
     Recent stops_;        // guarded by mutex_

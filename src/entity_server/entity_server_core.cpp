@@ -102,6 +102,17 @@ void deliver(EntityOutbox& outbox, const Header& head, std::string_view message)
         outbox.newClientMsg(head, message);
 }
 
+/// What one entity may send to another. The Entity Manager sees that the message is what its header says.
+bool isForPeers(const Header& head) {
+    return head.msg_type == kMsgCollaboration || head.msg_type == kMsgRaw;
+}
+
+Refusal notForPeers(const Header& head) {
+    return {RefusalCode::PermissionDenied,
+            "an entity sends other entities COLLABORATION and RAW only, found '" + head.msg_type.substr(0, 64) + '\'',
+            {}};
+}
+
 Refusal noSuchPeer(const Header& head) {
     return {RefusalCode::UnknownEntity,
             "no entity " + head.entity.substr(0, 64) + " is connected; 'axon ls' shows those that are there", {}};
@@ -378,6 +389,7 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 
 void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message) {
     if (!session->registered || flooded(session)) return;
+    if (!isForPeers(head)) return session->outbox(lane).newRefusalMsg(head, notForPeers(head));
     head.sender = {session->entity, *session->name.load(), Role::Operator};
     if (const auto peer = atHome(head.entity, lane)) return deliver(peer->outbox(lane), head, message);
     const auto at = elsewhere(head.entity, lane);

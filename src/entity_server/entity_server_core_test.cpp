@@ -181,6 +181,12 @@ class EntityServerTest : public testing::Test {
         return out;
     }
 
+    static Header toPeer(const std::string& entity, const std::string& client = "c1") {
+        auto out = head(entity, client);
+        out.msg_type = kMsgCollaboration;
+        return out;
+    }
+
     ManualClock clock;
     SeededRandom random{1};
     FakeTopic topic;
@@ -216,8 +222,7 @@ TEST_F(EntityServerTest, AnEntityWithoutAProfileIsPublishedAndCanBeStoppedAndJoi
     EXPECT_THAT(notes.back(), HasSubstr("Robot joined"));
     // By its present name, too, where it speaks to others.
     const auto other = join(kSecond);
-    head.entity = kSecond;
-    core.sendToPeer(peer.session, Lane::Data, head, "hello");
+    core.sendToPeer(peer.session, Lane::Data, toPeer(kSecond), "hello");
     EXPECT_THAT(other.data->lines, Contains("msg Robot hello"));
 }
 
@@ -326,20 +331,39 @@ TEST_F(EntityServerTest, AnEntitySpeaksUnderItsOwnName) {
     topic.take();
     core.sendToClient(first.session, Lane::Signal, head("forged", "c7"), "receipt");
     EXPECT_THAT(topic.take(), ElementsAre("signal 1 to c7 receipt"));
-    core.sendToPeer(first.session, Lane::Data, head(kSecond, "forged"), "step");
+    core.sendToPeer(first.session, Lane::Data, toPeer(kSecond, "forged"), "step");
     EXPECT_THAT(second.data->lines, ElementsAre("msg Master step"));
-    core.sendToPeer(first.session, Lane::Data, head("nobody"), "step");
+    core.sendToPeer(first.session, Lane::Data, toPeer("nobody"), "step");
     EXPECT_THAT(first.data->lines, ElementsAre("refused UNKNOWN_ENTITY"));
-    core.sendToPeer(first.session, Lane::Signal, head(kSecond), "beat");
+    core.sendToPeer(first.session, Lane::Signal, toPeer(kSecond), "beat");
     EXPECT_THAT(second.signal->lines, ElementsAre("msg Master beat"));
-    core.sendToPeer(first.session, Lane::Signal, head("nobody"), "beat");
+    core.sendToPeer(first.session, Lane::Signal, toPeer("nobody"), "beat");
     EXPECT_THAT(first.signal->lines, ElementsAre("refused UNKNOWN_ENTITY"));
+}
+
+TEST_F(EntityServerTest, AnEntityCommandsNoOther) {
+    const auto first = join(kFirst, "Master");
+    const auto second = join(kSecond, "Slave");
+    for (const auto* type : {"", kMsgCheckOut, kMsgTask, kMsgRearm, kMsgRelease, kMsgParam, kMsgRun, kMsgStatus, kMsgWay}) {
+        auto sent = head(kSecond);
+        sent.msg_type = type;
+        for (const auto lane : {Lane::Data, Lane::Signal}) core.sendToPeer(first.session, lane, sent, "take it");
+    }
+    EXPECT_THAT(first.data->lines, testing::Each("refused PERMISSION_DENIED"));
+    EXPECT_THAT(first.data->lines, testing::SizeIs(9));
+    EXPECT_THAT(first.signal->lines, testing::SizeIs(9));
+    EXPECT_THAT(second.data->lines, IsEmpty());
+    EXPECT_THAT(second.signal->lines, IsEmpty());
+    auto raw = head(kSecond);
+    raw.msg_type = kMsgRaw;
+    core.sendToPeer(first.session, Lane::Data, raw, "laser");
+    EXPECT_THAT(second.data->lines, testing::SizeIs(1));
 }
 
 TEST_F(EntityServerTest, WhoIsNotRegisteredSaysNothing) {
     const auto peer = connect();
     core.sendToClient(peer.session, Lane::Data, head(kFirst), "hello");
-    core.sendToPeer(peer.session, Lane::Data, head(kFirst), "hello");
+    core.sendToPeer(peer.session, Lane::Data, toPeer(kFirst), "hello");
     status(peer, EntityState::BUSY);
     EXPECT_THAT(topic.lines, IsEmpty());
 }
@@ -824,23 +848,23 @@ TEST_F(OtherEntityServers, AMessageToAnEntityOfAnotherGoesThereOnItsLane) {
     const auto master = join(kFirst, "Master");
     hear(Lane::Data, "es2", {kSecond});
     topic.take();
-    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
-    core.sendToPeer(master.session, Lane::Signal, head(kSecond), "beat");
+    core.sendToPeer(master.session, Lane::Data, toPeer(kSecond), "step");
+    core.sendToPeer(master.session, Lane::Signal, toPeer(kSecond), "beat");
     EXPECT_THAT(topic.take(), ElementsAre("peer at es2 Master step", "signal peer at es2 Master beat"));
     topic.reaches_peers = false;
-    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    core.sendToPeer(master.session, Lane::Data, toPeer(kSecond), "step");
     EXPECT_THAT(master.data->lines, ElementsAre("refused NOT_CONNECTED"));
 }
 
 TEST_F(OtherEntityServers, AMessageToAnEntityThatNobodyHasIsRefusedOnItsLane) {
     const auto master = join(kFirst, "Master");
-    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    core.sendToPeer(master.session, Lane::Data, toPeer(kSecond), "step");
     EXPECT_THAT(master.data->lines, ElementsAre("refused UNKNOWN_ENTITY"));
-    core.sendToPeer(master.session, Lane::Signal, head(kSecond), "beat");
+    core.sendToPeer(master.session, Lane::Signal, toPeer(kSecond), "beat");
     EXPECT_THAT(master.signal->lines, ElementsAre("refused UNKNOWN_ENTITY"));
     hear(Lane::Data, "es2", {kSecond});
     hear(Lane::Data, "es2", {});
-    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    core.sendToPeer(master.session, Lane::Data, toPeer(kSecond), "step");
     EXPECT_EQ(master.data->lines.size(), 2U) << "it left";
 }
 
@@ -866,7 +890,7 @@ TEST_F(OtherEntityServers, TheLastWhoSaysSoHasTheEntity) {
     hear(Lane::Data, "es3", {kSecond});
     hear(Lane::Data, "es2", {});
     topic.take();
-    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    core.sendToPeer(master.session, Lane::Data, toPeer(kSecond), "step");
     EXPECT_THAT(topic.take(), ElementsAre("peer at es3 Master step"));
 }
 
@@ -878,7 +902,7 @@ TEST_F(OtherEntityServers, AServerThatFallsSilentHasNoEntities) {
     EXPECT_THAT(topic.peers, ElementsAre("messages of es2"));
     pass(3s);
     hear(Lane::Data, "es2", {kSecond});
-    core.sendToPeer(master.session, Lane::Data, head(kSecond), "step");
+    core.sendToPeer(master.session, Lane::Data, toPeer(kSecond), "step");
     EXPECT_THAT(master.data->lines, ElementsAre("refused UNKNOWN_ENTITY")) << "the topic was late";
 }
 

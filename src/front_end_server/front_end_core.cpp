@@ -2,6 +2,9 @@
 #include "front_end_server/front_end_core.hpp"
 
 #include <algorithm>
+#include <mutex>
+#include <string_view>
+#include <unordered_set>
 #include <utility>
 
 #include "common/life_signs.hpp"
@@ -34,6 +37,8 @@ class FrontEndCore::Client {
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
     LifeSigns signs;                                 // written without a lock
     std::atomic<std::size_t> told{0};                // entities, when it joined
+    mutable std::mutex asked_mutex;                  // after the core's; of who goes on, for a word of a few bytes
+    std::unordered_map<std::string, bool> asked;  // guarded by it: which know of it; whether it wanted a check-out
 
     // Guarded by the core's mutex.
     Watchdog watchdog;
@@ -50,6 +55,20 @@ class FrontEndCore::Client {
         fed = last;
         watchdog.feed(last);
     }
+    void asks(const std::string& entity, bool check_out) {
+        const std::lock_guard lock(asked_mutex);
+        auto& before = asked[entity];
+        before = before || check_out;
+    }
+    bool hasAsked(const std::string& entity) const {
+        const std::lock_guard lock(asked_mutex);
+        const auto found = asked.find(entity);
+        return found != asked.end() && found->second;
+    }
+    std::unordered_map<std::string, bool> takeAsked() {
+        const std::lock_guard lock(asked_mutex);
+        return std::exchange(asked, {});
+    }
     /// The signal lane, or the only one there is.
     std::shared_ptr<ClientOutbox> signalOutbox() const {
         const auto own = *signal.load();
@@ -65,6 +84,9 @@ Refusal refuse(RefusalCode code, std::string message) {
 
 // A little less than the second in which a server announces itself by the topic.
 constexpr std::chrono::milliseconds kAskAgain{900};
+constexpr std::size_t kStrangersBytes = 64 * 1024U;  // before an Entity Manager can tell whose it is it must read it
+constexpr std::size_t kStopsAtOnce = 8192;
+constexpr std::size_t kStopsForOne = 16;  // so many entities of a list cost as much as a message
 constexpr auto kData = static_cast<std::size_t>(Lane::Data);
 constexpr auto kSignal = static_cast<std::size_t>(Lane::Signal);
 
@@ -180,8 +202,8 @@ std::size_t FrontEndCore::pushAll(ClientOutbox& to) {
     }
 }
 
-bool FrontEndCore::flooded(const ClientRef& client) {
-    if (client->rate.admit(clock_.now())) return false;
+bool FrontEndCore::flooded(const ClientRef& client, std::size_t messages) {
+    if (client->rate.admit(clock_.now(), static_cast<std::uint32_t>(messages))) return false;
     leave(client, Ending::Improper,
           "it flooded the server (more than " + std::to_string(settings_.messages_per_second) +
               " messages in a second)");
@@ -237,8 +259,36 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
                      "the server has no request '" + head.msg_type.substr(0, 64) + "'; expected STATUS or GLOBAL_SERVICES"));
 }
 
+/// As far as is known here: a grant is there before the status that tells of it.
+bool FrontEndCore::mayBeHolder(const Client& client, const std::string& entity) const {
+    const std::lock_guard lock(mutex_);
+    const auto found = records_.find(entity);
+    if (found == records_.end()) return false;
+    const auto& holder = found->second->status.holder.id;
+    return holder == client.me.id || (holder.empty() && client.hasAsked(entity));
+}
+
+/// Also notes of which entities the client asks what they remember: their Entity Managers take a check-out and a
+/// watch under these two msgTypes alone.
+bool FrontEndCore::mayGoOn(const ClientRef& client, const Header& head, std::size_t bytes) {
+    if (head.msg_type == kMsgCollaboration) {
+        client->data->newRefusalMsg(
+            head, refuse(RefusalCode::PermissionDenied, "COLLABORATION is what entities say to each other; ask their master by RUN"));
+        return false;
+    }
+    if (bytes > kStrangersBytes && !mayBeHolder(*client, head.entity)) {
+        client->data->newRefusalMsg(
+            head, refuse(RefusalCode::TooLarge, "a message of more than " + std::to_string(kStrangersBytes / 1024) +
+                                                    " KiB is taken only of who holds the entity; check it out first"));
+        return false;
+    }
+    const bool check_out = head.msg_type == kMsgCheckOut;
+    if ((check_out || head.msg_type == kMsgWatch) && known_.find(head.entity, kData)) client->asks(head.entity, check_out);
+    return true;
+}
+
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
-    if (flooded(client)) return;
+    if (flooded(client) || !mayGoOn(client, head, message.size())) return;
     head.sender = client->me;
     const auto known = alone() ? nullptr : known_.find(head.entity, kData);
     if (!alone() && !known) return refuseUnknown(*client->data, head);
@@ -251,6 +301,7 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
 }
 
 void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data) {
+    if (!mayGoOn(client, head, data.size())) return;
     head.sender = client->me;
     const auto known = alone() ? nullptr : known_.find(head.entity, kData);
     if (!alone() && !known) return;
@@ -283,21 +334,32 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     head.entity.clear();
     if (cause != StopCause::Drill) cause = StopCause::Requested;
     if (head.sequence >= kServerSequences) head.sequence = 0;
-    if (cause == StopCause::Drill && drillsTooMuch(client, head, entities.size())) return;
-    topic_.stopSignals(head, entities, cause);
+    // Each entity once, and the first of a list that nobody who means it would send.
+    std::unordered_set<std::string_view> seen;
+    std::vector<std::string> wanted;
+    for (const auto& entity : entities) {
+        if (wanted.size() == kStopsAtOnce) break;
+        if (seen.insert(entity).second) wanted.push_back(entity);
+    }
+    if (cause == StopCause::Drill && drillsTooMuch(client, head, wanted.size())) return;
+    topic_.stopSignals(head, wanted, cause);
     const auto known = [&](const std::string& entity) { return known_.find(entity, kSignal) != nullptr; };
-    const auto targets = std::count_if(entities.begin(), entities.end(), known);
+    const auto targets = std::count_if(wanted.begin(), wanted.end(), known);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
-    if (!alone() && targets < std::ssize(entities)) {
+    if (wanted.size() == kStopsAtOnce && entities.size() > kStopsAtOnce)
+        client->signalOutbox()->newRefusalMsg(
+            head, refuse(RefusalCode::TooLarge, "the stop has been given to the first " + std::to_string(kStopsAtOnce) +
+                                                    " entities of its list; stop all by an empty name, or send more lists"));
+    if (!alone() && targets < std::ssize(wanted)) {
         auto refused = head;
-        for (const auto& entity : entities) {
+        for (const auto& entity : wanted) {
             if (known(entity)) continue;
             refused.entity = entity.substr(0, 64);
             refuseUnknown(*client->signalOutbox(), refused);
         }
     }
-    audit(cause == StopCause::Drill ? "drill" : "stop", client->me, entities);
-    flooded(client);
+    audit(cause == StopCause::Drill ? "drill" : "stop", client->me, wanted);
+    flooded(client, 1 + entities.size() / kStopsForOne);
 }
 
 void FrontEndCore::sendResetSignal(const ClientRef& client, Header head) {
@@ -335,10 +397,15 @@ void FrontEndCore::settle(const Sender& client, Ending ending, const std::map<st
     } else if (!stopped.empty()) {
         topic_.stopSignals(head, stopped, causeOf(ending));
     }
-    for (const auto& [entity, busy] : held) {
-        head.entity = entity;
-        topic_.clientUpdate(head, ending == Ending::Ended ? ClientChange::Ended : ClientChange::Lost);
-    }
+    for (const auto& [entity, busy] : held) tellGone(client, entity, ending);
+}
+
+void FrontEndCore::tellGone(const Sender& client, const std::string& entity, Ending ending) {
+    Header head;
+    head.sender = client;
+    head.entity = entity;
+    head.sent_at_us = toMicroseconds(clock_.now());
+    topic_.clientUpdate(head, ending == Ending::Ended ? ClientChange::Ended : ClientChange::Lost);
 }
 
 void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::string& why) {
@@ -359,6 +426,9 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
         table_.erase(client->me.id);
     }
     settle(client->me, ending, held);
+    // Whom else it asked: it waits for none of them any more, and watches nothing.
+    for (const auto& [entity, check_out] : client->takeAsked())
+        if (!held.contains(entity)) tellGone(client->me, entity, ending);
     client->data->disconnect(ending == Ending::Ended, why);
     if (const auto signal = *client->signal.load()) signal->disconnect(ending == Ending::Ended, why);
     const char* how = ending == Ending::Ended  ? " left"
@@ -610,7 +680,7 @@ TimePoint FrontEndCore::onNeighboursTimer() {
 void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way way) {
     const bool busy = status.state == EntityState::BUSY;
     std::optional<Gone> late;
-    std::string entity;
+    std::string entity, doubt;
     {
         const std::lock_guard lock(mutex_);
         if (way == Way::Topic) hearOf(status.server);
@@ -645,18 +715,26 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
             updateHolding(before);
         }
         if (!holder.empty()) {
-            if (clients_.contains(holder)) {
-                const auto [held, is_new] = holdings_[holder].try_emplace(entity, busy);
-                if (is_new || held->second != busy) {
-                    held->second = busy;
+            const auto client = clients_.find(holder);
+            if (client != clients_.end()) {
+                // An entity that names a client which never asked for it is told of its end like any other, but does not
+                // decide how often that client must beat.
+                const bool asked = client->second->hasAsked(entity);
+                if (!asked && before != holder)
+                    doubt = "it names " + client->second->me.name + " as its holder, who has not asked for it";
+                const auto [held, is_new] = holdings_[holder].try_emplace(entity, busy && asked);
+                if (is_new || held->second != (busy && asked)) {
+                    held->second = busy && asked;
                     updateHolding(holder);
                 }
-            } else if (before != holder) {
-                // Granted to a client that was gone before the grant was known here.
-                if (const auto gone = gone_.find(holder); gone != gone_.end()) late = gone->second;
+            } else if (before != holder && !status.orphaned && isOurs(holder)) {
+                // Granted to a client that was gone before the grant was known here, however long ago.
+                const auto gone = gone_.find(holder);
+                late = gone != gone_.end() ? gone->second : Gone{status.holder, Ending::Lost};
             }
         }
     }
+    if (!doubt.empty()) note_("entity " + entity + " is not believed: " + doubt);
     if (late && !AXON_PLANTED(LateGrantLeft)) settle(late->sender, late->ending, {{entity, busy}});
     if (busy) wake_();
     // Two copies come on two threads, so a newer one may have been told meanwhile: the last word is the newest.

@@ -150,14 +150,18 @@ class FrontEndCore {
 
     template <class Send>
     void toClients(Lane lane, const std::string& recipient, Send&& send);
-    bool flooded(const ClientRef& client);
+    bool flooded(const ClientRef& client, std::size_t messages = 1);
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
+    bool mayBeHolder(const Client& client, const std::string& entity) const;
+    bool mayGoOn(const ClientRef& client, const Header& head, std::size_t bytes);
     void audit(const char* what, const Sender& who, const std::vector<std::string>& entities) const;
     std::size_t pushAll(ClientOutbox& to);
     std::size_t stopTargets(const std::string& entity) const;
     void settle(const Sender& client, Ending ending, const std::map<std::string, bool>& held);
+    void tellGone(const Sender& client, const std::string& entity, Ending ending);
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
+    bool isOurs(const std::string& client) const { return alone() || originOf(client).server == settings_.name; }
     ServerAnnouncement announcement() const;
     void refuseUnknown(ClientOutbox& to, const Header& head) const;
     void ask(const std::string& server);

@@ -6,6 +6,7 @@
 
 #include <atomic>
 #include <cstdlib>
+#include <map>
 #include <new>
 #include <string>
 #include <utility>
@@ -33,6 +34,8 @@ using testing::Contains;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
+using testing::Not;
+using testing::SizeIs;
 using testing::UnorderedElementsAre;
 
 class FakeOutbox final : public ClientOutbox {
@@ -131,7 +134,16 @@ class FrontEndTest : public testing::Test {
         Peer peer;
         peer.client = core.setCallback(name, Role::Operator, peer.data).value();
         EXPECT_TRUE(core.attach(FrontEndCore::token(*peer.client), peer.signal).ok());
+        here.emplace(peer.id(), peer.client);
         return peer;
+    }
+    /// The client wants a check-out.
+    void ask(const FrontEndCore::ClientRef& client, const std::string& entity) {
+        auto head = to(entity);
+        head.msg_type = kMsgCheckOut;
+        const auto before = topic.lines;
+        core.sendToEntity(client, head, "check-out");
+        topic.lines = before;
     }
     void entity(const std::string& id) {
         Registration registration;
@@ -139,7 +151,12 @@ class FrontEndTest : public testing::Test {
         registration.name = id;
         core.entityBasicPrflUpdate(Presence::Joined, registration, "profile");
     }
+    /// Of an entity that its holder has asked for, where there is one.
     void status(const std::string& id, EntityState state, const std::string& holder = {}) {
+        if (const auto client = here.find(holder); client != here.end()) ask(client->second, id);
+        tell(id, state, holder);
+    }
+    void tell(const std::string& id, EntityState state, const std::string& holder) {
         EntityStatus out;
         out.entity = id;
         out.state = state;
@@ -165,6 +182,7 @@ class FrontEndTest : public testing::Test {
     SeededRandom random{1};
     FakeTopic topic;
     std::vector<std::string> notes;
+    std::map<std::string, FrontEndCore::ClientRef> here;
     CoreSettings settings;
     FrontEndCore core{
         settings, clock, random, topic, [this](const std::string& line) { notes.push_back(line); }, [] {}};
@@ -293,6 +311,102 @@ TEST_F(FrontEndTest, AStopOfSeveralIsOnePublicationAndOneReceipt) {
     EXPECT_THAT(peer.signal->take(), ElementsAre("stop accepted 2"));
 }
 
+TEST_F(FrontEndTest, AListOfStopsIsShortenedAndEachEntityOnItIsStoppedOnce) {
+    entity("e1");
+    const auto peer = join();
+    core.sendStopSignals(peer.client, to(""), {"e1", "e1", "", "e1", ""}, StopCause::Requested);
+    EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by client1 to e1 "));
+    EXPECT_THAT(peer.signal->take(), ElementsAre("stop accepted 1"));
+    std::vector<std::string> many(100'000);
+    for (std::size_t i = 0; i < many.size(); ++i) many[i] = std::to_string(i);
+    many.front() = "e1";
+    core.sendStopSignals(peer.client, to(""), many, StopCause::Requested);
+    const auto stops = topic.take();
+    ASSERT_EQ(stops.size(), 1U);
+    EXPECT_LT(stops.front().size(), 8192 * 6U);
+    EXPECT_THAT(stops.front(), HasSubstr("to e1 1 2"));
+    EXPECT_THAT(peer.signal->take(), ElementsAre("stop accepted 1", "refused TOO_LARGE"));
+}
+
+TEST_F(FrontEndTest, WhoSendsLongListsOfStopsFloods) {
+    const auto peer = join();
+    const std::vector<std::string> empty(4'000'000);
+    core.sendStopSignals(peer.client, to(""), empty, StopCause::Requested);
+    EXPECT_THAT(topic.take(), Not(IsEmpty())) << "its last stop is still a stop";
+    core.sendStopSignals(peer.client, to(""), empty, StopCause::Requested);
+    EXPECT_TRUE(peer.data->disconnected);
+}
+
+TEST_F(FrontEndTest, AnEntityThatNamesAHolderWhoHasNotAskedForItIsNotBelieved) {
+    entity("liar");
+    entity("e1");
+    const auto peer = join();
+    status("e1", EntityState::REG, peer.id());
+    tell("liar", EntityState::BUSY, peer.id());
+    EXPECT_THAT(notes.back(), HasSubstr("entity liar is not believed: it names client1 as its holder"));
+    pass(300ms);
+    EXPECT_FALSE(peer.data->disconnected) << "its watchdog is that of a client whose robots stand";
+    EXPECT_EQ(core.clients(), 1U);
+    core.leave(peer.client, Ending::Lost, "over");
+    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by client1 to e1 liar", "lost to e1", "lost to liar"))
+        << "what it says of itself is safe to believe";
+}
+
+TEST_F(FrontEndTest, WhoWasAskedAndDoesNotHoldIsToldThatTheClientHasLeft) {
+    for (const auto* name : {"e1", "e2", "e3", "e4"}) entity(name);
+    const auto peer = join();
+    status("e1", EntityState::REG, peer.id());
+    ask(peer.client, "e2");
+    auto watch = to("e3");
+    watch.msg_type = kMsgWatch;
+    core.sendToEntityDataSeq(peer.client, watch, "watch");
+    topic.take();
+    core.leave(peer.client, Ending::Ended, "over");
+    EXPECT_THAT(topic.take(), UnorderedElementsAre("ended to e1", "ended to e2", "ended to e3"));
+}
+
+TEST_F(FrontEndTest, AGrantToAClientThatLeftLongAgoIsEnded) {
+    entity("e1");
+    const auto ghost = join("ghost");
+    ask(ghost.client, "e1");
+    core.leave(ghost.client, Ending::Ended, "over");
+    for (int i = 0; i < 1'100; ++i) core.leave(join("passer-by").client, Ending::Ended, "over");
+    topic.take();
+    tell("e1", EntityState::REG, ghost.id());
+    EXPECT_THAT(topic.take(), Contains("lost to e1")) << "nobody remembers how it left";
+}
+
+TEST_F(FrontEndTest, OnlyTheHolderSendsAnEntityMuch) {
+    entity("e1");
+    const auto holder = join("client1");
+    const auto stranger = join("client2");
+    const std::string large(65 * 1024, 'x');
+    core.sendToEntity(holder.client, to("e1"), large);
+    EXPECT_THAT(holder.data->take(), Contains("refused TOO_LARGE"));
+    ask(holder.client, "e1");
+    core.sendToEntity(holder.client, to("e1"), large);
+    EXPECT_THAT(topic.take(), SizeIs(1)) << "granted, and nobody has told this server yet";
+    status("e1", EntityState::REG, holder.id());
+    ask(stranger.client, "e1");
+    core.sendToEntity(stranger.client, to("e1"), large);
+    core.sendToEntityDataSeq(stranger.client, to("e1"), large);
+    EXPECT_THAT(topic.take(), IsEmpty());
+    core.sendToEntity(stranger.client, to("e1"), std::string(64 * 1024, 'x'));
+    core.sendToEntity(holder.client, to("e1"), large);
+    EXPECT_THAT(topic.take(), SizeIs(2));
+}
+
+TEST_F(FrontEndTest, AClientIsNoMasterOfARun) {
+    entity("e1");
+    const auto peer = join();
+    auto head = to("e1");
+    head.msg_type = kMsgCollaboration;
+    core.sendToEntity(peer.client, head, "order");
+    core.sendToEntityDataSeq(peer.client, head, "order");
+    EXPECT_THAT(topic.lines, IsEmpty());
+    EXPECT_THAT(peer.data->take(), testing::IsSupersetOf({"refused PERMISSION_DENIED", "refused PERMISSION_DENIED"}));
+}
+
 TEST_F(FrontEndTest, AClientWithOneLaneGetsItsSignalsThere) {
     auto data = std::make_shared<FakeOutbox>();
     const auto client = core.setCallback("browser", Role::Operator, data).value();
@@ -374,7 +488,7 @@ TEST_F(FrontEndTest, WhatWasReleasedIsNotStopped) {
     status("e1", EntityState::BUSY, peer.id());
     status("e1", EntityState::IDLE);
     core.leave(peer.client, Ending::Lost, "connection lost");
-    EXPECT_THAT(topic.lines, IsEmpty());
+    EXPECT_THAT(topic.lines, ElementsAre("lost to e1")) << "it might wait for it again; no stop";
 }
 
 TEST_F(FrontEndTest, StopsWhatWasGrantedToAClientThatIsGone) {
@@ -383,8 +497,8 @@ TEST_F(FrontEndTest, StopsWhatWasGrantedToAClientThatIsGone) {
     core.leave(peer.client, Ending::Lost, "connection lost");
     status("e1", EntityState::REG, peer.id());
     EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by client1 to e1", "lost to e1"));
-    status("e1", EntityState::REG, "a client of another front-end server");
-    EXPECT_THAT(topic.lines, IsEmpty());
+    status("e1", EntityState::REG, "a client of the server's last life");
+    EXPECT_THAT(topic.take(), Contains("lost to e1"));
 }
 
 TEST_F(FrontEndTest, RoutesToTheRecipientOrToAll) {
@@ -494,7 +608,9 @@ TEST_F(FrontEndTest, DrillsAreLimitedForEachClientAndStopsAreNot) {
         return topic.take().size();
     };
     EXPECT_EQ(drill(peer, 500), 500U);
-    core.sendStopSignals(peer.client, to(""), std::vector<std::string>(600, "e2"), StopCause::Drill);
+    std::vector<std::string> many;
+    for (int i = 0; i < 600; ++i) many.push_back("e" + std::to_string(i));
+    core.sendStopSignals(peer.client, to(""), many, StopCause::Drill);
     EXPECT_EQ(topic.take().size(), 1U) << "what begins within is carried out";
     peer.signal->take();
     EXPECT_EQ(drill(peer, 10), 0U);
@@ -564,10 +680,12 @@ TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
     EntityStatus status;
     status.entity = "e1";
     status.holder.id = FrontEndCore::me(*client).id;
-    core.entityUpdate(status);
     Header head;
     head.entity = "e1";
-    for (int i = 0; i < 3; ++i) core.sendToEntity(client, head, "x");
+    head.msg_type = kMsgCheckOut;
+    core.sendToEntity(client, head, "x");
+    core.entityUpdate(status);
+    for (int i = 0; i < 2; ++i) core.sendToEntity(client, head, "x");
     topic.take();
     core.sendStopSignal(client, head, StopCause::Requested);
     EXPECT_THAT(topic.take(), ElementsAre("stop (requested) by client1 to e1",
@@ -617,6 +735,21 @@ class OneOfSeveral : public FrontEndTest {
     FrontEndCore several{
         named(), clock, random, topic, [this](const std::string& line) { notes.push_back(line); }, [] {}};
 };
+
+TEST_F(OneOfSeveral, LeavesTheClientsOfOthersToThem) {
+    entityAt("es1", "e1");
+    EntityStatus out;
+    out.entity = "e1";
+    out.state = EntityState::REG;
+    out.server = "es1";
+    out.holder = {"fe2:ab:uuid", "somebody", Role::Operator};
+    topic.take();
+    several.entityUpdate(out);
+    EXPECT_THAT(topic.take(), IsEmpty());
+    out.holder.id = "fe1:an earlier start:uuid";
+    several.entityUpdate(out);
+    EXPECT_THAT(topic.take(), Contains("lost to e1"));
+}
 
 TEST_F(OneOfSeveral, ItsClientsIdsTellTheServerAndItsStart) {
     passHere(1ms);

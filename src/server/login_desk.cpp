@@ -21,6 +21,7 @@ namespace {
 constexpr std::size_t kWaitingMax = 4096;
 constexpr std::size_t kWaitingOfOneMax = 256;
 constexpr std::size_t kUserShown = 64;
+constexpr std::size_t kLoginTextMax = 1024;  // of the user's name, and of the password
 constexpr const char* kBehindARouter = "somebody behind a router";
 
 /// For logs and refusals.
@@ -96,6 +97,10 @@ void LoginDesk::entity(LoginRequest request, Answer answer) {
 
 void LoginDesk::enqueue(Door door, LoginRequest request, Answer answer) {
     const auto address = request.peer.substr(0, request.peer.rfind(':'));
+    // Before it waits: nobody keeps memory here that the server has not asked for.
+    if (request.user.size() > kLoginTextMax || request.password.size() > kLoginTextMax)
+        return answer(refuse(RefusalCode::Malformed, "a user's name and a password have at most " +
+                                                         std::to_string(kLoginTextMax) + " bytes each"));
     std::optional<Refusal> refusal;
     const auto digest = users_ && !request.user.empty() ? digestOf(request.password) : std::nullopt;
     {

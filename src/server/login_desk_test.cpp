@@ -247,6 +247,17 @@ TEST_F(LoginDeskTest, AnswersEverybodyWhenItClosesAndTakesNotTooMany) {
     EXPECT_EQ(client("boss", "secret1").refusal().code, RefusalCode::Unavailable);
 }
 
+TEST_F(LoginDeskTest, NobodyWaitsThereWithALongName) {
+    withUsers();
+    for (const auto& [user, password] : {std::pair{std::string(1025, 'u'), std::string("secret1")},
+                                         std::pair{std::string("boss"), std::string(4U << 20U, 'p')}}) {
+        EXPECT_EQ(client(user, password).refusal().code, RefusalCode::Malformed);
+        EXPECT_EQ(entity(user, password).refusal().code, RefusalCode::Malformed);
+    }
+    EXPECT_THAT(client("boss", std::string(1024, 'p')).refusal().message, HasSubstr("wrong user"));
+    EXPECT_TRUE(client("boss", "secret1").ok()) << "and that is not a guess for which anybody waits";
+}
+
 TEST_F(LoginDeskTest, WhoTriesManyPasswordsHoldsUpHimself) {
     auto& its = withUsers();
     std::atomic<int> guesses{0};

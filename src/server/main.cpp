@@ -8,14 +8,18 @@
 
 #include "server/options.hpp"
 #include "server/server.hpp"
+#include "transport/descriptor_limit.hpp"
 #include "transport/logging.hpp"
 #include "transport/memory_lock.hpp"
 
 int main(int argc, char** argv) {
-    // Before any thread exists, so that all inherit it: the three signals are waited for below.
+    // Before any thread exists, so that all inherit it: these signals are waited for below.
     sigset_t awaited;
     sigemptyset(&awaited);
     for (const int signal : {SIGINT, SIGTERM, SIGUSR1}) sigaddset(&awaited, signal);
+    // Of a terminal that is closed, unless nohup has it ignored.
+    struct sigaction hang_up {};
+    if (sigaction(SIGHUP, nullptr, &hang_up) == 0 && hang_up.sa_handler != SIG_IGN) sigaddset(&awaited, SIGHUP);
     pthread_sigmask(SIG_BLOCK, &awaited, nullptr);
     std::signal(SIGPIPE, SIG_IGN);
 
@@ -23,6 +27,7 @@ int main(int argc, char** argv) {
         auto parsed = axon::server::parseOptions(argc, argv);
         if (!parsed.options) return parsed.exit_code;
         axon::transport::logToStderr(parsed.options->log_level);
+        axon::transport::raiseDescriptorLimit();
         if (parsed.options->settings.lock_memory) axon::transport::lockMemory();
         const axon::server::Server server(std::move(parsed.options->settings));
         std::printf("%s\n", server.readyLine().c_str());
@@ -32,7 +37,9 @@ int main(int argc, char** argv) {
         while (sigwait(&awaited, &received) != 0 || received == SIGUSR1) {
             for (const auto& line : server.margins()) spdlog::info("{}", line);
         }
-        spdlog::info("shutting down on {}", received == SIGINT ? "SIGINT" : "SIGTERM");
+        spdlog::info("shutting down on {}", received == SIGINT   ? "SIGINT"
+                                             : received == SIGHUP ? "SIGHUP"
+                                                                  : "SIGTERM");
     } catch (const std::exception& error) {
         std::fprintf(stderr, "axon-server: %s\n", error.what());
         return 2;

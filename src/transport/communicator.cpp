@@ -7,10 +7,12 @@
 #include <sched.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <atomic>
 #include <stdexcept>
 
 #include "transport/endpoint.hpp"
+#include "transport/peer_connection.hpp"
 #include "transport/tls.hpp"
 
 namespace axon::transport {
@@ -89,6 +91,18 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
     } catch (const Ice::Exception& error) {
         throw std::runtime_error(std::string("Ice does not accept its properties: ") + error.what());
     }
+}
+
+bool callsBack(const Ice::ObjectPrx& given, const Ice::Current& current) {
+    if (!given.ice_getAdapterId().empty()) return false;
+    if (!current.con || given.ice_getEndpoints().empty()) return true;
+    const auto from = DirectConnection::remoteAddressOf(*current.con);
+    const auto endpoints = given.ice_getEndpoints();
+    return !from.empty() && std::all_of(endpoints.begin(), endpoints.end(), [&](const auto& endpoint) {
+        for (auto layer = endpoint->getInfo(); layer; layer = layer->underlying)
+            if (const auto ip = std::dynamic_pointer_cast<Ice::IPEndpointInfo>(layer)) return ip->host == from;
+        return false;
+    });
 }
 
 Refusal translate(std::exception_ptr error, bool setting_up_tls) {

@@ -53,6 +53,11 @@ Refusal translate(std::exception_ptr error, bool setting_up_tls = false);
 /// with the mend.
 std::string tcpEndpoint(const std::string& host_and_port);
 
+/// Whether the proxy calls its peer back: over the connection of `current` (it has no endpoints), or at the address
+/// from which that comes. A peer that names another address would have the server connect where the peer says. Not
+/// for peers behind a Glacier2 router, whose callbacks name the router's own endpoints.
+bool callsBack(const Ice::ObjectPrx& given, const Ice::Current& current);
+
 /// The callback proxy to send on: an endpoint-less one is bound to the connection it came over, a routed or
 /// ordinary one is taken as it is; oneway and without time-out in any case. Null when none was given.
 template <class Prx>

@@ -109,6 +109,11 @@ class LaneSession {
         if (!proxy)
             throw toIce(
                 Refusal{RefusalCode::Malformed, "the callback is null; give the proxy of a callback", {}});
+        if (!peer_->routed() && !callsBack(*given, current))
+            throw toIce(Refusal{RefusalCode::PermissionDenied,
+                                "the callback's proxy names another address than that of its connection; give one "
+                                "without endpoints (of an adapter that is bound to the connection)",
+                                {}});
         if (!fits || ready_)
             throw toIce(Refusal{RefusalCode::WrongState,
                                 current.operation +

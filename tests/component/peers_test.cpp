@@ -38,7 +38,7 @@ class Peer final : public entity_manager::ServerEvents, public std::enable_share
         asio::post(strand_, [this, lane, to, text] {
             Header head;
             head.entity = to;
-            head.msg_type = kMsgText;
+            head.msg_type = kMsgCollaboration;
             proto::ToEntity message;
             message.mutable_text()->set_text(text);
             way_->sendToPeer(lane, head, message);

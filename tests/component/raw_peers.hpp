@@ -284,6 +284,12 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
     void text(const std::string& entity, const std::string& text, std::int64_t sequence = 1) {
         dataOneway()->sendToEntity(transport::toIce(headTo(entity, sequence)), toRange(text));
     }
+    /// As whoever wants to hold it does first.
+    void asksFor(const std::string& entity) {
+        auto head = headTo(entity);
+        head.msg_type = kMsgCheckOut;
+        data()->sendToEntity(transport::toIce(head), toRange("check-out"));
+    }
     void stop(const std::string& entity) {
         signalOneway()->sendStopSignal(transport::toIce(headTo(entity)),
                                        Axon::CommUtil::StopCause::Requested);

@@ -122,19 +122,19 @@ TEST_F(SeveralServers, EntitiesReachEachOtherAcrossEntityServers) {
     slave.join();
     Header head;
     head.entity = kSecond;
-    head.msg_type = kMsgTask;
+    head.msg_type = kMsgCollaboration;
     EXPECT_TRUE(waitUntil([&] {  // until each server knows of the other's entities
         master.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 1"));
-        return waitUntil([&] { return slave.log.has("msg Master TASK step 1"); }, 50ms);
+        return waitUntil([&] { return slave.log.has("msg Master COLLABORATION step 1"); }, 50ms);
     }));
     master.signalOneway()->sendToPeer(transport::toIce(head), toRange("beat"));
-    EXPECT_TRUE(waitUntil([&] { return slave.log.has("signal msg Master TASK beat"); }));
-    EXPECT_FALSE(slave.log.has("msg Master TASK beat"));
+    EXPECT_TRUE(waitUntil([&] { return slave.log.has("signal msg Master COLLABORATION beat"); }));
+    EXPECT_FALSE(slave.log.has("msg Master COLLABORATION beat"));
 
     es1->publishTo({}, {});  // messages between entities need no topic
     es2->publishTo({}, {});
     master.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 2"));
-    EXPECT_TRUE(waitUntil([&] { return slave.log.has("msg Master TASK step 2"); }));
+    EXPECT_TRUE(waitUntil([&] { return slave.log.has("msg Master COLLABORATION step 2"); }));
     join();
     slave.data()->destroy();
     EXPECT_TRUE(waitUntil([&] {
@@ -150,6 +150,7 @@ TEST_F(SeveralServers, RefuseAnEntityThatAnotherOneHas) {
     witness.join();
     Header head;
     head.entity = kFirst;
+    head.msg_type = kMsgCollaboration;
     ASSERT_TRUE(waitUntil([&] {
         witness.dataOneway()->sendToPeer(transport::toIce(head), toRange("there?"));
         return waitUntil([&] { return first.log.has("msg Witness"); }, 50ms);

@@ -209,9 +209,9 @@ TEST_F(Servers, CarryMessagesBetweenEntities) {
     second.join();
     Header head;
     head.entity = kSecond;
-    head.msg_type = kMsgTask;
+    head.msg_type = kMsgCollaboration;
     first.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 1"));
-    EXPECT_TRUE(waitUntil([&] { return second.log.has("msg Master TASK step 1"); }));
+    EXPECT_TRUE(waitUntil([&] { return second.log.has("msg Master COLLABORATION step 1"); }));
     head.entity = "nobody";
     first.dataOneway()->sendToPeer(transport::toIce(head), toRange("step 2"));
     EXPECT_TRUE(waitUntil([&] { return first.log.has("refused 20"); }));
@@ -219,7 +219,7 @@ TEST_F(Servers, CarryMessagesBetweenEntities) {
     EXPECT_TRUE(waitUntil([&] { return first.log.has("signal refused 20"); }));
     head.entity = kSecond;
     first.signalOneway()->sendToPeer(transport::toIce(head), toRange("beat"));
-    EXPECT_TRUE(waitUntil([&] { return second.log.has("signal msg Master TASK beat"); }));
+    EXPECT_TRUE(waitUntil([&] { return second.log.has("signal msg Master COLLABORATION beat"); }));
 }
 
 TEST_F(Servers, RefuseWhatIsForNobody) {
@@ -314,6 +314,7 @@ TEST_F(Servers, StopForAClientThatFallsSilentWhileItsTaskRuns) {
         2000;  // the stub sends no keepAlive; only the client is to be late
     robot.join();
     RawClient client(clients());
+    client.asksFor(kFirst);
     const auto start = std::chrono::steady_clock::now();
     robot.status(EntityState::BUSY, client.facts.me.id);
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop client lost"); }));

@@ -7,7 +7,7 @@
 #include <string>
 #include <string_view>
 
-#include "server/socket_owner.hpp"
+#include "common/socket_owner.hpp"
 #include "server/users.hpp"
 
 namespace {
@@ -24,7 +24,7 @@ void require(bool holds) {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
     using axon::server::Users;
     const std::string text(reinterpret_cast<const char*>(bytes), size);
-    axon::server::socketOwner(std::string_view(text), "127.0.0.1:50122", "127.0.0.1:10410");
+    axon::socketOwner(std::string_view(text), "127.0.0.1:50122", "127.0.0.1:10410");
     std::size_t before = 0;
     try {
         before = Users::parse(text, "f").size();

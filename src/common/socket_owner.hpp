@@ -1,11 +1,11 @@
-// SPDX-License-Identifier: GPL-2.0-or-later
+// SPDX-License-Identifier: MIT
 #pragma once
 #include <cstdint>
 #include <optional>
 #include <string>
 #include <string_view>
 
-namespace axon::server {
+namespace axon {
 
 // Whose process has the other end of a connection on this machine; `from` is that end and `to` ours
 // ("127.0.0.1:50122", "::1:50122").
@@ -29,4 +29,4 @@ KernelAnswer askKernel(const std::string& from, const std::string& to);
 /// permitted. Threads: any.
 std::optional<std::uint32_t> socketOwner(const std::string& from, const std::string& to);
 
-}  // namespace axon::server
+}  // namespace axon

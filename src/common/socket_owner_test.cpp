@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "server/socket_owner.hpp"
+#include "common/socket_owner.hpp"
 
 #include <arpa/inet.h>
 #include <gtest/gtest.h>
@@ -18,7 +18,7 @@
 #include <utility>
 #include <vector>
 
-namespace axon::server {
+namespace axon {
 namespace {
 
 constexpr const char* kHead =
@@ -213,4 +213,4 @@ TEST(SocketOwner, IsFoundAsFastAmongThousandsOfSockets) {
 }
 
 }  // namespace
-}  // namespace axon::server
+}  // namespace axon

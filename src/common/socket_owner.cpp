@@ -1,5 +1,5 @@
-// SPDX-License-Identifier: GPL-2.0-or-later
-#include "server/socket_owner.hpp"
+// SPDX-License-Identifier: MIT
+#include "common/socket_owner.hpp"
 
 #include <arpa/inet.h>
 #include <linux/inet_diag.h>
@@ -22,7 +22,7 @@
 
 #include "common/descriptor.hpp"
 
-namespace axon::server {
+namespace axon {
 namespace {
 
 /// The address of one end, in the network's order. Of IPv4 the first word alone counts.
@@ -196,4 +196,4 @@ std::optional<std::uint32_t> socketOwner(const std::string& from, const std::str
     return socketOwner(contentOf("/proc/net/tcp6"), from, to);
 }
 
-}  // namespace axon::server
+}  // namespace axon

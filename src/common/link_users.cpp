@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: MIT
+#include "common/link_users.hpp"
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <pwd.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+
+#include "common/port_range.hpp"
+#include "common/socket_owner.hpp"
+
+namespace axon {
+namespace {
+
+std::optional<uid_t> uidOf(const std::string& name) {
+    uid_t number = 0;
+    const auto [end, error] = std::from_chars(name.data(), name.data() + name.size(), number);
+    if (error == std::errc{} && end == name.data() + name.size()) return number;
+    passwd entry{};
+    passwd* found = nullptr;
+    std::array<char, 4096> texts;
+    if (::getpwnam_r(name.c_str(), &entry, texts.data(), texts.size(), &found) != 0 || found == nullptr) return std::nullopt;
+    return entry.pw_uid;
+}
+
+struct End {
+    std::string address;
+    std::string text;  // with the port
+};
+
+template <class Ask>
+std::optional<End> endOf(int socket, Ask ask) {
+    sockaddr_in at{};
+    socklen_t size = sizeof at;
+    if (ask(socket, reinterpret_cast<sockaddr*>(&at), &size) != 0 || at.sin_family != AF_INET) return std::nullopt;
+    std::array<char, INET_ADDRSTRLEN> text{};
+    ::inet_ntop(AF_INET, &at.sin_addr, text.data(), text.size());
+    return End{text.data(), std::string(text.data()) + ":" + std::to_string(ntohs(at.sin_port))};
+}
+
+}  // namespace
+
+LinkUsers::LinkUsers() : uids_{::geteuid(), 0} {}
+
+Result<LinkUsers> LinkUsers::parse(std::string_view names, std::string_view where) {
+    LinkUsers out;
+    while (true) {
+        const auto from = names.find_first_not_of(" \t,");
+        if (from == std::string_view::npos) return out;
+        names.remove_prefix(from);
+        const std::string name(names.substr(0, names.find_first_of(" \t,")));
+        names.remove_prefix(name.size());
+        const auto uid = uidOf(name);
+        if (!uid)
+            return Refusal{RefusalCode::Malformed,
+                           std::string(where) + ": '" + name.substr(0, 80) + "' is no user of this machine: expected names or numbers, as in 'Axon.Users = axon 1001': correct the name",
+                           {}};
+        out.uids_.push_back(*uid);
+    }
+}
+
+bool LinkUsers::admits(uid_t uid) const { return std::find(uids_.begin(), uids_.end(), uid) != uids_.end(); }
+
+std::optional<Refusal> LinkUsers::check(int socket) const {
+    const auto peer = endOf(socket, ::getpeername);
+    const auto own = endOf(socket, ::getsockname);
+    const auto uid = peer && own ? socketOwner(peer->text, own->text) : std::nullopt;
+    if (uid) {
+        if (admits(*uid)) return std::nullopt;
+        const auto its = std::to_string(*uid);
+        return Refusal{RefusalCode::PermissionDenied,
+                       "the other end of the link belongs to the user with the number " + its + ", this one to " + std::to_string(::geteuid()) +
+                           ": run both as one user, or write 'Axon.Users = " + its + "' into the ports.cfg of this one",
+                       {}};
+    }
+    if (peer && own && !isLoopback(peer->address) && peer->address != own->address) return std::nullopt;
+    return Refusal{RefusalCode::PermissionDenied,
+                   "the kernel does not say whose the other end of the link is: it has just been closed, or a sandbox forbids netlink and "
+                   "/proc/net/tcp to this process; permit one of them",
+                   {}};
+}
+
+}  // namespace axon

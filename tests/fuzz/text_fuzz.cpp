@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// What people write: a query for entities, and a ports.cfg. Any text is one or a refusal that says what was expected. The
+// first byte chooses.
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <string_view>
+
+#include "client/entity_query.hpp"
+#include "common/port_range.hpp"
+
+namespace {
+
+using namespace axon;
+
+void require(bool holds, const char* claim) {
+    if (holds) return;
+    std::fprintf(stderr, "text_fuzz: not true: %s\n", claim);
+    std::abort();
+}
+
+template <class T>
+void requireMend(const Result<T>& result) {
+    if (!result) require(!result.refusal().message.empty(), "a refusal says why");
+}
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
+    if (size == 0) return 0;
+    const std::string_view text(reinterpret_cast<const char*>(bytes + 1), size - 1);
+    if (bytes[0] % 2 == 0) {
+        requireMend(client::parseQuery(text));
+        return 0;
+    }
+    const auto ports = parsePorts(text, "ports.cfg");
+    requireMend(ports);
+    if (ports)
+        require(ports->ports.first >= PortRange::kLowest && ports->ports.first <= ports->ports.last &&
+                    ports->ports.last <= PortRange::kHighest,
+                "the range is within 5500 to 8000");
+    return 0;
+}

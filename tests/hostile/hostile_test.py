@@ -1,0 +1,260 @@
+#!/usr/bin/python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""What peers may try who have logged in, or who merely reach a port, and who mean harm: each test is one attack on real
+programs, with clients and entities written from the contracts alone (tests/foreign/client.py, peer.py).
+
+    /usr/bin/python3 tests/hostile/hostile_test.py --bin build/dev/bin [unittest options]
+"""
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import unittest
+import uuid
+
+HERE = pathlib.Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "foreign")]
+sys.dont_write_bytecode = True
+from rig import ROOT, compile_contracts, make_laboratory  # noqa: E402
+from laboratory import keep_if_failed, stays, wait_until  # noqa: E402
+
+GENERATED = tempfile.TemporaryDirectory(prefix="axon-contracts-")
+compile_contracts("slice2py", GENERATED.name)
+sys.path.insert(0, GENERATED.name)
+import Ice  # noqa: E402
+from Axon import CommUtil, FrontEndComm  # noqa: E402
+from axon import collaboration_pb2, lease_pb2, messages_pb2, refusal_pb2, status_pb2, task_pb2  # noqa: E402
+from client import Client  # noqa: E402
+from peer import Peer  # noqa: E402
+
+State = CommUtil.EntityState
+Stage = status_pb2.StopReceipt
+
+
+def code(number):
+    return refusal_pb2.RefusalCode.Name(number)
+
+
+def resident_mib(process):
+    status = pathlib.Path(f"/proc/{process.child.pid}/status").read_text()
+    return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
+
+
+class HostileTest(unittest.TestCase):
+    def setUp(self):
+        self.lab = make_laboratory()
+        self.addCleanup(self.tidy)
+
+    def tidy(self):
+        self.lab.end()
+        keep_if_failed(self, self.lab.folder)
+
+    def client(self, user="bob", **more):
+        client = Client(self.lab.at["client"], user, f"word of {user}", **more)
+        self.addCleanup(client.close)
+        return client
+
+    def peer(self, name, **more):
+        peer = Peer(self.lab.at["entity"], "robot", "word of robot", name, **more)
+        self.addCleanup(peer.close)
+        return peer
+
+    def holder(self):
+        """A client that holds the entity, which is not latched."""
+        client = self.client("ann")
+        entity = client.find("Counter")
+        reply = client.checkout(entity)
+        self.assertEqual(code(reply.refusal.code), "OK", reply.refusal)
+        if reply.latched:
+            self.rearm(client, entity)
+        return client, entity
+
+    def rearm(self, client, entity):
+        wait_until(lambda: client.statuses[entity].latched, "the client sees the latch")
+        self.assertEqual(code(client.rearm(entity).code), "OK")
+
+    def run_task(self, client, entity):
+        task = client.start(entity, "Count", To=1_000_000)
+        client.answer("task", entity, task_id=task, state=task_pb2.TASK_RUNNING)
+        return task
+
+    def state(self, client, entity):
+        return client.statuses[entity].state
+
+    # -- who may say what -----------------------------------------------------------------------------------------
+
+    def test_an_entity_commands_no_other(self):
+        witness = self.client("guest")
+        victim = witness.find("Counter")
+        peer = self.peer("Trojan")
+        request = lease_pb2.CheckOutRequest(request_id=uuid.uuid4().bytes, phase=lease_pb2.TAKE)
+        for lane in ("data", "signal"):
+            for kind in ("CHECKOUT", "TASK", "REARM", ""):
+                seq = peer.to_peer(victim, kind, {"check_out": request}, lane)
+                self.assertEqual(code(peer.refused(seq)), "PERMISSION_DENIED", kind)
+            # What the server lets pass by its header is not what it says it is.
+            for kind in ("COLLABORATION", "RAW"):
+                peer.to_peer(victim, kind, {"check_out": request}, lane)
+        stays(lambda: self.state(witness, victim) == State.IDLE and not witness.statuses[victim].holder.id, "nobody holds it", 0.5)
+
+    def test_an_entity_that_names_a_holder_is_not_believed(self):
+        holder, entity = self.holder()
+        liar = self.peer("Liar")
+        liar.status(State.BUSY, holder.facts.me.id, (1, 1))
+        wait_until(lambda: holder.statuses.get(liar.entity) and self.state(holder, liar.entity) == State.BUSY, "the lie is told")
+        # A client whose robots stand beats every two seconds.
+        stays(lambda: not holder.closed.is_set() and self.state(holder, entity) == State.REG, "the client keeps what it holds", 1.5)
+        self.assertFalse(holder.statuses[entity].latched)
+        self.assertIn("is not believed", self.lab.server.text())
+
+    def test_a_client_gives_no_orders_of_a_run(self):
+        client = self.client()
+        entity = client.find("Counter")
+        order = collaboration_pb2.FromMaster(run_id=uuid.uuid4().bytes, end=collaboration_pb2.CollaborationEnd(stop=True))
+        seq = client.send(entity, "COLLABORATION", {"from_master": order})
+        refusal = client.wait(lambda _, head, message: isinstance(message, tuple) and head.seq == seq)[2]
+        self.assertEqual(code(refusal[0]), "PERMISSION_DENIED")
+
+    def test_a_callback_leads_to_nobody_else(self):
+        client = Client.__new__(Client)
+        client.news, client.communicators, client.closed, client.hurry = threading.Condition(), [], threading.Event(), threading.Event()
+        self.addCleanup(client.destroy)
+        host, port = self.lab.at["client"].rsplit(":", 1)
+        session, _ = client.open("data", f"tcp -h {host} -p {port}", "bob", "word of bob", "bob@example")
+        elsewhere = FrontEndComm.ClientCallbackPrx.uncheckedCast(
+            client.communicators[0].stringToProxy("callback:tcp -h 127.0.0.77 -p 22"))
+        with self.assertRaises(CommUtil.RequestRefused) as refused:
+            session.setCallback(elsewhere)
+        self.assertEqual(code(refused.exception.code), "PERMISSION_DENIED")
+        self.assertIn("another address", refused.exception.reason)
+
+    # -- what it may cost -----------------------------------------------------------------------------------------
+
+    def test_lists_of_stops_hold_nobody_up(self):
+        holder, entity = self.holder()
+        self.run_task(holder, entity)
+        names = [""] * 1_000_000
+        attackers = [self.client("guest") for _ in range(3)]
+
+        def attack(client):
+            for _ in range(4):
+                try:
+                    client.oneway("signal").sendStopSignals(client.head("", "", "signal"), names, CommUtil.StopCause.Drill)
+                except Ice.Exception:
+                    return
+
+        threads = [threading.Thread(target=attack, args=(client,), daemon=True) for client in attackers]
+        for thread in threads:
+            thread.start()
+        for _ in range(10):
+            stays(lambda: not holder.closed.is_set() and self.state(holder, entity) == State.BUSY, "the holder is not lost", 0.1)
+        for thread in threads:
+            thread.join()
+        self.assertFalse(holder.closed.is_set(), "the holder's session")
+        receipts = holder.stop(entity, until=Stage.CALLBACK_RETURNED)
+        self.assertEqual(receipts[-1].stage, Stage.CALLBACK_RETURNED)
+
+    def test_a_stranger_sends_an_entity_little(self):
+        holder, entity = self.holder()
+        stranger = self.client("guest")
+        stranger.find("Counter")
+        for _ in range(20):
+            seq = stranger.send(entity, "TEXT", {"text": messages_pb2.Text(text="x" * 3_000_000)})
+            refusal = stranger.wait(lambda _, head, message: isinstance(message, tuple) and head.seq == seq)[2]
+            self.assertEqual(code(refusal[0]), "TOO_LARGE")
+        self.run_task(holder, entity)
+        self.assertFalse(holder.closed.is_set())
+
+    def test_log_ins_keep_no_memory_with_long_passwords(self):
+        host, port = self.lab.at["client"].rsplit(":", 1)
+        before = resident_mib(self.lab.server)
+        communicator = Ice.initialize(["--Ice.MessageSizeMax=4096", "--Ice.Default.Timeout=20000"])
+        self.addCleanup(communicator.destroy)
+        gate = FrontEndComm.ClientGatePrx.uncheckedCast(communicator.stringToProxy(f"ClientGate:tcp -h {host} -p {port}"))
+        password = "p" * 3_900_000
+        waiting = [gate.openAsync("bob", password, "bob@example") for _ in range(60)]
+        codes = set()
+        for future in waiting:
+            with self.assertRaises(CommUtil.RequestRefused) as refused:
+                future.result()
+            codes.add(code(refused.exception.code))
+        self.assertEqual(codes, {"MALFORMED"})
+        self.assertLess(resident_mib(self.lab.server), before + 100, "MiB; all of them together have 234")
+
+    # -- what outlives who caused it -------------------------------------------------------------------------------
+
+    def test_who_waited_and_left_is_granted_nothing(self):
+        holder, entity = self.holder()
+        ghost = self.client("bob")
+        ghost.find("Counter")
+        request = lease_pb2.CheckOutRequest(request_id=uuid.uuid4().bytes, phase=lease_pb2.TAKE, wait=True)
+        ghost.send(entity, "CHECKOUT", {"check_out": request})
+        wait_until(lambda: holder.statuses[entity].waiting == 1, "it waits")
+        ghost.close()
+        wait_until(lambda: holder.statuses[entity].waiting == 0, "its place is given up as it leaves", 3)
+        holder.release(entity)
+        stays(lambda: not holder.statuses[entity].holder.id or holder.statuses[entity].holder.id == holder.facts.me.id,
+              "nobody is granted it", 0.5)
+
+    def test_a_stop_under_a_number_that_was_used_before_stops(self):
+        holder, entity = self.holder()
+        self.run_task(holder, entity)
+        other = self.client("guest")
+        other.find("Counter")
+
+        def stop(seq):
+            head = other.head(entity, "", "signal")
+            head.seq = seq
+            other.oneway("signal").sendStopSignal(head, CommUtil.StopCause.Requested)
+            while True:
+                receipt = other.answer("receipt", entity, stop_id=f"{other.facts.me.id}:{seq}")
+                if receipt.stage >= Stage.CALLBACK_RETURNED:
+                    return receipt
+
+        first = stop(7)
+        self.rearm(holder, entity)
+        self.run_task(holder, entity)
+        wait_until(lambda: other.statuses[entity].state == State.BUSY, "it runs again")
+        second = stop(7)
+        self.assertGreater(second.stop_generation, first.stop_generation, "it is another stop")
+        wait_until(lambda: holder.statuses[entity].latched, "the robot is stopped")
+
+    # -- state ----------------------------------------------------------------------------------------------------
+
+    def manager_on(self, state):
+        return subprocess.run([self.lab.bin / "axon-entity-manager", "--server", self.lab.at["entity"], "--state", state,
+                               "--application", "nobody"], env=self.lab.env, capture_output=True, text=True, timeout=20, check=False)
+
+    def state_folder(self):
+        return next(path.parent for path in (self.lab.folder / "state").rglob("lock"))
+
+    def test_a_state_folder_has_one_entity_manager(self):
+        self.client().find("Counter")
+        done = self.manager_on(self.state_folder())
+        self.assertEqual(done.returncode, 2, done.stderr)
+        self.assertRegex(done.stderr, r"is used by another Entity Manager \(process \d+\); fix: ")
+
+    def test_a_damaged_identity_is_an_error_and_no_new_robot(self):
+        state = self.lab.folder / "damaged"
+        shutil.copytree(self.state_folder(), state)
+        uuid_file = state / f"{'uuid'.encode().hex()}.value"
+        for content in (b"", b"\0" * 36, uuid_file.read_bytes()[:20]):
+            uuid_file.write_bytes(content)
+            done = self.manager_on(state)
+            self.assertEqual(done.returncode, 2, done.stderr)
+            self.assertIn('"uuid" is damaged', done.stderr)
+
+    def test_a_closed_terminal_ends_the_server_in_order(self):
+        holder, entity = self.holder()
+        self.run_task(holder, entity)
+        self.lab.server.child.send_signal(signal.SIGHUP)
+        self.assertEqual(self.lab.server.child.wait(10), 0)
+        self.assertIn("shutting down on SIGHUP", self.lab.server.text())
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
