@@ -2,6 +2,7 @@
 #include "front_end_server/front_end_core.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <mutex>
 #include <string_view>
 #include <unordered_set>
@@ -335,18 +336,17 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     if (cause != StopCause::Drill) cause = StopCause::Requested;
     if (head.sequence >= kServerSequences) head.sequence = 0;
     // Each entity once, and the first of a list that nobody who means it would send.
+    const auto end = entities.begin() + static_cast<std::ptrdiff_t>(std::min(entities.size(), kStopsAtOnce));
     std::unordered_set<std::string_view> seen;
     std::vector<std::string> wanted;
-    for (const auto& entity : entities) {
-        if (wanted.size() == kStopsAtOnce) break;
-        if (seen.insert(entity).second) wanted.push_back(entity);
-    }
+    std::copy_if(entities.begin(), end, std::back_inserter(wanted),
+                 [&](const auto& entity) { return seen.insert(entity).second; });
     if (cause == StopCause::Drill && drillsTooMuch(client, head, wanted.size())) return;
     topic_.stopSignals(head, wanted, cause);
     const auto known = [&](const std::string& entity) { return known_.find(entity, kSignal) != nullptr; };
     const auto targets = std::count_if(wanted.begin(), wanted.end(), known);
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
-    if (wanted.size() == kStopsAtOnce && entities.size() > kStopsAtOnce)
+    if (entities.size() > kStopsAtOnce)
         client->signalOutbox()->newRefusalMsg(
             head, refuse(RefusalCode::TooLarge, "the stop has been given to the first " + std::to_string(kStopsAtOnce) +
                                                     " entities of its list; stop all by an empty name, or send more lists"));

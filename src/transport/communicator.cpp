@@ -51,7 +51,7 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
     Ice::InitializationData init;
     init.properties = Ice::createProperties();
     const std::map<std::string, std::string> defaults = {
-        {"Ice.MessageSizeMax", std::to_string(kMessageSizeMaxKib)},
+        {"Ice.MessageSizeMax", std::to_string(settings.lane == Lane::Signal ? kSignalSizeMaxKib : kMessageSizeMaxKib)},
         {"Ice.RetryIntervals", "-1"},
         {"Ice.IPv6", "0"},
         {"Ice.Warn.Connections", "0"},
@@ -129,7 +129,8 @@ Refusal translate(std::exception_ptr error, bool setting_up_tls) {
     } catch (const Ice::MemoryLimitException&) {
         return {
             RefusalCode::TooLarge,
-            "the message is larger than " + std::to_string(kMessageSizeMaxKib) + " KiB; send it in chunks",
+            "the message is larger than " + std::to_string(kMessageSizeMaxKib) + " KiB (on a signal lane " +
+                std::to_string(kSignalSizeMaxKib) + "); send it in chunks",
             {}};
     } catch (const Ice::ConnectFailedException&) {
         return {RefusalCode::NotConnected,

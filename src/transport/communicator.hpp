@@ -15,6 +15,9 @@ namespace axon::transport {
 /// The largest message anybody accepts, in KiB: an uncompressed camera picture fits. Whoever sends a larger
 /// one is disconnected by the receiver.
 inline constexpr int kMessageSizeMaxKib = 4096;
+/// The same for what a signal lane receives: a stop of 8,192 entities by their ids fits. Whoever may send there makes
+/// nobody's stop wait for a list to be unpacked.
+inline constexpr int kSignalSizeMaxKib = 512;
 
 /// SCHED_RR priorities of signal lanes: above ordinary threads, below the kernel's own interrupt threads
 /// (50). Receipts give way to stops.

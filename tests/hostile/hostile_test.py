@@ -137,7 +137,7 @@ class HostileTest(unittest.TestCase):
     def test_lists_of_stops_hold_nobody_up(self):
         holder, entity = self.holder()
         self.run_task(holder, entity)
-        names = [""] * 1_000_000
+        names = [""] * 500_000  # one more byte each: just below what the lane takes
         attackers = [self.client("guest") for _ in range(3)]
 
         def attack(client):
@@ -157,6 +157,13 @@ class HostileTest(unittest.TestCase):
         self.assertFalse(holder.closed.is_set(), "the holder's session")
         receipts = holder.stop(entity, until=Stage.CALLBACK_RETURNED)
         self.assertEqual(receipts[-1].stage, Stage.CALLBACK_RETURNED)
+
+    def test_a_signal_above_the_bound_ends_its_senders_session_only(self):
+        holder, entity = self.holder()
+        attacker = self.client("guest")
+        attacker.oneway("signal").sendStopSignals(attacker.head("", "", "signal"), [""] * 1_000_000, CommUtil.StopCause.Drill)
+        wait_until(lambda: "larger than 4096 KiB (on a signal lane 512)" in self.lab.server.text(), "the log tells of whom")
+        stays(lambda: not holder.closed.is_set() and self.state(holder, entity) == State.REG, "the holder goes on", 0.5)
 
     def test_a_stranger_sends_an_entity_little(self):
         holder, entity = self.holder()
