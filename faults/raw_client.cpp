@@ -15,6 +15,7 @@
 #include "common/ids.hpp"
 #include "raw_paths.hpp"
 #include "transport/communicator.hpp"
+#include "transport/contract.hpp"
 #include "transport/convert.hpp"
 
 namespace axon::faults {
@@ -232,7 +233,7 @@ class RawClient::Session {
                                                 const std::shared_ptr<Session>& self,
                                                 std::shared_ptr<ClientSessionPrx>& session) const {
         const auto gate = Ice::uncheckedCast<ClientGatePrx>(
-            communicator.stringToProxy(gate_text)->ice_invocationTimeout(3000));
+            communicator.stringToProxy(gate_text)->ice_context(transport::contractContext())->ice_invocationTimeout(3000));
         const auto opened = gate->open("", "", name_);
         const auto connection = gate->ice_getCachedConnection();
         const auto adapter = communicator.createObjectAdapter("");

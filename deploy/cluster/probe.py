@@ -6,6 +6,7 @@ A port that accepts says little (a router accepts while no server is behind it);
 import socket
 import struct
 
+CONTRACT = "1"  # CommUtil.ContractNumber; servers refuse another
 MAGIC = b"IceP"
 HEADER = struct.Struct("<4sBBBBBBi")
 REQUEST, REPLY, VALIDATE = 0, 2, 3
@@ -129,5 +130,5 @@ def subscribers(host, port, topic):
 def make_session(host, port, router, user, password, tls=None):
     """Logs in at a Glacier2 router and leaves again; NoAnswer with the router's or the server's reason."""
     with Connection(host, port, tls, 5.0) as connection:
-        connection.call(router, "createSession", text(user) + text(password), {"axon-name": "axon-cluster"})
+        connection.call(router, "createSession", text(user) + text(password), {"axon-name": "axon-cluster", "axon-contract": CONTRACT})
         connection.call(router, "destroySession")

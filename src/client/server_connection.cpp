@@ -6,6 +6,7 @@
 
 #include "client/send_queue.hpp"
 #include "transport/communicator.hpp"
+#include "transport/contract.hpp"
 #include "transport/convert.hpp"
 #include "transport/lane_socket.hpp"
 #include "transport/routed_session.hpp"
@@ -154,6 +155,7 @@ Opened openAtGate(const LaneHome& home, const std::string& endpoint, const Login
     const auto gate =
         Ice::uncheckedCast<slice::ClientGatePrx>(home.communicator->stringToProxy("ClientGate:" + endpoint)
                                                      ->ice_connectionId(Ice::generateUUID())
+                                                     ->ice_context(transport::contractContext())
                                                      ->ice_invocationTimeout(timeout_ms));
     try {
         const auto opened = gate->open(login.user, login.password, login.display_name);

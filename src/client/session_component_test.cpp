@@ -19,6 +19,7 @@
 #include "support/loopback.hpp"
 #include "support/tcp_gate.hpp"
 #include "transport/communicator.hpp"
+#include "transport/contract.hpp"
 #include "transport/convert.hpp"
 #include "transport/timer_thread.hpp"
 
@@ -184,7 +185,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
                                                        const std::string& endpoint,
                                                        std::shared_ptr<slice::EntitySessionPrx>& session) {
         const auto gate = Ice::uncheckedCast<slice::EntityGatePrx>(
-            home.communicator()->stringToProxy("EntityGate:" + endpoint));
+            home.communicator()->stringToProxy("EntityGate:" + endpoint)->ice_context(transport::contractContext()));
         const auto opened = gate->open("", "");
         const auto connection = gate->ice_getCachedConnection();
         const auto adapter = home.communicator()->createObjectAdapter("");

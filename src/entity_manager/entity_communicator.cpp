@@ -14,6 +14,7 @@
 #include "entity_manager/due_timer.hpp"
 #include "entity_manager/server_communicators.hpp"
 #include "transport/communicator.hpp"
+#include "transport/contract.hpp"
 #include "transport/convert.hpp"
 #include "transport/endpoint.hpp"
 #include "transport/lane_socket.hpp"
@@ -283,6 +284,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
             proxy
                 ->ice_connectionId(std::to_string(reinterpret_cast<std::uintptr_t>(this)) + "-" +
                                    std::to_string(attempt_))
+                ->ice_context(transport::contractContext())
                 ->ice_invocationTimeout(kLoginTimeoutMs));
         gate->openAsync(
             address_.user, address_.password,

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "transport/communicator.hpp"
+#include "transport/contract.hpp"
 #include "transport/convert.hpp"
 #include "transport/endpoint.hpp"
 #include "transport/lane_socket.hpp"
@@ -21,6 +22,7 @@
 #include "transport/peer_connection.hpp"
 #include "transport/routed_connection.hpp"
 #include "transport/tls.hpp"
+#include "transport/unreadable_calls.hpp"
 
 // A session of two lanes, on the server's side: what a client's and an Entity Manager's have in common.
 namespace axon::transport {
@@ -132,14 +134,14 @@ class LaneSession {
     std::atomic<bool> ready_{false};
 };
 
-/// Puts a session's servant behind a proxy; it ends with its peer (`closed(reason)`).
+/// Puts a session's servant behind a proxy that tells of unreadable calls; it ends with its peer (`closed(reason)`).
 template <class SessionPrx, class Core, class Servant>
 std::shared_ptr<SessionPrx> addSession(SessionLane<Core, Servant>& lane,
                                        const std::shared_ptr<PeerConnection>& peer,
                                        const std::shared_ptr<Servant>& servant,
                                        const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
     valueOrThrow(lane.sessions.add(peer->key(), servant));
-    auto proxy = Ice::uncheckedCast<SessionPrx>(adapter->addWithUUID(servant));
+    auto proxy = Ice::uncheckedCast<SessionPrx>(adapter->addWithUUID(std::make_shared<UnreadableCalls>(servant, peer->peer())));
     peer->onClosed([&lane, servant, key = peer->key(), adapter,
                     id = proxy->ice_getIdentity()](const CloseReason& reason) {
         lane.sessions.remove(key);
@@ -160,6 +162,7 @@ void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<DirectC
                  LoginRequest request, std::function<void(const std::shared_ptr<SessionPrx>&)> opened,
                  std::function<void(std::exception_ptr)> refused, const Ice::Current& current, Make make,
                  Ask ask) {
+    if (const auto other = otherContract(current.ctx)) return refused(std::make_exception_ptr(toIce(*other)));
     request.peer = DirectConnection::peerOf(*peer->get());
     request.local = DirectConnection::localOf(*peer->get());
     request.certificate = certificateOf(*peer->get());

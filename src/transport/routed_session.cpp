@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "transport/contract.hpp"
 #include "transport/router_servants.hpp"
 
 namespace axon::transport {
@@ -26,7 +27,7 @@ class Opening : public std::enable_shared_from_this<Opening> {
           failed_(std::move(failed)) {}
 
     void begin(const RoutedLogin& login) {
-        Ice::Context context;
+        auto context = contractContext();
         if (!login.display_name.empty()) context[kContextName] = login.display_name;
         if (!login.token.empty()) context[kContextToken] = login.token;
         attempt([&] {

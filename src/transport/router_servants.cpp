@@ -11,6 +11,7 @@
 #include "certificates/certificate.hpp"
 #include "transport/adapter.hpp"
 #include "transport/communicator.hpp"
+#include "transport/contract.hpp"
 #include "transport/convert.hpp"
 
 namespace axon::transport {
@@ -66,6 +67,7 @@ std::shared_ptr<Glacier2::SessionPrx> createSession(
                      DirectConnection::peerOf(*current.con), may.refusal().message);
         cannotCreate(may.refusal().message);
     }
+    if (const auto other = otherContract(current.ctx)) cannotCreate(other->message);
     if (!control)
         cannotCreate("the router has no way back: set Glacier2.Server.Endpoints in its configuration");
     const auto token = current.ctx.find(kContextToken);

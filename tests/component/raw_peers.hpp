@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "transport/communicator.hpp"
+#include "transport/contract.hpp"
 #include "transport/convert.hpp"
 #include "transport/routed_session.hpp"
 
@@ -112,7 +113,8 @@ class RawPeer {
                                                  const std::string& gate_text, const Open& open,
                                                  const std::shared_ptr<Ice::Object>& servant,
                                                  std::shared_ptr<SessionPrx>& session) {
-        const auto gate = Ice::uncheckedCast<GatePrx>(communicator.stringToProxy(gate_text));
+        const auto gate = Ice::uncheckedCast<GatePrx>(
+            communicator.stringToProxy(gate_text)->ice_context(transport::contractContext()));
         const auto opened = open(gate);
         const auto connection = gate->ice_getCachedConnection();
         const auto adapter = communicator.createObjectAdapter("");

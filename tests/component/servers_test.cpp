@@ -427,7 +427,7 @@ TEST_F(ServerUsers, ASessionOnTheSignalPortIsNothingWithoutAToken) {
     const auto communicator = transport::makeCommunicator({});
     const auto gate =
         Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(communicator.communicator()->stringToProxy(
-            "ClientGate:" + transport::tcpEndpoint(server->clientAddress(Lane::Signal))));
+            "ClientGate:" + transport::tcpEndpoint(server->clientAddress(Lane::Signal)))->ice_context(transport::contractContext()));
     const auto opened = gate->open("", "", "eve");
     const auto session = Ice::uncheckedCast<Axon::FrontEndComm::ClientSessionPrx>(
         gate->ice_getCachedConnection()->createProxy(opened->ice_getIdentity()));
@@ -443,7 +443,7 @@ TEST_F(ServerUsers, GuessingHoldsUpNoStop) {
     const auto client = logIn("client1", "password of client1");
     const auto communicator = transport::makeCommunicator({});
     const auto gate = Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(
-        communicator.communicator()->stringToProxy("ClientGate:" + transport::tcpEndpoint(clients())));
+        communicator.communicator()->stringToProxy("ClientGate:" + transport::tcpEndpoint(clients()))->ice_context(transport::contractContext()));
     std::atomic<int> refused{0};
     for (int i = 0; i < 40; ++i) {
         gate->openAsync(
@@ -569,9 +569,40 @@ TEST_F(Servers, AnswerASessionOnlyOnItsOwnConnection) {
 TEST_F(Servers, OpenOneSessionForEachConnection) {
     const auto communicator = transport::makeCommunicator({});
     const auto gate = Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(
-        communicator.communicator()->stringToProxy("ClientGate:" + transport::tcpEndpoint(clients())));
+        communicator.communicator()->stringToProxy("ClientGate:" + transport::tcpEndpoint(clients()))->ice_context(transport::contractContext()));
     gate->open("", "", "one");
     EXPECT_THROW(gate->open("", "", "two"), Axon::CommUtil::RequestRefused);
+}
+
+TEST_F(Servers, RefuseWhoHasAnotherContract) {
+    const auto communicator = transport::makeCommunicator({});
+    const auto answer = [&](const std::string& identity, const std::string& address, const Ice::Context& context) {
+        const auto proxy = communicator.communicator()
+                               ->stringToProxy(identity + ":" + transport::tcpEndpoint(address))
+                               ->ice_connectionId(Ice::generateUUID())
+                               ->ice_context(context);
+        try {
+            if (identity == "ClientGate") {
+                Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(proxy)->open("", "", "one");
+            } else {
+                Ice::uncheckedCast<Axon::EntityComm::EntityGatePrx>(proxy)->open("", "");
+            }
+        } catch (const Axon::CommUtil::RequestRefused& refused) {
+            return static_cast<RefusalCode>(refused.code);
+        }
+        return RefusalCode::Ok;
+    };
+    constexpr int kOurs = Axon::CommUtil::ContractNumber;
+    using At = std::pair<std::string, std::string>;
+    for (const auto& [identity, address] :
+         {At{"ClientGate", clients()}, At{"ClientGate", server->clientAddress(Lane::Signal)}, At{"EntityGate", entities()},
+          At{"EntityGate", server->entityAddress(Lane::Signal)}}) {
+        EXPECT_EQ(answer(identity, address, {}), RefusalCode::NotSupported) << identity << ' ' << address;
+        for (const int number : {kOurs - 1, kOurs + 1})
+            EXPECT_EQ(answer(identity, address, {{"axon-contract", std::to_string(number)}}), RefusalCode::NotSupported)
+                << identity << ' ' << address << ' ' << number;
+        EXPECT_EQ(answer(identity, address, {{"axon-contract", std::to_string(kOurs)}}), RefusalCode::Ok);
+    }
 }
 
 TEST_F(Servers, ServeAClientWithoutASignalLane) {

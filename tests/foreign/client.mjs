@@ -77,7 +77,7 @@ async function open(context) {
     settings.properties.setProperty("Ice.MessageSizeMax", "4096");
     const communicator = Ice.initialize(settings);
     const router = Glacier2.RouterPrx.uncheckedCast(communicator.stringToProxy(`Axon.Clients/router:ws -h 127.0.0.1 -p ${port}`));
-    const proxy = await router.createSession(user, password, new Map(Object.entries(context)));
+    const proxy = await router.createSession(user, password, new Map(Object.entries({ "axon-contract": String(CommUtil.ContractNumber), ...context })));
     const connection = router.ice_getCachedConnection();
     connection.setCloseCallback(() => hear({ closed: true }));
     const [category, server, timeout] = await Promise.all([router.getCategoryForClient(), router.getServerProxy(), router.getACMTimeout()]);

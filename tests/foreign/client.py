@@ -107,7 +107,7 @@ class Client:
     def open(self, lane, endpoint, user, password, name):
         communicator = self.new_communicator()
         gate = FrontEndComm.ClientGatePrx.uncheckedCast(communicator.stringToProxy(f"ClientGate:{endpoint} -t 3000"))
-        opened = gate.open(user, password, name)
+        opened = gate.open(user, password, name, {"axon-contract": str(CommUtil.ContractNumber)})
         connection = gate.ice_getCachedConnection()
         adapter = communicator.createObjectAdapter("")  # without endpoints: callbacks come back over this connection
         connection.setAdapter(adapter)

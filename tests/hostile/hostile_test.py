@@ -132,6 +132,20 @@ class HostileTest(unittest.TestCase):
         self.assertEqual(code(refused.exception.code), "PERMISSION_DENIED")
         self.assertIn("another address", refused.exception.reason)
 
+    def test_a_call_that_cannot_be_read_is_told_once(self):
+        client = self.client("guest")
+        entity = client.find("Counter")
+        shorter = b"\x07\0\0\0\x01\x01\x05"  # an encapsulation of one byte
+        for _ in range(5):
+            client.oneway("signal").ice_invoke("sendStopSignal", Ice.OperationMode.Normal, shorter)
+        client.oneway("signal").ice_invoke("unheardOf", Ice.OperationMode.Normal, shorter)
+        wait_until(lambda: "a call of 'sendStopSignal' cannot be read" in self.lab.server.text(), "the log tells of it")
+        receipts = client.stop(entity, until=Stage.CALLBACK_RETURNED)
+        self.assertEqual(receipts[-1].stage, Stage.CALLBACK_RETURNED, "the session goes on")
+        client.close()
+        wait_until(lambda: "6 calls could not be read" in self.lab.server.text(), "… and of how many there were")
+        self.assertEqual(self.lab.server.text().count("cannot be read"), 1)
+
     # -- what it may cost -----------------------------------------------------------------------------------------
 
     def test_lists_of_stops_hold_nobody_up(self):
@@ -183,7 +197,7 @@ class HostileTest(unittest.TestCase):
         self.addCleanup(communicator.destroy)
         gate = FrontEndComm.ClientGatePrx.uncheckedCast(communicator.stringToProxy(f"ClientGate:tcp -h {host} -p {port}"))
         password = "p" * 3_900_000
-        waiting = [gate.openAsync("bob", password, "bob@example") for _ in range(60)]
+        waiting = [gate.openAsync("bob", password, "bob@example", {"axon-contract": str(CommUtil.ContractNumber)}) for _ in range(60)]
         codes = set()
         for future in waiting:
             with self.assertRaises(CommUtil.RequestRefused) as refused:

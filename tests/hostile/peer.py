@@ -61,7 +61,7 @@ class Peer:
         communicator = Ice.initialize(settings)
         self.communicators.append(communicator)
         gate = EntityComm.EntityGatePrx.uncheckedCast(communicator.stringToProxy(f"EntityGate:{endpoint} -t 3000"))
-        opened = gate.open(user, password)
+        opened = gate.open(user, password, {"axon-contract": str(CommUtil.ContractNumber)})
         connection = gate.ice_getCachedConnection()
         adapter = communicator.createObjectAdapter("")
         connection.setAdapter(adapter)

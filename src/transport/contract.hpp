@@ -1,0 +1,23 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/Ice.h>
+
+#include <optional>
+
+#include "common/refusal.hpp"
+
+namespace axon::transport {
+
+/// Which edition of the contracts in api/ a peer was made from: CommUtil::ContractNumber, which a peer sends with the
+/// request that opens a session, in the request's context. Ice passes a context on whatever the contracts say, so
+/// that editions which share nothing else can still refuse each other by their numbers. Through a router and to the
+/// neighbours of a server it goes on as it came. The direct path needs none: both its ends have shown theirs to a server.
+inline constexpr const char* kContextContract = "axon-contract";
+
+/// What a peer sends with open() and createSession().
+Ice::Context contractContext();
+
+/// NOT_SUPPORTED with both numbers and what to upgrade, unless the peer's is this one's.
+std::optional<Refusal> otherContract(const Ice::Context& of_peer);
+
+}  // namespace axon::transport

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <Ice/DispatchInterceptor.h>
+#include <Ice/Ice.h>
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+namespace axon::transport {
+
+/// Hands the calls of one session to its servant, and tells the log of those that cannot be read as the contract says:
+/// of the first, and at the end of how many there were. A call without a reply would vanish otherwise. The session
+/// goes on. Threads: any.
+class UnreadableCalls final : public Ice::DispatchInterceptor {
+  public:
+    /// `peer`: for the log.
+    UnreadableCalls(std::shared_ptr<Ice::Object> servant, std::string peer);
+    ~UnreadableCalls() override;
+    bool dispatch(Ice::Request& request) override;
+
+  private:
+    void note(const std::string& operation, const std::string& why);
+
+    const std::shared_ptr<Ice::Object> servant_;
+    const std::string peer_;
+    std::atomic<std::uint64_t> count_{0};
+};
+
+}  // namespace axon::transport
