@@ -298,7 +298,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
     void wantConnection(bool wanted) override { wanted_ = wanted; }
     void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) override {
         const auto bytes = profile.SerializeAsString();
-        data_session_->sendBasicPrfl(transport::toIce(registration), toRange(bytes));
+        data_session_->sendBasicPrfl(transport::toIce(registration), toRange(bytes), {});
     }
     void sendStatus(const EntityStatus& status) override {
         data_session_->ice_oneway()->sendStatusAsync(transport::toIce(status), nullptr, [](auto) {});

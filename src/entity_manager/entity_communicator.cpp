@@ -121,7 +121,7 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         const auto bytes = profile.SerializeAsString();
         const auto attempt = attempt_;
         guarded([&] {
-            session_->sendBasicPrflAsync(transport::toIce(registration), toRange(bytes),
+            session_->sendBasicPrflAsync(transport::toIce(registration), toRange(bytes), toRange(address_.secret),
                 [weak = weak_from_this(), attempt] {
                     if (const auto self = weak.lock())
                         self->post([attempt](Connection& me) {

@@ -22,6 +22,7 @@ struct ServerAddress {
     /// "Axon.Entities/router:tcp -h 127.0.0.1 -p 10415" instead of the first two; empty: none.
     std::string router = {};
     bool tls = false;  ///< what of these is called is called by TLS
+    std::string secret = {};  ///< that the UUID is bound to (identity.hpp); empty: it is not
 
     /// For people.
     std::string text() const {

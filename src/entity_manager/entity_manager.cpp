@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "entity_manager/caller_first.hpp"
+#include "entity_manager/identity.hpp"
 
 namespace axon::entity_manager {
 
@@ -36,6 +37,9 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
     const std::shared_ptr<EntityManager> self(
         new EntityManager(std::move(executor), settings.application, clock, ice, !server.tls && server.router.empty()));
     self->back_end_ = back_end(self->strand_, self->gate_, clock, *self);
+    auto identity = identityIn(storage, random);
+    server.secret = std::move(identity.secret);
+    settings.uuid = std::move(identity.uuid);
     self->server_ =
         std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), std::move(server), clock, self);
     self->ways_ = std::make_unique<DirectDesk>(self->strand_, clock, *self->server_);

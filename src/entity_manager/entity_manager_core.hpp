@@ -33,6 +33,7 @@ struct CoreSettings {
         std::chrono::seconds{10};  ///< what the robot application is asked; then TIMED_OUT
     Duration profiles_within =
         std::chrono::seconds{3};  ///< after the link is up; then what has not been uploaded is missing
+    std::string uuid = {};  ///< to take where the state has none; empty: a random one
 };
 
 /// What has been dropped without an answer, because there is nobody to answer or because the answer would be

@@ -41,7 +41,7 @@ const Refusal kTooLargeForLink{RefusalCode::TooLarge,
                                "Send it in parts, or upload a resource.",
                                {}};
 
-std::string loadUuid(Storage& storage, RandomSource& random) {
+std::string loadUuid(Storage& storage, RandomSource& random, const std::string& given) {
     if (const auto stored = storage.load(kUuidKey)) {
         if (const auto id = Id128::parse(*stored)) return id->toString();
         throw std::runtime_error(
@@ -49,7 +49,7 @@ std::string loadUuid(Storage& storage, RandomSource& random) {
             "\". Put the folder's backup in its place. Without one remove the folder: the robot then is a new "
             "entity, without saved values and resources.");
     }
-    const auto made = Id128::uuid(random).toString();
+    const auto made = given.empty() ? Id128::uuid(random).toString() : given;
     // Before the uuid: a first life that is broken off leaves no latch that nobody set.
     if (!storage.load(kGenerationKey)) {
         storage.save(kRearmedKey, kThere);
@@ -159,7 +159,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       stop_gate_(stop_gate),
       journal_(journal),
       parts_lost_(partsAreLost(storage)),
-      uuid_(loadUuid(storage, random)),
+      uuid_(loadUuid(storage, random, settings_.uuid)),
       server_watchdog_(settings_.server_watchdog_busy, settings_.server_watchdog_idle, clock.now()),
       lease_(storage, random),
       generation_(firstGeneration(storage, stop_gate)),

@@ -5,6 +5,7 @@
 
 #include <utility>
 
+#include "transport/bound_uuid.hpp"
 #include "transport/communicator.hpp"
 
 namespace axon::entity_server {
@@ -276,13 +277,22 @@ void EntitySessionServant::attachSignalLane(std::string token, std::shared_ptr<P
 }
 
 void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registration, ByteRange profile,
-                                         const Ice::Current& current) {
+                                         ByteRange secret, const Ice::Current& current) {
     if (lane_.lane == Lane::Signal) {
         session_.of(current);
         throw toIce(Refusal{RefusalCode::WrongState, "sendBasicPrfl belongs on the data lane's session", {}});
     }
     const auto& its_session = session_.of(current);
     auto its = fromIce(std::move(registration));
+    if (!transport::mayRegister(its.entity, toView(secret))) {
+        spdlog::warn("audit: registration of {} refused, from {}: without its secret", its.entity.substr(0, 64),
+                     session_.peer()->peer());
+        throw toIce(Refusal{RefusalCode::PermissionDenied,
+                            "the UUID " + its.entity.substr(0, 64) +
+                                " is bound to a secret, which was not shown: it is in the state folder of the robot that has this UUID "
+                                "(docs/reference/sessions.md)",
+                            {}});
+    }
     // An entity that is not ready is called by the name of its application, which need not be its own.
     if (!certified_.empty() && toView(profile).empty()) its.name = certified_;
     if (!certified_.empty() && its.name != certified_) {

@@ -114,7 +114,7 @@ class EntitySessionServant final : public Axon::EntityComm::EntitySession {
     void attachSignalLane(std::string token, std::shared_ptr<Axon::EntityComm::EntityCallbackPrx> callback,
                           const Ice::Current& current) override;
     void sendBasicPrfl(Axon::CommUtil::Registration registration, transport::ByteRange profile,
-                       const Ice::Current& current) override;
+                       transport::ByteRange secret, const Ice::Current& current) override;
     void sendStatus(Axon::CommUtil::EntityStatus status, const Ice::Current& current) override;
     void sendSvcPrflRecord(Axon::CommUtil::Header head, int record_id, int count, transport::ByteRange record,
                            const Ice::Current& current) override;

@@ -162,7 +162,7 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
         stalled.notify_all();
     }
     void join() {
-        data()->sendBasicPrfl(transport::toIce(registration), toRange("profile of " + registration.name));
+        data()->sendBasicPrfl(transport::toIce(registration), toRange("profile of " + registration.name), {});
     }
     void status(EntityState state, const std::string& holder = {}) {
         EntityStatus status;

@@ -326,7 +326,7 @@ TEST_F(Servers, RefuseOnTheSignalLaneWhatBelongsOnTheOther) {
     RawClient client(clients());
     RawEntity robot(entities(), kFirst);
     try {
-        robot.signal()->sendBasicPrfl(transport::toIce(robot.registration), toRange("profile"));
+        robot.signal()->sendBasicPrfl(transport::toIce(robot.registration), toRange("profile"), {});
         FAIL() << "expected a refusal";
     } catch (const Axon::CommUtil::RequestRefused& refused) {
         EXPECT_EQ(refused.code, static_cast<int>(RefusalCode::WrongState));

@@ -126,7 +126,7 @@ TEST_F(Tls, AnEntityThatIsNotReadyGoesByTheNameOfItsCertificate) {
     const server::Server server(settings());
     RawEntity robot(server.entityAddress(Lane::Data), kEntity, "name-of-its-application", "", "",
                     entityCertificate("PeopleBot"));
-    robot.data()->sendBasicPrfl(transport::toIce(robot.registration), transport::toRange(""));
+    robot.data()->sendBasicPrfl(transport::toIce(robot.registration), transport::toRange(""), {});
     robot.status(EntityState::INIT);
     auto connected = client::Client::connect(options(server, clientCertificate()));
     ASSERT_TRUE(connected) << connected.refusal().message;

@@ -132,6 +132,14 @@ class HostileTest(unittest.TestCase):
         self.assertEqual(code(refused.exception.code), "PERMISSION_DENIED")
         self.assertIn("another address", refused.exception.reason)
 
+    def test_a_uuid_is_registered_by_who_knows_its_secret(self):
+        entity = self.client("guest").find("Counter")
+        for secret in (b"", b"s" * 32):
+            with self.assertRaises(CommUtil.RequestRefused) as refused:
+                Peer(self.lab.at["entity"], "robot", "word of robot", "Counter", entity, secret)
+            self.assertEqual(code(refused.exception.code), "PERMISSION_DENIED", refused.exception.reason)
+        self.assertIn(f"registration of {entity} refused", self.lab.server.text())
+
     def test_a_call_that_cannot_be_read_is_told_once(self):
         client = self.client("guest")
         entity = client.find("Counter")

@@ -40,7 +40,7 @@ class Callback(EntityComm.EntityCallback):
 class Peer:
     """A session of two lanes with an entity server. Threads: any."""
 
-    def __init__(self, address, user, password, name, entity=None):
+    def __init__(self, address, user, password, name, entity=None, secret=b""):
         self.news = threading.Condition()
         self.arrived, self.refusals, self.stops = [], [], []
         self.entity, self.name = entity or str(uuid.uuid4()), name
@@ -50,7 +50,11 @@ class Peer:
         facts = self.data.setCallback(callback)
         self.signal, callback = self.open(facts.signalEndpoint, user, password)
         self.signal.attachSignalLane(facts.token, callback)
-        self.register()
+        try:
+            self.register(secret)
+        except Exception:
+            self.close()
+            raise
         threading.Thread(target=self.beat, daemon=True).start()
 
     def open(self, endpoint, user, password):
@@ -70,8 +74,8 @@ class Peer:
         session = EntityComm.EntitySessionPrx.uncheckedCast(connection.createProxy(opened.ice_getIdentity()))
         return session, EntityComm.EntityCallbackPrx.uncheckedCast(callback)
 
-    def register(self):
-        self.data.sendBasicPrfl(CommUtil.Registration(self.entity, self.name, "ROBOT", "MOBILE", 50, 2000, "", ""), b"\x0a\x01x")
+    def register(self, secret=b""):
+        self.data.sendBasicPrfl(CommUtil.Registration(self.entity, self.name, "ROBOT", "MOBILE", 50, 2000, "", ""), b"\x0a\x01x", secret)
         self.status(CommUtil.EntityState.IDLE)
 
     def status(self, state, holder="", lease=(0, 0)):
