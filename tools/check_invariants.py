@@ -16,7 +16,7 @@ CODE = (".cpp", ".hpp", ".h", ".c")
 SPDX_FILES = CODE + (".proto", ".ice", ".py", ".cmake", ".sh")
 SKIPPED_FOLDERS = {".git", ".cache", "build", "node_modules", "__pycache__", "LICENSES"}
 ROOTS = ("api", "bench", "cmake", "console", "examples", "faults", "lab", "python", "robots", "simulation", "src", "tests", "tools", ".ci")
-MIT = ("api/proto/*", "src/common/*", "src/messages/*", "src/entity_interfacer/*", "examples/*")
+MIT = ("api/proto/*", "src/common/*", "src/host/*", "src/messages/*", "src/entity_interfacer/*", "examples/*")
 
 SERVERS = ("src/front_end_server/*", "src/entity_server/*", "src/server/*")
 EI_PUBLIC = ("src/entity_interfacer/axon/*.hpp",)
@@ -58,8 +58,8 @@ CORES = (
     "src/*/task_queue.*",
     "src/*/ports.hpp",
 )
-# In common/ids.cpp random bytes enter (getrandom), in the other two time; common/port_range.cpp reads ports.cfg.
-CORE_EXCEPTIONS = ("src/common/ids.cpp", "src/common/clock.hpp", "src/common/shared_clock.cpp", "src/common/port_range.cpp")
+# In common/ids.cpp random bytes enter (getrandom), in the other two time; host/port_range.cpp reads ports.cfg.
+CORE_EXCEPTIONS = ("src/common/ids.cpp", "src/common/clock.hpp", "src/common/shared_clock.cpp")
 
 ICE_HEADER = re.compile(r"^(Ice|IceUtil|IceSSL|IceBox|IceGrid|IceStorm|Glacier2)/|^axon/(commutil|directcomm|entitycomm|frontendcomm)\.h$")
 PROTOBUF_HEADER = re.compile(r"^google/protobuf/|\.pb\.h$")

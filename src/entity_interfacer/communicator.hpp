@@ -17,7 +17,7 @@
 
 #include "common/clock.hpp"
 #include "common/life_signs.hpp"
-#include "common/port_range.hpp"
+#include "host/port_range.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 #include "entity_interfacer/link.hpp"
 #include "entity_interfacer/running_task.hpp"

@@ -7,7 +7,7 @@
 #include <string>
 
 #include "common/clock.hpp"
-#include "common/port_range.hpp"
+#include "host/port_range.hpp"
 
 namespace axon::entity_manager {
 

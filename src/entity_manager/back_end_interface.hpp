@@ -7,7 +7,7 @@
 #include <string>
 
 #include "common/ids.hpp"
-#include "common/port_range.hpp"
+#include "host/port_range.hpp"
 #include "entity_manager/application_search.hpp"
 #include "entity_manager/ports.hpp"
 #include "entity_manager/stop_gate.hpp"

@@ -16,7 +16,7 @@
 #include "front_end_server/front_end_server.hpp"
 #include "global_services/services_folder.hpp"
 #include "server/login_desk.hpp"
-#include "common/socket_owner.hpp"
+#include "host/socket_owner.hpp"
 #include "transport/communicator.hpp"
 #include "transport/endpoint.hpp"
 #include "transport/storm_topics.hpp"

@@ -7,7 +7,7 @@
 #include <string_view>
 
 #include "client/entity_query.hpp"
-#include "common/port_range.hpp"
+#include "host/port_range.hpp"
 
 namespace {
 

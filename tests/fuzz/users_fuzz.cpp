@@ -7,7 +7,7 @@
 #include <string>
 #include <string_view>
 
-#include "common/socket_owner.hpp"
+#include "host/socket_owner.hpp"
 #include "server/users.hpp"
 
 namespace {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-#include "common/socket_owner.hpp"
+#include "host/socket_owner.hpp"
 
 #include <arpa/inet.h>
 #include <linux/inet_diag.h>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-#include "common/link_users.hpp"
+#include "host/link_users.hpp"
 
 #include <arpa/inet.h>
 #include <netinet/in.h>
@@ -11,8 +11,8 @@
 #include <array>
 #include <charconv>
 
-#include "common/port_range.hpp"
-#include "common/socket_owner.hpp"
+#include "host/port_range.hpp"
+#include "host/socket_owner.hpp"
 
 namespace axon {
 namespace {

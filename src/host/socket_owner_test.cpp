@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "common/socket_owner.hpp"
+#include "host/socket_owner.hpp"
 
 #include <arpa/inet.h>
 #include <gtest/gtest.h>

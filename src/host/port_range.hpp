@@ -5,7 +5,7 @@
 #include <string>
 #include <string_view>
 
-#include "common/link_users.hpp"
+#include "host/link_users.hpp"
 #include "common/result.hpp"
 
 namespace axon {

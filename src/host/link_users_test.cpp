@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-#include "common/link_users.hpp"
+#include "host/link_users.hpp"
 
 #include <arpa/inet.h>
 #include <gmock/gmock.h>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-#include "common/port_range.hpp"
+#include "host/port_range.hpp"
 
 #include <gtest/gtest.h>
 
