@@ -56,25 +56,26 @@ void StopDesk::onEntity(Presence presence, const std::string& id, const std::str
     }
 }
 
-Header StopDesk::header(const Order& order, const std::string& entity) const {
+Header StopDesk::header(const Order& order, const std::string& entity, bool again) const {
     Header head;
     head.sender = self_;
     head.entity = entity;
     head.msg_type = kMsgStop;
-    head.stop_generation = entity.empty() ? 0 : marks_.of(entity);
+    // Who knows the generation that the stop itself has raised means another one by its number (stop_gate.hpp).
+    head.stop_generation = entity.empty() || again ? 0 : marks_.of(entity);
     head.sequence = order.sequence;
     head.sent_at_us = toMicroseconds(clock_.now());
     return head;
 }
 
-void StopDesk::send(const Order& order, Lane lane, std::vector<std::string> ids) {
+void StopDesk::send(const Order& order, Lane lane, std::vector<std::string> ids, bool again) {
     if (ids.empty() && order.everything) {
         // One request, fanned out by the servers.
-        link_.sendStopSignal(lane, header(order, {}), order.cause);
+        link_.sendStopSignal(lane, header(order, {}, again), order.cause);
     } else if (ids.size() == 1) {
-        link_.sendStopSignal(lane, header(order, ids.front()), order.cause);
+        link_.sendStopSignal(lane, header(order, ids.front(), again), order.cause);
     } else if (!ids.empty()) {
-        link_.sendStopSignals(lane, header(order, {}), std::move(ids), order.cause);
+        link_.sendStopSignals(lane, header(order, {}, again), std::move(ids), order.cause);
     }
 }
 
@@ -130,7 +131,7 @@ void StopDesk::give(Order order, const std::vector<std::string>& names, Duration
     auto& given = orders_.emplace(sequence, std::move(order)).first->second;
     if (given.everything) everything_.insert(sequence);
     schedule(given, given.repeats ? given.given + kStopFirstResend : TimePoint::max());
-    send(given, Lane::Signal, std::move(ids));
+    send(given, Lane::Signal, std::move(ids), false);
     finishIfSettled(given);
 }
 
@@ -368,8 +369,8 @@ void StopDesk::onTimer() {
             }
             if (ids.empty()) continue;  // they come to rest
         }
-        send(order, Lane::Signal, ids);
-        send(order, Lane::Data, std::move(ids));
+        send(order, Lane::Signal, ids, true);
+        send(order, Lane::Data, std::move(ids), true);
     }
 }
 

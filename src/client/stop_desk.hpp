@@ -104,8 +104,8 @@ class StopDesk {
         Done done;
     };
     void give(Order order, const std::vector<std::string>& names, Duration deadline, Done done);
-    void send(const Order& order, Lane lane, std::vector<std::string> ids);
-    Header header(const Order& order, const std::string& entity) const;
+    void send(const Order& order, Lane lane, std::vector<std::string> ids, bool again);
+    Header header(const Order& order, const std::string& entity, bool again) const;
     Receipt& add(Order& order, const std::string& entity) const;
     /// Before anything looks at the receipts, or a name is forgotten.
     void list(Order& order) const;

@@ -161,6 +161,18 @@ TEST_F(StopDeskTest, ALateStageIsSentAgainOnBothLanesAt100ThenEach250Millisecond
     EXPECT_EQ(desk.nextDeadline(), TimePoint::max());
 }
 
+TEST_F(StopDeskTest, OnlyTheFirstSendingTellsWhichGenerationWasKnown) {
+    marks.raise(uuid(3), 6);
+    stop({"Cyton"});
+    ASSERT_THAT(link.sent, SizeIs(1));
+    EXPECT_EQ(link.sent[0].head.stop_generation, 6);
+    marks.raise(uuid(3), 7);  // by this stop itself, whose receipt is lost
+    advance(100ms);
+    ASSERT_THAT(link.sent, SizeIs(3));
+    EXPECT_EQ(link.sent[1].head.stop_generation, 0);
+    EXPECT_EQ(link.sent[2].head.stop_generation, 0);
+}
+
 TEST_F(StopDeskTest, OnlyWhatIsNotConfirmedIsSentAgain) {
     stop({"Cyton", "PeopleBot#1"});
     receipt(3, proto::StopReceipt::MANAGER);

@@ -108,6 +108,9 @@ Communicator::Communicator(EntityInterfacer::Options options)
             checkPortRange(options_.first_port, options_.last_port, "Options::first_port, last_port");
         if (!range) misconfigured(range.refusal().message);
         ports_ = range.value();
+        auto users = LinkUsers::parse(options_.users, "Options::users");
+        if (!users) misconfigured(users.refusal().message);
+        users_ = std::move(users).value();
     } else {
         const auto file = readPorts(options_.ports_file);
         if (!file) misconfigured(file.refusal().message);

@@ -396,7 +396,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
             pass_over_[signal->port] = now() + kPassStranger;  // an echo, perhaps
         } else if (const auto stranger = settings_.where.users.check(signal->socket.native_handle())) {
             pass_over_[signal->port] = now() + kPassOtherApplication;
-            search_.met(signal->port, welcome->application(), welcome->instance(), stranger->message, now());
+            search_.met(signal->port, welcome->application(), welcome->instance(), {}, now());
             refused(*stranger);
         } else {
             linking_ = true;

@@ -28,6 +28,7 @@ const std::set<std::string> kKeys{"Axon.Application",
                                   "Axon.Password",
                                   "Axon.Ports",
                                   "Axon.PortsFile",
+                                  "Axon.Users",
                                   "Axon.State",
                                   "Axon.LogLevel",
                                   "Axon.WatchdogBusyMs",
@@ -170,13 +171,15 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         "  axon-entity-manager --application hello\n"
         "  axon-entity-manager --application peoplebot --server lab.example:10412 --config entitymanager.cfg\n"};
     app.set_version_flag("--version", AXON_VERSION);
-    std::string config, application, instance, server, ports, ports_file, address, state, log_level;
+    std::string config, application, instance, server, ports, ports_file, users, address, state, log_level;
     app.add_option("-c,--config", config, "Configuration file in Ice property syntax; the options below win over it");
     app.add_option("-a,--application", application, "Name the robot application gives its Entity Interfacer (Axon.Application)");
     app.add_option("--instance", instance, "Which of several applications of the same name on this host (Axon.Instance)");
     app.add_option("-s,--server", server, "host:port of the entity server (Axon.Server) [127.0.0.1:10412]");
     app.add_option("--ports", ports, "Port range to look for the application in (Axon.Ports) [5500-8000]");
     app.add_option("--ports-file", ports_file, "ports.cfg to read the range from (Axon.PortsFile)");
+    app.add_option("--users", users, "Users of this machine, besides this one and root, whose process the application may be, "
+                                     "names or numbers (Axon.Users)");
     app.add_option("--address", address, "Address where the application listens (Axon.Address) [127.0.0.1]");
     app.add_option("--state", state, "Folder for identity, leases and resources (Axon.State) [~/.local/state/axon/APPLICATION]");
     app.add_option("--log-level", log_level, "trace, debug, info, warning, error (Axon.LogLevel) [info]");
@@ -210,6 +213,8 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         options.back_end.where.ports = accepted(parsePorts("Axon.Ports = " + range, "--ports")).ports;
         options.back_end.ports_from = ports.empty() ? "Axon.Ports in " + config : "--ports";
     }
+    if (const auto names = chosen(users, "Axon.Users", ""); !names.empty())
+        options.back_end.where.users = accepted(LinkUsers::parse(names, users.empty() ? "Axon.Users in " + config : "--users"));
     options.back_end.where.address = chosen(address, "Axon.Address", options.back_end.where.address);
 
     if (file.contains(kRouter) && file.contains("Axon.Server"))

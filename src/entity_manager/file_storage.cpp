@@ -107,6 +107,7 @@ Descriptor lockFolder(const fs::path& folder) {
     Descriptor file(::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
     if (!file.open()) fail("cannot open", path);
     if (::flock(file.get(), LOCK_EX | LOCK_NB) != 0) {
+        if (errno != EWOULDBLOCK) fail("cannot lock", path);
         std::array<char, 32> holder{};
         const auto n = std::max<ssize_t>(::pread(file.get(), holder.data(), holder.size(), 0), 0);
         const std::string process(holder.data(), static_cast<std::size_t>(n));

@@ -22,11 +22,14 @@ constexpr const char* kUuidKey = "uuid";
 Identity identityIn(Storage& storage, RandomSource& random) {
     const auto uuid = storage.load(kUuidKey);
     const auto stored = storage.load(kSecretKey);
-    if (uuid && !transport::isBoundUuid(*uuid)) return {};
-    if (!stored && uuid) unusable("is missing");
+    if (uuid && !Id128::parse(*uuid)) return {};  // the core says so
+    if (uuid && !stored) {
+        if (!transport::isBoundUuid(*uuid)) return {};
+        unusable("is missing");
+    }
     if (stored) {
         if (stored->size() != transport::kSecretBytes) unusable("is damaged: expected " + std::to_string(transport::kSecretBytes) + " bytes, found " + std::to_string(stored->size()));
-        if (uuid && !transport::mayRegister(*uuid, *stored)) unusable("is not that of the stored \"uuid\"");
+        if (uuid && *uuid != transport::boundUuid(*stored)) unusable("is not that of the stored \"uuid\"");
         return {*stored, transport::boundUuid(*stored)};
     }
     std::string secret(transport::kSecretBytes, '\0');

@@ -15,7 +15,8 @@ struct Identity {
 };
 
 /// Keeps the secret in the state folder, and makes it there for a robot that has no UUID yet. Throws
-/// std::runtime_error, with the mend, where the secret is damaged, or missing beside a bound UUID.
+/// std::runtime_error, with the mend, where the secret is damaged or is not that of the UUID, or is missing beside a bound
+/// one. A UUID that is none is left to the core, which says so.
 Identity identityIn(Storage& storage, RandomSource& random);
 
 }  // namespace axon::entity_manager

@@ -6,7 +6,7 @@
 
 #include <stdexcept>
 
-#include "core_rig.hpp"
+#include "tests/support/core_rig.hpp"
 #include "transport/bound_uuid.hpp"
 
 namespace axon::entity_manager {
@@ -52,6 +52,11 @@ TEST_F(IdentityTest, ALostOrDamagedSecretIsAnErrorWithItsMend) {
     std::swap(values, storage.values);
     expectUnusable("is missing");
     storage.values = values;
+    auto other = first.uuid;
+    other[14] = '4';
+    storage.save("uuid", other);
+    expectUnusable("is not that of the stored \"uuid\"");
+    storage.save("uuid", first.uuid);
     for (std::size_t size = 0; size < first.secret.size(); ++size) {
         storage.save("secret", first.secret.substr(0, size));
         expectUnusable("is damaged");

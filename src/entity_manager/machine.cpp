@@ -27,7 +27,7 @@ constexpr std::size_t kStreamName = 255;
 constexpr std::uint32_t kGenerationsReserved = 1000;
 constexpr const char* kUuidKey = "uuid";
 constexpr const char* kGenerationKey = "stop_generation";
-/// kThere while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
+/// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
 /// deleted on a full disk, and what is in doubt is latched.
 constexpr const char* kRearmedKey = "rearmed";
 /// There from the first link until the application has said good-bye.
@@ -50,7 +50,7 @@ std::string loadUuid(Storage& storage, RandomSource& random, const std::string& 
             "entity, without saved values and resources.");
     }
     const auto made = given.empty() ? Id128::uuid(random).toString() : given;
-    // Before the uuid: a first life that is broken off leaves no latch that nobody set.
+    // Before the uuid: a first life that is broken off in between leaves no latch that nobody set.
     if (!storage.load(kGenerationKey)) {
         storage.save(kRearmedKey, kThere);
         storage.save(kFreeKey, kThere);
@@ -198,7 +198,9 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     if (storage.load(kFreeKey) != kThere) storage.keep(kFreeKey, kThere);  // the latch says it now, and nobody holds it
     replayJournal();
     loadRuns();
-    for (const auto& finding : saved_.findings()) warning_ = finding.message();
+    for (const auto& finding : saved_.findings()) {
+        if (!parts_lost_) warning_ = finding.message();
+    }
 }
 
 // -- the journal
@@ -1220,7 +1222,7 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
     // Servers let entities send each other two kinds of message, and clients not the first of them, by this header.
     const bool of_run = from_client_.has_from_master() || from_client_.has_from_slave();
     if (of_run != (head.msg_type == kMsgCollaboration) ||
-        (from_client_.has_raw() && head.msg_type != kMsgRaw) ||
+        from_client_.has_raw() != (head.msg_type == kMsgRaw) ||
         (of_run && holder() != nullptr && holder()->id == head.sender.id)) {
         ++counters_.malformed;
         reply(head.sender, {},

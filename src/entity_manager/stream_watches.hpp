@@ -14,8 +14,8 @@ namespace axon::entity_manager {
 /// Who watches which stream of the entity. The stream "" stands for all of them.
 ///
 /// Threads: the core's strand. Bounded: kMaxStreams streams for each client, else OVERLOADED; of kMaxWatchers clients
-/// the one that began first makes room for the next. The server tells an entity only of the loss of its holder, so
-/// watchers that are gone are known by nothing but their age.
+/// the one that began first makes room for the next. The server tells of watchers that are gone; one that it
+/// does not tell of, because it was killed itself, is known by its age only.
 class StreamWatches {
   public:
     static constexpr std::size_t kMaxWatchers = 256;

@@ -13,6 +13,14 @@
 #include "common/utf8.hpp"
 
 namespace axon::entity_server {
+namespace {
+
+// Of one entity for all others: in a message more than that of any run, in a second less than a slow link to a robot
+// carries. Raw data gives way by itself.
+constexpr std::size_t kPeerBytes = 128 * 1024U;
+constexpr std::uint32_t kPeerBytesPerSecond = 1024 * 1024U;
+
+}  // namespace
 
 class EntityServerCore::Session {
   public:
@@ -35,7 +43,7 @@ class EntityServerCore::Session {
 
     Snapshot<std::string> name;  // of its newest registration
 
-    RateLimit rate;
+    RateLimit rate, peer_bytes{kPeerBytesPerSecond};
     LifeSigns signs;  // written without a lock
     // The drill that is out, 0 = none; when it was sent and how long it took, written without a lock.
     std::atomic<std::uint64_t> drill{0};
@@ -110,6 +118,14 @@ bool isForPeers(const Header& head) {
 Refusal notForPeers(const Header& head) {
     return {RefusalCode::PermissionDenied,
             "an entity sends other entities COLLABORATION and RAW only, found '" + head.msg_type.substr(0, 64) + '\'',
+            {}};
+}
+
+Refusal tooMuchForPeers(bool in_one) {
+    return {in_one ? RefusalCode::TooLarge : RefusalCode::Overloaded,
+            "an entity sends other entities at most " +
+                (in_one ? std::to_string(kPeerBytes / 1024) + " KiB in a message of a run"
+                        : std::to_string(kPeerBytesPerSecond / 1024) + " KiB of messages of runs in a second"),
             {}};
 }
 
@@ -390,6 +406,11 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message) {
     if (!session->registered || flooded(session)) return;
     if (!isForPeers(head)) return session->outbox(lane).newRefusalMsg(head, notForPeers(head));
+    if (head.msg_type != kMsgRaw) {
+        const bool large = message.size() > kPeerBytes;
+        if (large || !session->peer_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size())))
+            return session->outbox(lane).newRefusalMsg(head, tooMuchForPeers(large));
+    }
     head.sender = {session->entity, *session->name.load(), Role::Operator};
     if (const auto peer = atHome(head.entity, lane)) return deliver(peer->outbox(lane), head, message);
     const auto at = elsewhere(head.entity, lane);

@@ -360,6 +360,20 @@ TEST_F(EntityServerTest, AnEntityCommandsNoOther) {
     EXPECT_THAT(second.data->lines, testing::SizeIs(1));
 }
 
+TEST_F(EntityServerTest, AnEntityDoesNotFillTheQueueOfAnother) {
+    const auto first = join(kFirst, "Master");
+    const auto second = join(kSecond, "Slave");
+    core.sendToPeer(first.session, Lane::Data, toPeer(kSecond), std::string(129 * 1024, 'x'));
+    EXPECT_THAT(first.data->lines, ElementsAre("refused TOO_LARGE"));
+    for (int i = 0; i < 100; ++i) core.sendToPeer(first.session, Lane::Data, toPeer(kSecond), std::string(64 * 1024, 'x'));
+    EXPECT_THAT(second.data->lines, testing::SizeIs(16));
+    EXPECT_EQ(first.data->lines.back(), "refused OVERLOADED");
+    auto raw = toPeer(kSecond);
+    raw.msg_type = kMsgRaw;
+    core.sendToPeer(first.session, Lane::Data, raw, std::string(1024 * 1024, 'x'));
+    EXPECT_THAT(second.data->lines, testing::SizeIs(17)) << "which gives way to what is not raw";
+}
+
 TEST_F(EntityServerTest, WhoIsNotRegisteredSaysNothing) {
     const auto peer = connect();
     core.sendToClient(peer.session, Lane::Data, head(kFirst), "hello");

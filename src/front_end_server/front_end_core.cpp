@@ -14,6 +14,15 @@
 
 namespace axon::front_end_server {
 
+namespace {
+
+// Of who does not hold the entity, since its Entity Manager must read a message before it can tell whose it is: in one
+// message, more than a chunk of an upload; in a second, less than a slow link to a robot carries.
+constexpr std::size_t kStrangersBytes = 128 * 1024U;
+constexpr std::uint32_t kStrangersBytesPerSecond = 1024 * 1024U;
+
+}  // namespace
+
 class FrontEndCore::Client {
   public:
     Client(Sender its_sender, std::string its_token, std::shared_ptr<ClientOutbox> its_data,
@@ -34,12 +43,14 @@ class FrontEndCore::Client {
     const std::string token;
     const std::shared_ptr<ClientOutbox> data;
 
-    RateLimit rate, drill_rate;
+    RateLimit rate, drill_rate, bytes{kStrangersBytesPerSecond};
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
     LifeSigns signs;                                 // written without a lock
     std::atomic<std::size_t> told{0};                // entities, when it joined
     mutable std::mutex asked_mutex;                  // after the core's; of who goes on, for a word of a few bytes
     std::unordered_map<std::string, bool> asked;  // guarded by it: which know of it; whether it wanted a check-out
+    bool asked_taken = false;                     // guarded by it
+    std::unordered_set<std::string> held;         // guarded by it; as holdings_ of the core has it
 
     // Guarded by the core's mutex.
     Watchdog watchdog;
@@ -56,10 +67,25 @@ class FrontEndCore::Client {
         fed = last;
         watchdog.feed(last);
     }
-    void asks(const std::string& entity, bool check_out) {
+    /// Not any more once it has left.
+    bool asks(const std::string& entity, bool check_out) {
         const std::lock_guard lock(asked_mutex);
+        if (asked_taken) return false;
         auto& before = asked[entity];
         before = before || check_out;
+        return true;
+    }
+    bool holds(const std::string& entity) const {
+        const std::lock_guard lock(asked_mutex);
+        return held.contains(entity);
+    }
+    void setHolds(const std::string& entity, bool holds) {
+        const std::lock_guard lock(asked_mutex);
+        if (holds) {
+            held.insert(entity);
+        } else {
+            held.erase(entity);
+        }
     }
     bool hasAsked(const std::string& entity) const {
         const std::lock_guard lock(asked_mutex);
@@ -68,6 +94,7 @@ class FrontEndCore::Client {
     }
     std::unordered_map<std::string, bool> takeAsked() {
         const std::lock_guard lock(asked_mutex);
+        asked_taken = true;
         return std::exchange(asked, {});
     }
     /// The signal lane, or the only one there is.
@@ -85,7 +112,6 @@ Refusal refuse(RefusalCode code, std::string message) {
 
 // A little less than the second in which a server announces itself by the topic.
 constexpr std::chrono::milliseconds kAskAgain{900};
-constexpr std::size_t kStrangersBytes = 64 * 1024U;  // before an Entity Manager can tell whose it is it must read it
 constexpr std::size_t kStopsAtOnce = 8192;
 constexpr std::size_t kStopsForOne = 16;  // so many entities of a list cost as much as a message
 constexpr auto kData = static_cast<std::size_t>(Lane::Data);
@@ -260,40 +286,36 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
                      "the server has no request '" + head.msg_type.substr(0, 64) + "'; expected STATUS or GLOBAL_SERVICES"));
 }
 
-/// As far as is known here: a grant is there before the status that tells of it.
-bool FrontEndCore::mayBeHolder(const Client& client, const std::string& entity) const {
-    const std::lock_guard lock(mutex_);
-    const auto found = records_.find(entity);
-    if (found == records_.end()) return false;
-    const auto& holder = found->second->status.holder.id;
-    return holder == client.me.id || (holder.empty() && client.hasAsked(entity));
-}
-
-/// Also notes of which entities the client asks what they remember: their Entity Managers take a check-out and a
-/// watch under these two msgTypes alone.
-bool FrontEndCore::mayGoOn(const ClientRef& client, const Header& head, std::size_t bytes) {
-    if (head.msg_type == kMsgCollaboration) {
-        client->data->newRefusalMsg(
-            head, refuse(RefusalCode::PermissionDenied, "COLLABORATION is what entities say to each other; ask their master by RUN"));
-        return false;
-    }
-    if (bytes > kStrangersBytes && !mayBeHolder(*client, head.entity)) {
-        client->data->newRefusalMsg(
-            head, refuse(RefusalCode::TooLarge, "a message of more than " + std::to_string(kStrangersBytes / 1024) +
-                                                    " KiB is taken only of who holds the entity; check it out first"));
-        return false;
+/// What the server decides about a message to an entity that is there. Also notes of which entities the client asks
+/// what they remember: their Entity Managers take a check-out and a watch under these two msgTypes alone.
+Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size_t bytes) const {
+    if (head.msg_type == kMsgCollaboration)
+        return refuse(RefusalCode::PermissionDenied, "COLLABORATION is what entities say to each other; ask their master by RUN");
+    if (!client.holds(head.entity)) {
+        if (bytes > kStrangersBytes)
+            return refuse(RefusalCode::TooLarge, "a message of more than " + std::to_string(kStrangersBytes / 1024) +
+                                                     " KiB is taken only of who holds the entity; check it out first");
+        if (!client.bytes.admit(clock_.now(), static_cast<std::uint32_t>(bytes)))
+            return refuse(RefusalCode::Overloaded,
+                          "more than " + std::to_string(kStrangersBytesPerSecond / 1024) +
+                              " KiB in a second to entities that it does not hold are taken of nobody; send less, or check them out");
     }
     const bool check_out = head.msg_type == kMsgCheckOut;
-    if ((check_out || head.msg_type == kMsgWatch) && known_.find(head.entity, kData)) client->asks(head.entity, check_out);
-    return true;
+    if ((check_out || head.msg_type == kMsgWatch) && !client.asks(head.entity, check_out && client.me.role != Role::Observer))
+        return refuse(RefusalCode::NotConnected, "its session has ended");
+    return {};
 }
 
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
-    if (flooded(client) || !mayGoOn(client, head, message.size())) return;
+    if (flooded(client)) return;
     head.sender = client->me;
-    const auto known = alone() ? nullptr : known_.find(head.entity, kData);
+    const auto known = known_.find(head.entity, kData);
     if (!alone() && !known) return refuseUnknown(*client->data, head);
-    if (const auto sent = topic_.clientMsg(known ? known->registration.server : std::string(), head, message);
+    if (known) {
+        if (const auto may = mayGoOn(*client, head, message.size()); !may.ok())
+            return client->data->newRefusalMsg(head, may.refusal());
+    }
+    if (const auto sent = topic_.clientMsg(known && !alone() ? known->registration.server : std::string(), head, message);
         !sent.ok()) {
         client->data->newRefusalMsg(head, sent.refusal());
         return;
@@ -302,11 +324,11 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
 }
 
 void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data) {
-    if (!mayGoOn(client, head, data.size())) return;
     head.sender = client->me;
-    const auto known = alone() ? nullptr : known_.find(head.entity, kData);
-    if (!alone() && !known) return;
-    topic_.clientMsgDataSeq(known ? known->registration.server : std::string(), head, data);
+    const auto known = known_.find(head.entity, kData);
+    // Droppable data of who may not send it is dropped without a word.
+    if ((!alone() && !known) || (known && !mayGoOn(*client, head, data.size()).ok())) return;
+    topic_.clientMsgDataSeq(known && !alone() ? known->registration.server : std::string(), head, data);
     if (head.msg_type == kMsgRearm) audit("rearm", client->me, {head.entity});
 }
 
@@ -349,7 +371,7 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     if (entities.size() > kStopsAtOnce)
         client->signalOutbox()->newRefusalMsg(
             head, refuse(RefusalCode::TooLarge, "the stop has been given to the first " + std::to_string(kStopsAtOnce) +
-                                                    " entities of its list; stop all by an empty name, or send more lists"));
+                                                    " entities of its list, and this session ends; stop all by sendStopSignal without an entity"));
     if (!alone() && targets < std::ssize(wanted)) {
         auto refused = head;
         for (const auto& entity : wanted) {
@@ -359,6 +381,10 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
         }
     }
     audit(cause == StopCause::Drill ? "drill" : "stop", client->me, wanted);
+    // A longer list is for nobody's robots; each costs its sender a session.
+    if (entities.size() > kStopsAtOnce)
+        return leave(client, Ending::Improper, "it sent a list of " + std::to_string(entities.size()) + " entities to stop, of at most " +
+                                                   std::to_string(kStopsAtOnce));
     flooded(client, 1 + entities.size() / kStopsForOne);
 }
 
@@ -526,6 +552,8 @@ FrontEndCore::RecordRef FrontEndCore::takeOut(const std::string& entity) {
     known_.erase(record->registration.entity);
     disputed_.erase(record->registration.entity);
     countBusy(record.get(), nullptr);
+    if (const auto client = clients_.find(holder); client != clients_.end())
+        client->second->setHolds(record->registration.entity, false);
     if (const auto held = holdings_.find(holder); held != holdings_.end()) {
         held->second.erase(record->registration.entity);
         if (held->second.empty()) holdings_.erase(held);
@@ -708,6 +736,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
         countBusy(found->second.get(), next.get());
         found->second = std::move(next);
         if (before != holder && !before.empty()) {
+            if (const auto client = clients_.find(before); client != clients_.end()) client->second->setHolds(entity, false);
             if (const auto held = holdings_.find(before); held != holdings_.end()) {
                 held->second.erase(entity);
                 if (held->second.empty()) holdings_.erase(held);
@@ -723,6 +752,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
                 if (!asked && before != holder)
                     doubt = "it names " + client->second->me.name + " as its holder, who has not asked for it";
                 const auto [held, is_new] = holdings_[holder].try_emplace(entity, busy && asked);
+                client->second->setHolds(entity, true);
                 if (is_new || held->second != (busy && asked)) {
                     held->second = busy && asked;
                     updateHolding(holder);

@@ -152,8 +152,7 @@ class FrontEndCore {
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     bool flooded(const ClientRef& client, std::size_t messages = 1);
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
-    bool mayBeHolder(const Client& client, const std::string& entity) const;
-    bool mayGoOn(const ClientRef& client, const Header& head, std::size_t bytes);
+    Result<void> mayGoOn(Client& client, const Header& head, std::size_t bytes) const;
     void audit(const char* what, const Sender& who, const std::vector<std::string>& entities) const;
     std::size_t pushAll(ClientOutbox& to);
     std::size_t stopTargets(const std::string& entity) const;

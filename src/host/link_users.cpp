@@ -45,8 +45,6 @@ std::optional<End> endOf(int socket, Ask ask) {
 
 }  // namespace
 
-LinkUsers::LinkUsers() : uids_{::geteuid(), 0} {}
-
 Result<LinkUsers> LinkUsers::parse(std::string_view names, std::string_view where) {
     LinkUsers out;
     while (true) {
@@ -64,7 +62,9 @@ Result<LinkUsers> LinkUsers::parse(std::string_view names, std::string_view wher
     }
 }
 
-bool LinkUsers::admits(uid_t uid) const { return std::find(uids_.begin(), uids_.end(), uid) != uids_.end(); }
+bool LinkUsers::admits(uid_t uid) const {
+    return uid == 0 || uid == ::geteuid() || std::find(uids_.begin(), uids_.end(), uid) != uids_.end();
+}
 
 std::optional<Refusal> LinkUsers::check(int socket) const {
     const auto peer = endOf(socket, ::getpeername);
@@ -75,7 +75,7 @@ std::optional<Refusal> LinkUsers::check(int socket) const {
         const auto its = std::to_string(*uid);
         return Refusal{RefusalCode::PermissionDenied,
                        "the other end of the link belongs to the user with the number " + its + ", this one to " + std::to_string(::geteuid()) +
-                           ": run both as one user, or write 'Axon.Users = " + its + "' into the ports.cfg of this one",
+                           ": run both as one user, or let that one in by 'Axon.Users = " + its + "' (ports.cfg, or what this end was started with)",
                        {}};
     }
     if (peer && own && !isLoopback(peer->address) && peer->address != own->address) return std::nullopt;

@@ -19,8 +19,8 @@ namespace axon {
 /// Source: docs/explanation/threats.md. Threads: any; a value. check() asks the kernel, which takes some microseconds.
 class LinkUsers {
   public:
-    /// This process' user and root.
-    LinkUsers();
+    /// This process' user, as it is when it checks, and root.
+    LinkUsers() = default;
 
     /// Names of users or numbers, apart by spaces or commas: "axon 1001". `where` begins the message. Refused with
     /// MALFORMED for a name that this machine does not know.

@@ -97,6 +97,16 @@ TEST(ParseValue, TheRefusalSaysWhatWasExpectedAndWhatWasFound) {
               "parameter \"Distance\" takes INT from 0 to 5000 in mm; found \"te?n\"");
 }
 
+TEST(ParseValue, BoundsAreWrittenAsPeopleWriteThem) {
+    auto count = meta(proto::DBL);
+    count.set_minimum(-2500000);
+    count.set_maximum(100000);
+    EXPECT_EQ(describeValues(count), "DBL from -2500000 to 100000");
+    count.set_minimum(0.25);
+    count.set_maximum(1e300);
+    EXPECT_EQ(describeValues(count), "DBL from 0.25 to 1e+300");
+}
+
 TEST(ParseParam, AUnitMayStandBehindTheNumber) {
     for (const auto* text : {"1000", "1000mm", " 1000 mm "}) {
         const auto parsed = parseParam(meta(proto::INT, "mm"), text);

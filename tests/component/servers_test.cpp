@@ -252,6 +252,8 @@ TEST_F(Servers, StopOvertakesAFilledDataLane) {
     robot.join();
     RawClient client(clients());
     ASSERT_TRUE(waitUntil([&] { return client.log.has("joined"); }));
+    robot.status(EntityState::REG, client.facts.me.id);  // who does not hold it may not send so much
+    ASSERT_TRUE(waitUntil([&] { return client.log.has(std::string("status ") + kFirst + " REG"); }));
     robot.stalled = true;
     const std::string block(60'000, 'x');
     for (int i = 0; i < 400; ++i) {
@@ -271,6 +273,9 @@ TEST_F(Servers, DropTheOldestDataOfWhoDoesNotReadAndHurtNobodyElse) {
     stalled.join();
     healthy.join();
     RawClient client(clients());
+    ASSERT_TRUE(waitUntil([&] { return client.log.has("joined Stalled"); }));
+    stalled.status(EntityState::REG, client.facts.me.id);  // who does not hold it may not send so much
+    ASSERT_TRUE(waitUntil([&] { return client.log.has(std::string("status ") + kFirst + " REG"); }));
     stalled.stalled = true;
     const std::string block(60'000, 'x');
     constexpr int kBlocks = 500;  // 30 MB: more than the kernel's buffers
@@ -595,8 +600,8 @@ TEST_F(Servers, RefuseWhoHasAnotherContract) {
     constexpr int kOurs = Axon::CommUtil::ContractNumber;
     using At = std::pair<std::string, std::string>;
     for (const auto& [identity, address] :
-         {At{"ClientGate", clients()}, At{"ClientGate", server->clientAddress(Lane::Signal)}, At{"EntityGate", entities()},
-          At{"EntityGate", server->entityAddress(Lane::Signal)}}) {
+         {At{"ClientGate", clients()}, At{"ClientGate", server.clientAddress(Lane::Signal)}, At{"EntityGate", entities()},
+          At{"EntityGate", server.entityAddress(Lane::Signal)}}) {
         EXPECT_EQ(answer(identity, address, {}), RefusalCode::NotSupported) << identity << ' ' << address;
         for (const int number : {kOurs - 1, kOurs + 1})
             EXPECT_EQ(answer(identity, address, {{"axon-contract", std::to_string(number)}}), RefusalCode::NotSupported)

@@ -531,18 +531,19 @@ class PythonClientTest(unittest.TestCase):
 
     # -- limits, and what remains --------------------------------------------------------------------------------
 
-    def test_names_are_cut_and_reservations_outlive_their_client(self):
+    def test_names_are_cut_and_reservations_end_with_their_client(self):
         first = self.client(name="é" * 200)
         self.assertEqual(first.facts.me.name, "bob@" + "é" * 126, "at most 256 bytes, and none of half a letter")
         self.assertEqual(self.client(name="mallory@desk").facts.me.name, "bob@desk", "the name is the user's")
         self.assertEqual(self.client(name="").facts.me.name, "bob")
         entity = first.find("Counter")
         wait_until(lambda: first.statuses[entity].holder.id == "", "nobody holds it")
-        self.assertEqual(first.checkout(entity, phase=lease_pb2.RESERVE, reserve_s=1.5).refusal.code, refusal_pb2.OK)
-        first.close()
+        self.assertEqual(first.checkout(entity, phase=lease_pb2.RESERVE, reserve_s=60).refusal.code, refusal_pb2.OK)
         second = self.client()
+        second.find("Counter")
         self.assertEqual(code(second.checkout(entity).refusal), "RESERVED")
-        wait_until(lambda: second.checkout(entity).refusal.code == refusal_pb2.OK, "until the reservation has run out", 4)
+        first.close()
+        wait_until(lambda: second.checkout(entity).refusal.code == refusal_pb2.OK, "the reservation has gone with its client", 4)
 
 
 if __name__ == "__main__":

@@ -214,10 +214,11 @@ class AXON_EI_API EntityInterfacer {
         std::string application{};  ///< the name the Entity Manager is configured with; required
         std::string instance{};     ///< tells equal applications on one host apart; empty = none
         std::filesystem::path
-            ports_file;  ///< a ports.cfg; when given, it replaces first_port, last_port, address
+            ports_file;  ///< a ports.cfg; when given, it replaces first_port, last_port, address, users
         std::uint16_t first_port = 5500;  ///< the range is within 5500 to 8000, both included
         std::uint16_t last_port = 8000;
         std::string address = "127.0.0.1";  ///< IPv4 address to listen on
+        std::string users{};  ///< of this machine, besides this one and root, whose Entity Manager is let in: "axon 1001"
         bool beyond_loopback = false;       ///< the link has no authentication: only for networks you trust
         bool watch_profiles = true;         ///< upload the profiles again when their files change
         /// Below these folders a resource's url may be an absolute path; a relative one begins in the folder
