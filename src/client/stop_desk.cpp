@@ -5,11 +5,14 @@
 
 #include <algorithm>
 #include <charconv>
+#include <iterator>
 
 #include "client/content.hpp"
 
 namespace axon::client {
 namespace {
+
+constexpr std::ptrdiff_t kListedAtOnce = 4096;  // half of what a server takes (sessions.md)
 
 /// The sequence at the end of a stop_id ("sender:sequence"), or -1.
 std::int64_t sequenceOf(std::string_view stop_id) {
@@ -74,8 +77,13 @@ void StopDesk::send(const Order& order, Lane lane, std::vector<std::string> ids,
         link_.sendStopSignal(lane, header(order, {}, again), order.cause);
     } else if (ids.size() == 1) {
         link_.sendStopSignal(lane, header(order, ids.front(), again), order.cause);
-    } else if (!ids.empty()) {
-        link_.sendStopSignals(lane, header(order, {}, again), std::move(ids), order.cause);
+    } else {
+        for (auto first = ids.begin(); first != ids.end();) {
+            const auto end = first + std::min<std::ptrdiff_t>(ids.end() - first, kListedAtOnce);
+            link_.sendStopSignals(lane, header(order, {}, again),
+                                  {std::make_move_iterator(first), std::make_move_iterator(end)}, order.cause);
+            first = end;
+        }
     }
 }
 

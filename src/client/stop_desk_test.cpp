@@ -235,6 +235,19 @@ TEST_F(StopDeskTest, AStopOfSeveralIsOneMessageOnEachLane) {
     EXPECT_THAT(link.sent[1].entities, ElementsAre(uuid(1), uuid(3)));
 }
 
+TEST_F(StopDeskTest, AStopOfThousandsIsSeveralMessagesOfOneNumber) {
+    std::vector<std::string> names;
+    for (int i = 100; i < 5'100; ++i) {
+        names.push_back("R" + std::to_string(i));
+        desk.onEntity(Presence::Joined, "22222222-1111-4111-8111-" + std::to_string(100'000'000'000 + i), names.back());
+    }
+    stop(names);
+    ASSERT_THAT(link.sent, SizeIs(2));
+    EXPECT_EQ(link.sent[0].entities.size() + link.sent[1].entities.size(), names.size());
+    EXPECT_LE(link.sent[0].entities.size(), 8192U) << "what a server takes";
+    EXPECT_EQ(link.sent[0].head.sequence, link.sent[1].head.sequence);
+}
+
 TEST_F(StopDeskTest, TheServersStageOfSeveralIsMarkedWhenItReachedThemAll) {
     stop({"Cyton", "PeopleBot#1"});
     clock.advance(1ms);

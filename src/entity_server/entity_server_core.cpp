@@ -15,10 +15,10 @@
 namespace axon::entity_server {
 namespace {
 
-// Of one entity for all others: in a message more than that of any run, in a second less than a slow link to a robot
-// carries. Raw data gives way by itself.
-constexpr std::size_t kPeerBytes = 128 * 1024U;
-constexpr std::uint32_t kPeerBytesPerSecond = 1024 * 1024U;
+// Of one entity for all others, of messages of runs: in one what a step may give back, which is a frame of the link and
+// some more; in a second the invitations of the largest run twice over. Raw data gives way by itself.
+constexpr std::size_t kPeerBytes = (1024 + 64) * 1024U;
+constexpr std::uint32_t kPeerBytesPerSecond = 8 * 1024 * 1024U;
 
 }  // namespace
 
@@ -124,7 +124,7 @@ Refusal notForPeers(const Header& head) {
 Refusal tooMuchForPeers(bool in_one) {
     return {in_one ? RefusalCode::TooLarge : RefusalCode::Overloaded,
             "an entity sends other entities at most " +
-                (in_one ? std::to_string(kPeerBytes / 1024) + " KiB in a message of a run"
+                (in_one ? std::to_string(kPeerBytes / 1024) + " KiB in a message"
                         : std::to_string(kPeerBytesPerSecond / 1024) + " KiB of messages of runs in a second"),
             {}};
 }
@@ -261,16 +261,15 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
             if (const auto other = registered_.find(registration.entity); other != registered_.end()) {
                 return refuse(RefusalCode::Duplicate,
                               "entity " + registration.entity + " ('" + *other->second->name.load() +
-                                  "') is connected already; if the state folder of an Entity Manager was "
-                                  "copied, delete "
-                                  "the file uuid in the copy, and it makes a new one");
+                                  "') is connected already; if the state folder of an Entity Manager was copied, give the copy an "
+                                  "empty one (--state), and it becomes another entity");
             }
             const auto at = elsewhere(registration.entity, Lane::Data);
             if (at && entity_servers_.hears(at->server, kPeerLives, now)) {
                 return refuse(RefusalCode::Duplicate,
                               "entity " + registration.entity + " is connected already, to entity server " + at->server +
-                                  "; if the state folder of an Entity Manager was copied, delete the file uuid in "
-                                  "the copy, and it makes a new one");
+                                  "; if the state folder of an Entity Manager was copied, give the copy an empty "
+                                  "one (--state), and it becomes another entity");
             }
             if (registered_.size() >= settings_.entities_max) {
                 return refuse(RefusalCode::Overloaded, "the server has its " +
@@ -406,11 +405,11 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message) {
     if (!session->registered || flooded(session)) return;
     if (!isForPeers(head)) return session->outbox(lane).newRefusalMsg(head, notForPeers(head));
-    if (head.msg_type != kMsgRaw) {
-        const bool large = message.size() > kPeerBytes;
-        if (large || !session->peer_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size())))
-            return session->outbox(lane).newRefusalMsg(head, tooMuchForPeers(large));
-    }
+    const bool large = message.size() > kPeerBytes;
+    // The few bytes of beats and ends of runs, which go by the signal lane, are not counted.
+    if (large || (lane == Lane::Data && head.msg_type != kMsgRaw &&
+                  !session->peer_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size()))))
+        return session->outbox(lane).newRefusalMsg(head, tooMuchForPeers(large));
     head.sender = {session->entity, *session->name.load(), Role::Operator};
     if (const auto peer = atHome(head.entity, lane)) return deliver(peer->outbox(lane), head, message);
     const auto at = elsewhere(head.entity, lane);

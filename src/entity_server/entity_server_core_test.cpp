@@ -277,7 +277,7 @@ TEST_F(EntityServerTest, RefusesASecondOneOfTheSameUuidUntilTheFirstIsGone) {
     const auto result = core.sendBasicPrfl(copy.session, registration(kFirst), "profile");
     ASSERT_FALSE(result.ok());
     EXPECT_EQ(result.refusal().code, RefusalCode::Duplicate);
-    EXPECT_THAT(result.refusal().message, HasSubstr("delete the file uuid"));
+    EXPECT_THAT(result.refusal().message, HasSubstr("give the copy an empty one (--state)"));
     core.leave(first.session, false, "connection lost");
     EXPECT_TRUE(core.sendBasicPrfl(copy.session, registration(kFirst), "profile").ok());
 }
@@ -363,15 +363,19 @@ TEST_F(EntityServerTest, AnEntityCommandsNoOther) {
 TEST_F(EntityServerTest, AnEntityDoesNotFillTheQueueOfAnother) {
     const auto first = join(kFirst, "Master");
     const auto second = join(kSecond, "Slave");
-    core.sendToPeer(first.session, Lane::Data, toPeer(kSecond), std::string(129 * 1024, 'x'));
-    EXPECT_THAT(first.data->lines, ElementsAre("refused TOO_LARGE"));
-    for (int i = 0; i < 100; ++i) core.sendToPeer(first.session, Lane::Data, toPeer(kSecond), std::string(64 * 1024, 'x'));
-    EXPECT_THAT(second.data->lines, testing::SizeIs(16));
-    EXPECT_EQ(first.data->lines.back(), "refused OVERLOADED");
     auto raw = toPeer(kSecond);
     raw.msg_type = kMsgRaw;
+    const std::string large(1089 * 1024, 'x');
+    core.sendToPeer(first.session, Lane::Data, toPeer(kSecond), large);
+    core.sendToPeer(first.session, Lane::Data, raw, large);
+    EXPECT_THAT(first.data->lines, ElementsAre("refused TOO_LARGE", "refused TOO_LARGE"));
+    for (int i = 0; i < 100; ++i) core.sendToPeer(first.session, Lane::Data, toPeer(kSecond), std::string(1024 * 1024, 'x'));
+    EXPECT_THAT(second.data->lines, testing::SizeIs(8));
+    EXPECT_EQ(first.data->lines.back(), "refused OVERLOADED");
     core.sendToPeer(first.session, Lane::Data, raw, std::string(1024 * 1024, 'x'));
-    EXPECT_THAT(second.data->lines, testing::SizeIs(17)) << "which gives way to what is not raw";
+    EXPECT_THAT(second.data->lines, testing::SizeIs(9)) << "which gives way to what is not raw";
+    core.sendToPeer(first.session, Lane::Signal, toPeer(kSecond), "end");
+    EXPECT_THAT(second.signal->lines, testing::SizeIs(1)) << "the end of a run waits for nothing";
 }
 
 TEST_F(EntityServerTest, WhoIsNotRegisteredSaysNothing) {

@@ -286,13 +286,14 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
                      "the server has no request '" + head.msg_type.substr(0, 64) + "'; expected STATUS or GLOBAL_SERVICES"));
 }
 
-/// What the server decides about a message to an entity that is there. Also notes of which entities the client asks
+/// What the server decides about a message to an entity. Also notes of which entities the client asks
 /// what they remember: their Entity Managers take a check-out and a watch under these two msgTypes alone.
 Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size_t bytes) const {
     if (head.msg_type == kMsgCollaboration)
         return refuse(RefusalCode::PermissionDenied, "COLLABORATION is what entities say to each other; ask their master by RUN");
     if (!client.holds(head.entity)) {
-        if (bytes > kStrangersBytes)
+        // Who has asked for it may have the grant before this server has the status that tells of it.
+        if (bytes > kStrangersBytes && !client.hasAsked(head.entity))
             return refuse(RefusalCode::TooLarge, "a message of more than " + std::to_string(kStrangersBytes / 1024) +
                                                      " KiB is taken only of who holds the entity; check it out first");
         if (!client.bytes.admit(clock_.now(), static_cast<std::uint32_t>(bytes)))
@@ -301,7 +302,7 @@ Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size
                               " KiB in a second to entities that it does not hold are taken of nobody; send less, or check them out");
     }
     const bool check_out = head.msg_type == kMsgCheckOut;
-    if ((check_out || head.msg_type == kMsgWatch) && !client.asks(head.entity, check_out && client.me.role != Role::Observer))
+    if ((check_out || head.msg_type == kMsgWatch) && known_.find(head.entity, kData) && !client.asks(head.entity, check_out && client.me.role != Role::Observer))
         return refuse(RefusalCode::NotConnected, "its session has ended");
     return {};
 }
@@ -309,13 +310,11 @@ Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
     if (flooded(client)) return;
     head.sender = client->me;
-    const auto known = known_.find(head.entity, kData);
+    const auto known = alone() ? nullptr : known_.find(head.entity, kData);
     if (!alone() && !known) return refuseUnknown(*client->data, head);
-    if (known) {
-        if (const auto may = mayGoOn(*client, head, message.size()); !may.ok())
-            return client->data->newRefusalMsg(head, may.refusal());
-    }
-    if (const auto sent = topic_.clientMsg(known && !alone() ? known->registration.server : std::string(), head, message);
+    if (const auto may = mayGoOn(*client, head, message.size()); !may.ok())
+        return client->data->newRefusalMsg(head, may.refusal());
+    if (const auto sent = topic_.clientMsg(known ? known->registration.server : std::string(), head, message);
         !sent.ok()) {
         client->data->newRefusalMsg(head, sent.refusal());
         return;
@@ -325,10 +324,10 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
 
 void FrontEndCore::sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data) {
     head.sender = client->me;
-    const auto known = known_.find(head.entity, kData);
+    const auto known = alone() ? nullptr : known_.find(head.entity, kData);
     // Droppable data of who may not send it is dropped without a word.
-    if ((!alone() && !known) || (known && !mayGoOn(*client, head, data.size()).ok())) return;
-    topic_.clientMsgDataSeq(known && !alone() ? known->registration.server : std::string(), head, data);
+    if ((!alone() && !known) || !mayGoOn(*client, head, data.size()).ok()) return;
+    topic_.clientMsgDataSeq(known ? known->registration.server : std::string(), head, data);
     if (head.msg_type == kMsgRearm) audit("rearm", client->me, {head.entity});
 }
 

@@ -555,7 +555,7 @@ TEST_F(Servers, RefuseASecondEntityOfTheSameUuid) {
         FAIL() << "expected a refusal";
     } catch (const Axon::CommUtil::RequestRefused& refused) {
         EXPECT_EQ(refused.code, static_cast<int>(RefusalCode::Duplicate));
-        EXPECT_NE(refused.reason.find("delete the file uuid"), std::string::npos) << refused.reason;
+        EXPECT_NE(refused.reason.find("give the copy an empty one (--state)"), std::string::npos) << refused.reason;
     }
 }
 

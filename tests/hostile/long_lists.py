@@ -16,12 +16,14 @@ names = [""] * int(sys.argv[3])
 print("attacks", flush=True)
 end = time.monotonic() + 2
 while time.monotonic() < end:
-    client = Client(sys.argv[2], "guest", "word of guest")
+    client = None
     try:
+        client = Client(sys.argv[2], "guest", "word of guest")
         while time.monotonic() < end and not client.closed.is_set():
             client.oneway("signal").sendStopSignals(client.head("", "", "signal"), names, CommUtil.StopCause.Drill)
     except Ice.Exception:
-        pass  # dropped
+        pass  # dropped, or not let in in time
     finally:
-        client.destroy()
+        if client:
+            client.destroy()
 print("has attacked", flush=True)
