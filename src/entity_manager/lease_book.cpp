@@ -68,10 +68,6 @@ bool LeaseBook::reservedFor(const Sender& sender, const std::string& request_id)
 }
 
 Refusal LeaseBook::mayTake(const Sender& sender, const std::string& request_id) const {
-    if (sender.role == Role::Observer)
-        return {RefusalCode::PermissionDenied,
-                "Observers may watch and stop, but not check out. Log in as an operator.",
-                {}};
     if (held_) {
         if (held_->holder.id == sender.id && !held_->grace_until)
             return {RefusalCode::AlreadyHeld, "You hold it already.", nameOfHolder()};
@@ -98,11 +94,7 @@ Refusal LeaseBook::mayCommit(const Sender& sender, const std::string& request_id
     return {RefusalCode::Expired, "There is no reservation of this check-out (any more). Reserve again.", {}};
 }
 
-Refusal LeaseBook::mayResume(const Sender& sender, LeaseNumber number, std::string_view key) const {
-    if (sender.role == Role::Observer)
-        return {RefusalCode::PermissionDenied,
-                "Observers may watch and stop, but not hold an entity. Log in as an operator.",
-                {}};
+Refusal LeaseBook::mayResume(LeaseNumber number, std::string_view key) const {
     if (auto refusal = checkNumber(number); !refusal.ok()) return refusal;
     if (!held_)
         return {end_code_ == RefusalCode::Ok ? RefusalCode::NotHolder : end_code_,

@@ -74,7 +74,7 @@ class LeaseBook {
     Refusal mayCommit(const Sender& sender, const std::string& request_id) const;
     /// Whether this number and key are those of the present lease: PERMISSION_DENIED, and what check() says.
     /// The time it takes does not tell how much of the key is right.
-    Refusal mayResume(const Sender& sender, LeaseNumber number, std::string_view key) const;
+    Refusal mayResume(LeaseNumber number, std::string_view key) const;
 
     /// After mayTake(), or by an administrator: nobody else may take before `until`.
     void reserve(const Sender& sender, const std::string& request_id, TimePoint until);

@@ -299,7 +299,7 @@ void EntityManagerCore::Machine::fire(Incident& incident) {
 }
 
 /// A request: the row, then what it must prove, then the row's actions.
-void EntityManagerCore::Machine::process(Event event, const Header& head, proto::ToEntity* body) {
+void EntityManagerCore::Machine::process(Event event, Who who, const Header& head, proto::ToEntity* body) {
     Incident incident{event, &head, body};
     if (head.sender.id.empty()) {
         ++counters_.anonymous;  // an answer without a recipient would go to everybody
@@ -307,12 +307,12 @@ void EntityManagerCore::Machine::process(Event event, const Header& head, proto:
     }
     if (findRow(state_, event) == nullptr) {
         // Free, but the sender may have held it: that is the reason it can act upon.
-        const bool was_held = state_ == EntityState::IDLE && needsOf(event).holder;
+        const bool was_held = state_ == EntityState::IDLE && (who == Who::Holder || who == Who::HolderOrAdmin);
         refuse(incident,
                was_held ? lease_.check(head.sender, head.held) : refusalFor(state_, event, whyNotReady()));
         return;
     }
-    if (const auto refusal = guard(event, head); !refusal.ok()) {
+    if (const auto refusal = guard(event, who, head); !refusal.ok()) {
         refuse(incident, refusal);
         return;
     }
@@ -327,12 +327,15 @@ void EntityManagerCore::Machine::process(Event event, const Header& head, proto:
     fire(incident);
 }
 
-Refusal EntityManagerCore::Machine::guard(Event event, const Header& head) const {
-    const auto needs = needsOf(event);
-    if (needs.holder) {
-        auto refusal = lease_.check(head.sender, head.held);
-        if (!refusal.ok() && !(needs.admin_may && head.sender.role == Role::Admin)) return refusal;
+Refusal EntityManagerCore::Machine::guard(Event event, Who who, const Header& head) const {
+    if (who == Who::Operator && head.sender.role == Role::Observer)
+        return {RefusalCode::PermissionDenied,
+                "Observers may watch and stop, but not check out. Log in as an operator.",
+                {}};
+    if (who == Who::Holder || (who == Who::HolderOrAdmin && head.sender.role != Role::Admin)) {
+        if (auto refusal = lease_.check(head.sender, head.held); !refusal.ok()) return refusal;
     }
+    const auto needs = needsOf(event);
     if (needs.stop_generation) {
         const auto seen = static_cast<std::uint32_t>(head.stop_generation);
         // A stop that the signal thread has passed on already and that is still on its way to this strand
@@ -1070,7 +1073,7 @@ void EntityManagerCore::Machine::drillDone(std::uint32_t number) {
 
 void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
     if (quit_ || passed_.seen(head)) return;
-    process(event, head, nullptr);
+    process(event, rightOfSignal(event == Event::Reset ? kResetOperation : kClearOperation).who, head, nullptr);
     settle();
 }
 
@@ -1219,46 +1222,48 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
               {RefusalCode::Malformed, "The message could not be read as an axon.proto.ToEntity.", {}});
         return;
     }
-    // Servers let entities send each other two kinds of message, and clients not the first of them, by this header.
-    const bool of_run = from_client_.has_from_master() || from_client_.has_from_slave();
-    if (of_run != (head.msg_type == kMsgCollaboration) ||
-        from_client_.has_raw() != (head.msg_type == kMsgRaw) ||
-        (of_run && holder() != nullptr && holder()->id == head.sender.id)) {
-        ++counters_.malformed;
+    const auto* right = rightOf(from_client_.body_case());
+    const auto event = eventOf(from_client_);
+    if (right == nullptr) {
         reply(head.sender, {},
-              {RefusalCode::Malformed,
-               "The header's msgType is not what the message is, or not what its sender may send: RAW is raw data, "
-               "COLLABORATION what entities say to each other in a run.",
+              {RefusalCode::NotSupported,
+               "The Entity Manager does not know this kind of request. Is the client newer than it?",
                {}});
+        return;
+    }
+    // By the header alone servers and both ends of a direct path know what it is. Nor does a run's message come by such a path.
+    const bool of_run = right->peers == Peers::OfRun && right->who == Who::Nobody;
+    if (head.msg_type != right->msg_type || (of_run && holder() != nullptr && holder()->id == head.sender.id)) {
+        ++counters_.malformed;
+        const Refusal refusal{RefusalCode::Malformed,
+                              "The header's msgType is " + inQuotes(head.msg_type) + ", and the message is " +
+                                  std::string(right->body) + ", which has \"" + std::string(right->msg_type) + '"' +
+                                  (of_run ? " and is for entities to say." : "."),
+                              {}};
+        if (isRequest(event) && !of_run) {
+            refuse({event, &head, &from_client_}, refusal);
+        } else {
+            reply(head.sender, {}, refusal);
+        }
         return;
     }
     if (hearPeer(head, from_client_)) {
         settle();
         return;
     }
-    const auto event = eventOf(from_client_);
     if (event == Event::Quit) {
         const bool control = from_client_.has_task_control();
-        reply(head.sender, control ? from_client_.task_control().task_id() : std::string(),
-              {control ? RefusalCode::Malformed : RefusalCode::NotSupported,
-               "The Entity Manager does not know this kind of request. Is the client newer than it?",
-               {}});
-        return;
-    }
-    // By the header alone both ends of a direct path know which way these go, and the servers who rearmed, waits or
-    // watches.
-    if ((event == Event::CheckOut) != (head.msg_type == kMsgCheckOut) ||
-        (event == Event::Rearm) != (head.msg_type == kMsgRearm) || (event == Event::Watch) != (head.msg_type == kMsgWatch)) {
-        ++counters_.malformed;
-        refuse({event, &head, &from_client_},
-               {RefusalCode::Malformed,
-                "The header's msgType is not what the message is: a check-out is CHECKOUT, a rearm REARM, a watch WATCH.",
-                {}});
+        auto refusal = right->who == Who::Holder ? lease_.check(head.sender, head.held) : Refusal{};
+        if (refusal.ok())
+            refusal = {control ? RefusalCode::Malformed : RefusalCode::NotSupported,
+                       control ? "The action must be PAUSE, RESUME or CANCEL." : "This is no request to an Entity Manager.",
+                       {}};
+        reply(head.sender, control ? from_client_.task_control().task_id() : std::string(), refusal);
         return;
     }
     // What is over must not win because its timer is late.
     if (event == Event::CheckOut || event == Event::HandOver) passTime();
-    process(event, head, &from_client_);
+    process(event, right->who, head, &from_client_);
     if (event != Event::Raw) settle();  // which changes nothing here, whatever became of it
 }
 

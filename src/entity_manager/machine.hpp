@@ -15,6 +15,7 @@
 #include "collaboration/collaboration.hpp"
 #include "common/planted_bug.hpp"
 #include "common/rate_limit.hpp"
+#include "common/rights.hpp"
 #include "common/watchdog.hpp"
 #include "entity_manager/entity_manager_core.hpp"
 #include "entity_manager/hand_over.hpp"
@@ -150,14 +151,14 @@ class EntityManagerCore::Machine {
     };
 
     // Rows.
-    void process(Event event, const Header& head, proto::ToEntity* body);
+    void process(Event event, Who who, const Header& head, proto::ToEntity* body);
     void fire(Incident& incident);
     void fire(Event event) {
         Incident incident{event};
         fire(incident);
     }
     void perform(Action action, Incident& incident);
-    Refusal guard(Event event, const Header& head) const;
+    Refusal guard(Event event, Who who, const Header& head) const;
     void settle();
 
     // The journal.

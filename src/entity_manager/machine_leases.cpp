@@ -265,7 +265,7 @@ void EntityManagerCore::Machine::resumeLease(const Incident& incident) {
     if (waitsForStandstill(claim, proto::RESUME_LEASE)) return;
     const LeaseNumber number{static_cast<std::int32_t>(request.resume().epoch()),
                              static_cast<std::int32_t>(request.resume().number())};
-    if (const auto refusal = lease_.mayResume(sender, number, request.resume().key()); !refusal.ok()) {
+    if (const auto refusal = lease_.mayResume(number, request.resume().key()); !refusal.ok()) {
         refuseWith(refusal);
         return;
     }

@@ -279,26 +279,17 @@ Refusal refusalFor(EntityState state, Event event, const std::string& reason) {
 
 Needs needsOf(Event event) {
     switch (event) {
-        case E::Release:
-        case E::HandOver:
-        case E::Resource:
-        case E::Text:
-        case E::Pause:
-        case E::Cancel:
-        case E::Clear:
-            return {.holder = true};
         case E::Reset:
-            return {.holder = true, .not_latched = true};
+            return {.not_latched = true};
         case E::SetParam:
-            return {.holder = true, .stop_generation = true};
         case E::Rearm:
-            return {.holder = true, .admin_may = true, .stop_generation = true};
+            return {.stop_generation = true};
         case E::Task:
         case E::Resume:
         // Raw data may move the robot (a joystick): what a stop has overtaken must not arrive after it.
         case E::Raw:
         case E::CollaborativeTask:
-            return {.holder = true, .stop_generation = true, .not_latched = true};
+            return {.stop_generation = true, .not_latched = true};
         default:
             return {};
     }
@@ -517,16 +508,14 @@ std::string stateMachinePage() {
     }
     page +=
         "\nFacts (what is not a request) that have no row are counted and change nothing.\n\n"
-        "## What a request must prove first\n\n| request | lease | newest stop seen | not latched "
-        "|\n|---|---|---|---|\n";
+        "## What a request must prove first\n\nWho may ask is in [Who may send an entity what](../reference/rights.md). Then:\n\n"
+        "| request | newest stop seen | not latched |\n|---|---|---|\n";
     for (std::size_t e = 0; e < kEvents; ++e) {
         const auto event = static_cast<Event>(e);
         const auto needs = needsOf(event);
-        if (!isRequest(event)) continue;
-        page += std::string("| ") + toString(event) + " | " +
-                (needs.holder ? (needs.admin_may ? "holder, or an administrator" : "holder") : "anyone") +
-                " | " + (needs.stop_generation ? "yes" : "") + " | " + (needs.not_latched ? "yes" : "") +
-                " |\n";
+        if (!needs.stop_generation && !needs.not_latched) continue;
+        page += std::string("| ") + toString(event) + " | " + (needs.stop_generation ? "yes" : "") + " | " +
+                (needs.not_latched ? "yes" : "") + " |\n";
     }
     return page;
 }

@@ -135,10 +135,8 @@ struct Row {
     Next next;
 };
 
-/// What a request must prove before its row runs (architecture, section 6).
+/// What a request must prove before its row runs (architecture, section 6), besides who sends it (common/rights.hpp).
 struct Needs {
-    bool holder = false;           ///< sender and lease are the present ones
-    bool admin_may = false;        ///< … or the sender is an administrator
     bool stop_generation = false;  ///< the sender has seen the newest stop
     bool not_latched = false;
 };

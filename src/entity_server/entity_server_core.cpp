@@ -9,6 +9,7 @@
 
 #include "common/entity_name.hpp"
 #include "common/life_signs.hpp"
+#include "common/rights.hpp"
 #include "common/snapshot.hpp"
 #include "common/utf8.hpp"
 
@@ -108,11 +109,6 @@ void deliver(EntityOutbox& outbox, const Header& head, std::string_view message)
         outbox.newClientMsgDataSeq(head, message);
     else
         outbox.newClientMsg(head, message);
-}
-
-/// What one entity may send to another. The Entity Manager sees that the message is what its header says.
-bool isForPeers(const Header& head) {
-    return head.msg_type == kMsgCollaboration || head.msg_type == kMsgRaw;
 }
 
 Refusal notForPeers(const Header& head) {
@@ -404,7 +400,7 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 
 void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message) {
     if (!session->registered || flooded(session)) return;
-    if (!isForPeers(head)) return session->outbox(lane).newRefusalMsg(head, notForPeers(head));
+    if (!entitiesMaySend(head.msg_type)) return session->outbox(lane).newRefusalMsg(head, notForPeers(head));
     const bool large = message.size() > kPeerBytes;
     // The few bytes of beats and ends of runs, which go by the signal lane, are not counted.
     if (large || (lane == Lane::Data && head.msg_type != kMsgRaw &&

@@ -10,6 +10,7 @@
 
 #include "common/life_signs.hpp"
 #include "common/planted_bug.hpp"
+#include "common/rights.hpp"
 #include "common/utf8.hpp"
 
 namespace axon::front_end_server {
@@ -289,8 +290,10 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
 /// What the server decides about a message to an entity. Also notes of which entities the client asks
 /// what they remember: their Entity Managers take a check-out and a watch under these two msgTypes alone.
 Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size_t bytes) const {
-    if (head.msg_type == kMsgCollaboration)
-        return refuse(RefusalCode::PermissionDenied, "COLLABORATION is what entities say to each other; ask their master by RUN");
+    if (!clientsMaySend(head.msg_type))
+        return refuse(RefusalCode::PermissionDenied,
+                      head.msg_type + (entitiesMaySend(head.msg_type) ? " is what entities say to each other; ask their master by RUN"
+                                                                      : " is for the server itself: use sendRequest"));
     if (!client.holds(head.entity)) {
         // Who has asked for it may have the grant before this server has the status that tells of it.
         if (bytes > kStrangersBytes && !client.hasAsked(head.entity))

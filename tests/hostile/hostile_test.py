@@ -87,6 +87,74 @@ class HostileTest(unittest.TestCase):
 
     # -- who may say what -----------------------------------------------------------------------------------------
 
+    def rows_of_rights(self):
+        """docs/reference/rights.md, which is made from the table that the programs go by."""
+        page = (ROOT / "docs/reference/rights.md").read_text()
+        for line in page.splitlines():
+            cells = [cell.strip().strip("`") for cell in line.split("|")[1:-1]]
+            if len(cells) == 7 and not cells[0].startswith(("msgType", "---")):
+                yield cells[0], cells[1], dict(zip(("observer", "operator", "administrator", "holder", "entity"), cells[2:]))
+
+    def message_of(self, body):
+        """With nothing in it, but for what makes it a request at all."""
+        message = messages_pb2.ToEntity()
+        getattr(message, body).SetInParent()
+        if body == "check_out":
+            message.check_out.request_id, message.check_out.phase = uuid.uuid4().bytes, lease_pb2.ABORT
+        if body == "task_control":
+            message.task_control.action = task_pb2.CANCEL
+        return {body: getattr(message, body)}
+
+    def denied(self, client, entity, kind, body):
+        """The code with which the servers or the Entity Manager deny it; "yes" where they do not."""
+        with client.news:
+            client.arrived.clear()
+        client.send(entity, kind, self.message_of(body))
+        fence = uuid.uuid4().bytes
+        client.send(entity, "STATUS", {"status_request": messages_pb2.StatusRequest(request_id=fence)})
+        client.answer("status", entity)
+        with client.news:
+            answers = [message for _, _, message in client.arrived]
+        for answer in answers:
+            if isinstance(answer, tuple):
+                return code(answer[0])
+            refusal = next((getattr(getattr(answer, arm), field) for arm, field in
+                            (("reply", "refusal"), ("check_out", "refusal"), ("task", "reason"), ("resource_done", "refusal"))
+                            if answer.HasField(arm)), None)
+            if refusal and code(refusal.code) in ("PERMISSION_DENIED", "NOT_HOLDER"):
+                return code(refusal.code)
+        return "yes"
+
+    def test_who_may_send_what_is_as_the_page_says(self):
+        holder, entity = self.holder()
+        others = {"observer": self.client("guest"), "operator": self.client("bob"), "administrator": self.client("chief")}
+        for client in others.values():
+            client.find("Counter")
+        peer = self.peer("Trojan")
+        rows = list(self.rows_of_rights())
+        self.assertGreater(len(rows), 20)
+        for kind, body, may in rows:
+            for name, client in others.items():
+                with self.subTest(kind=kind, body=body, by=name):
+                    if body and kind != "WATCH":  # whose answers do not come before others'
+                        self.assertEqual(self.denied(client, entity, kind, body), may[name])
+                    elif may[name] != "yes":
+                        self.assertEqual(code(client.command(entity, kind).code), may[name])
+            if body:
+                with self.subTest(kind=kind, body=body, by="entity"):
+                    seq = peer.to_peer(entity, kind, self.message_of(body))
+                    if may["entity"] == "of the same run":
+                        stays(lambda: seq not in [head.seq for head, _, _ in peer.refusals], "the server passes it on", 0.1)
+                    else:
+                        self.assertEqual(code(peer.refused(seq)), may["entity"])
+        self.assertEqual(self.state(holder, entity), State.REG, "nobody else has changed anything")
+        # What ends the holding comes last.
+        for kind, body, may in sorted(rows, key=lambda row: row[1] == "release"):
+            with self.subTest(kind=kind, body=body, by="holder"):
+                if body and body not in ("watch", "release"):
+                    self.assertEqual(self.denied(holder, entity, kind, body), may["holder"])
+        holder.release(entity)
+
     def test_an_entity_commands_no_other(self):
         witness = self.client("guest")
         victim = witness.find("Counter")

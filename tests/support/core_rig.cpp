@@ -302,12 +302,7 @@ Header CoreRig::headOf(const std::string& client) {
 
 Header CoreRig::headOf(const std::string& client, const proto::ToEntity& message) {
     auto head = headOf(client);
-    head.msg_type = message.has_check_out() ? kMsgCheckOut
-                    : message.has_rearm()   ? kMsgRearm
-                    : message.has_watch()   ? kMsgWatch
-                    : message.has_raw()     ? kMsgRaw
-                    : message.has_from_master() || message.has_from_slave() ? kMsgCollaboration
-                                                                            : "";
+    if (const auto* right = rightOf(message.body_case())) head.msg_type = right->msg_type;
     return head;
 }
 

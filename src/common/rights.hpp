@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <cstdint>
+#include <span>
+#include <string>
+#include <string_view>
+
+namespace axon {
+
+/// Who may have a message carried out. Where nothing else is said, an operator may what an observer may, and an administrator
+/// what an operator may.
+enum class Who : std::uint8_t {
+    Anyone,
+    Operator,       ///< not an observer: PERMISSION_DENIED
+    Holder,         ///< of the present lease: NOT_HOLDER and the like
+    HolderOrAdmin,
+    Nobody          ///< what is not for Entity Managers at all
+};
+
+/// Whether entities may send it to each other, by sendToPeer.
+enum class Peers : std::uint8_t {
+    No,     ///< PERMISSION_DENIED, of the entity server
+    OfRun,  ///< the master of a run and those who take part in it, among themselves; its seals say who they are
+};
+
+/// One kind of message to an entity, or one signal.
+struct Right {
+    std::string_view msg_type;  ///< Header.msgType; of a signal the operation
+    std::string_view body;      ///< the field of axon.proto.ToEntity; of a signal empty
+    int number;                 ///< of that field; of a signal 0
+    Who who;                    ///< of the clients
+    Peers peers;
+};
+
+/// Who may send an entity what: the one table that front-end servers, entity servers and Entity Managers ask, and from which
+/// docs/reference/rights.md is made. Servers know a message by its msgType alone, so each body has one; that it is what it says
+/// is for the Entity Manager to see. Immutable; any thread. Source of the signals: thesis, 3.3.1.
+std::span<const Right> rights();
+/// Of a field of ToEntity; null for one that this edition does not know.
+const Right* rightOf(int body);
+/// Of a signal, by its operation, which is in the table.
+const Right& rightOfSignal(std::string_view operation);
+
+/// What a front-end server passes on for a client. A msgType that the table does not know is the Entity Manager's business:
+/// servers need not change for a new one.
+bool clientsMaySend(std::string_view msg_type);
+/// What an entity server passes on from one entity to another.
+bool entitiesMaySend(std::string_view msg_type);
+
+inline constexpr std::string_view kStopOperation = "sendStopSignal";
+inline constexpr std::string_view kResetOperation = "sendResetSignal";
+inline constexpr std::string_view kClearOperation = "sendClearSignal";
+
+/// docs/reference/rights.md.
+std::string rightsPage();
+
+}  // namespace axon
