@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What people write: a query for entities, and a ports.cfg. Any text is one or a refusal that says what was expected. The
-// first byte chooses.
+// What people write or pass on: a query for entities, a ports.cfg, and a lease's ticket. Any text is one or a refusal that says
+// what was expected; a ticket that is taken says the same again. The first byte chooses.
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <string_view>
 
 #include "client/entity_query.hpp"
+#include "client/session_core.hpp"
 #include "host/port_range.hpp"
 
 namespace {
@@ -29,8 +30,17 @@ void requireMend(const Result<T>& result) {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
     if (size == 0) return 0;
     const std::string_view text(reinterpret_cast<const char*>(bytes + 1), size - 1);
-    if (bytes[0] % 2 == 0) {
+    if (bytes[0] % 3 == 0) {
         requireMend(client::parseQuery(text));
+        return 0;
+    }
+    if (bytes[0] % 3 == 2) {
+        const auto ticket = client::LeaseTicket::parse(text);
+        requireMend(ticket);
+        if (!ticket) return 0;
+        const auto again = client::LeaseTicket::parse(ticket->toText());
+        require(again.ok() && again->entity == ticket->entity && again->lease == ticket->lease && again->key == ticket->key,
+                "a ticket that is taken is written and read as the same");
         return 0;
     }
     const auto ports = parsePorts(text, "ports.cfg");

@@ -15,6 +15,7 @@
 
 #include "cli/agent_link.hpp"
 #include "cli/distribution.hpp"
+#include "cli/verbs/doctor_report.hpp"
 #include "cli/verbs/holding.hpp"
 #include "cli/view.hpp"
 #include "cli/words.hpp"
@@ -29,31 +30,6 @@ using Clock = std::chrono::steady_clock;
 // The seed's range for the link between a robot application and its Entity Manager (thesis B.3.1).
 constexpr int kFirstPort = 5500;
 constexpr int kLastPort = 8000;
-
-/// Collects findings and remembers whether one of them is bad.
-class Report {
-  public:
-    explicit Report(Events& events) : events_(events) {}
-    void ok(const std::string& name, const std::string& message) { say("ok", name, message, {}); }
-    void warn(const std::string& name, const std::string& message, const std::string& mend) {
-        say("warn", name, message, mend);
-    }
-    void bad(const std::string& name, const std::string& message, const std::string& mend) {
-        say("bad", name, message, mend);
-        any_bad_ = true;
-    }
-    bool anyBad() const { return any_bad_; }
-
-  private:
-    void say(const char* level, const std::string& name, const std::string& message,
-             const std::string& mend) {
-        Json check{{"event", "finding"}, {"level", level}, {"name", name}, {"message", message}};
-        if (!mend.empty()) check["mend"] = mend;
-        events_.emit(check);
-    }
-    Events& events_;
-    bool any_bad_ = false;
-};
 
 double secondsSince(Clock::time_point start) {
     return Seconds(Clock::now() - start).count();
@@ -275,6 +251,11 @@ void checkPorts(Report& report) {
 int doctor(Session& session) {
     Report report(session.events);
     report.ok("axon", std::string("version ") + AXON_VERSION);
+    if (session.args.value("security", false)) {
+        checkSecurity(report, session);
+        checkAgent(report, session.settings);
+        return report.anyBad() ? kRefused : kDone;
+    }
     checkServer(report, session);
     checkAgent(report, session.settings);
     checkRealTime(report);
@@ -289,10 +270,11 @@ extern const Verb kDoctor{
     "Find out what is wrong with the set-up",
     "  axon doctor\n"
     "  axon doctor --server lab.example.org:10410\n"
+    "  axon doctor --security\n"
     "Each line is fine (✓), worth a look (!) or wrong (✗); exit status 1 when one is wrong.\n",
     Runs::Local,
     {},
-    {},
+    {{"security", Takes::Nothing, "Who could be let in who should not be, and what others on the way or on this machine could read"}},
     doctor};
 
 }  // namespace axon::cli

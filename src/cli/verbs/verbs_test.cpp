@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <gmock/gmock.h>
 
+#include <cstdlib>
+#include <filesystem>
+#include <map>
 #include <thread>
 
 #include "cli/fake_station.hpp"
@@ -82,6 +85,51 @@ TEST_F(Verbs, DoctorNamesAnEntityWithoutItsApplicationAndOneWithoutProfiles) {
     EXPECT_THAT(findings["greeter"]["mend"].get<std::string>(), HasSubstr("--application"));
     EXPECT_EQ(findings["half"]["level"], "bad");
     EXPECT_THAT(findings["half"]["message"].get<std::string>(), HasSubstr(silent.reason));
+}
+
+TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
+    const auto folder = std::filesystem::path(testing::TempDir()) / "axon-doctor-state";
+    std::filesystem::remove_all(folder);
+    std::filesystem::create_directories(folder / "axon" / "greeter");
+    std::filesystem::permissions(folder / "axon" / "greeter", std::filesystem::perms::owner_all);
+    ASSERT_EQ(::setenv("XDG_STATE_HOME", folder.c_str(), 1), 0);
+    bool needs_password = true;
+    const auto examine = [&] {
+        seen.events.clear();
+        Session session{{{"security", true}}, seen, mailbox, nullptr, settings, kept};
+        session.connect = [&](const Settings& with) -> Result<std::shared_ptr<Station>> {
+            if (needs_password && with.password.empty()) return Refusal{RefusalCode::PermissionDenied, "no", {}};
+            return std::shared_ptr<Station>(station);
+        };
+        findVerb("doctor")->perform(session);
+        std::map<std::string, std::string> levels;
+        for (const auto& event : seen.events) levels[event.value("name", "")] = event.value("level", "");
+        return levels;
+    };
+    settings.user = "ana";
+    settings.password = "secret";
+    auto levels = examine();
+    EXPECT_EQ(levels["way"], "ok") << "loopback";
+    EXPECT_EQ(levels["log-in"], "ok");
+    EXPECT_EQ(levels["state"], "ok");
+    EXPECT_FALSE(levels.contains("role"));
+
+    settings.server = "192.168.0.9:10410";
+    EXPECT_EQ(examine()["way"], "bad");
+    settings.server = "ssl://lab.example.org:10410";
+    EXPECT_EQ(examine()["way"], "ok");
+
+    needs_password = false;
+    EXPECT_EQ(examine()["log-in"], "bad");
+    settings.server = "127.0.0.1:10410";
+    EXPECT_EQ(examine()["log-in"], "warn");
+
+    station->my_role = Role::Admin;
+    EXPECT_EQ(examine()["role"], "warn");
+    std::filesystem::permissions(folder / "axon" / "greeter", std::filesystem::perms(0750));
+    EXPECT_EQ(examine()["state"], "bad");
+    ASSERT_EQ(::unsetenv("XDG_STATE_HOME"), 0);
+    std::filesystem::remove_all(folder);
 }
 
 TEST_F(Verbs, RunChecksOutForItselfAndReleases) {

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <string>
+
+#include "cli/session.hpp"
+
+namespace axon::cli {
+
+/// Emits the findings of `axon doctor` as they are made, and remembers whether one of them is bad. One thread.
+class Report {
+  public:
+    explicit Report(Events& events) : events_(events) {}
+    void ok(const std::string& name, const std::string& message) { say("ok", name, message, {}); }
+    void warn(const std::string& name, const std::string& message, const std::string& mend) {
+        say("warn", name, message, mend);
+    }
+    void bad(const std::string& name, const std::string& message, const std::string& mend) {
+        say("bad", name, message, mend);
+        any_bad_ = true;
+    }
+    bool anyBad() const { return any_bad_; }
+
+  private:
+    void say(const char* level, const std::string& name, const std::string& message,
+             const std::string& mend) {
+        Json check{{"event", "finding"}, {"level", level}, {"name", name}, {"message", message}};
+        if (!mend.empty()) check["mend"] = mend;
+        events_.emit(check);
+    }
+    Events& events_;
+    bool any_bad_ = false;
+};
+
+/// `axon doctor --security`: what of the set-up lets somebody in who should not be (docs/explanation/threats.md).
+void checkSecurity(Report& report, Session& session);
+
+}  // namespace axon::cli
