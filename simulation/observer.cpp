@@ -27,6 +27,11 @@ bool latches(StopCause cause) {
     return cause == StopCause::Requested || cause == StopCause::ClientLost || cause == StopCause::Improper;
 }
 
+bool isLoss(StopCause cause) {
+    return cause == StopCause::ClientLost || cause == StopCause::Improper || cause == StopCause::ServerLost ||
+           cause == StopCause::LinkLost || cause == StopCause::Fault;
+}
+
 std::string text(LeaseNumber lease) {
     return std::to_string(lease.epoch) + '.' + std::to_string(lease.number);
 }
@@ -36,7 +41,7 @@ std::string text(LeaseNumber lease) {
 const char* toString(Invariant invariant) {
     static constexpr std::array<const char*, kInvariants> kNames{
         "one-lease", "fence", "dead-man",   "latch",   "once",
-        "too-late",  "order", "comes-back", "bounded", "journal"};
+        "too-late",  "order", "comes-back", "bounded", "journal", "unhurt"};
     return kNames[static_cast<std::size_t>(invariant)];
 }
 
@@ -189,6 +194,7 @@ void Observer::stopGoesOut(std::size_t number, std::uint32_t generation, StopCau
         entity.voided_order = ++order_;
     }
     entity.stops_to_note.push_back(generation);
+    if (isLoss(cause)) hurt(entity.name + ": a stop for " + toString(cause) + ", and nothing was lost");
     const bool held = entity.status && !entity.status->holder.id.empty();
     if (latches(cause) && (signal || cause == StopCause::ClientLost)) wantLatch(entity);
     if (cause == StopCause::ServerLost && held) wantLatch(entity);

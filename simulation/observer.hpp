@@ -34,8 +34,9 @@ enum class Invariant : std::uint8_t {
     ComesBack,  ///< 8 after the faults everything becomes available again
     Bounded,    ///< 9 queues stay below their bounds, and nothing is left behind at the end
     Journal,    ///< 10 every decision is told and written down
+    Unhurt,     ///< 11 where nothing fails, nobody's lies end a session or stop a robot
 };
-inline constexpr std::size_t kInvariants = 10;
+inline constexpr std::size_t kInvariants = 11;
 const char* toString(Invariant invariant);
 
 struct Violation {
@@ -111,6 +112,11 @@ class Observer {
     /// What the bounds of the dead-man allow beside the watchdogs: the longest delay that is being injected.
     void delayed(Duration most) { delay_ = std::max(delay_, most); }
     void clocksDiffer(double by) { drift_ = by; }
+    /// Every end of a session that is not its own wish is somebody else's doing then, and so is every stop for a loss.
+    void nothingFails(bool nothing) { nothing_fails_ = nothing; }
+    void hurt(const std::string& what) {
+        if (nothing_fails_) violated(Invariant::Unhurt, what);
+    }
     /// A fault has begun: whoever moves must have stopped in time.
     void faultBegins();
 
@@ -211,6 +217,7 @@ class Observer {
     std::uint64_t order_ = 0;
     Duration delay_{};
     double drift_ = 0;
+    bool nothing_fails_ = false;
     std::optional<Violation> violation_;
     Counts counts_;
 };

@@ -72,6 +72,10 @@ class ServerStation {
     void sendToClientDataSeq(EntitySession& session, const Header& head, const std::string& bytes);
     void keepAlive(EntitySession& session);
 
+    /// For who logs in without a process and a network of its own (Liars). Null while the process is dead.
+    front_end_server::FrontEndCore* frontEnd();
+    entity_server::EntityServerCore* entityServer();
+
     std::size_t clients() const;
     std::size_t entities() const;
 

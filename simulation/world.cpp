@@ -33,7 +33,8 @@ constexpr std::array<Named, kFaults> kNames{{
     {"pause", "processes are frozen for up to 9 s"},
     {"slow", "clients read slowly, from servers whose outboxes are small"},
     {"drift", "clocks run at different rates, up to 2 percent, and processes are frozen"},
-    {"all", "all of these in one run"},
+    {"lies", "a client that holds nothing and an entity lie about whatever they can"},
+    {"all", "all of these but the lies in one run"},
 }};
 
 }  // namespace
@@ -164,8 +165,13 @@ void World::judgeEnd() {
 // -- faults
 
 void World::planFaults(Faults faults) {
+    observer_.nothingFails(faults == Faults::None || faults == Faults::Lies);
     if (faults == Faults::None) return;
     const auto begin = timeline_.now();
+    if (faults == Faults::Lies) {
+        liars_.emplace(timeline_, outside_, server_, fault_dice_.roll(UINT64_MAX), begin + kFaultsFrom, begin + kFaultsUntil);
+        return;
+    }
     const auto count = faults == Faults::All ? 2 + fault_dice_.roll(5) : 1 + fault_dice_.roll(4);
     for (std::uint64_t i = 0; i < count; ++i) {
         const auto at = begin + fault_dice_.between(kFaultsFrom, kFaultsUntil - 1s);

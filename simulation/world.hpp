@@ -10,6 +10,7 @@
 
 #include "simulation/client_station.hpp"
 #include "simulation/entity_manager_station.hpp"
+#include "simulation/liars.hpp"
 #include "simulation/robot_application.hpp"
 #include "simulation/server_station.hpp"
 #include "simulation/user.hpp"
@@ -28,9 +29,10 @@ enum class Faults : std::uint8_t {
     Pause,
     Slow,
     Drift,
+    Lies,
     All
 };
-inline constexpr std::size_t kFaults = 11;
+inline constexpr std::size_t kFaults = 12;
 const char* toString(Faults faults);
 const char* describe(Faults faults);
 std::optional<Faults> faultsOf(std::string_view name);
@@ -86,6 +88,7 @@ class World {
     std::vector<std::unique_ptr<ClientStation>> clients_;
     std::vector<std::unique_ptr<User>> users_;
     std::unique_ptr<Visitor> visitor_;
+    std::optional<Liars> liars_;
 };
 
 }  // namespace axon::simulation

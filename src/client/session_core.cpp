@@ -77,6 +77,10 @@ Header SessionCore::header(const std::string& entity, const char* msg_type, Leas
 std::int64_t SessionCore::send(const std::string& entity, const char* msg_type, LeaseNumber lease,
                                const proto::ToEntity& body) {
     const auto head = header(entity, msg_type, lease);
+    if (body.has_check_out() && asked_.insert(entity).second) {
+        countMoving(entity);
+        pace();
+    }
     link_.sendToEntity(head, body.SerializeAsString());
     return head.sequence;
 }
@@ -197,6 +201,7 @@ void SessionCore::noteRefusal(const std::string& entity, LeaseNumber under, cons
 void SessionCore::onConnected(const Sender& self, int entities, const Watchdogs& watchdogs) {
     connected_ = true;
     self_ = self;
+    asked_.clear();
     promised_ = entities;
     watchdogs_ = watchdogs;
     server_.feed(clock_.now());
@@ -1163,11 +1168,10 @@ bool SessionCore::busy() const {
 
 void SessionCore::countMoving(const std::string& entity) {
     const auto known = entities_.find(entity);
-    // The server goes by what the entity says: until that has let go of a client that released it, its
-    // watchdog is short.
-    const bool counts =
-        known != entities_.end() &&
-        (leases_.count(entity) != 0 || (!self_.id.empty() && known->second.facts.holder.id == self_.id));
+    // The server goes by what the entity says, of one that this session has asked for: until that has let go of a client
+    // that released it, its watchdog is short.
+    const bool named = known != entities_.end() && asked_.contains(entity) && known->second.facts.holder.id == self_.id;
+    const bool counts = named || (known != entities_.end() && leases_.count(entity) != 0);
     const auto keep = [&](std::set<std::string>& in, bool member) {
         if (member) {
             in.insert(entity);
@@ -1176,7 +1180,7 @@ void SessionCore::countMoving(const std::string& entity) {
         }
     };
     keep(moving_, counts && moves(known->second.facts.state));
-    keep(busy_, counts && known->second.facts.state == EntityState::BUSY);
+    keep(busy_, named && known->second.facts.state == EntityState::BUSY);
 }
 
 void SessionCore::pace() {

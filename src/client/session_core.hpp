@@ -471,7 +471,9 @@ class SessionCore {
     NameIndex names_;
     std::unordered_map<std::string, KnownEntity> entities_;
     std::map<std::string, Lease> leases_;
-    std::set<std::string> moving_, busy_;  // held (countMoving), and BUSY or driven otherwise; held and BUSY
+    std::set<std::string> asked_;          // for a check-out, in this session
+    std::set<std::string> moving_;         // held (countMoving), and BUSY or driven otherwise
+    std::set<std::string> busy_;           // of those the BUSY ones that the server takes for this client's
     std::unordered_map<Id128, TaskRecord> tasks_;
     std::size_t running_tasks_ = 0;
     std::deque<Id128> finished_tasks_;

@@ -591,6 +591,23 @@ TEST_F(SessionCoreTest, HeartbeatsStayFastWhileAnEntityThatIsHeldIsBusy) {
     EXPECT_EQ(core.nextHeartbeat(), clock.now() + 2s) << "other people's robots do not count";
 }
 
+// The server beats fast for the client that the entity names, whoever has its lease.
+TEST_F(SessionCoreTest, AnEntityThatIsHeldAndNamesAnotherChangesNoWatchdogOfTheServer) {
+    take("Cyton");
+    advance(0ms);
+    status(3, EntityState::BUSY, {"other", "client2"}, {1, 1});
+    EXPECT_GT(core.serverDeadline(), clock.now() + 5s);
+    EXPECT_LE(core.nextHeartbeat(), clock.now() + 50ms) << "what it holds may move";
+}
+
+// The server does not believe it either, and goes on beating slowly.
+TEST_F(SessionCoreTest, AnEntityThatNamesThisClientUnaskedChangesNoWatchdog) {
+    advance(0ms);
+    status(1, EntityState::BUSY, kMe, {1, 1});
+    EXPECT_EQ(core.nextHeartbeat(), clock.now() + 2s);
+    EXPECT_GT(core.serverDeadline(), clock.now() + 5s) << "a server that beats slowly would be given up after a second";
+}
+
 /// A client and the watchdog that its server has of it, over idle times and tasks.
 class WatchedWorld : public CoreWorld {
   public:

@@ -43,7 +43,9 @@
     X(HeldTaskGoesOn, "a task that is held when its client is lost is not paused")                           \
     X(LoserNotTold, "who loses an entity by a take-over is not told")                                        \
     X(LateGrantLeft, "what is granted to a client that has gone stays its own")                              \
-    X(RequestsWaitForEver, "a client's request that nobody answers does not time out")
+    X(RequestsWaitForEver, "a client's request that nobody answers does not time out")                       \
+    X(StrangersObeyed, "an order of who does not hold the entity is carried out")                            \
+    X(UnaskedHolderBelieved, "an entity may name any client as its busy holder")
 
 namespace axon {
 

@@ -568,6 +568,7 @@ TEST_F(Held, WhatIsNotWhatItsHeaderSaysIsRefusedAsWhatItIs) {
 TEST_F(Held, AMessageWithoutASenderIsCountedAndAnsweredToNobody) {
     const auto before = rig.to_clients.size();
     Header nobody;
+    nobody.msg_type = kMsgStatus;
     rig.core().onClientMsg(nobody, "not a message");
     proto::ToEntity status;
     status.mutable_status_request();

@@ -333,7 +333,7 @@ Refusal EntityManagerCore::Machine::guard(Event event, Who who, const Header& he
                 "Observers may watch and stop, but not check out. Log in as an operator.",
                 {}};
     if (who == Who::Holder || (who == Who::HolderOrAdmin && head.sender.role != Role::Admin)) {
-        if (auto refusal = lease_.check(head.sender, head.held); !refusal.ok()) return refusal;
+        if (auto refusal = lease_.check(head.sender, head.held); !refusal.ok() && !AXON_PLANTED(StrangersObeyed)) return refusal;
     }
     const auto needs = needsOf(event);
     if (needs.stop_generation) {

@@ -289,7 +289,7 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
 
 /// What the server decides about a message to an entity. Also notes of which entities the client asks
 /// what they remember: their Entity Managers take a check-out and a watch under these two msgTypes alone.
-Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size_t bytes) const {
+Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size_t bytes) {
     if (!clientsMaySend(head.msg_type))
         return refuse(RefusalCode::PermissionDenied,
                       head.msg_type + (entitiesMaySend(head.msg_type) ? " is what entities say to each other; ask their master by RUN"
@@ -305,9 +305,29 @@ Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size
                               " KiB in a second to entities that it does not hold are taken of nobody; send less, or check them out");
     }
     const bool check_out = head.msg_type == kMsgCheckOut;
-    if ((check_out || head.msg_type == kMsgWatch) && known_.find(head.entity, kData) && !client.asks(head.entity, check_out && client.me.role != Role::Observer))
-        return refuse(RefusalCode::NotConnected, "its session has ended");
+    if ((!check_out && head.msg_type != kMsgWatch) || !known_.find(head.entity, kData)) return {};
+    const bool for_itself = check_out && client.me.role != Role::Observer;
+    const bool first = for_itself && !client.hasAsked(head.entity);
+    if (!client.asks(head.entity, for_itself)) return refuse(RefusalCode::NotConnected, "its session has ended");
+    if (first) believe(client, head.entity);
     return {};
+}
+
+/// From now on the entity may name this client as its busy holder; it may have done so before.
+void FrontEndCore::believe(const Client& client, const std::string& entity) {
+    {
+        const std::lock_guard lock(mutex_);
+        const auto held = holdings_.find(client.me.id);
+        if (held == holdings_.end()) return;
+        const auto busy = held->second.find(entity);
+        const auto known = records_.find(entity);
+        if (busy == held->second.end() || busy->second || known == records_.end() ||
+            known->second->status.state != EntityState::BUSY)
+            return;
+        busy->second = true;
+        updateHolding(client.me.id);
+    }
+    wake_();
 }
 
 void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::string_view message) {
@@ -750,7 +770,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
             if (client != clients_.end()) {
                 // An entity that names a client which never asked for it is told of its end like any other, but does not
                 // decide how often that client must beat.
-                const bool asked = client->second->hasAsked(entity);
+                const bool asked = client->second->hasAsked(entity) || AXON_PLANTED(UnaskedHolderBelieved);
                 if (!asked && before != holder)
                     doubt = "it names " + client->second->me.name + " as its holder, who has not asked for it";
                 const auto [held, is_new] = holdings_[holder].try_emplace(entity, busy && asked);

@@ -152,7 +152,8 @@ class FrontEndCore {
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     bool flooded(const ClientRef& client, std::size_t messages = 1);
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
-    Result<void> mayGoOn(Client& client, const Header& head, std::size_t bytes) const;
+    Result<void> mayGoOn(Client& client, const Header& head, std::size_t bytes);
+    void believe(const Client& client, const std::string& entity);
     void audit(const char* what, const Sender& who, const std::vector<std::string>& entities) const;
     std::size_t pushAll(ClientOutbox& to);
     std::size_t stopTargets(const std::string& entity) const;

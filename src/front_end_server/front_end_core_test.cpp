@@ -350,6 +350,19 @@ TEST_F(FrontEndTest, AnEntityThatNamesAHolderWhoHasNotAskedForItIsNotBelieved) {
         << "what it says of itself is safe to believe";
 }
 
+// The client goes by the same two facts, in whichever order they come.
+TEST_F(FrontEndTest, WhoAsksAfterItHasBeenNamedIsWatchedFromThenOn) {
+    entity("e1");
+    const auto peer = join();
+    tell("e1", EntityState::BUSY, peer.id());
+    pass(300ms);
+    EXPECT_FALSE(peer.data->disconnected);
+    core.keepAlive(peer.client);
+    ask(peer.client, "e1");
+    pass(300ms);
+    EXPECT_TRUE(peer.data->disconnected);
+}
+
 TEST_F(FrontEndTest, WhoWasAskedAndDoesNotHoldIsToldThatTheClientHasLeft) {
     for (const auto* name : {"e1", "e2", "e3", "e4"}) entity(name);
     const auto peer = join();

@@ -21,7 +21,7 @@ constexpr double kTwoTo63 = 9223372036854775808.0;
 /// The shortest text that is this number; whole ones as people write them, 100000 and not 1e+05.
 std::string numberText(double number) {
     char buffer[64];
-    if (std::abs(number) < 1e15 && number == std::trunc(number))
+    if (std::abs(number) < 1e15 && number == std::trunc(number) && (number != 0 || !std::signbit(number)))
         return {buffer, std::to_chars(buffer, buffer + sizeof buffer, static_cast<std::int64_t>(number)).ptr};
     const auto end = std::to_chars(buffer, buffer + sizeof buffer, number).ptr;
     return {buffer, end};

@@ -20,7 +20,7 @@ USERS = {"ann": "operator", "bob": "operator", "chief": "admin", "guest": "obser
 
 def make_laboratory():
     """Everything runs: axon-server with these users and with an endpoint for routers (lab.at["client-router"]), the robot
-    application (lab.app), its Entity Manager. Whoever calls ends it."""
+    application (lab.app), its Entity Manager (lab.manager). Whoever calls ends it."""
     low = 6000 + os.getpid() * 7 % 1900
     lab = Laboratory(BIN, application=f"foreign-{os.getpid()}", ports=f"{low}-{low + 5}", environment="embedded")
     try:
@@ -35,7 +35,7 @@ def make_laboratory():
         (lab.folder / "server.cfg").write_text("FrontEndServerRouter.Endpoints=127.0.0.1:0\n")
         lab.start_server(None, "--users", users, "--config", lab.folder / "server.cfg")
         lab.app = lab.start("app", "foreign-counter", HERE / "robot", lab.folder / "ports.cfg", lab.application)
-        lab.start_manager("", "--config", config)
+        lab.manager = lab.start_manager("", "--config", config)
     except BaseException:
         lab.end()
         raise

@@ -5,6 +5,8 @@
 #include <charconv>
 #include <cstdio>
 
+#include "common/rights.hpp"
+
 namespace axon::test {
 
 const char* const kRigBasicProfile = R"(<?xml version="1.0" encoding="UTF-8"?>
