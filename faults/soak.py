@@ -1,12 +1,12 @@
 #!/usr/bin/python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Clients, watchers, entities and half-open connections come and go for hours; the server and an Entity Manager that stays must
-end with the descriptors, threads and memory that they had at the beginning.
+"""Clients that work, watch or wait, entities, and connections over which nothing is sent, come and go for hours; the server and an
+Entity Manager that stays must end with the descriptors, threads and memory that they had at the beginning.
 
     /usr/bin/python3 faults/soak.py --bin build/release/bin --minutes 120
 
 Prints a line each minute. The comparison begins after the first tenth of the time, when all that is allocated once has been.
-Exit status 1 where more than --mib MiB, --descriptors or any thread is left over.
+Exit status 1 where more than --mib MiB, --descriptors or any thread is left over; 2 where it could not be run, or somebody had no answer.
 """
 import argparse
 import os
@@ -38,6 +38,9 @@ from client import Client  # noqa: E402
 from peer import Peer  # noqa: E402
 
 
+REST = 75  # s; Ice keeps some KB of a connection for a minute after its end
+
+
 class Usage:
     """Of one process: descriptors, threads, MiB that only it has."""
 
@@ -53,9 +56,13 @@ class Usage:
 
 
 class Churn:
+    """One round after another, each of a kind that the dice choose."""
+
+    LINGER = 15  # s; longer than any watchdog of the server
+
     def __init__(self, lab, seed):
-        self.lab, self.dice, self.rounds = lab, random.Random(seed), 0
-        self.kinds = (self.work, self.watch, self.wait_in_vain, self.be_an_entity, self.half_open, self.vanish)
+        self.lab, self.dice, self.rounds, self.lingering = lab, random.Random(seed), 0, []
+        self.kinds = (self.work, self.watch, self.wait_in_vain, self.be_an_entity, self.say_nothing)
 
     def client(self):
         return Client(self.lab.at["client"], "bob", "word of bob")
@@ -63,54 +70,73 @@ class Churn:
     def round(self):
         self.dice.choice(self.kinds)()
         self.rounds += 1
+        while self.lingering and self.lingering[0][0] <= time.monotonic():
+            self.lingering.pop(0)[1]()
+
+    def linger(self, close):
+        self.lingering.append((time.monotonic() + self.LINGER, close))
+
+    def end(self, client):
+        """In order, by closing its connections, or by beating no more."""
+        how = self.dice.randrange(3)
+        if how == 0:
+            client.close()
+        elif how == 1:
+            client.destroy()
+        else:
+            client.closed.set()
+            client.hurry.set()
+            self.linger(client.destroy)
 
     def work(self):
         client = self.client()
-        entity = client.find("Counter")
+        entity = client.find("Counter", 30)
         if client.checkout(entity).HasField("lease"):
             if client.statuses[entity].latched:
                 client.rearm(entity)
             task = client.start(entity, "Count", To=3)
-            client.answer("task", entity, task_id=task, state=task_pb2.TASK_SUCCEEDED)
-            client.stop(entity)
-            client.rearm(entity)
-            client.release(entity)
-        client.close()
+            client.answer("task", entity, task_id=task)
+            if self.dice.random() < 0.5:
+                client.stop(entity)
+        self.end(client)
 
     def watch(self):
         client = self.client()
-        client.watch(client.find("Counter"))
-        client.close()
+        client.watch(client.find("Counter", 30))
+        self.end(client)
 
     def wait_in_vain(self):
         holder, ghost = self.client(), self.client()
-        entity = holder.find("Counter")
-        if holder.checkout(entity).HasField("lease"):
-            ghost.find("Counter")
-            ghost.send(entity, "CHECKOUT", {"check_out": lease_pb2.CheckOutRequest(
-                request_id=os.urandom(16), phase=lease_pb2.TAKE, wait=True)})
-            ghost.close()
-            holder.release(entity)
-        ghost.destroy()
-        holder.close()
+        entity = holder.find("Counter", 30)
+        holder.checkout(entity)
+        ghost.find("Counter", 30)
+        ghost.send(entity, "CHECKOUT", {"check_out": lease_pb2.CheckOutRequest(
+            request_id=os.urandom(16), phase=lease_pb2.TAKE, wait=True)})
+        self.end(ghost)
+        self.end(holder)
 
     def be_an_entity(self):
         peer = Peer(self.lab.at["entity"], "robot", "word of robot", f"passing-{self.rounds}")
         peer.status(CommUtil.EntityState.BUSY)
-        peer.close()
+        if self.dice.random() < 0.5:
+            peer.close()
+        else:
+            peer.ended.set()
+            self.linger(peer.close)
 
-    def half_open(self):
+    def say_nothing(self):
         for kind in ("client", "entity"):
             host, port = self.lab.at[kind].rsplit(":", 1)
-            silent = [socket.create_connection((host, int(port)), timeout=5) for _ in range(self.dice.randint(1, 20))]
-            silent[0].sendall(b"Ice")
-            for one in silent:
-                one.close()
+            for _ in range(self.dice.randint(1, 10)):
+                silent = socket.create_connection((host, int(port)), timeout=5)
+                if self.dice.random() < 0.5:
+                    silent.sendall(b"Ice")
+                self.linger(silent.close)
 
-    def vanish(self):
-        client = self.client()
-        client.find("Counter")
-        client.destroy()  # without a word
+    def finish(self):
+        for _, close in self.lingering:
+            close()
+        self.lingering.clear()
 
 
 def main():
@@ -119,28 +145,40 @@ def main():
         processes = {"server": lab.server.child.pid, "Entity Manager": lab.manager.child.pid}
         churn, begin = Churn(lab, arguments.seed), time.monotonic()
         end, settled = begin + 60 * arguments.minutes, begin + 6 * arguments.minutes
-        before, tell = None, begin
-        while time.monotonic() < end:
-            churn.round()
+        before, tell, trouble = None, begin, None
+        while time.monotonic() < end and not trouble:
+            try:
+                churn.round()
+            except (TimeoutError, OSError) as error:
+                trouble = f"round {churn.rounds}: {error}"
             now = time.monotonic()
             if before is None and now >= settled:
-                time.sleep(3)  # what has ended is cleaned up within a watchdog
-                before = {name: Usage(pid) for name, pid in processes.items()}
+                before = rest(churn, processes)
             if now >= tell:
                 tell += 60
-                print(f"{(now - begin) / 60:6.1f} min {churn.rounds:8} rounds", *(f"| {name}: {Usage(pid)}" for name, pid in processes.items()), flush=True)
-        time.sleep(3)
-        failed = False
-        for name, pid in processes.items():
-            after = Usage(pid)
-            kept = (after.mib <= before[name].mib + arguments.mib and after.threads <= before[name].threads and
-                    after.descriptors <= before[name].descriptors + arguments.descriptors)
-            failed = failed or not kept
-            print(f"{name}: {before[name]} → {after}: {'as before' if kept else 'MORE THAN BEFORE'}")
-        print(f"{churn.rounds} rounds in {arguments.minutes:g} minutes")
-        return 1 if failed else 0
+                print(f"{(now - begin) / 60:6.1f} min {churn.rounds:8} rounds", *(f"| {name}: {Usage(pid)}" for name, pid in processes.items()),
+                      flush=True)
+        after, kept = rest(churn, processes), True
+        for name, was in (before or {}).items():
+            now = after[name]
+            same = (now.mib <= was.mib + arguments.mib and now.threads <= was.threads and
+                    now.descriptors <= was.descriptors + arguments.descriptors)
+            kept = kept and same
+            print(f"{name}: {was} → {now}: {'as before' if same else 'MORE THAN BEFORE'}")
+        print(f"{churn.rounds} rounds in {(time.monotonic() - begin) / 60:.1f} minutes")
+        if trouble or not before:
+            print(trouble or "too short: nothing to compare with", file=sys.stderr)
+            return 2
+        return 0 if kept else 1
     finally:
         lab.end()
+
+
+def rest(churn, processes):
+    """What each has when everybody has gone, and what they left has been cleaned up."""
+    churn.finish()
+    time.sleep(REST)
+    return {name: Usage(pid) for name, pid in processes.items()}
 
 
 if __name__ == "__main__":

@@ -128,7 +128,10 @@ void ClientStation::lost(std::uint64_t attempt, const char* reason) {
     auto& life = *life_;
     life.listening = 0;
     timeline_.tell(process_.name(), [&] { return std::string("has lost the server: ") + reason; });
-    if (life.up) observer_.sessionEnded(life.me.id);
+    if (life.up) {
+        observer_.sessionEnded(life.me.id);
+        observer_.hurt(process_.name() + " has lost its session: " + reason);
+    }
     life.up = false;
     life.core.onDisconnected(reason);
     life.desk.onDisconnected();

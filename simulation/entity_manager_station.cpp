@@ -497,6 +497,7 @@ void EntityManagerStation::serverLost(std::uint64_t attempt, const char* reason)
     dropServer();
     const auto dropped = life.attempt;
     if (was_up) {
+        observer_.hurt(process_.name() + " has lost its session: " + reason);
         life.core.onServerDown(reason);
         settle();
     }

@@ -51,18 +51,21 @@ struct Liars::Ears final : public front_end_server::ClientOutbox, public entity_
     // As both.
     void newRefusalMsg(const Header&, const Refusal&) override {}
     void newHeartbeat(std::int64_t) override {}
-    void disconnect(bool, const std::string&) override {}
+    void disconnect(bool, const std::string&) override { disconnected = true; }
 
     std::map<std::string, EntityStatus> statuses;
     std::map<std::string, Sender> people;
     std::vector<std::pair<Sender, std::string>> asked;
     std::vector<std::string> stops;
+    bool disconnected = false;
 };
 
-Liars::Liars(Timeline& timeline, Process& outside, ServerStation& server, std::uint64_t seed, TimePoint from, TimePoint until)
+Liars::Liars(Timeline& timeline, Process& outside, ServerStation& server, Observer& observer, std::uint64_t seed, TimePoint from,
+             TimePoint until)
     : timeline_(timeline),
       outside_(outside),
       server_(server),
+      observer_(observer),
       dice_(seed),
       random_(seed),
       until_(until),
@@ -80,11 +83,12 @@ Liars::~Liars() = default;
 void Liars::logIn() {
     auto& front_end = *server_.frontEnd();
     client_ = front_end.setCallback("liar@lab", Role::Operator, ears_).value();
-    static_cast<void>(front_end.attach(front_end_server::FrontEndCore::token(*client_), ears_));
     auto& entities = *server_.entityServer();
     entity_ = entities.open(ears_);
-    static_cast<void>(entities.attach(entity_server::EntityServerCore::token(*entity_), ears_));
-    static_cast<void>(entities.sendBasicPrfl(entity_, {uuid_, "Liar", "ROBOT", "MOBILE"}, "\x0a\x01x"));
+    if (!front_end.attach(front_end_server::FrontEndCore::token(*client_), ears_).ok() ||
+        !entities.attach(entity_server::EntityServerCore::token(*entity_), ears_).ok() ||
+        !entities.sendBasicPrfl(entity_, {uuid_, "Liar", "ROBOT", "MOBILE"}, "\x0a\x01x").ok())
+        observer_.violated(Invariant::Unhurt, "the liars could not log in, so nothing was tried");
     EntityStatus idle;
     idle.entity = uuid_;
     idle.state = EntityState::IDLE;
@@ -105,6 +109,8 @@ void Liars::leave() {
 
 void Liars::lie() {
     if (timeline_.now() >= until_) return;
+    if (ears_->disconnected) return observer_.violated(Invariant::Unhurt, "a liar's session has ended, so nothing more was tried");
+    ++observer_.counts().lies;
     if (dice_.chance(0.5)) {
         lieAsClient();
     } else {
@@ -238,8 +244,9 @@ void Liars::lieAsEntity() {
             return entities.sendStatus(entity_, status);
         }
         case 2: {  // the name and the UUID of another
-            const auto session = entities.open(ears_);
-            static_cast<void>(entities.attach(entity_server::EntityServerCore::token(*session), ears_));
+            const auto ears = std::make_shared<Ears>();
+            const auto session = entities.open(ears);
+            static_cast<void>(entities.attach(entity_server::EntityServerCore::token(*session), ears));
             static_cast<void>(entities.sendBasicPrfl(session, {target.entity, "left", "ROBOT", "MOBILE"}, "\x0a\x01x"));
             return entities.leave(session, dice_.chance(0.5), "the liar is gone");
         }

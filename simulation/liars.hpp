@@ -2,6 +2,7 @@
 #pragma once
 #include <memory>
 
+#include "simulation/observer.hpp"
 #include "simulation/server_station.hpp"
 #include "simulation/timeline.hpp"
 
@@ -16,7 +17,7 @@ namespace axon::simulation {
 class Liars {
   public:
     /// Logs in at `from`, leaves at `until`.
-    Liars(Timeline& timeline, Process& outside, ServerStation& server, std::uint64_t seed, TimePoint from, TimePoint until);
+    Liars(Timeline& timeline, Process& outside, ServerStation& server, Observer& observer, std::uint64_t seed, TimePoint from, TimePoint until);
     ~Liars();
     Liars(const Liars&) = delete;
     Liars& operator=(const Liars&) = delete;
@@ -35,6 +36,7 @@ class Liars {
     Timeline& timeline_;
     Process& outside_;
     ServerStation& server_;
+    Observer& observer_;
     Dice dice_;
     SeededRandom random_;
     const TimePoint until_;

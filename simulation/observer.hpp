@@ -22,7 +22,7 @@ class ToClient;
 
 namespace axon::simulation {
 
-/// The ten promises, by the names that a violation is reported under (docs/how-to/simulate.md).
+/// The eleven promises, by the names that a violation is reported under (docs/how-to/simulate.md).
 enum class Invariant : std::uint8_t {
     OneLease,   ///< 1 at most one obeyed lease for each entity, and no moving robot is handed over
     Fence,      ///< 2 nothing is executed below the highest lease or stop generation seen
@@ -60,6 +60,7 @@ struct Counts {
     std::uint64_t finished = 0;       ///< a client was lost, and its task moved on for its time
     std::uint64_t slow_dropped = 0;   ///< data that a slow reader did not get
     std::uint64_t slow_lost = 0;      ///< slow readers that the server has given up
+    std::uint64_t lies = 0;           ///< messages of who lies, that its sessions let it send
 
     void add(const Counts& other);
 };
@@ -67,7 +68,7 @@ struct CountName {
     const char* name;
     std::uint64_t Counts::*count;
 };
-inline constexpr std::array<CountName, 17> kCounts{{{"tasks", &Counts::tasks},
+inline constexpr std::array<CountName, 18> kCounts{{{"tasks", &Counts::tasks},
                                                     {"dispatches", &Counts::dispatches},
                                                     {"stops", &Counts::stops},
                                                     {"grants", &Counts::grants},
@@ -83,7 +84,8 @@ inline constexpr std::array<CountName, 17> kCounts{{{"tasks", &Counts::tasks},
                                                     {"held", &Counts::held},
                                                     {"finished", &Counts::finished},
                                                     {"slow_dropped", &Counts::slow_dropped},
-                                                    {"slow_lost", &Counts::slow_lost}}};
+                                                    {"slow_lost", &Counts::slow_lost},
+                                                    {"lies", &Counts::lies}}};
 
 /// A client's session as the dead-man sees it: the process behind it, and the way to the server.
 struct SessionHealth {

@@ -375,7 +375,6 @@ void ServerStation::clientGone(ClientSession& session, Ending ending, const char
     if (!session.ref || std::exchange(session.ended, true)) return;
     timeline_.tell(process_.name(), [&] { return session.who->process().name() + " is gone: " + why; });
     observer_.sessionEnded(FrontEndCore::me(*session.ref).id);
-    if (ending != Ending::Ended) observer_.hurt(session.who->process().name() + " has lost its session: " + why);
     life_->front_end.leave(session.ref, ending, why);
     session.data->close(process_);
     if (session.signal != nullptr) session.signal->close(process_);
@@ -433,7 +432,6 @@ void ServerStation::entityAttach(EntitySession& session, Connection& signal, con
 
 void ServerStation::entityGone(EntitySession& session, bool orderly, const char* why) {
     if (std::exchange(session.ended, true)) return;
-    if (!orderly) observer_.hurt(session.who->process().name() + " has lost its session: " + why);
     life_->entities.leave(session.ref, orderly, why);
     session.data->close(process_);
     if (session.signal != nullptr) session.signal->close(process_);

@@ -370,6 +370,14 @@ TEST_F(Judge, FindsALeaseThatIsGrantedTwice) {
     observer.toClient(0, head, grant);
     EXPECT_EQ(broken(), "one-lease");
 }
+TEST_F(Judge, FindsAStopForALossWhereNothingFails) {
+    isHeld();
+    observer.stopGoesOut(0, 1, StopCause::ClientLost, false);
+    EXPECT_EQ(broken(), "none");
+    observer.nothingFails(true);
+    observer.stopGoesOut(0, 2, StopCause::ClientLost, false);
+    EXPECT_EQ(broken(), "unhurt");
+}
 TEST_F(Judge, FindsAStopThatIsNotInTheJournal) {
     isHeld();
     observer.stopGoesOut(0, 1, StopCause::Clear, false);
@@ -383,7 +391,7 @@ TEST_F(Judge, FindsAStopThatIsNotInTheJournal) {
 }
 
 TEST(Simulation, ASeedReplaysToTheLastEvent) {
-    for (const auto faults : {Faults::None, Faults::Crash, Faults::All}) {
+    for (const auto faults : {Faults::None, Faults::Crash, Faults::Lies, Faults::All}) {
         const auto once = World(7, faults).run();
         const auto again = World(7, faults).run(true);
         EXPECT_EQ(once.digest, again.digest);

@@ -169,7 +169,7 @@ void World::planFaults(Faults faults) {
     if (faults == Faults::None) return;
     const auto begin = timeline_.now();
     if (faults == Faults::Lies) {
-        liars_.emplace(timeline_, outside_, server_, fault_dice_.roll(UINT64_MAX), begin + kFaultsFrom, begin + kFaultsUntil);
+        liars_.emplace(timeline_, outside_, server_, observer_, fault_dice_.roll(UINT64_MAX), begin + kFaultsFrom, begin + kFaultsUntil);
         return;
     }
     const auto count = faults == Faults::All ? 2 + fault_dice_.roll(5) : 1 + fault_dice_.roll(4);
@@ -327,6 +327,7 @@ void World::injectOne(Faults kind, TimePoint at) {
         }
         case Faults::None:
         case Faults::Drift:
+        case Faults::Lies:
         case Faults::All:
             return;
     }

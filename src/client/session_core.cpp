@@ -77,7 +77,7 @@ Header SessionCore::header(const std::string& entity, const char* msg_type, Leas
 std::int64_t SessionCore::send(const std::string& entity, const char* msg_type, LeaseNumber lease,
                                const proto::ToEntity& body) {
     const auto head = header(entity, msg_type, lease);
-    if (body.has_check_out() && asked_.insert(entity).second) {
+    if (body.has_check_out() && self_.role != Role::Observer && asked_.insert(entity).second) {
         countMoving(entity);
         pace();
     }
@@ -356,7 +356,7 @@ void SessionCore::onStatus(const EntityStatus& status) {
     known.heard = true;
     Entity& facts = known.facts;
     facts.id = status.entity;
-    facts.state = status.state;
+    known.told = facts.state = status.state;
     facts.latched = status.latched;
     facts.stop_generation = std::max(facts.stop_generation, status.stop_generation);
     facts.holder = status.holder;
@@ -1179,8 +1179,8 @@ void SessionCore::countMoving(const std::string& entity) {
             in.erase(entity);
         }
     };
-    keep(moving_, counts && moves(known->second.facts.state));
-    keep(busy_, named && known->second.facts.state == EntityState::BUSY);
+    keep(moving_, counts && (moves(known->second.facts.state) || moves(known->second.told)));
+    keep(busy_, named && known->second.told == EntityState::BUSY);
 }
 
 void SessionCore::pace() {

@@ -261,6 +261,7 @@ class SessionCore {
         Entity facts;
         bool announced = false;
         bool heard = false;  // its status
+        EntityState told = EntityState::UNAV;  // by the server; `facts` may be newer, by the entity itself
         bool there() const { return announced && heard; }
     };
     void join(const KnownEntity& known);

@@ -591,6 +591,25 @@ TEST_F(SessionCoreTest, HeartbeatsStayFastWhileAnEntityThatIsHeldIsBusy) {
     EXPECT_EQ(core.nextHeartbeat(), clock.now() + 2s) << "other people's robots do not count";
 }
 
+// What an entity says to this client alone is not what the server goes by.
+TEST_F(SessionCoreTest, TheServersWatchdogsFollowWhatTheServerHasTold) {
+    take("Cyton");
+    advance(0ms);
+    status(3, EntityState::BUSY, kMe, {1, 1});
+    proto::ToClient lie;
+    lie.mutable_status()->set_state(proto::EntityState::IDLE);
+    Header head;
+    head.entity = uuid(3);
+    head.msg_type = kMsgStatus;
+    core.onEntityMsg(head, lie.SerializeAsString());
+    EXPECT_LE(core.nextHeartbeat(), clock.now() + 50ms);
+    EXPECT_LE(core.serverDeadline(), clock.now() + 1s);
+    status(3, EntityState::REG, kMe, {1, 1});
+    lie.mutable_status()->set_state(proto::EntityState::BUSY);
+    core.onEntityMsg(head, lie.SerializeAsString());
+    EXPECT_GT(core.serverDeadline(), clock.now() + 5s);
+}
+
 // The server beats fast for the client that the entity names, whoever has its lease.
 TEST_F(SessionCoreTest, AnEntityThatIsHeldAndNamesAnotherChangesNoWatchdogOfTheServer) {
     take("Cyton");

@@ -7,8 +7,8 @@
 
 namespace axon {
 
-/// Who may have a message carried out. Where nothing else is said, an operator may what an observer may, and an administrator
-/// what an operator may.
+/// Whose message is carried out. Where nothing else is said, an operator may do whatever an observer may, and an administrator
+/// whatever an operator may.
 enum class Who : std::uint8_t {
     Anyone,
     Operator,       ///< not an observer: PERMISSION_DENIED
@@ -20,7 +20,7 @@ enum class Who : std::uint8_t {
 /// Whether entities may send it to each other, by sendToPeer.
 enum class Peers : std::uint8_t {
     No,     ///< PERMISSION_DENIED, of the entity server
-    OfRun,  ///< the master of a run and those who take part in it, among themselves; its seals say who they are
+    OfRun,  ///< the master of a run and those who take part in it, among themselves; its invitation is sealed by the client
 };
 
 /// One kind of message to an entity, or one signal.

@@ -581,6 +581,19 @@ TEST_F(Held, AMessageWithoutASenderIsCountedAndAnsweredToNobody) {
     EXPECT_EQ(rig.core().state(), EntityState::REG);
 }
 
+TEST_F(Held, ALargeMessageIsReadOnlyOfTheHolder) {
+    proto::ToEntity message;
+    message.mutable_text()->set_text(std::string(20'000, 'x'));
+    rig.to_clients.clear();
+    const auto sent = rig.to_application.size();
+    rig.send("client2", message);
+    ASSERT_EQ(rig.to_clients.size(), 1U);
+    EXPECT_EQ(rig.to_clients[0].message.reply().refusal().code(), proto::NOT_HOLDER);
+    EXPECT_NE(rig.to_clients[0].message.reply().refusal().message().find("is not read"), std::string::npos);
+    rig.send("client1", message);
+    EXPECT_EQ(rig.to_application.size(), sent + 1);
+}
+
 TEST_F(Held, RawDataIsMovedNotCopied) {
     proto::ToEntity message;
     const std::string bulk(60'000, 'x');

@@ -9,7 +9,6 @@ namespace axon::entity_manager {
 namespace {
 
 constexpr const char* kSecretKey = "secret";
-constexpr const char* kUuidKey = "uuid";
 
 [[noreturn]] void unusable(const std::string& how) {
     throw std::runtime_error("The stored value \"secret\" " + how +

@@ -25,7 +25,7 @@ constexpr std::size_t kOpenDrills = 64;
 constexpr std::size_t kActiveTold = 1024;
 constexpr std::size_t kStreamName = 255;
 constexpr std::uint32_t kGenerationsReserved = 1000;
-constexpr const char* kUuidKey = "uuid";
+constexpr std::size_t kReadOfStrangers = 16 * 1024;
 constexpr const char* kGenerationKey = "stop_generation";
 /// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
 /// deleted on a full disk, and what is in doubt is latched.
@@ -335,6 +335,9 @@ Refusal EntityManagerCore::Machine::guard(Event event, Who who, const Header& he
     if (who == Who::Holder || (who == Who::HolderOrAdmin && head.sender.role != Role::Admin)) {
         if (auto refusal = lease_.check(head.sender, head.held); !refusal.ok() && !AXON_PLANTED(StrangersObeyed)) return refusal;
     }
+    // An invitation shows a seal of its own (considerInvitation).
+    if (who == Who::Nobody && event != Event::CollaborationRequest)
+        return {RefusalCode::PermissionDenied, "No client may ask an entity for this.", {}};
     const auto needs = needsOf(event);
     if (needs.stop_generation) {
         const auto seen = static_cast<std::uint32_t>(head.stop_generation);
@@ -1216,6 +1219,13 @@ void EntityManagerCore::Machine::confirmStop(std::uint32_t generation) {
 
 void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_view bytes) {
     if (quit_) return;
+    // What is large takes its time to be read, in which nothing else is done: only of who holds the entity, or its fellows.
+    if (bytes.size() > kReadOfStrangers && head.msg_type != kMsgCollaboration && partner(head.sender.id) == nullptr) {
+        if (auto refusal = lease_.check(head.sender, head.held); !refusal.ok()) {
+            refusal.message = "A message of more than " + std::to_string(kReadOfStrangers / 1024) + " KiB is not read. " + refusal.message;
+            return reply(head.sender, {}, refusal);
+        }
+    }
     if (!from_client_.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
         ++counters_.malformed;
         reply(head.sender, {},

@@ -79,6 +79,8 @@ class ServerPort {
     virtual void sendToClientDataSeq(const Header& head, const proto::ToClient& message) = 0;
 };
 
+inline constexpr const char* kUuidKey = "uuid";  ///< of the entity's UUID in the Storage
+
 /// What must survive a restart: small named values. The daemon keeps a file for each.
 class Storage {
   public:

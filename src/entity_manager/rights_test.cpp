@@ -74,8 +74,13 @@ TEST(Rights, TheEntityManagerGoesByTheTable) {
     }
 }
 
-TEST(Rights, ResetAndClearAreTheHolders) {
+TEST(Rights, StopIsAnybodysResetAndClearAreTheHolders) {
     for (const auto* client : {"observer", "client2", "admin", "client1"}) {
+        test::CoreRig stopped;
+        stopped.makeIdle();
+        stopped.take("client1", "r1");
+        stopped.stop(client);
+        EXPECT_TRUE(stopped.core().latched()) << client;
         for (const bool clears : {false, true}) {
             test::CoreRig rig;
             rig.makeIdle();
@@ -126,6 +131,21 @@ TEST(Rights, AMessageIsWhatItsHeaderSays) {
             EXPECT_EQ(rig.core().counters().malformed, 1U);
         }
     }
+}
+
+TEST(Rights, AKnownMessageUnderAnUnknownNameIsRefused) {
+    test::CoreRig rig;
+    rig.makeIdle();
+    rig.take("client1", "r1");
+    auto head = rig.headOf("client1");
+    head.msg_type = "WEATHER";
+    proto::ToEntity text;
+    text.mutable_text()->set_text("go");
+    rig.to_clients.clear();
+    rig.core().onClientMsg(head, text.SerializeAsString());
+    EXPECT_EQ(codeOf(rig.to_clients.at(0).message), static_cast<int>(RefusalCode::Malformed));
+    rig.core().onClientMsg(head, "");  // a field that this edition does not know reads as none
+    EXPECT_EQ(codeOf(rig.to_clients.at(1).message), static_cast<int>(RefusalCode::NotSupported));
 }
 
 TEST(Rights, ServersPassOnWhatTheTableDoesNotKnowForClientsOnly) {

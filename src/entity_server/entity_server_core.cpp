@@ -20,6 +20,9 @@ namespace {
 // some more; in a second the invitations of the largest run twice over. Raw data gives way by itself.
 constexpr std::size_t kPeerBytes = (1024 + 64) * 1024U;
 constexpr std::uint32_t kPeerBytesPerSecond = 8 * 1024 * 1024U;
+// Of one entity for anybody on a signal lane, which stops share: beats and ends of runs, receipts, refusals.
+constexpr std::size_t kSignalBytes = 16 * 1024U;
+constexpr std::uint32_t kSignalBytesPerSecond = 1024 * 1024U;
 
 }  // namespace
 
@@ -44,7 +47,7 @@ class EntityServerCore::Session {
 
     Snapshot<std::string> name;  // of its newest registration
 
-    RateLimit rate, peer_bytes{kPeerBytesPerSecond};
+    RateLimit rate, peer_bytes{kPeerBytesPerSecond}, signal_bytes{kSignalBytesPerSecond};
     LifeSigns signs;  // written without a lock
     // The drill that is out, 0 = none; when it was sent and how long it took, written without a lock.
     std::atomic<std::uint64_t> drill{0};
@@ -122,6 +125,13 @@ Refusal tooMuchForPeers(bool in_one) {
             "an entity sends other entities at most " +
                 (in_one ? std::to_string(kPeerBytes / 1024) + " KiB in a message"
                         : std::to_string(kPeerBytesPerSecond / 1024) + " KiB of messages of runs in a second"),
+            {}};
+}
+
+Refusal tooMuchOnSignalLane() {
+    return {RefusalCode::Overloaded,
+            "the signal lane takes no raw data, messages of at most " + std::to_string(kSignalBytes / 1024) + " KiB, and " +
+                std::to_string(kSignalBytesPerSecond / 1024) + " KiB in a second",
             {}};
 }
 
@@ -377,6 +387,11 @@ bool EntityServerCore::flooded(const SessionRef& session) {
     return true;
 }
 
+bool EntityServerCore::tooMuchSignal(Session& session, std::string_view message) {
+    return message.size() > kSignalBytes ||
+           !session.signal_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size()));
+}
+
 void EntityServerCore::sendSvcPrflRecord(const SessionRef& session, Header head, std::int32_t record_id,
                                          std::int32_t count, std::string_view record) {
     if (!session->registered || flooded(session)) return;
@@ -389,6 +404,8 @@ void EntityServerCore::sendToClient(const SessionRef& session, Lane lane, Header
     if (!session->registered || flooded(session)) return;
     if (isDrill(head)) return drillAnswered(session, head);
     head.entity = session->entity;
+    if (lane == Lane::Signal && tooMuchSignal(*session, message))
+        return session->outbox(lane).newRefusalMsg(head, tooMuchOnSignalLane());
     topic_.entityMsg(lane, head, message);
 }
 
@@ -401,8 +418,9 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
 void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message) {
     if (!session->registered || flooded(session)) return;
     if (!entitiesMaySend(head.msg_type)) return session->outbox(lane).newRefusalMsg(head, notForPeers(head));
+    if (lane == Lane::Signal && (head.msg_type == kMsgRaw || tooMuchSignal(*session, message)))
+        return session->outbox(lane).newRefusalMsg(head, tooMuchOnSignalLane());
     const bool large = message.size() > kPeerBytes;
-    // The few bytes of beats and ends of runs, which go by the signal lane, are not counted.
     if (large || (lane == Lane::Data && head.msg_type != kMsgRaw &&
                   !session->peer_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size()))))
         return session->outbox(lane).newRefusalMsg(head, tooMuchForPeers(large));

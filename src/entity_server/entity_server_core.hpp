@@ -172,6 +172,7 @@ class EntityServerCore {
     void learn(const std::string& server, const std::vector<std::string>& entities);
     bool refusedLately(const std::string& sender);
     bool flooded(const SessionRef& session);
+    bool tooMuchSignal(Session& session, std::string_view message);
     void schedule(const SessionRef& session, TimePoint at);
     void leaveToPublisher(const std::string& entity);
     void putInQueue(const std::string& entity, bool again);

@@ -378,6 +378,20 @@ TEST_F(EntityServerTest, AnEntityDoesNotFillTheQueueOfAnother) {
     EXPECT_THAT(second.signal->lines, testing::SizeIs(1)) << "the end of a run waits for nothing";
 }
 
+TEST_F(EntityServerTest, ASignalLaneIsNotFilledByAnEntity) {
+    const auto first = join(kFirst, "Master");
+    const auto second = join(kSecond, "Slave");
+    auto raw = toPeer(kSecond);
+    raw.msg_type = kMsgRaw;
+    const std::string large(16 * 1024 + 1, 'x');
+    core.sendToPeer(first.session, Lane::Signal, raw, "laser");
+    core.sendToPeer(first.session, Lane::Signal, toPeer(kSecond), large);
+    core.sendToClient(first.session, Lane::Signal, head(kSecond), large);
+    EXPECT_THAT(first.signal->lines, ElementsAre("refused OVERLOADED", "refused OVERLOADED", "refused OVERLOADED"));
+    for (int i = 0; i < 1000; ++i) core.sendToPeer(first.session, Lane::Signal, toPeer(kSecond), std::string(16 * 1024, 'x'));
+    EXPECT_THAT(second.signal->lines, testing::SizeIs(64)) << "1 MiB in a second";
+}
+
 TEST_F(EntityServerTest, WhoIsNotRegisteredSaysNothing) {
     const auto peer = connect();
     core.sendToClient(peer.session, Lane::Data, head(kFirst), "hello");

@@ -170,7 +170,10 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         // A name that is no UTF-8 would make every receipt that carries it unreadable.
         std::string name(cutUtf8(validUtf8(display_name), 256));
         const auto origin = alone() ? std::string() : settings_.name + ":" + instance_ + ":";
-        Sender me{origin + Id128::uuid(random_).toString(), name.empty() ? "unnamed" : std::move(name), role};
+        // Of version 8: no entity can register under it without a secret that nobody has (docs/adr/0024).
+        auto id = Id128::uuid(random_).toString();
+        id[14] = '8';
+        Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
                                           settings_, clock_.now());
         clients_.emplace(client->me.id, client);

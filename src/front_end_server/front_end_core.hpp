@@ -70,7 +70,7 @@ enum class Ending : std::uint8_t {
 ///
 /// Threads: any, concurrently; calls for one lane of one client, and those from one entity server about
 /// entities, come one after the other. Routing reads immutable tables, of which each lane has its own
-/// reference; the mutex is taken for joins, statuses, leaves and by the timer, never by a message, a sign of
+/// reference; the mutex is taken for joins, statuses, leaves, a client's first check-out of an entity and by the timer, never by another message, a sign of
 /// life or a client's signal. Failure: refusals are sent back; nothing throws.
 class FrontEndCore {
   public:

@@ -335,7 +335,7 @@ class PythonClientTest(unittest.TestCase):
         holder, entity = self.holder()
         head = holder.head(entity, "x" * 1024)
         holder.send(entity, "STATUS", {"status_request": messages_pb2.StatusRequest(request_id=b"1024")}, head)
-        holder.answer("status", entity, request_id=b"1024")
+        self.assertEqual(code(holder.answer("reply", entity, request_id=b"1024").refusal), "MALFORMED", "which ends no session")
         other = self.client()
         head = other.head(entity, "x" * 1025, "signal")
         before = len(self.stops())

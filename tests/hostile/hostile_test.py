@@ -112,7 +112,7 @@ class HostileTest(unittest.TestCase):
         client.send(entity, kind, self.message_of(body))
         fence = uuid.uuid4().bytes
         client.send(entity, "STATUS", {"status_request": messages_pb2.StatusRequest(request_id=fence)})
-        client.answer("status", entity)
+        client.answer("status", entity, request_id=fence)
         with client.news:
             answers = [message for _, _, message in client.arrived]
         for answer in answers:
@@ -136,24 +136,29 @@ class HostileTest(unittest.TestCase):
         for kind, body, may in rows:
             for name, client in others.items():
                 with self.subTest(kind=kind, body=body, by=name):
-                    if body and kind != "WATCH":  # whose answers do not come before others'
+                    if kind == "RAW":  # of which five a second are answered
+                        wait_until(lambda: self.denied(client, entity, kind, body) == may[name], f"{may[name]} of {name}")
+                    elif body and kind != "WATCH":  # whose answers do not come before others'
                         self.assertEqual(self.denied(client, entity, kind, body), may[name])
                     elif may[name] != "yes":
                         self.assertEqual(code(client.command(entity, kind).code), may[name])
             if body:
                 with self.subTest(kind=kind, body=body, by="entity"):
                     seq = peer.to_peer(entity, kind, self.message_of(body))
-                    if may["entity"] == "of the same run":
+                    if may["entity"] == "of a run":
                         stays(lambda: seq not in [head.seq for head, _, _ in peer.refusals], "the server passes it on", 0.1)
                     else:
                         self.assertEqual(code(peer.refused(seq)), may["entity"])
         self.assertEqual(self.state(holder, entity), State.REG, "nobody else has changed anything")
-        # What ends the holding comes last.
-        for kind, body, may in sorted(rows, key=lambda row: row[1] == "release"):
+        for kind, body, may in rows:
             with self.subTest(kind=kind, body=body, by="holder"):
                 if body and body not in ("watch", "release"):
                     self.assertEqual(self.denied(holder, entity, kind, body), may["holder"])
+        for signal_ in ("sendResetSignal", "sendClearSignal"):
+            self.assertEqual(holder.command(entity, signal_).stage, Stage.MANAGER, signal_)
         holder.release(entity)
+        for name, client in others.items():
+            self.assertEqual(client.stop(entity, until=Stage.CALLBACK_RETURNED)[-1].stage, Stage.CALLBACK_RETURNED, name)
 
     def test_an_entity_commands_no_other(self):
         witness = self.client("guest")
@@ -209,6 +214,13 @@ class HostileTest(unittest.TestCase):
                 Peer(self.lab.at["entity"], "robot", "word of robot", "Counter", entity, secret)
             self.assertEqual(code(refused.exception.code), "PERMISSION_DENIED", refused.exception.reason)
         self.assertIn(f"registration of {entity} refused", self.lab.server.text())
+
+    def test_nobody_registers_under_the_id_of_a_client(self):
+        holder, entity = self.holder()
+        with self.assertRaises(CommUtil.RequestRefused) as refused:
+            self.peer("Double", entity=holder.facts.me.id)
+        self.assertEqual(code(refused.exception.code), "PERMISSION_DENIED", refused.exception.reason)
+        self.assertEqual(self.state(holder, entity), State.REG)
 
     def test_a_call_that_cannot_be_read_is_told_once(self):
         client = self.client("guest")

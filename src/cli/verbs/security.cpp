@@ -2,8 +2,10 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <sstream>
 
 #include "cli/verbs/doctor_report.hpp"
 #include "cli/words.hpp"
@@ -15,32 +17,55 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// "ssl://lab:10410" and "ssl -h lab -p 10410".
-bool isTls(const std::string& server) {
-    return server.starts_with("ssl:") || server.starts_with("wss:") || server.find("ssl -") != std::string::npos ||
-           server.find("wss -") != std::string::npos;
-}
+/// What others could see of the way to the server.
+struct Way {
+    bool tls = true;   ///< by every endpoint that is offered
+    bool some_tls = false;
+    bool here = true;  ///< all of them are on this machine
+};
 
-/// Of "127.0.0.1:10410", "tcp://127.0.0.1:10410" and "localhost:10410".
-bool staysHere(std::string server) {
-    if (const auto scheme = server.find("://"); scheme != std::string::npos) server.erase(0, scheme + 3);
-    const auto host = server.substr(0, server.rfind(':'));
+bool isHere(const std::string& host) {
     return host == "localhost" || isLoopback(host);
 }
 
-void checkWay(Report& report, const std::string& server) {
-    if (isTls(server))
+/// Of "HOST:PORT", "ssl://HOST:PORT", and of a router's proxy: "Axon.Clients/router:ssl -h HOST -p PORT:tcp -h …".
+Way wayOf(const std::string& server) {
+    Way way;
+    if (server.find(" -") == std::string::npos) {
+        const auto scheme = server.find("://");
+        const auto from = scheme == std::string::npos ? 0 : scheme + 3;
+        way.tls = server.starts_with("ssl://") || server.starts_with("wss://");
+        way.some_tls = way.tls;
+        way.here = isHere(server.substr(from, server.rfind(':') - from));
+        return way;
+    }
+    std::istringstream words(server);
+    for (std::string word; words >> word;) {
+        const auto kind = word.substr(word.find_last_of(':') == std::string::npos ? 0 : word.find_last_of(':') + 1);
+        if (kind == "tcp" || kind == "ws") way.tls = false;
+        if (kind == "ssl" || kind == "wss") way.some_tls = true;
+        if (word != "-h" || !(words >> word)) continue;
+        way.here = way.here && isHere(word.substr(0, word.find(':')));
+    }
+    return way;
+}
+
+void checkWay(Report& report, const std::string& server, const Way& way) {
+    if (way.tls)
         report.ok("way", "TLS to " + server);
-    else if (staysHere(server))
+    else if (way.here)
         report.ok("way", "plain TCP to " + server + ", which does not leave this machine");
+    else if (way.some_tls)
+        report.warn("way", server + " offers plain TCP beside TLS, and who has no certificates takes that",
+                    "leave the tcp endpoint out of the router's configuration");
     else
         report.bad("way",
                    "plain TCP to " + server + ": whoever is on the way reads passwords and leases, and may stop and order robots",
                    "axon certs makes certificates; then give the server ssl endpoints (docs/reference/tls.md)");
 }
 
-/// Whether somebody without a password, or with no more than is said here, is let in.
-void checkLogIn(Report& report, Session& session) {
+/// Whether somebody without a password is let in.
+void checkLogIn(Report& report, Session& session, const Way& way) {
     const auto mine = session.connect(session.settings);
     if (!mine) {
         const auto event = noServerEvent(mine.refusal(), session.settings.server);
@@ -50,21 +75,31 @@ void checkLogIn(Report& report, Session& session) {
     if (mine.value()->self().role == Role::Admin && !session.settings.user.empty())
         report.warn("role", "you are " + session.settings.user + ", an administrator, who may take robots over and rearm those of others",
                     "log in as an operator for daily work, as an observer to look on");
+    const bool shows_certificate = std::any_of(session.settings.properties.begin(), session.settings.properties.end(), [](const auto& one) {
+        return one.first == "IceSSL.CertFile" || one.first == "IceSSL.FindCert";
+    });
+    if (shows_certificate) {
+        report.ok("log-in", "you log in by a certificate; whether somebody without one is let in was not tried");
+        return;
+    }
     auto nobody = session.settings;
     nobody.user.clear();
     nobody.password.clear();
-    nobody.properties.erase("IceSSL.CertFile");
-    nobody.properties.erase("IceSSL.KeyFile");
     const auto let_in = session.connect(nobody);
+    if (!let_in && let_in.refusal().code == RefusalCode::PermissionDenied) {
+        report.ok("log-in", "who gives no password is refused");
+        return;
+    }
     if (!let_in) {
-        report.ok("log-in", "who gives neither user nor certificate is refused");
+        report.warn("log-in", "whether somebody without a password is let in could not be tried: " + let_in.refusal().message,
+                    "try again when the server has time");
         return;
     }
     const auto role = let_in.value()->self().role;
-    const auto message = std::string("whoever reaches the server is let in without a password, as ") +
+    const auto message = std::string("whoever reaches the server is let in without a password, you as ") +
                          (role == Role::Observer ? "an observer" : role == Role::Operator ? "an operator" : "an administrator");
     const std::string mend = "axon-server --users users.cfg --add-user NAME, for each; then start the server with --users users.cfg";
-    if (staysHere(session.settings.server))
+    if (way.here)
         report.warn("log-in", message + "; only processes of this machine reach it by this address", mend);
     else
         report.bad("log-in", message, mend);
@@ -84,21 +119,28 @@ void checkStateFolders(Report& report) {
         struct stat found {};
         if (::stat(folder.path().c_str(), &found) != 0 || !S_ISDIR(found.st_mode)) continue;
         ++folders;
-        if (found.st_uid == ::getuid() && (found.st_mode & 0077U) == 0) continue;
-        open = true;
-        report.bad("state", "others may look into " + folder.path().string() + ", where a robot keeps its secret and its leases",
-                   "chown and chmod 700 " + shellWord(folder.path().string()));
+        const auto name = folder.path().string();
+        if (found.st_uid != ::getuid()) {
+            open = true;
+            report.bad("state", name + ", where a robot keeps its secret and its leases, belongs to another user",
+                       "chown -R $USER " + shellWord(name) + ", as that user or root");
+        } else if ((found.st_mode & 0077U) != 0) {
+            open = true;
+            report.bad("state", "others may look into " + name + ", where a robot keeps its secret and its leases",
+                       "chmod 700 " + shellWord(name));
+        }
     }
     if (folders > 0 && !open)
         report.ok("state", std::to_string(folders) + (folders == 1 ? " folder" : " folders") + " of robots in " + root.string() +
-                               (folders == 1 ? " is" : " are") + " private");
+                               (folders == 1 ? " is" : " are") + " private; folders elsewhere (Axon.State) are not looked at");
 }
 
 }  // namespace
 
 void checkSecurity(Report& report, Session& session) {
-    checkWay(report, session.settings.server);
-    checkLogIn(report, session);
+    const auto way = wayOf(session.settings.server);
+    checkWay(report, session.settings.server, way);
+    checkLogIn(report, session, way);
     checkStateFolders(report);
 }
 

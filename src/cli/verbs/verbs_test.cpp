@@ -94,11 +94,12 @@ TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
     std::filesystem::permissions(folder / "axon" / "greeter", std::filesystem::perms::owner_all);
     ASSERT_EQ(::setenv("XDG_STATE_HOME", folder.c_str(), 1), 0);
     bool needs_password = true;
+    Refusal refusal{RefusalCode::PermissionDenied, "no", {}};
     const auto examine = [&] {
         seen.events.clear();
         Session session{{{"security", true}}, seen, mailbox, nullptr, settings, kept};
         session.connect = [&](const Settings& with) -> Result<std::shared_ptr<Station>> {
-            if (needs_password && with.password.empty()) return Refusal{RefusalCode::PermissionDenied, "no", {}};
+            if (with.password.empty() && (needs_password || refusal.code == RefusalCode::Overloaded)) return refusal;
             return std::shared_ptr<Station>(station);
         };
         findVerb("doctor")->perform(session);
@@ -119,10 +120,29 @@ TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
     settings.server = "ssl://lab.example.org:10410";
     EXPECT_EQ(examine()["way"], "ok");
 
+    for (const auto& [router, level] : std::map<std::string, std::string>{
+             {"Axon.Clients/router:tcp -h 127.0.0.1 -p 10414", "ok"},
+             {"Axon.Clients/router:ssl -h lab.example.org -p 10414", "ok"},
+             {"Axon.Clients/router:tcp -h lab.example.org -p 10414", "bad"},
+             {"Axon.Clients/router:ssl -h lab.example.org -p 10414:tcp -h lab.example.org -p 10415", "warn"}}) {
+        settings.server = router;
+        EXPECT_EQ(examine()["way"], level) << router;
+    }
+
+    settings.server = "192.168.0.9:10410";
     needs_password = false;
     EXPECT_EQ(examine()["log-in"], "bad");
     settings.server = "127.0.0.1:10410";
     EXPECT_EQ(examine()["log-in"], "warn");
+    refusal = {RefusalCode::Overloaded, "too many log in", {}};
+    EXPECT_EQ(examine()["log-in"], "warn") << "it was not tried";
+    refusal = {RefusalCode::PermissionDenied, "no", {}};
+    needs_password = true;
+    EXPECT_EQ(examine()["log-in"], "ok");
+    needs_password = false;
+    settings.properties["IceSSL.CertFile"] = "ana.p12";
+    EXPECT_EQ(examine()["log-in"], "ok") << "and says that it was not tried";
+    settings.properties.clear();
 
     station->my_role = Role::Admin;
     EXPECT_EQ(examine()["role"], "warn");
