@@ -194,8 +194,8 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     if (!AXON_PLANTED(GenerationsNotReserved))
         storage.save(kGenerationKey, std::to_string(generation_ + kGenerationsReserved));
     reserved_ = generation_ + kGenerationsReserved;
-    keepLatch();
-    if (storage.load(kFreeKey) != kThere) storage.keep(kFreeKey, kThere);  // the latch says it now, and nobody holds it
+    free_kept_ = storage.load(kFreeKey) == kThere;
+    keepState();  // the latch says it now, and nobody holds it
     replayJournal();
     loadRuns();
     for (const auto& finding : saved_.findings()) {
@@ -234,8 +234,7 @@ void EntityManagerCore::Machine::complete(JournalRecord& record) const {
 
 bool EntityManagerCore::Machine::note(JournalRecord record) {
     // Not read from the journal, whose line may be lost with a full disk: a deletion is not.
-    if (record.kind == JournalRecord::Kind::Granted) storage_.forget(kFreeKey);
-    if (record.kind == JournalRecord::Kind::LeaseEnded) storage_.keep(kFreeKey, kThere);
+    if (record.kind == JournalRecord::Kind::Granted && std::exchange(free_kept_, false)) storage_.forget(kFreeKey);
     if (journal_ == nullptr) return true;
     complete(record);
     return recorded(journal_->append(record));
@@ -255,14 +254,20 @@ bool EntityManagerCore::Machine::recorded(bool written) {
     return written;
 }
 
-/// After the effects, so that none of them waits for the disk; a rearm that it loses leaves the latch.
-void EntityManagerCore::Machine::keepLatch() {
-    if (latched_ == latch_kept_ || AXON_PLANTED(LatchNotKept)) return;
-    latch_kept_ = latched_;
-    if (latched_)
-        storage_.forget(kRearmedKey);
-    else
-        storage_.keep(kRearmedKey, kThere);
+/// After the effects, so that none of them waits for the disk; a rearm that it loses leaves the latch. That the robot is
+/// free comes last: wherever the power is lost before, the next life finds it held or latched.
+void EntityManagerCore::Machine::keepState() {
+    if (latched_ != latch_kept_ && !AXON_PLANTED(LatchNotKept)) {
+        latch_kept_ = latched_;
+        if (latched_)
+            storage_.forget(kRearmedKey);
+        else
+            storage_.keep(kRearmedKey, kThere);
+    }
+    if (!free_kept_ && !lease_.held()) {
+        free_kept_ = true;
+        storage_.keep(kFreeKey, kThere);
+    }
 }
 
 void EntityManagerCore::Machine::noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) {
@@ -525,7 +530,7 @@ void EntityManagerCore::Machine::settle() {
     if (!AXON_PLANTED(WatchdogAlwaysIdle)) server_watchdog_.setBusy(state_ == EntityState::BUSY, clock_.now());
     server_signs_.allow(server_up_ ? server_watchdog_.timeout() : Duration{}, clock_.now());
     tellStatus();
-    keepLatch();
+    keepState();
 }
 
 // -- the link to the robot application
@@ -1570,7 +1575,7 @@ void EntityManagerCore::Machine::shutDown() {
     fire(incident);
     attendRun();
     if (busy_told_ && link_up_) back_end_.setBusy(false);
-    keepLatch();
+    keepState();
     quit_ = true;
 }
 

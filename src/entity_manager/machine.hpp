@@ -169,7 +169,8 @@ class EntityManagerCore::Machine {
     void complete(JournalRecord& record) const;
     /// Counts, and warns of, what the journal does not take; returns what it is told.
     bool recorded(bool written);
-    void keepLatch();
+    /// In the storage: the latch, and whether somebody holds the robot.
+    void keepState();
     /// Refusals of ownership are noted, at most so many a second; others are not.
     void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal);
 
@@ -436,6 +437,7 @@ class EntityManagerCore::Machine {
     EntityState previous_ = EntityState::REG;  ///< where BUSY returns to
     bool latched_ = false;
     bool latch_kept_ = false;  ///< as the storage has it
+    bool free_kept_ = false;   ///< likewise; false before anybody is granted the robot
     bool journal_failing_ = false;
     bool link_up_ = false;
     bool server_up_ = false;

@@ -80,12 +80,16 @@ std::optional<std::string> MemoryStorage::load(std::string_view key) {
     return at == values.end() ? std::nullopt : std::optional(at->second);
 }
 void MemoryStorage::save(std::string_view key, std::string_view value) {
+    writes.push_back({std::string(key), std::string(value), true});
     values[std::string(key)] = value;
 }
 void MemoryStorage::keep(std::string_view key, std::string_view value) {
-    if (!full) save(key, value);
+    if (full) return;
+    writes.push_back({std::string(key), std::string(value)});
+    values[std::string(key)] = value;
 }
 void MemoryStorage::forget(std::string_view key) {
+    writes.push_back({std::string(key), std::nullopt});
     values.erase(std::string(key));
 }
 
@@ -187,8 +191,8 @@ entity_manager::Later<std::vector<entity_manager::ResourcePlace>> MemoryResource
         });
 }
 
-entity_manager::Later<std::vector<std::string>> MemoryResources::absent(std::vector<std::string> files) {
-    return answer<std::vector<std::string>>([this, files = std::move(files)]() mutable {
+entity_manager::Later<std::vector<std::string>> MemoryResources::absent(std::vector<std::string> wanted) {
+    return answer<std::vector<std::string>>([this, files = std::move(wanted)]() mutable {
         std::erase_if(files, [this](const std::string& file) {
             return this->files.contains(file) ||
                    std::any_of(complete.begin(), complete.end(),

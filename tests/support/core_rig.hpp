@@ -29,6 +29,12 @@ class MemoryStorage final : public entity_manager::Storage {
     void forget(std::string_view key) override;
     std::map<std::string, std::string, std::less<>> values;
     bool full = false;  ///< what is to be kept does not come to the disk
+    struct Write {
+        std::string key;
+        std::optional<std::string> value;  ///< none: deleted
+        bool waited = false;               ///< it was on the disk when save() returned
+    };
+    std::vector<Write> writes;  ///< all that was wanted, in its order
 };
 
 /// What a store in memory answers: at once, or, as a slow disk, when the test lets it (answerAll()).
