@@ -300,7 +300,7 @@ class Cluster:
 
         def joined():
             for topic, servers in (("FrontEndToEntity", plan.entity_servers), ("EntityToFrontEnd", plan.front_ends)):
-                found = len(probe.subscribers(*at, topic))
+                found = len(probe.subscribers(*at, f"{topic}-{probe.CONTRACT}"))
                 if found < servers:
                     raise probe.NoAnswer(f"{found} of {servers} servers listen to {topic}")
         self.wait(joined, "the servers have joined the topics", seconds, [program.name for program in programs[:-2]])

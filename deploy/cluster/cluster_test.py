@@ -307,7 +307,7 @@ class Probe(unittest.TestCase):
     def test_who_listens_to_a_topic_is_told(self):
         at = self.answer(self.message(probe.VALIDATE), self.reply(
             probe.OK, b"\x02" + probe.text("fe1") + probe.text("") + probe.text("es1") + probe.text("Axon")))
-        self.assertEqual(probe.subscribers(*at, "FrontEndToEntity"), ["fe1", "Axon/es1"])
+        self.assertEqual(probe.subscribers(*at, f"FrontEndToEntity-{probe.CONTRACT}"), ["fe1", "Axon/es1"])
 
     def test_a_refusal_is_told_with_its_reason(self):
         reason = b"\x21" + probe.text("::Glacier2::PermissionDeniedException") + probe.text("wrong password")

@@ -13,6 +13,19 @@ constexpr int kOurs = Axon::CommUtil::ContractNumber;
 
 }  // namespace
 
+std::string ofContract(const std::string& topic) {
+    return topic + "-" + std::to_string(kOurs);
+}
+
+std::optional<int> contractOfOther(const std::string& topic, const std::string& found) {
+    if (!found.starts_with(topic + "-")) return std::nullopt;
+    int theirs = 0;
+    const char* const end = found.data() + found.size();
+    const auto [at, error] = std::from_chars(found.data() + topic.size() + 1, end, theirs);
+    if (error != std::errc{} || at != end || theirs == kOurs) return std::nullopt;
+    return theirs;
+}
+
 Ice::Context contractContext() {
     return {{kContextContract, std::to_string(kOurs)}};
 }

@@ -5,9 +5,11 @@
 #include <IceStorm/IceStorm.h>
 
 #include <algorithm>
+#include <set>
 #include <stdexcept>
 
 #include "transport/communicator.hpp"
+#include "transport/contract.hpp"
 #include "transport/timer_thread.hpp"
 
 namespace axon::transport {
@@ -71,6 +73,7 @@ class StormTopics::Search {
                 note_("IceStorm is found, the topics to the other servers stand");
                 changed_(publishers);
             }
+            lookForOthers();
             return clock_.now() + kLook;
         } catch (const Ice::Exception& error) {
             const bool stood = topic_ != nullptr;
@@ -98,6 +101,17 @@ class StormTopics::Search {
         }
     }
 
+    /// Those of other editions, which hear nothing of this server, and it of them.
+    void lookForOthers() {
+        for (const auto& [name, topic] : manager_->retrieveAll()) {
+            const auto contract = contractOfOther(settings_.subscribe_to, name);
+            if (!contract || others_.contains(*contract) || patient(topic)->getSubscribers().empty()) continue;
+            others_.insert(*contract);
+            note_("servers of contract " + std::to_string(*contract) + " use this IceStorm, too; this server has contract " +
+                  contractContext().at(kContextContract) + ", and they and it do not see each other: upgrade those of the smaller number");
+        }
+    }
+
     std::vector<std::string> join() {
         topic_ = nullptr;
         published_.clear();
@@ -116,7 +130,8 @@ class StormTopics::Search {
         return publishers;
     }
 
-    std::shared_ptr<IceStorm::TopicPrx> find(const std::string& name) {
+    std::shared_ptr<IceStorm::TopicPrx> find(const std::string& topic) {
+        const auto name = ofContract(topic);
         while (true) {
             try {
                 return patient(manager_->retrieve(name));
@@ -140,6 +155,7 @@ class StormTopics::Search {
     std::shared_ptr<IceStorm::TopicPrx> topic_;  // null: searching
     std::vector<std::shared_ptr<IceStorm::TopicPrx>> published_;
     bool said_ = false;
+    std::set<int> others_;  // of which it was told
     std::unique_ptr<TimerThread> thread_;
 };
 

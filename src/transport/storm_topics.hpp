@@ -13,7 +13,8 @@ class Communicator;
 
 namespace axon::transport {
 
-/// The two topics between the servers (thesis figures 3.14, 3.15).
+/// The two topics between the servers (thesis figures 3.14, 3.15). At IceStorm the number of the contracts follows
+/// (contract.hpp).
 inline constexpr const char* kFrontEndToEntityTopic = "FrontEndToEntity";
 inline constexpr const char* kEntityToFrontEndTopic = "EntityToFrontEnd";
 
@@ -27,6 +28,8 @@ struct StormSettings {
 /// This server's part in topics of IceStorm, kept whole: once a second it looks whether its subscription is still
 /// there, and makes topics and subscription anew where it is not. IceStorm may come later than the server, be
 /// killed and be started again; what was published meanwhile is lost, which `changed` is there for.
+///
+/// Servers of another edition of the contracts that use the same IceStorm are told of by `note`, once for each edition.
 ///
 /// The subscription is ordered and for ever: one message at a time, and no message that fails ends it. States:
 /// searching ─ changed(publishers) ► found ─ a look failed: changed({}) ► searching. Threads: one of its own,

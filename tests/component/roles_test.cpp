@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 // Several servers of each kind: in one process, joined without IceStorm, and as real processes with a real icebox.
+#include <IceStorm/IceStorm.h>
 #include <axon/messages.pb.h>
 #include <gtest/gtest.h>
 #include <spdlog/spdlog.h>
@@ -405,6 +406,22 @@ TEST_F(RealServers, IceStormMayComeLaterDieAndComeBack) {
     late.join();
     EXPECT_TRUE(waitUntil([&] { return client.log.has("joined Late"); }, 5s)) << "by the topic, again";
     EXPECT_FALSE(client.log.has("left Robot"));
+}
+
+TEST_F(RealServers, ServersOfAnotherEditionAreNotMetAndToldOf) {
+    startStorm();
+    auto& entity_server = start("es1");
+    ASSERT_TRUE(waitUntil([&] { return entity_server.text().find("IceStorm is found") != std::string::npos; }, 5s));
+    const Ice::CommunicatorHolder communicator(Ice::initialize());
+    const auto manager = Ice::checkedCast<IceStorm::TopicManagerPrx>(
+        communicator->stringToProxy("IceStorm/TopicManager:tcp -h " + loopbackAddress() + " -p 10430"));
+    const auto other = std::to_string(Axon::CommUtil::ContractNumber + 1);
+    const auto newer = manager->create("FrontEndToEntity-" + other);
+    EXPECT_FALSE(waitUntil([&] { return entity_server.text().find("contract " + other) != std::string::npos; }, 1500ms))
+        << "a topic to which nobody listens";
+    newer->subscribeAndGetPublisher({}, communicator->stringToProxy("nobody:tcp -h " + loopbackAddress() + " -p 1"));
+    EXPECT_TRUE(waitUntil([&] { return entity_server.text().find("servers of contract " + other + " use this IceStorm, too") != std::string::npos; }, 5s))
+        << entity_server.text();
 }
 
 TEST_F(RealServers, AKilledFrontEndServerHasLostItsClientsWithinTheWatchdog) {

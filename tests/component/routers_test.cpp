@@ -115,7 +115,8 @@ TEST_F(BehindARouter, MessagesAndStopsGoBothWays) {
     ASSERT_TRUE(waitUntil([&] { return robot.log.count("msg ") == 300; }));
     int expected = 0;
     for (const auto& line : robot.log.lines()) {
-        if (line.rfind("msg ", 0) == 0) EXPECT_EQ(line, "msg client1@lab TEXT " + std::to_string(expected++));
+        if (line.rfind("msg ", 0) != 0) continue;
+        EXPECT_EQ(line, "msg client1@lab TEXT " + std::to_string(expected++));
     }
     auto head = robot.headTo(client.facts.me.id);
     for (int i = 0; i < 300; ++i)
@@ -123,8 +124,8 @@ TEST_F(BehindARouter, MessagesAndStopsGoBothWays) {
     ASSERT_TRUE(waitUntil([&] { return client.log.count("data msg ") == 300; }));
     expected = 0;
     for (const auto& line : client.log.lines()) {
-        if (line.rfind("data msg ", 0) == 0)
-            EXPECT_EQ(line, std::string("data msg ") + kEntity + " " + std::to_string(expected++));
+        if (line.rfind("data msg ", 0) != 0) continue;
+        EXPECT_EQ(line, std::string("data msg ") + kEntity + " " + std::to_string(expected++));
     }
     client.stop(kEntity);
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("signal stop requested client1@lab"); }));
