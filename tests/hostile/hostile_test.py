@@ -8,6 +8,7 @@ programs, with clients and entities written from the contracts alone (tests/fore
 import pathlib
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -236,6 +237,54 @@ class HostileTest(unittest.TestCase):
         wait_until(lambda: "6 calls could not be read" in self.lab.server.text(), "… and of how many there were")
         self.assertEqual(self.lab.server.text().count("cannot be read"), 1)
 
+    def relay_of_edition(self, address, number):
+        """A server's address, through which programs open their sessions under another number of the contracts."""
+        host, port = address.rsplit(":", 1)
+        ours, theirs = (b"\x0daxon-contract\x01" + str(n).encode() for n in (CommUtil.ContractNumber, number))
+        listener = socket.create_server((host, 0))
+        self.addCleanup(listener.close)
+
+        def pass_on(source, target):
+            try:
+                while data := source.recv(65536):
+                    target.sendall(data.replace(ours, theirs))
+                target.shutdown(socket.SHUT_WR)
+            except OSError:
+                pass
+
+        def serve():
+            while True:
+                try:
+                    near, _ = listener.accept()
+                except OSError:
+                    return
+                far = socket.create_connection((host, int(port)))
+                for pair in ((near, far), (far, near)):
+                    self.addCleanup(pair[0].close)
+                    threading.Thread(target=pass_on, args=pair, daemon=True).start()
+
+        threading.Thread(target=serve, daemon=True).start()
+        return f"{host}:{listener.getsockname()[1]}"
+
+    def test_programs_of_another_edition_say_both_numbers_and_what_to_upgrade(self):
+        ours = CommUtil.ContractNumber
+        env = {**self.lab.env, "AXON_USER": "ann", "AXON_PASSWORD": "word of ann"}
+        for number, upgrade in ((ours - 1, "that program"), (ours + 1, "the server"), (ours, None)):
+            said = f"this server has contract {ours}, the program that opens the session has contract {number}: upgrade {upgrade}"
+            with self.subTest(number=number, by="client"):
+                done = subprocess.run([self.lab.bin / "axon", "--server", self.relay_of_edition(self.lab.at["client"], number), "ls"],
+                                      env=env, capture_output=True, text=True, timeout=30, check=False)
+                self.assertEqual(done.returncode == 0, number == ours, done.stderr)
+                self.assertIn(said if upgrade else "Counter", done.stderr + done.stdout)
+            with self.subTest(number=number, by="Entity Manager"):
+                manager = self.lab.start(f"edition-{number}", "axon-entity-manager", "--server",
+                                         self.relay_of_edition(self.lab.at["entity"], number), "--state", self.lab.folder / f"edition-{number}",
+                                         "--application", "nobody", "--config", self.lab.folder / "manager.cfg")
+                if upgrade:
+                    wait_until(lambda: said in manager.text(), "it says so", 15)
+                else:
+                    wait_until(lambda: "nobody is connected and not ready" in self.lab.server.text(), "it is let in", 15)
+
     # -- what it may cost -----------------------------------------------------------------------------------------
 
     def test_lists_of_stops_hold_nobody_up(self):
@@ -243,8 +292,9 @@ class HostileTest(unittest.TestCase):
         self.run_task(holder, entity)
         # In processes of their own, so that this one goes on beating: just below what the lane takes, and just below what ends
         # the session at once.
-        attacks = [subprocess.Popen([sys.executable, HERE / "long_lists.py", GENERATED.name, self.lab.at["client"], str(names)],
-                                    stdout=subprocess.PIPE, text=True) for names in (500_000, 500_000, 8_192)]
+        attacks = [subprocess.Popen([sys.executable, HERE / "attacks.py", GENERATED.name, self.lab.at["client"], self.lab.at["entity"],
+                                     attack, "2"], stdout=subprocess.PIPE, text=True)
+                   for attack in ("long_lists_of_stops", "long_lists_of_stops", "lists_of_stops")]
         for attack in attacks:
             self.addCleanup(attack.stdout.close)
             self.addCleanup(attack.wait)
@@ -253,7 +303,7 @@ class HostileTest(unittest.TestCase):
             self.assertEqual(attack.stdout.readline(), "attacks\n")
         stays(lambda: not holder.closed.is_set() and self.state(holder, entity) == State.BUSY, "the holder is not lost", 3)
         for attack in attacks:
-            self.assertEqual(attack.stdout.readline(), "has attacked\n")
+            self.assertRegex(attack.stdout.readline(), r"has attacked [1-9]")
         self.assertIn("it sent a list of 500000 entities to stop", self.lab.server.text())
         self.assertFalse(holder.closed.is_set(), "the holder's session")
         receipts = holder.stop(entity, until=Stage.CALLBACK_RETURNED)

@@ -1,0 +1,132 @@
+#!/usr/bin/python3
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""How long a stop takes while somebody who may log in, or merely reaches a port, attacks as fast as one core lets him.
+
+    /usr/bin/python3 faults/under_attack.py --bin build/release/bin
+
+One client has a robot at work, and another one drills it (a stop's way, acknowledged without stopping), by the servers. Each attack
+of tests/hostile/attacks.py is made in its turn, between quiet times with as many drills. Prints a line for each: the medians and 99th
+percentiles from the call to the acknowledgement of the robot's application, and what became of the honest client, of the robot and of
+the server's memory. Exit status 1 where a bound is broken: a 99th percentile above --times the quiet one (and above --least
+milliseconds), a session or task that ended, a drill that never arrived, memory of more than --times the quiet one, an attacker whom the
+server's log does not name; 2 where it could not be run.
+"""
+import argparse
+import json
+import pathlib
+import subprocess
+import sys
+import tempfile
+import time
+
+TESTS = pathlib.Path(__file__).resolve().parent.parent / "tests"
+sys.path[:0] = [str(TESTS / "hostile"), str(TESTS / "foreign")]
+sys.dont_write_bytecode = True
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("--bin", help="where the programs are")
+parser.add_argument("--attacks", metavar="NAME,…", help="only these (default: all)")
+parser.add_argument("--drills", type=int, default=1000, help="in each quiet time and under each attack (default: 1000)")
+parser.add_argument("--every", type=float, default=0.004, metavar="SECONDS", help="one drill each so often (default: 0.004)")
+parser.add_argument("--times", type=float, default=2, help="the quiet value that is still kept (default: 2)")
+parser.add_argument("--least", type=float, default=5, metavar="MS", help="no 99th percentile up to this is too long (default: 5)")
+parser.add_argument("--json", metavar="FILE", help="write the figures")
+arguments = parser.parse_args()
+from rig import compile_contracts, make_laboratory  # noqa: E402
+from laboratory import Failed, wait_until  # noqa: E402
+
+GENERATED = tempfile.TemporaryDirectory(prefix="axon-contracts-")
+compile_contracts("slice2py", GENERATED.name)
+sys.path.insert(0, GENERATED.name)
+from attacks import ATTACKS  # noqa: E402
+
+# What the log calls who attacks: its name, or where it comes from.
+NAMES = {"log_ins": "'nobody", "long_passwords": "127.0.0.1:", "silent_connections": None}
+
+
+def resident_mib(process):
+    status = pathlib.Path(f"/proc/{process.child.pid}/status").read_text()
+    return int(next(line for line in status.splitlines() if line.startswith("RssAnon")).split()[1]) / 1024
+
+
+class Siege:
+    def __init__(self, lab):
+        self.lab = lab
+        self.ann, self.chief = ({**lab.env, "AXON_USER": user, "AXON_PASSWORD": f"word of {user}"} for user in ("ann", "chief"))
+        wait_until(lambda: self.state() == "IDLE", "the robot is ready", 20)
+        lab.axon("rearm", "Counter", env=self.ann)
+        self.work = lab.axon_in_background("work", "run", "Counter", "Count", "To=10000000", "--no-direct", env=self.ann)
+        wait_until(lambda: self.state() == "BUSY", "the robot works", 20)
+
+    def state(self):
+        _, lines, _ = self.lab.axon("ls", env=self.chief)
+        return next((entity["state"] for line in lines for entity in line.get("entities", [line]) if entity.get("name") == "Counter"), None)
+
+    def drill(self):
+        """(median ms, p99 ms, how many never arrived)"""
+        status, lines, errors = self.lab.axon("drill", "Counter", "--count", str(arguments.drills), "--every", str(arguments.every),
+                                              "--no-direct", env=self.chief, timeout=arguments.drills)
+        told = next((line for line in lines if line.get("event") == "drill"), None)
+        if told is None:
+            raise Failed(f"axon drill ended with {status}: {errors}")
+        return told["callback"]["p50_ms"], told["callback"]["p99_ms"], told["never"]
+
+    def under(self, name):
+        logged = len(self.lab.server.text())
+        quiet, before = self.drill(), resident_mib(self.lab.server)
+        attack = subprocess.Popen([sys.executable, TESTS / "hostile" / "attacks.py", GENERATED.name, self.lab.at["client"],
+                                   self.lab.at["entity"], name, "3600"], stdout=subprocess.PIPE, text=True)
+        try:
+            attack.stdout.readline()
+            time.sleep(0.5)
+            attacked = self.drill()
+            after = resident_mib(self.lab.server)
+        finally:
+            attack.kill()
+            attack.wait()
+            attack.stdout.close()
+        called = NAMES.get(name, "ostile")
+        named = called is None or called in self.lab.server.text()[logged:]
+        wrong = []
+        if attacked[1] is None or attacked[1] > max(arguments.least, arguments.times * quiet[1]):
+            wrong.append("a stop takes longer")
+        if attacked[2]:
+            wrong.append(f"{attacked[2]} drills never arrived")
+        if self.work.child.poll() is not None or self.state() != "BUSY":
+            wrong.append("the honest client or its task has ended")
+        if after > arguments.times * before:
+            wrong.append("memory")
+        if not named:
+            wrong.append("the log does not name who attacks")
+        return {"attack": name, "quiet_p50_ms": quiet[0], "quiet_p99_ms": quiet[1], "p50_ms": attacked[0], "p99_ms": attacked[1],
+                "quiet_mib": before, "mib": after, "named": named, "broken": wrong}
+
+
+def main():
+    wanted = arguments.attacks.split(",") if arguments.attacks else ATTACKS
+    if unknown := [name for name in wanted if name not in ATTACKS]:
+        parser.error(f"unknown: {', '.join(unknown)}; expected some of {', '.join(ATTACKS)}")
+    lab, figures = make_laboratory(), []
+    try:
+        siege = Siege(lab)
+        print(f"{'attack':22} {'quiet p50':>10} {'p99 ms':>8} {'under p50':>10} {'p99 ms':>8} {'MiB':>7} {'under':>7}")
+        for name in wanted:
+            one = siege.under(name)
+            figures.append(one)
+            p99 = "never" if one["p99_ms"] is None else f"{one['p99_ms']:.2f}"
+            print(f"{name:22} {one['quiet_p50_ms']:10.2f} {one['quiet_p99_ms']:8.2f} {one['p50_ms']:10.2f} {p99:>8} {one['quiet_mib']:7.1f}"
+                  f" {one['mib']:7.1f}  {'; '.join(one['broken']) or 'kept'}", flush=True)
+            if siege.work.child.poll() is not None:
+                print(siege.work.text()[-2000:], file=sys.stderr)
+                return 1
+    except (Failed, TimeoutError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    finally:
+        lab.end()
+    if arguments.json:
+        pathlib.Path(arguments.json).write_text(json.dumps({"drills": arguments.drills, "attacks": figures}, indent=1) + "\n")
+    return 1 if any(one["broken"] for one in figures) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
