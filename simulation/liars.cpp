@@ -31,22 +31,24 @@ struct Liars::Ears final : public front_end_server::ClientOutbox, public entity_
         if (!status.holder.id.empty()) people[status.holder.id] = status.holder;
     }
     void newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view) override {}
-    void newEntityMsg(Lane, const Header&, std::string_view) override {}
+    bool newEntityMsg(Lane, const Header&, std::string_view, front_end_server::Share) override { return true; }
     void newEntityMsgDataSeq(const Header&, std::string_view) override {}
     void newStopAccepted(const Header&, std::int32_t) override {}
     void newUpdateMsg(RefusalCode, const std::string&) override {}
     // As an entity.
-    void newClientMsg(const Header& head, std::string_view message) override {
+    bool newClientMsg(const Header& head, std::string_view message) override {
         proto::ToEntity body;
         if (body.ParseFromArray(message.data(), static_cast<int>(message.size())) && body.has_check_out())
             asked.emplace_back(head.sender, body.check_out().request_id());
+        return true;
     }
     void newClientMsgDataSeq(const Header&, std::string_view) override {}
-    void stopSignal(const Header& head, StopCause) override {
+    bool stopSignal(const Header& head, StopCause) override {
         stops.push_back(head.sender.id + ':' + std::to_string(head.sequence));
+        return true;
     }
-    void resetSignal(const Header&) override {}
-    void clearSignal(const Header&) override {}
+    bool resetSignal(const Header&) override { return true; }
+    bool clearSignal(const Header&) override { return true; }
     void newClientUpdate(const Header&, ClientChange) override {}
     // As both.
     void newRefusalMsg(const Header&, const Refusal&) override {}

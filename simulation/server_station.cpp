@@ -58,11 +58,12 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
                  to.newSvcRecordMsg(attempt, head, bytes);
              });
     }
-    void newEntityMsg(Lane lane, const Header& head, std::string_view message) override {
-        entityMsg(lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message);
+    bool newEntityMsg(Lane lane, const Header& head, std::string_view message, front_end_server::Share of) override {
+        return entityMsg(lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
+                         of == front_end_server::Share::Clients ? transport::kServersOwn : transport::senderKey(head.entity));
     }
     void newEntityMsgDataSeq(const Header& head, std::string_view data) override {
-        entityMsg(Traffic::Data, head, data);
+        entityMsg(Traffic::Data, head, data, transport::senderKey(head.entity));
     }
     void newRefusalMsg(const Header& head, const Refusal& refusal) override {
         send(Traffic::Control, 0, [head, refusal](ClientStation& to, std::uint64_t attempt) {
@@ -93,45 +94,48 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
     using Core = transport::OutboxCore<Parcel>;
     static constexpr std::size_t kOverhead = 256;  // as in transport/callback_sender.hpp
 
-    void entityMsg(Traffic traffic, const Header& head, std::string_view message) {
-        send(traffic, message.size(),
-             [head, bytes = std::string(message)](ClientStation& to, std::uint64_t attempt) {
-                 to.newEntityMsg(attempt, head, bytes);
-             });
+    bool entityMsg(Traffic traffic, const Header& head, std::string_view message, transport::SenderKey from) {
+        return send(
+            traffic, message.size(),
+            [head, bytes = std::string(message)](ClientStation& to, std::uint64_t attempt) {
+                to.newEntityMsg(attempt, head, bytes);
+            },
+            from);
     }
     template <class Deliver>
-    void send(Traffic traffic, std::size_t bytes, Deliver deliver) {
+    bool send(Traffic traffic, std::size_t bytes, Deliver deliver, transport::SenderKey from = transport::kServersOwn) {
         const auto dropped = core_.counts().dropped;
-        const auto verdict = core_.offer(traffic, kOverhead + bytes, [&] { return Parcel(deliver); });
+        const auto verdict = core_.offer(traffic, kOverhead + bytes, [&] { return Parcel(deliver); }, from);
         counts_.slow_dropped += core_.counts().dropped - dropped;
         if (verdict == Core::Verdict::Send) {
-            launch(traffic, kOverhead + bytes, std::move(deliver));
+            launch(traffic, kOverhead + bytes, from, std::move(deliver));
         } else if (verdict == Core::Verdict::Overflow) {
             ++counts_.slow_lost;
             give_up_();
         }
+        return verdict != Core::Verdict::Refused;
     }
     template <class Deliver>
-    void launch(Traffic traffic, std::size_t bytes, Deliver deliver) {
+    void launch(Traffic traffic, std::size_t bytes, transport::SenderKey from, Deliver deliver) {
         if (connection_.send(server_, [to = &to_, attempt = attempt_, deliver = std::move(deliver)] {
                 deliver(*to, attempt);
             })) {
-            core_.sent(traffic, bytes);
+            core_.sent(traffic, bytes, from);
             return;
         }
         if (unwritten_.empty())
             connection_.onWritten(server_, [weak = weak_from_this()] {
                 if (const auto self = weak.lock()) self->onWritten();
             });
-        unwritten_.emplace_back(traffic, bytes);
+        unwritten_.push_back({traffic, bytes, from});
     }
     void onWritten() {
         if (unwritten_.empty()) return;
-        const auto [traffic, bytes] = unwritten_.front();
+        const auto [traffic, bytes, from] = unwritten_.front();
         unwritten_.pop_front();
-        core_.sent(traffic, bytes);
+        core_.sent(traffic, bytes, from);
         if (!core_.startPump()) return;
-        while (auto item = core_.next()) launch(item->traffic, item->bytes, std::move(item->parcel));
+        while (auto item = core_.next()) launch(item->traffic, item->bytes, item->from, std::move(item->parcel));
     }
 
     Process& server_;
@@ -141,7 +145,12 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
     Counts& counts_;
     const std::function<void()> give_up_;
     Core core_;
-    std::deque<std::pair<Traffic, std::size_t>> unwritten_;  ///< sent, and the sockets have no room yet
+    struct Unwritten {
+        Traffic traffic;
+        std::size_t bytes;
+        transport::SenderKey from;
+    };
+    std::deque<Unwritten> unwritten_;  ///< sent, and the sockets have no room yet
 };
 
 /// One lane to one Entity Manager.
@@ -149,8 +158,8 @@ class ToEntityOutbox final : public entity_server::EntityOutbox {
   public:
     ToEntityOutbox(Process& server, Connection& connection, EntityManagerStation& to, std::uint64_t attempt)
         : server_(server), connection_(connection), to_(to), attempt_(attempt) {}
-    void newClientMsg(const Header& head, std::string_view message) override {
-        send([head, bytes = std::string(message)](EntityManagerStation& to, std::uint64_t attempt) {
+    bool newClientMsg(const Header& head, std::string_view message) override {
+        return send([head, bytes = std::string(message)](EntityManagerStation& to, std::uint64_t attempt) {
             to.newClientMsg(attempt, head, bytes);
         });
     }
@@ -159,16 +168,16 @@ class ToEntityOutbox final : public entity_server::EntityOutbox {
             to.newClientMsgDataSeq(attempt, head, bytes);
         });
     }
-    void stopSignal(const Header& head, StopCause cause) override {
-        send([head, cause](EntityManagerStation& to, std::uint64_t attempt) {
+    bool stopSignal(const Header& head, StopCause cause) override {
+        return send([head, cause](EntityManagerStation& to, std::uint64_t attempt) {
             to.stopSignal(attempt, head, cause);
         });
     }
-    void resetSignal(const Header& head) override {
-        send([head](EntityManagerStation& to, std::uint64_t attempt) { to.resetSignal(attempt, head); });
+    bool resetSignal(const Header& head) override {
+        return send([head](EntityManagerStation& to, std::uint64_t attempt) { to.resetSignal(attempt, head); });
     }
-    void clearSignal(const Header& head) override {
-        send([head](EntityManagerStation& to, std::uint64_t attempt) { to.clearSignal(attempt, head); });
+    bool clearSignal(const Header& head) override {
+        return send([head](EntityManagerStation& to, std::uint64_t attempt) { to.clearSignal(attempt, head); });
     }
     void newClientUpdate(const Header& head, ClientChange change) override {
         send([head, change](EntityManagerStation& to, std::uint64_t attempt) {
@@ -183,10 +192,11 @@ class ToEntityOutbox final : public entity_server::EntityOutbox {
 
   private:
     template <class Deliver>
-    void send(Deliver deliver) {
+    bool send(Deliver deliver) {
         connection_.send(server_, [to = &to_, attempt = attempt_, deliver = std::move(deliver)] {
             deliver(*to, attempt);
         });
+        return true;
     }
     Process& server_;
     Connection& connection_;

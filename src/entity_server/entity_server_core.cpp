@@ -23,6 +23,10 @@ constexpr std::uint32_t kPeerBytesPerSecond = 8 * 1024 * 1024U;
 // Of one entity for anybody on a signal lane, which stops share: beats and ends of runs, receipts, refusals.
 constexpr std::size_t kSignalBytes = 16 * 1024U;
 constexpr std::uint32_t kSignalBytesPerSecond = 1024 * 1024U;
+// What every client is told of one entity: each status, and each begun 16 KiB of a profile, counts once.
+constexpr std::uint32_t kPublishedPerSecond = 200;
+constexpr std::size_t kProfileStep = 16 * 1024U;
+constexpr std::uint32_t kLinesPerSecond = 20;  // of the log, about one entity
 
 }  // namespace
 
@@ -47,7 +51,7 @@ class EntityServerCore::Session {
 
     Snapshot<std::string> name;  // of its newest registration
 
-    RateLimit rate, peer_bytes{kPeerBytesPerSecond}, signal_bytes{kSignalBytesPerSecond};
+    RateLimit rate, peer_bytes{kPeerBytesPerSecond}, signal_bytes{kSignalBytesPerSecond}, lines{kLinesPerSecond};
     LifeSigns signs;  // written without a lock
     // The drill that is out, 0 = none; when it was sent and how long it took, written without a lock.
     std::atomic<std::uint64_t> drill{0};
@@ -63,6 +67,8 @@ class EntityServerCore::Session {
     TimePoint fed;  // the last sign of life that the watchdog was told
     TimePoint warn_again;
     std::int32_t stop_latency_us = 0;
+    std::size_t lines_left_out = 0;
+    Pace pace{kPublishedPerSecond};
     bool gone = false;
 
     EntityOutbox& outbox(Lane lane) const { return lane == Lane::Signal ? *signal : *data; }
@@ -106,12 +112,16 @@ constexpr std::size_t kTextMax = 1024;
 // Another entity server says each 50 ms that it lives; one that is killed does not keep its entities from coming here.
 constexpr std::chrono::milliseconds kPeerLives{250};
 
-/// Raw data is dropped, oldest first, for an entity that is slower than its peer.
-void deliver(EntityOutbox& outbox, const Header& head, std::string_view message) {
-    if (head.msg_type == kMsgRaw)
-        outbox.newClientMsgDataSeq(head, message);
-    else
-        outbox.newClientMsg(head, message);
+/// Raw data is dropped, oldest first, for an entity that is slower than its peer. False: its sender has its share of
+/// what waits there.
+bool deliver(EntityOutbox& outbox, const Header& head, std::string_view message) {
+    if (head.msg_type != kMsgRaw) return outbox.newClientMsg(head, message);
+    outbox.newClientMsgDataSeq(head, message);
+    return true;
+}
+
+Refusal slowEntity(const Header& head) {
+    return shareTaken("entity " + head.entity.substr(0, 64));
 }
 
 Refusal notForPeers(const Header& head) {
@@ -245,6 +255,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
                       "'" + registration.entity.substr(0, 64) +
                           "' is no UUID; remove the Entity Manager's uuid file, it makes a new one");
     }
+    if (flooded(session)) return refuse(RefusalCode::Overloaded, "it flooded the server");
     registration.entity = id->toString();
     registration.server = settings_.name;
     if (auto checked = check(registration, profile.size(), settings_.profile_bytes_max); !checked.ok())
@@ -317,7 +328,7 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
 }
 
 void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status) {
-    if (!session->registered) return;
+    if (!session->registered || flooded(session)) return;
     status.entity = session->entity;
     status.server = settings_.name;
     for (auto* text : {&status.holder.id, &status.holder.name, &status.reason}) mend(*text);
@@ -340,6 +351,12 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
                 line = "audit: " + name + " is taken from " + before.holder.name + ": " + status.reason;
             } else {
                 line = name + " is free, released by " + before.holder.name;
+            }
+            if (!session->lines.admit(now)) {
+                ++session->lines_left_out;
+                line.clear();
+            } else if (const auto left_out = std::exchange(session->lines_left_out, 0); left_out > 0) {
+                line += " (" + std::to_string(left_out) + " changes of its holder before this one are not in the log)";
             }
         }
         late = before.holder.id != status.holder.id && !status.orphaned && !front_ends_.serves(status.holder.id);
@@ -425,7 +442,13 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header h
                   !session->peer_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size()))))
         return session->outbox(lane).newRefusalMsg(head, tooMuchForPeers(large));
     head.sender = {session->entity, *session->name.load(), Role::Operator};
-    if (const auto peer = atHome(head.entity, lane)) return deliver(peer->outbox(lane), head, message);
+    if (const auto peer = atHome(head.entity, lane)) {
+        if (!deliver(peer->outbox(lane), head, message)) {
+            session->outbox(lane).newRefusalMsg(head, slowEntity(head));
+            noteSlow(head);
+        }
+        return;
+    }
     const auto at = elsewhere(head.entity, lane);
     if (!at) return session->outbox(lane).newRefusalMsg(head, noSuchPeer(head));
     if (const auto sent = topic_.peerMsg(lane, at->server, head, message); !sent.ok())
@@ -433,9 +456,12 @@ void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header h
 }
 
 void EntityServerCore::peerMsg(Lane lane, const Header& head, std::string_view message) {
-    if (const auto peer = atHome(head.entity, lane)) return deliver(peer->outbox(lane), head, message);
-    // It left before that was known at the sender's server.
-    if (const auto from = elsewhere(head.sender.id, lane)) topic_.peerRefusal(lane, from->server, head, noSuchPeer(head));
+    const auto peer = atHome(head.entity, lane);
+    if (peer && deliver(peer->outbox(lane), head, message)) return;
+    if (peer) noteSlow(head);
+    // Or it left before that was known at the sender's server.
+    if (const auto from = elsewhere(head.sender.id, lane))
+        topic_.peerRefusal(lane, from->server, head, peer ? slowEntity(head) : noSuchPeer(head));
 }
 
 void EntityServerCore::clientUnreached(const Header& head, const Refusal& refusal) {
@@ -480,6 +506,17 @@ void EntityServerCore::refuseUnknown(Lane lane, const Header& head, Way way) {
                                                " is connected; 'axon ls' shows those that are there"));
 }
 
+void EntityServerCore::refuseSlow(Lane lane, const Header& head) {
+    topic_.entityRefusal(lane, head, slowEntity(head));
+    noteSlow(head);
+}
+
+void EntityServerCore::noteSlow(const Header& head) {
+    if (!refusedLately(head.sender.id))
+        note_("entity " + head.entity.substr(0, 64) + " reads slowly, and " + head.sender.name + " (" + head.sender.id +
+              ") sends it more than one sender may: refused");
+}
+
 // Data is not answered message by message: a sender that streams to an entity that left needs one answer.
 bool EntityServerCore::refusedLately(const std::string& sender) {
     constexpr std::size_t kRemembered = 4096;
@@ -495,7 +532,7 @@ bool EntityServerCore::refusedLately(const std::string& sender) {
 void EntityServerCore::clientMsg(const Header& head, std::string_view message, Way way) {
     const auto entity = table_.find(head.entity, kData);
     if (!entity) return refuseUnknown(Lane::Data, head, way);
-    entity->data->newClientMsg(head, message);
+    if (!entity->data->newClientMsg(head, message)) refuseSlow(Lane::Data, head);
 }
 
 void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view data, Way way) {
@@ -647,15 +684,30 @@ TimePoint EntityServerCore::onNeighboursTimer() {
     return std::min({news.next, peers.next, next_beat_, next_announcement_});
 }
 
+/// `send` returns whether the outbox took it. All that take it first: no entity's stop waits for others' refusals.
 template <class Send>
 void EntityServerCore::toEntities(const Header& head, Send&& send) {
-    if (head.entity.empty()) {
-        table_.each([&](const SessionRef& session) { send(*session->signal); }, kSignal);
+    if (!head.entity.empty()) {
+        const auto entity = table_.find(head.entity, kSignal);
+        if (!entity) return refuseUnknown(Lane::Signal, head);
+        if (!send(*entity->signal)) refuseSlow(Lane::Signal, head);
         return;
     }
-    const auto entity = table_.find(head.entity, kSignal);
-    if (!entity) return refuseUnknown(Lane::Signal, head);
-    send(*entity->signal);
+    std::vector<std::string> slow;
+    table_.each(
+        [&](const SessionRef& session) {
+            if (!send(*session->signal)) slow.push_back(session->entity);
+        },
+        kSignal);
+    refuseAllSlow(head, slow);
+}
+
+void EntityServerCore::refuseAllSlow(const Header& head, const std::vector<std::string>& slow) {
+    auto refused = head;
+    for (const auto& entity : slow) {
+        refused.entity = entity;
+        refuseSlow(Lane::Signal, refused);
+    }
 }
 
 void EntityServerCore::clientUpdate(const Header& head, ClientChange change) {
@@ -663,20 +715,22 @@ void EntityServerCore::clientUpdate(const Header& head, ClientChange change) {
 }
 
 void EntityServerCore::stopSignal(const Header& head, StopCause cause) {
-    toEntities(head, [&](EntityOutbox& entity) { entity.stopSignal(head, cause); });
+    toEntities(head, [&](EntityOutbox& entity) { return entity.stopSignal(head, cause); });
 }
 
 // All that are there first: no entity's stop waits for the refusals of those that are not.
 void EntityServerCore::stopSignals(const Header& head, const std::vector<std::string>& entities,
                                    StopCause cause) {
     std::vector<const std::string*> unknown;
+    std::vector<std::string> slow;
     for (const auto& entity : entities) {
-        if (const auto found = table_.find(entity, kSignal)) {
-            found->signal->stopSignal(head, cause);
-        } else {
+        const auto found = table_.find(entity, kSignal);
+        if (!found)
             unknown.push_back(&entity);
-        }
+        else if (!found->signal->stopSignal(head, cause))
+            slow.push_back(entity);
     }
+    refuseAllSlow(head, slow);
     auto refused = head;
     for (const auto* entity : unknown) {
         refused.entity = entity->substr(0, 64);
@@ -685,11 +739,11 @@ void EntityServerCore::stopSignals(const Header& head, const std::vector<std::st
 }
 
 void EntityServerCore::resetSignal(const Header& head) {
-    toEntities(head, [&](EntityOutbox& entity) { entity.resetSignal(head); });
+    toEntities(head, [&](EntityOutbox& entity) { return entity.resetSignal(head); });
 }
 
 void EntityServerCore::clearSignal(const Header& head) {
-    toEntities(head, [&](EntityOutbox& entity) { entity.clearSignal(head); });
+    toEntities(head, [&](EntityOutbox& entity) { return entity.clearSignal(head); });
 }
 
 void EntityServerCore::schedule(const SessionRef& session, TimePoint at) {
@@ -701,9 +755,15 @@ TimePoint EntityServerCore::onTimer() {
     std::vector<std::pair<SessionRef, Duration>> silent;
     std::vector<std::string> warnings;
     TimePoint next;
+    bool paced = false;
     {
         const std::lock_guard lock(mutex_);
         const auto now = clock_.now();
+        if (next_paced_ <= now) {
+            paced = true;
+            next_paced_ = TimePoint::max();
+            for (const auto& [entity, again] : std::exchange(paced_, {})) putInQueue(entity, again);
+        }
         while (!due_.empty() && due_.top().at <= now) {
             const auto due = due_.top();
             due_.pop();
@@ -729,8 +789,9 @@ TimePoint EntityServerCore::onTimer() {
             schedule(session, std::min(std::max(session->next_heartbeat, now + std::chrono::milliseconds{1}),
                                        session->watchdog->deadline()));
         }
-        next = due_.empty() ? now + std::chrono::seconds{1} : due_.top().at;
+        next = std::min(next_paced_, due_.empty() ? now + std::chrono::seconds{1} : due_.top().at);
     }
+    if (paced) pending_();
     for (const auto& [session, sequence] : heartbeats) session->signal->newHeartbeat(sequence);
     for (const auto& [session, timeout] : silent) {
         leave(session, false,
@@ -883,6 +944,25 @@ void EntityServerCore::putInQueue(const std::string& entity, bool again) {
     }
 }
 
+/// Under the registry's mutex: whether this entity changes faster than all clients are told; it comes again then, and
+/// what is told is what holds by then.
+bool EntityServerCore::isPaced(Session& session, bool again) {
+    const auto now = clock_.now();
+    const auto at = session.pace.next(now);
+    if (at > now) {
+        auto& its = paced_[session.entity];
+        its = its || again;
+        next_paced_ = std::min(next_paced_, at);
+        return true;
+    }
+    const auto& profile = *session.record->profile;
+    const auto published = published_.find(session.entity);
+    const bool same_profile = published != published_.end() && (published->second->profile == session.record->profile ||
+                                                                *published->second->profile == profile);
+    session.pace.take(now, same_profile ? 1 : 1 + static_cast<std::uint32_t>(profile.size() / kProfileStep));
+    return false;
+}
+
 void EntityServerCore::publishPending() {
     {
         const std::lock_guard lock(mutex_);
@@ -896,7 +976,7 @@ void EntityServerCore::publishPending() {
         bool again = false;
         if (publishSummary()) continue;
         {
-            const std::lock_guard lock(mutex_);
+            std::unique_lock lock(mutex_);
             if (to_publish_.empty()) {
                 if (list_due_ || announcement_due_) continue;
                 publishing_ = false;
@@ -907,10 +987,15 @@ void EntityServerCore::publishPending() {
             const auto waiting = waiting_to_publish_.find(one);
             again = waiting->second;
             waiting_to_publish_.erase(waiting);
+            const auto session = registered_.find(one);
+            if (session != registered_.end() && isPaced(*session->second, again)) {
+                lock.unlock();
+                wake_();
+                continue;
+            }
             if (const auto found = published_.find(one); found != published_.end()) before = found->second;
-            if (const auto found = registered_.find(one); found != registered_.end())
-                now = found->second->record;
-            if (now) {
+            if (session != registered_.end()) {
+                now = session->second->record;
                 published_[one] = now;
             } else {
                 published_.erase(one);

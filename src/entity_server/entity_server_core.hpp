@@ -171,11 +171,15 @@ class EntityServerCore {
     }
     void learn(const std::string& server, const std::vector<std::string>& entities);
     bool refusedLately(const std::string& sender);
+    void refuseSlow(Lane lane, const Header& head);
+    void refuseAllSlow(const Header& head, const std::vector<std::string>& slow);
+    void noteSlow(const Header& head);
     bool flooded(const SessionRef& session);
     bool tooMuchSignal(Session& session, std::string_view message);
     void schedule(const SessionRef& session, TimePoint at);
     void leaveToPublisher(const std::string& entity);
     void putInQueue(const std::string& entity, bool again);
+    bool isPaced(Session& session, bool again);
     bool isDrill(const Header& head) const;
     void drillAnswered(const SessionRef& session, const Header& head);
     void settleDrills(TimePoint now, std::vector<std::string>& changed, std::vector<std::string>& lines);
@@ -225,6 +229,8 @@ class EntityServerCore {
     std::unordered_map<std::string, RecordRef> published_;
     std::deque<std::string> to_publish_;  // each UUID at most once, so bounded by the number of entities
     std::unordered_map<std::string, bool> waiting_to_publish_;  // true: also where nothing has changed
+    std::unordered_map<std::string, bool> paced_;  // like waiting_to_publish_, later
+    TimePoint next_paced_ = TimePoint::max();
     bool list_due_ = false;
     bool announcement_due_ = false;
     // entity server → those of elsewhere_ that it has, or had before another one said that it has them

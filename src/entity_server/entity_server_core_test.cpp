@@ -38,18 +38,26 @@ constexpr const char* kSecond = "00000000-0000-4000-8000-000000000002";
 
 class FakeOutbox final : public EntityOutbox {
   public:
-    void newClientMsg(const Header& head, std::string_view message) override {
-        lines.push_back("msg " + head.sender.name + " " + std::string(message));
+    bool newClientMsg(const Header& head, std::string_view message) override {
+        if (!slow) lines.push_back("msg " + head.sender.name + " " + std::string(message));
+        return !slow;
     }
     void newClientMsgDataSeq(const Header&, std::string_view data) override {
         lines.push_back("data " + std::string(data));
     }
-    void stopSignal(const Header& head, StopCause cause) override {
-        lines.push_back(std::string("stop ") + toString(cause));
+    bool stopSignal(const Header& head, StopCause cause) override {
+        if (!slow) lines.push_back(std::string("stop ") + toString(cause));
         last = head;
+        return !slow;
     }
-    void resetSignal(const Header&) override { lines.emplace_back("reset"); }
-    void clearSignal(const Header&) override { lines.emplace_back("clear"); }
+    bool resetSignal(const Header&) override {
+        if (!slow) lines.emplace_back("reset");
+        return !slow;
+    }
+    bool clearSignal(const Header&) override {
+        if (!slow) lines.emplace_back("clear");
+        return !slow;
+    }
     void newClientUpdate(const Header& head, ClientChange) override {
         lines.push_back("client " + head.sender.id);
     }
@@ -63,6 +71,7 @@ class FakeOutbox final : public EntityOutbox {
     Header last;  // of the last stop
     int heartbeats = 0;
     std::string disconnected;
+    bool slow = false;  ///< the sender has its share of what waits here
 };
 
 class FakeTopic final : public FrontEndTopic {
@@ -390,6 +399,67 @@ TEST_F(EntityServerTest, ASignalLaneIsNotFilledByAnEntity) {
     EXPECT_THAT(first.signal->lines, ElementsAre("refused OVERLOADED", "refused OVERLOADED", "refused OVERLOADED"));
     for (int i = 0; i < 1000; ++i) core.sendToPeer(first.session, Lane::Signal, toPeer(kSecond), std::string(16 * 1024, 'x'));
     EXPECT_THAT(second.signal->lines, testing::SizeIs(64)) << "1 MiB in a second";
+}
+
+TEST_F(EntityServerTest, WhoLeavesTooMuchAtAnEntityThatReadsSlowlyIsToldAndNamed) {
+    const auto slow = join(kFirst);
+    const auto other = join(kSecond);
+    slow.data->slow = slow.signal->slow = true;
+    topic.take();
+    core.clientMsg(head(kFirst), "work");
+    EXPECT_THAT(topic.take(), ElementsAre("refused OVERLOADED to c1 of 9"));
+    EXPECT_THAT(notes.back(), HasSubstr("and c1 (c1) sends it more than one sender may"));
+    const auto lines = notes.size();
+    core.stopSignal(head(kFirst), StopCause::Requested);
+    core.resetSignal(head(kFirst));
+    core.clearSignal(head(kFirst));
+    core.stopSignals(head({}), {kFirst, kSecond}, StopCause::Requested);
+    core.stopSignal(head({}), StopCause::Requested);
+    EXPECT_THAT(topic.take(), testing::AllOf(testing::SizeIs(5), testing::Each("refused OVERLOADED to c1 of 9")));
+    EXPECT_THAT(other.signal->lines, ElementsAre("stop requested", "stop requested")) << "and those of nobody else";
+    core.sendToPeer(other.session, Lane::Data, toPeer(kFirst), "step");
+    EXPECT_THAT(other.data->lines, ElementsAre("refused OVERLOADED"));
+    EXPECT_THAT(notes, testing::SizeIs(lines + 1)) << "a line a second for each sender";
+    EXPECT_THAT(notes.back(), HasSubstr("and Robot (" + std::string(kSecond) + ")"));
+    EXPECT_TRUE(slow.data->disconnected.empty() && slow.signal->disconnected.empty());
+}
+
+TEST_F(EntityServerTest, AnEntityThatChangesWithoutEndIsToldOfEvenlyAndAsItIs) {
+    const auto peer = join(kFirst);
+    topic.take();
+    for (int i = 0; i < 2000; ++i) status(peer, i % 2 == 0 ? EntityState::BUSY : EntityState::IDLE);
+    EXPECT_EQ(topic.take().size(), 200U);
+    const auto others = join(kSecond);
+    EXPECT_THAT(topic.take(), ElementsAre("joined Robot")) << "nobody waits for it";
+    status(peer, EntityState::BUSY);
+    EXPECT_GT(woken, 0);
+    pass(6ms);
+    EXPECT_THAT(topic.take(), ElementsAre("status BUSY")) << "the last word, not later than a step";
+    for (int i = 0; i < 1000; ++i) {
+        status(peer, i % 2 == 0 ? EntityState::IDLE : EntityState::BUSY);
+        core.keepAlive(peer.session);
+        pass(1ms);
+    }
+    EXPECT_THAT(topic.take(), testing::SizeIs(testing::AllOf(testing::Ge(199U), testing::Le(201U))));
+    for (int i = 0; i < 100; ++i)
+        ASSERT_TRUE(core.sendBasicPrfl(peer.session, registration(kFirst), std::string(512 * 1024, static_cast<char>('a' + i % 26))).ok());
+    status(peer, EntityState::IDLE);
+    pass(1s);
+    const auto told = topic.take();
+    EXPECT_THAT(told, testing::SizeIs(testing::Le(7U))) << "3.2 MiB of profiles in a second";
+    core.leave(peer.session, true, "over");
+    pass(1s);
+    EXPECT_THAT(topic.take(), ElementsAre("left Robot"));
+}
+
+TEST_F(EntityServerTest, TheLogIsNotFilledByAnEntity) {
+    const auto peer = join(kFirst);
+    const auto before = notes.size();
+    for (int i = 0; i < 1000; ++i) status(peer, EntityState::IDLE, i % 2 == 0 ? "ann" : "bob");
+    EXPECT_EQ(notes.size(), before + 20);
+    clock.advance(1s);
+    status(peer, EntityState::IDLE, "ann");
+    EXPECT_THAT(notes.back(), HasSubstr("980 changes of its holder before this one are not in the log"));
 }
 
 TEST_F(EntityServerTest, WhoIsNotRegisteredSaysNothing) {
@@ -759,6 +829,7 @@ TEST(EntityServerFlood, DropsAnEntityThatFloods) {
     registration.name = "Robot";
     ASSERT_TRUE(core.sendBasicPrfl(session, registration, "").ok());
     topic.take();
+    clock.advance(1s);  // a registration counts, too
     for (int i = 0; i < 4; ++i) core.sendToClient(session, Lane::Data, {}, "x");
     EXPECT_EQ(topic.lines.size(), 3U);
     EXPECT_THAT(data->disconnected, HasSubstr("flooded"));

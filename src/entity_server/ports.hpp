@@ -15,15 +15,17 @@ namespace axon::entity_server {
 // What EntityServerCore needs from the world. The core calls these with none of its locks held; none may
 // block, none throws, and none may call back into the core before it returns.
 
-/// The way to one Entity Manager on one lane (thesis: EntityMonitorCallbackAdapter).
+/// The way to one Entity Manager on one lane (thesis: EntityMonitorCallbackAdapter). What clients and other entities
+/// send is refused (false) while too much of the same sender waits here.
 class EntityOutbox {
   public:
     virtual ~EntityOutbox() = default;
-    virtual void newClientMsg(const Header& head, std::string_view message) = 0;
+    virtual bool newClientMsg(const Header& head, std::string_view message) = 0;
     virtual void newClientMsgDataSeq(const Header& head, std::string_view data) = 0;
-    virtual void stopSignal(const Header& head, StopCause cause) = 0;
-    virtual void resetSignal(const Header& head) = 0;
-    virtual void clearSignal(const Header& head) = 0;
+    /// Those of the servers' own causes are never refused.
+    virtual bool stopSignal(const Header& head, StopCause cause) = 0;
+    virtual bool resetSignal(const Header& head) = 0;
+    virtual bool clearSignal(const Header& head) = 0;
     virtual void newClientUpdate(const Header& head, ClientChange change) = 0;
     virtual void newRefusalMsg(const Header& head, const Refusal& refusal) = 0;
     virtual void newHeartbeat(std::int64_t sequence) = 0;

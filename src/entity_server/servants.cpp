@@ -12,6 +12,7 @@ namespace axon::entity_server {
 
 using transport::ByteRange;
 using transport::fromIce;
+using transport::senderKey;
 using transport::toIce;
 using transport::toRange;
 using transport::toView;
@@ -30,40 +31,50 @@ IceEntityOutbox::IceEntityOutbox(const std::shared_ptr<Prx>& callback, transport
                   peer->disconnect({improper, why}, false);
               }) {}
 
-void IceEntityOutbox::newClientMsg(const Header& head, std::string_view message) {
-    sender_.send(Traffic::Control, head, message,
-                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                     prx.newClientMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-                 });
+bool IceEntityOutbox::newClientMsg(const Header& head, std::string_view message) {
+    return sender_.send(
+        Traffic::Control, head, message,
+        [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+            prx.newClientMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+        },
+        senderKey(head.sender.id));
 }
 
 void IceEntityOutbox::newClientMsgDataSeq(const Header& head, std::string_view data) {
-    sender_.send(Traffic::Data, head, data,
-                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                     prx.newClientMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-                 });
+    sender_.send(
+        Traffic::Data, head, data,
+        [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+            prx.newClientMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+        },
+        senderKey(head.sender.id));
 }
 
-void IceEntityOutbox::stopSignal(const Header& head, StopCause cause) {
-    sender_.send(
+bool IceEntityOutbox::stopSignal(const Header& head, StopCause cause) {
+    const bool of_peer = cause == StopCause::Requested || cause == StopCause::Drill;
+    return sender_.send(
         Traffic::Signal, head, {},
         [its_cause = toIce(cause)](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
             prx.stopSignalAsync(h, its_cause, std::move(a), std::move(f), std::move(s));
-        });
+        },
+        of_peer ? senderKey(head.sender.id) : transport::kServersOwn);
 }
 
-void IceEntityOutbox::resetSignal(const Header& head) {
-    sender_.send(Traffic::Signal, head, {},
-                 [](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-                     prx.resetSignalAsync(h, std::move(a), std::move(f), std::move(s));
-                 });
+bool IceEntityOutbox::resetSignal(const Header& head) {
+    return sender_.send(
+        Traffic::Signal, head, {},
+        [](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+            prx.resetSignalAsync(h, std::move(a), std::move(f), std::move(s));
+        },
+        senderKey(head.sender.id));
 }
 
-void IceEntityOutbox::clearSignal(const Header& head) {
-    sender_.send(Traffic::Signal, head, {},
-                 [](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-                     prx.clearSignalAsync(h, std::move(a), std::move(f), std::move(s));
-                 });
+bool IceEntityOutbox::clearSignal(const Header& head) {
+    return sender_.send(
+        Traffic::Signal, head, {},
+        [](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
+            prx.clearSignalAsync(h, std::move(a), std::move(f), std::move(s));
+        },
+        senderKey(head.sender.id));
 }
 
 void IceEntityOutbox::newClientUpdate(const Header& head, ClientChange change) {
@@ -124,8 +135,9 @@ IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& dat
 
 /// To the front-end server of the recipient, or to all.
 template <class Call>
-void IceFrontEndTopic::toOne(Traffic traffic, const Header& head, std::string_view bytes, const Call& call) {
-    front_ends_.one(std::string(originOf(head.sender.id).server), traffic, head, bytes, call);
+void IceFrontEndTopic::toOne(Traffic traffic, const Header& head, std::string_view bytes, const Call& call,
+                             transport::SenderKey from) {
+    front_ends_.one(std::string(originOf(head.sender.id).server), traffic, head, bytes, call, from);
 }
 
 void IceFrontEndTopic::entityBasicPrflUpdate(Presence presence, const Registration& registration,
@@ -164,19 +176,23 @@ void IceFrontEndTopic::entityMsg(Lane lane, const Header& head, std::string_view
         front_ends_.data(Traffic::Control, head, message, call);
     } else {
         const auto ticket = std::make_shared<transport::PublicationTicket>(client_lost_, head);
-        toOne(Traffic::Control, head, message,
-              [ticket](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                  prx.entityMsgAsync(Axon::CommUtil::Lane::Data, h, bytes, std::move(a),
-                                     transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
-                  ticket->given();
-              });
+        toOne(
+            Traffic::Control, head, message,
+            [ticket](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+                prx.entityMsgAsync(Axon::CommUtil::Lane::Data, h, bytes, std::move(a),
+                                   transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
+                ticket->given();
+            },
+            senderKey(head.entity));
     }
 }
 void IceFrontEndTopic::entityMsgDataSeq(const Header& head, std::string_view data) {
-    toOne(Traffic::Data, head, data,
-          [](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-              prx.entityMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-          });
+    toOne(
+        Traffic::Data, head, data,
+        [](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+            prx.entityMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+        },
+        senderKey(head.entity));
 }
 void IceFrontEndTopic::entityRefusal(Lane lane, const Header& head, const Refusal& refusal) {
     const auto call = [code = static_cast<int>(refusal.code), reason = refusal.message](
@@ -231,22 +247,29 @@ void IceFrontEndTopic::reachPeers(const std::vector<ServerAnnouncement>& entity_
 Result<void> IceFrontEndTopic::peerMsg(Lane lane, const std::string& server, const Header& head,
                                        std::string_view message) {
     const bool raw = head.msg_type == kMsgRaw;  // droppable, and nobody waits for it
+    const auto refused = [&](std::optional<bool> taken) {
+        return taken.value_or(true) ? serverUnreached(server) : shareTaken("that entity's server");
+    };
+    const auto from = senderKey(head.sender.id);
     if (lane == Lane::Signal || raw) {
-        const bool reached = peers_.straight(
+        const auto taken = peers_.straight(
             lane, server, raw ? Traffic::Data : Traffic::Control, head, message,
             [](PeerPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
                 prx.peerMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-            });
-        return reached ? Result<void>() : serverUnreached(server);
+            },
+            from);
+        return taken.value_or(false) ? Result<void>() : refused(taken);
     }
     const auto ticket = std::make_shared<transport::PublicationTicket>(peer_lost_, head);
-    peers_.straight(lane, server, Traffic::Control, head, message,
-                    [ticket](PeerPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                        prx.peerMsgAsync(h, bytes, std::move(a),
-                                         transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
-                        ticket->given();
-                    });
-    if (ticket.use_count() == 1 && ticket->take()) return serverUnreached(server);
+    const auto taken = peers_.straight(
+        lane, server, Traffic::Control, head, message,
+        [ticket](PeerPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+            prx.peerMsgAsync(h, bytes, std::move(a), transport::PublicationTicket::watch(ticket, std::move(f)),
+                             std::move(s));
+            ticket->given();
+        },
+        from);
+    if (ticket.use_count() == 1 && ticket->take()) return refused(taken);
     return {};
 }
 void IceFrontEndTopic::peerRefusal(Lane lane, const std::string& server, const Header& head,

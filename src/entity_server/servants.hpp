@@ -22,11 +22,11 @@ class IceEntityOutbox final : public EntityOutbox {
   public:
     IceEntityOutbox(const std::shared_ptr<Axon::EntityComm::EntityCallbackPrx>& callback,
                     transport::OutboxLimits limits, std::shared_ptr<transport::PeerConnection> peer);
-    void newClientMsg(const Header& head, std::string_view message) override;
+    bool newClientMsg(const Header& head, std::string_view message) override;
     void newClientMsgDataSeq(const Header& head, std::string_view data) override;
-    void stopSignal(const Header& head, StopCause cause) override;
-    void resetSignal(const Header& head) override;
-    void clearSignal(const Header& head) override;
+    bool stopSignal(const Header& head, StopCause cause) override;
+    bool resetSignal(const Header& head) override;
+    bool clearSignal(const Header& head) override;
     void newClientUpdate(const Header& head, ClientChange change) override;
     void newRefusalMsg(const Header& head, const Refusal& refusal) override;
     void newHeartbeat(std::int64_t sequence) override;
@@ -77,7 +77,8 @@ class IceFrontEndTopic final : public FrontEndTopic {
 
   private:
     template <class Call>
-    void toOne(transport::Traffic traffic, const Header& head, std::string_view bytes, const Call& call);
+    void toOne(transport::Traffic traffic, const Header& head, std::string_view bytes, const Call& call,
+               transport::SenderKey from = transport::kServersOwn);
     Axon::CommUtil::ServerAnnouncement withProxies(const ServerAnnouncement& self) const;
 
     const transport::PublicationTicket::Lost peer_lost_;

@@ -21,6 +21,9 @@ namespace {
 // message, more than a chunk of an upload; in a second, less than a slow link to a robot carries.
 constexpr std::size_t kStrangersBytes = 128 * 1024U;
 constexpr std::uint32_t kStrangersBytesPerSecond = 1024 * 1024U;
+constexpr std::size_t kUnknownAsked = 256;     // entities that a client may ask before the server knows them
+constexpr std::uint32_t kListsPerSecond = 4;   // of all entities, for one client
+constexpr std::uint32_t kLinesPerSecond = 8;  // of the log, of a kind
 
 }  // namespace
 
@@ -44,7 +47,7 @@ class FrontEndCore::Client {
     const std::string token;
     const std::shared_ptr<ClientOutbox> data;
 
-    RateLimit rate, drill_rate, bytes{kStrangersBytesPerSecond};
+    RateLimit rate, drill_rate, bytes{kStrangersBytesPerSecond}, lists{kListsPerSecond};
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
     LifeSigns signs;                                 // written without a lock
     std::atomic<std::size_t> told{0};                // entities, when it joined
@@ -68,10 +71,11 @@ class FrontEndCore::Client {
         fed = last;
         watchdog.feed(last);
     }
-    /// Not any more once it has left.
-    bool asks(const std::string& entity, bool check_out) {
+    /// Not any more once it has left. One that is not known here may be joining; of names that nobody has, the first few.
+    bool asks(const std::string& entity, bool check_out, bool known) {
         const std::lock_guard lock(asked_mutex);
         if (asked_taken) return false;
+        if (!known && asked.size() >= kUnknownAsked && !asked.contains(entity)) return true;
         auto& before = asked[entity];
         before = before || check_out;
         return true;
@@ -87,6 +91,11 @@ class FrontEndCore::Client {
         } else {
             held.erase(entity);
         }
+    }
+    /// For a check-out or a watch.
+    bool knows(const std::string& entity) const {
+        const std::lock_guard lock(asked_mutex);
+        return asked.contains(entity);
     }
     bool hasAsked(const std::string& entity) const {
         const std::lock_guard lock(asked_mutex);
@@ -142,6 +151,8 @@ FrontEndCore::FrontEndCore(CoreSettings settings, const Clock& clock, RandomSour
       note_(std::move(note)),
       wake_(std::move(wake)),
       global_services_(global_services),
+      doubts_(kLinesPerSecond),
+      excesses_(kLinesPerSecond),
       instance_(Id128::random(random).toString().substr(0, 8)),
       entity_servers_(settings.entity_servers) {}
 
@@ -269,18 +280,32 @@ void FrontEndCore::audit(const char* what, const Sender& who,
           ") to " + to);
 }
 
+/// Who asks for more than its part, for those who look for whom the server is slow.
+void FrontEndCore::noteExcess(const Client& client, const Refusal& refusal) {
+    if (refusal.code != RefusalCode::Overloaded && refusal.code != RefusalCode::TooLarge) return;
+    if (excesses_.admit(clock_.now()))
+        note_("client " + client.me.name + " (" + client.me.id + ") is refused: " + refusal.message);
+}
+
 void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string_view message) {
     if (flooded(client)) return;
     if (head.msg_type == kMsgStatus) {
-        pushAll(*client->data);
-        return;
+        if (client->lists.admit(clock_.now())) {
+            pushAll(*client->data);
+            return;
+        }
+        head.sender = client->me;
+        const auto refusal = refuse(RefusalCode::Overloaded, "all statuses are told at most " + std::to_string(kListsPerSecond) +
+                                                                 " times in a second; what changes is told without being asked for");
+        client->data->newRefusalMsg(head, refusal);
+        return noteExcess(*client, refusal);
     }
     if (head.msg_type == kMsgGlobalServices && global_services_ != nullptr) {
         const auto answer = global_services_->answer(message);
         head.entity.clear();
         head.sender = client->me;
         if (answer.ok())
-            client->data->newEntityMsg(Lane::Data, head, answer.value());
+            client->data->newEntityMsg(Lane::Data, head, answer.value(), Share::Clients);
         else
             client->data->newRefusalMsg(head, answer.refusal());
         return;
@@ -308,10 +333,10 @@ Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size
                               " KiB in a second to entities that it does not hold are taken of nobody; send less, or check them out");
     }
     const bool check_out = head.msg_type == kMsgCheckOut;
-    if ((!check_out && head.msg_type != kMsgWatch) || !known_.find(head.entity, kData)) return {};
+    if (!check_out && head.msg_type != kMsgWatch) return {};
     const bool for_itself = check_out && client.me.role != Role::Observer;
     const bool first = for_itself && !client.hasAsked(head.entity);
-    if (!client.asks(head.entity, for_itself)) return refuse(RefusalCode::NotConnected, "its session has ended");
+    if (!client.asks(head.entity, for_itself, known_.find(head.entity, kData) != nullptr)) return refuse(RefusalCode::NotConnected, "its session has ended");
     if (first) believe(client, head.entity);
     return {};
 }
@@ -338,8 +363,10 @@ void FrontEndCore::sendToEntity(const ClientRef& client, Header head, std::strin
     head.sender = client->me;
     const auto known = alone() ? nullptr : known_.find(head.entity, kData);
     if (!alone() && !known) return refuseUnknown(*client->data, head);
-    if (const auto may = mayGoOn(*client, head, message.size()); !may.ok())
-        return client->data->newRefusalMsg(head, may.refusal());
+    if (const auto may = mayGoOn(*client, head, message.size()); !may.ok()) {
+        client->data->newRefusalMsg(head, may.refusal());
+        return noteExcess(*client, may.refusal());
+    }
     if (const auto sent = topic_.clientMsg(known ? known->registration.server : std::string(), head, message);
         !sent.ok()) {
         client->data->newRefusalMsg(head, sent.refusal());
@@ -789,7 +816,7 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
             }
         }
     }
-    if (!doubt.empty()) note_("entity " + entity + " is not believed: " + doubt);
+    if (!doubt.empty() && doubts_.admit(clock_.now())) note_("entity " + entity + " is not believed: " + doubt);
     if (late && !AXON_PLANTED(LateGrantLeft)) settle(late->sender, late->ending, {{entity, busy}});
     if (busy) wake_();
     // Two copies come on two threads, so a newer one may have been told meanwhile: the last word is the newest.
@@ -811,7 +838,20 @@ void FrontEndCore::entitySvcRecord(const Header& head, std::int32_t record_id, s
 }
 
 void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view message) {
-    toClients(lane, head.sender.id, [&](ClientOutbox& client) { client.newEntityMsg(lane, head, message); });
+    if (head.sender.id.empty()) {
+        return toClients(lane, {}, [&](ClientOutbox& client) { client.newEntityMsg(lane, head, message, Share::Entitys); });
+    }
+    const auto client = table_.find(head.sender.id, static_cast<std::size_t>(lane));
+    if (!client) return;
+    if (lane == Lane::Data) {
+        const auto share = client->knows(head.entity) ? Share::Clients : Share::Entitys;
+        if (client->data->newEntityMsg(lane, head, message, share)) return;
+    } else if (client->signalOutbox()->newEntityMsg(lane, head, message, Share::Entitys)) {
+        return;
+    }
+    if (doubts_.admit(clock_.now()))
+        note_("client " + client->me.name + " reads slowly, and entity " + head.entity +
+              " sends it more than one sender may: left out");
 }
 
 void FrontEndCore::entityMsgDataSeq(const Header& head, std::string_view data) {

@@ -153,6 +153,7 @@ class FrontEndCore {
     bool flooded(const ClientRef& client, std::size_t messages = 1);
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
     Result<void> mayGoOn(Client& client, const Header& head, std::size_t bytes);
+    void noteExcess(const Client& client, const Refusal& refusal);
     void believe(const Client& client, const std::string& entity);
     void audit(const char* what, const Sender& who, const std::vector<std::string>& entities) const;
     std::size_t pushAll(ClientOutbox& to);
@@ -184,6 +185,8 @@ class FrontEndCore {
     SnapshotTable<ClientRef, 2> table_;  // by session, for each lane
     SnapshotTable<RecordRef, 2> known_;  // by entity, for each lane
     std::atomic<std::int64_t> own_stops_{0};
+
+    RateLimit doubts_, excesses_;  // lines of the log about what entities and clients do
 
     const std::string instance_;  // of this start, as the entity servers know it
     Neighbours entity_servers_;

@@ -51,9 +51,11 @@ class FakeOutbox final : public ClientOutbox {
     void newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view) override {
         lines.emplace_back("record");
     }
-    void newEntityMsg(Lane, const Header& head, std::string_view message) override {
+    bool newEntityMsg(Lane, const Header& head, std::string_view message, Share of) override {
         last_head = head;
+        if (slow && of == Share::Entitys) return false;
         lines.push_back("msg " + std::string(message));
+        return true;
     }
     void newEntityMsgDataSeq(const Header&, std::string_view) override { lines.emplace_back("samples"); }
     void newRefusalMsg(const Header&, const Refusal& refusal) override {
@@ -70,6 +72,7 @@ class FakeOutbox final : public ClientOutbox {
     std::vector<std::string> lines;
     int heartbeats = 0;
     bool disconnected = false;
+    bool slow = false;  ///< each entity has its share of what waits here
     Header last_head;
     std::function<void()> while_told;
 };
@@ -214,6 +217,69 @@ TEST_F(FrontEndTest, TheLastWordAboutAnEntityIsTheTrueOneThoughItChangesWhileACl
     other->while_told = [&] { status("e2", EntityState::ERR); };
     ASSERT_TRUE(core.setCallback("client2", Role::Operator, other).ok());
     EXPECT_EQ(other->lines.back(), "e2 ERR");
+}
+
+TEST_F(FrontEndTest, AllStatusesAreToldAFewTimesInASecond) {
+    entity("e1");
+    const auto peer = join();
+    peer.data->take();
+    const auto ask = [&] {
+        Header head;
+        head.msg_type = kMsgStatus;
+        core.sendRequest(peer.client, head, {});
+    };
+    for (int i = 0; i < 4; ++i) ask();
+    EXPECT_THAT(peer.data->take(), testing::AllOf(SizeIs(4), testing::Each("joined e1")));
+    ask();
+    EXPECT_THAT(peer.data->take(), ElementsAre("refused OVERLOADED"));
+    EXPECT_THAT(notes.back(), HasSubstr("client client1 (" + peer.id() + ") is refused: all statuses"));
+    const auto lines = notes.size();
+    for (int i = 0; i < 100; ++i) ask();
+    EXPECT_EQ(notes.size(), lines + 7);
+    peer.data->take();
+    clock.advance(1s);
+    ask();
+    EXPECT_THAT(peer.data->take(), ElementsAre("joined e1"));
+}
+
+TEST_F(FrontEndTest, AnEntityThatAClientHasNotAskedMayLeaveLittleForIt) {
+    entity("e1");
+    const auto peer = join();
+    const auto receipt = [&](Lane lane) {
+        auto head = to("e1");
+        head.sender = FrontEndCore::me(*peer.client);
+        core.entityMsg(lane, head, "word");
+    };
+    peer.data->slow = peer.signal->slow = true;
+    peer.data->take();
+    receipt(Lane::Data);
+    EXPECT_THAT(peer.data->take(), IsEmpty());
+    EXPECT_THAT(notes.back(), HasSubstr("client1 reads slowly, and entity e1 sends it more than one sender may"));
+    ask(peer.client, "e1");
+    peer.data->take();
+    receipt(Lane::Data);
+    EXPECT_THAT(peer.data->take(), ElementsAre("msg word")) << "what it has asked for it must read";
+    receipt(Lane::Signal);
+    EXPECT_THAT(peer.signal->take(), IsEmpty());
+    EXPECT_FALSE(peer.data->disconnected);
+    for (int i = 0; i < 100; ++i) receipt(Lane::Signal);
+    EXPECT_LE(std::count_if(notes.begin(), notes.end(), [](const auto& line) { return line.find("slowly") != std::string::npos; }), 8);
+}
+
+TEST_F(FrontEndTest, WhoAsksAnEntityThatIsJustJoiningIsItsHolderWhenItSaysSo) {
+    const auto peer = join();
+    for (int i = 0; i < 300; ++i) ask(peer.client, "nobody" + std::to_string(i));
+    const auto other = join("client2");
+    ask(other.client, "e1");
+    entity("e1");
+    tell("e1", EntityState::BUSY, other.id());
+    for (const auto& note : notes) EXPECT_THAT(note, Not(HasSubstr("not believed")));
+    pass(300ms);
+    EXPECT_TRUE(other.data->disconnected) << "its watchdog is the short one";
+    EXPECT_FALSE(peer.data->disconnected);
+    topic.lines.clear();
+    core.leave(peer.client, Ending::Ended, "done");
+    EXPECT_THAT(topic.lines, SizeIs(256)) << "of names that nobody has, so many are kept";
 }
 
 TEST_F(FrontEndTest, ANameIsCutBetweenTwoCharacters) {

@@ -11,6 +11,7 @@ namespace axon::front_end_server {
 
 using transport::ByteRange;
 using transport::fromIce;
+using transport::senderKey;
 using transport::toIce;
 using transport::toRange;
 using transport::toView;
@@ -51,21 +52,26 @@ void IceClientOutbox::newSvcRecordMsg(const Header& head, std::int32_t record_id
         Traffic::Control, head, record,
         [record_id, count](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
             prx.newSvcRecordMsgAsync(h, record_id, count, bytes, std::move(a), std::move(f), std::move(s));
-        });
+        },
+        senderKey(head.entity));
 }
 
-void IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message) {
-    sender_.send(lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
-                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                     prx.newEntityMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-                 });
+bool IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message, Share of) {
+    return sender_.send(
+        lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
+        [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+            prx.newEntityMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+        },
+        of == Share::Clients ? transport::kServersOwn : senderKey(head.entity));
 }
 
 void IceClientOutbox::newEntityMsgDataSeq(const Header& head, std::string_view data) {
-    sender_.send(Traffic::Data, head, data,
-                 [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                     prx.newEntityMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-                 });
+    sender_.send(
+        Traffic::Data, head, data,
+        [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+            prx.newEntityMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+        },
+        senderKey(head.entity));
 }
 
 void IceClientOutbox::newRefusalMsg(const Header& head, const Refusal& refusal) {
@@ -126,20 +132,24 @@ IceEntityTopic::IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
 
 Result<void> IceEntityTopic::clientMsg(const std::string& server, const Header& head, std::string_view message) {
     const auto ticket = std::make_shared<transport::PublicationTicket>(lost_, head);
-    publisher_.one(server, Traffic::Control, head, message,
-                   [ticket](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                       prx.clientMsgAsync(h, bytes, std::move(a),
-                                          transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
-                       ticket->given();
-                   });
-    if (ticket.use_count() == 1 && ticket->take()) return topicDown();
+    const bool taken = publisher_.one(
+        server, Traffic::Control, head, message,
+        [ticket](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+            prx.clientMsgAsync(h, bytes, std::move(a), transport::PublicationTicket::watch(ticket, std::move(f)),
+                               std::move(s));
+            ticket->given();
+        },
+        senderKey(head.sender.id));
+    if (ticket.use_count() == 1 && ticket->take()) return taken ? topicDown() : shareTaken("the entity's server");
     return {};
 }
 void IceEntityTopic::clientMsgDataSeq(const std::string& server, const Header& head, std::string_view data) {
-    publisher_.one(server, Traffic::Data, head, data,
-                   [](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-                       prx.clientMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
-                   });
+    publisher_.one(
+        server, Traffic::Data, head, data,
+        [](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
+            prx.clientMsgDataSeqAsync(h, bytes, std::move(a), std::move(f), std::move(s));
+        },
+        senderKey(head.sender.id));
 }
 void IceEntityTopic::clientRequest(const Header& head) {
     publisher_.data(Traffic::Control, head, std::string_view(),
@@ -321,7 +331,7 @@ void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence pre
     core_.entityBasicPrflUpdate(fromIce(presence), fromIce(std::move(registration)), toView(profile));
 }
 void EntityToFrontEndServant::entityUpdate(Axon::CommUtil::EntityStatus status, double number, const Ice::Current&) {
-    core_.entityUpdate(fromIce(std::move(status)), static_cast<std::int64_t>(number), way_);
+    core_.entityUpdate(fromIce(std::move(status)), transport::whole(number), way_);
 }
 void EntityToFrontEndServant::entitySvcRecord(IceHeader head, int record_id, int count, ByteRange record,
                                               const Ice::Current&) {

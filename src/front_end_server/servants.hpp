@@ -27,7 +27,7 @@ class IceClientOutbox final : public ClientOutbox {
     void newStatusMsg(const EntityStatus& status) override;
     void newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
                          std::string_view record) override;
-    void newEntityMsg(Lane lane, const Header& head, std::string_view message) override;
+    bool newEntityMsg(Lane lane, const Header& head, std::string_view message, Share of) override;
     void newEntityMsgDataSeq(const Header& head, std::string_view data) override;
     void newRefusalMsg(const Header& head, const Refusal& refusal) override;
     void newStopAccepted(const Header& head, std::int32_t entities) override;

@@ -20,10 +20,11 @@ class CallbackSender {
           outbox_(std::make_shared<Outbox>(limits, std::move(disconnect), until)) {}
 
     /// `call(prx, head, bytes, answered, failed, sent)` makes the asynchronous call. It is copied when the
-    /// message must wait, so it captures by value.
+    /// message must wait, so it captures by value. False where `from` has its share of what waits already.
     template <class Call>
-    void send(Traffic traffic, const Header& head, std::string_view bytes, Call call) const {
-        outbox_->post(
+    bool send(Traffic traffic, const Header& head, std::string_view bytes, Call call,
+              SenderKey from = kServersOwn) const {
+        return outbox_->post(
             traffic, kOverhead + stringBytes(head) + bytes.size(),
             [&](SendCallbacks&& back) {
                 auto& prx = way_.of(back);  // before `answered` is moved from
@@ -37,13 +38,14 @@ class CallbackSender {
                     call(prx, its_head, toRange(its_bytes), std::move(back.answered), std::move(back.failed),
                          std::move(back.sent));
                 });
-            });
+            },
+            from);
     }
 
     /// `call(prx, answered, failed, sent)`, for operations without a header.
     template <class Call>
-    void send(Traffic traffic, std::size_t bytes, Call call) const {
-        outbox_->post(
+    bool send(Traffic traffic, std::size_t bytes, Call call) const {
+        return outbox_->post(
             traffic, kOverhead + bytes,
             [&](SendCallbacks&& back) {
                 auto& prx = way_.of(back);  // before `answered` is moved from

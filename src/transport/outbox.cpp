@@ -8,10 +8,10 @@ namespace axon::transport {
 static_assert(OutboxLimits{}.data_bytes >= kMessageSizeMaxKib * std::size_t{1024},
               "what a peer may send must be able to wait");
 
-void Outbox::onSent(Traffic traffic, std::size_t bytes) {
+void Outbox::onSent(Traffic traffic, std::size_t bytes, SenderKey from) {
     {
         const std::lock_guard lock(mutex_);
-        core_.sent(traffic, bytes);
+        core_.sent(traffic, bytes, from);
         if (!core_.startPump()) return;
     }
     while (true) {
@@ -21,7 +21,7 @@ void Outbox::onSent(Traffic traffic, std::size_t bytes) {
             item = core_.next();
         }
         if (!item) return;
-        launch(item->traffic, item->bytes, item->parcel);
+        launch(item->traffic, item->bytes, item->from, item->parcel);
     }
 }
 

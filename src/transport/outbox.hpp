@@ -47,21 +47,23 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
     ~Outbox() { const std::lock_guard lock(mutex_); }
 
     /// `send(SendCallbacks&&)` makes the asynchronous call, perhaps at once; `own()` returns a Parcel that
-    /// does the same from copies. `bytes` is about the message's size on the wire.
+    /// does the same from copies. `bytes` is about the message's size on the wire. False where `from` has its
+    /// share of what waits here, and nothing has happened then.
     template <class Send, class Own>
-    void post(Traffic traffic, std::size_t bytes, Send&& send, Own&& own) {
+    bool post(Traffic traffic, std::size_t bytes, Send&& send, Own&& own, SenderKey from = kServersOwn) {
         using Verdict = OutboxCore<Parcel>::Verdict;
         Verdict verdict;
         {
             const std::lock_guard lock(mutex_);
-            verdict = core_.offer(traffic, bytes, own);
+            verdict = core_.offer(traffic, bytes, own, from);
         }
         if (verdict == Verdict::Send) {
-            launch(traffic, bytes, send);
+            launch(traffic, bytes, from, send);
         } else if (verdict == Verdict::Overflow) {
             disconnect_(true, traffic == Traffic::Signal ? "it does not take signals"
                                                          : "it does not read its messages");
         }
+        return verdict != Verdict::Refused;
     }
 
     /// Of control and data that may not wait: false where it would have to, and nothing has happened then.
@@ -72,7 +74,7 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
             const std::lock_guard lock(mutex_);
             if (!core_.mayPass() || core_.offer(traffic, bytes, [] { return Parcel(); }) != Verdict::Send) return false;
         }
-        launch(traffic, bytes, send);
+        launch(traffic, bytes, kServersOwn, send);
         return true;
     }
     void close();
@@ -81,13 +83,13 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
 
   private:
     template <class Send>
-    void launch(Traffic traffic, std::size_t bytes, Send& send) {
+    void launch(Traffic traffic, std::size_t bytes, SenderKey from, Send& send) {
         SendCallbacks back;
         back.failed = [self = shared_from_this()](std::exception_ptr) { self->fail(); };
         if (until_ == Until::Answered && (traffic == Traffic::Control || traffic == Traffic::Data)) {
-            back.answered = [self = shared_from_this(), traffic, bytes] { self->onSent(traffic, bytes); };
+            back.answered = [self = shared_from_this(), traffic, bytes, from] { self->onSent(traffic, bytes, from); };
         } else {
-            back.sent = [self = shared_from_this(), traffic, bytes](bool) { self->onSent(traffic, bytes); };
+            back.sent = [self = shared_from_this(), traffic, bytes, from](bool) { self->onSent(traffic, bytes, from); };
         }
         try {
             send(std::move(back));
@@ -95,7 +97,7 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
             fail();  // the connection or the communicator is gone; its close callback tells the owner
         }
     }
-    void onSent(Traffic traffic, std::size_t bytes);
+    void onSent(Traffic traffic, std::size_t bytes, SenderKey from);
     void fail();
 
     const Disconnect disconnect_;

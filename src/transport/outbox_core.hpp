@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <list>
 #include <optional>
+#include <string_view>
+#include <unordered_map>
 #include <utility>
 
 namespace axon::transport {
@@ -19,6 +23,15 @@ enum class Traffic : std::uint8_t {
     Data        ///< queued in order; overflow drops the oldest data
 };
 
+/// Whose message it is. Many peers' messages share a queue, and none of them may fill it.
+using SenderKey = std::uint64_t;
+inline constexpr SenderKey kServersOwn = 0;
+inline SenderKey senderKey(std::string_view id) {
+    return std::hash<std::string_view>{}(id) | 1U;
+}
+
+/// Of each sender at most a quarter of the control messages and of the signals, and of all of them three quarters;
+/// the rest is for the server's own.
 struct OutboxLimits {
     std::size_t window_bytes = 256 * 1024;  ///< given to Ice and not yet written to the socket
     /// Waiting behind the window; one message of the largest size fits. A larger one waits alone.
@@ -26,7 +39,7 @@ struct OutboxLimits {
     std::size_t data_messages = 4096;
     std::size_t control_bytes = 8 * 1024 * 1024;
     std::size_t control_messages = 16384;
-    std::size_t signals_unsent = 4096;  ///< a stop for each of 2048 entities, twice
+    std::size_t signals_unsent = 6144;  ///< three quarters: two receipts of each of 2048 entities
 };
 
 struct OutboxCounts {
@@ -43,6 +56,9 @@ struct OutboxCounts {
 /// rest waits here, in the order of arrival and within bounds. While anything waits, or is being taken out of
 /// the queue, nothing but signals and a heartbeat is sent past it.
 ///
+/// What a sender may not leave here is Refused, to be told to it, and never costs the consumer its connection. Data
+/// gives way by itself: the oldest of whoever has most of it waiting.
+///
 ///     idle ── offer ──► Send …… sent() ──► idle
 ///     window full ── offer ──► Queued …… sent() → startPump() → next()* → none
 ///     closed ◄── close(), Overflow
@@ -55,6 +71,7 @@ class OutboxCore {
         Send,  ///< the caller sends now and reports sent(bytes)
         Queued,
         Dropped,   ///< this message was left out
+        Refused,   ///< its sender has its share here already; nothing has happened
         Overflow,  ///< the consumer must be disconnected; the outbox is closed now
         Closed
     };
@@ -62,22 +79,18 @@ class OutboxCore {
         Parcel parcel;
         std::size_t bytes;
         Traffic traffic;
+        SenderKey from;
     };
 
     explicit OutboxCore(OutboxLimits limits) : limits_(limits) {}
 
     /// `make` returns the Parcel; called only for Queued.
     template <class Make>
-    Verdict offer(Traffic traffic, std::size_t bytes, Make&& make) {
+    Verdict offer(Traffic traffic, std::size_t bytes, Make&& make, SenderKey from = kServersOwn) {
         if (closed_) return Verdict::Closed;
         switch (traffic) {
             case Traffic::Signal:
-                if (unsent_signals_ >= limits_.signals_unsent) {
-                    close();
-                    return Verdict::Overflow;
-                }
-                ++unsent_signals_;
-                return launch(bytes);
+                return offerSignal(bytes, from);
             case Traffic::Heartbeat:
                 if (heartbeat_unsent_) {
                     ++counts_.dropped;
@@ -87,36 +100,39 @@ class OutboxCore {
                 return launch(bytes);
             case Traffic::Control:
                 if (mayPass()) return launch(bytes);
-                if (control_messages_ >= limits_.control_messages ||
-                    control_bytes_ + bytes > limits_.control_bytes) {
+                if (from != kServersOwn && !withinShare(from, bytes)) return Verdict::Refused;
+                if (control_.messages >= limits_.control_messages || control_.bytes + bytes > limits_.control_bytes) {
                     close();
                     return Verdict::Overflow;
                 }
-                ++control_messages_;
-                control_bytes_ += bytes;
-                queue_.push_back({make(), bytes, traffic});
+                control_.add(bytes);
+                if (from != kServersOwn) {
+                    of_peers_.add(bytes);
+                    shares_[from].control.add(bytes);
+                }
+                queue_.push_back({make(), bytes, traffic, from});
                 return Verdict::Queued;
             case Traffic::Data:
                 break;
         }
         if (mayPass()) return launch(bytes);
         while (!data_.empty() &&
-               (data_bytes_ + bytes > limits_.data_bytes || data_.size() >= limits_.data_messages)) {
-            data_bytes_ -= data_.front()->bytes;
-            queue_.erase(data_.front());
-            data_.pop_front();
-            ++counts_.dropped;
-        }
-        queue_.push_back({make(), bytes, traffic});
+               (data_bytes_ + bytes > limits_.data_bytes || data_.size() >= limits_.data_messages))
+            dropData();
+        queue_.push_back({make(), bytes, traffic, from});
         data_.push_back(std::prev(queue_.end()));
         data_bytes_ += bytes;
+        shares_[from].data += bytes;
         return Verdict::Queued;
     }
 
-    /// A message left for the kernel.
-    void sent(Traffic traffic, std::size_t bytes) {
+    /// A message left for the kernel; what was offered.
+    void sent(Traffic traffic, std::size_t bytes, SenderKey from = kServersOwn) {
         unsent_bytes_ -= bytes;
-        if (traffic == Traffic::Signal) --unsent_signals_;
+        if (traffic == Traffic::Signal) {
+            --unsent_signals_;
+            if (from != kServersOwn) change(from, [](Share& its) { --its.signals; });
+        }
         if (traffic == Traffic::Heartbeat) heartbeat_unsent_ = false;
         ++counts_.sent;
     }
@@ -137,10 +153,13 @@ class OutboxCore {
         auto first = queue_.begin();
         if (first->traffic == Traffic::Data) {
             data_.pop_front();
-            data_bytes_ -= first->bytes;
+            forgetData(*first);
         } else {
-            --control_messages_;
-            control_bytes_ -= first->bytes;
+            control_.remove(first->bytes);
+            if (first->from != kServersOwn) {
+                of_peers_.remove(first->bytes);
+                change(first->from, [&](Share& its) { its.control.remove(first->bytes); });
+            }
         }
         Item item = std::move(*first);
         queue_.erase(first);
@@ -153,7 +172,12 @@ class OutboxCore {
         closed_ = true;
         queue_.clear();
         data_.clear();
-        data_bytes_ = control_bytes_ = control_messages_ = 0;
+        data_bytes_ = 0;
+        control_ = of_peers_ = {};
+        for (auto share = shares_.begin(); share != shares_.end();) {
+            share->second = {{}, 0, share->second.signals};  // those are still unsent
+            share = share->second.signals == 0 ? shares_.erase(share) : std::next(share);
+        }
     }
 
     bool closed() const { return closed_; }
@@ -168,17 +192,82 @@ class OutboxCore {
     bool mayPass() const { return !pumping_ && queue_.empty() && unsent_bytes_ < limits_.window_bytes; }
 
   private:
+    struct Waiting {
+        std::size_t messages = 0;
+        std::size_t bytes = 0;
+        void add(std::size_t more) {
+            ++messages;
+            bytes += more;
+        }
+        void remove(std::size_t less) {
+            --messages;
+            bytes -= less;
+        }
+    };
+    struct Share {
+        Waiting control;
+        std::size_t data = 0;  // bytes
+        std::size_t signals = 0;
+    };
+
+    static constexpr std::size_t parts(std::size_t limit, std::size_t of_four) { return limit * of_four / 4; }
     Verdict launch(std::size_t bytes) {
         unsent_bytes_ += bytes;
         return Verdict::Send;
+    }
+    Verdict offerSignal(std::size_t bytes, SenderKey from) {
+        if (from != kServersOwn) {
+            const auto its = shares_.find(from);
+            if (unsent_signals_ >= parts(limits_.signals_unsent, 3) ||
+                (its != shares_.end() && its->second.signals >= parts(limits_.signals_unsent, 1)))
+                return Verdict::Refused;
+        } else if (unsent_signals_ >= limits_.signals_unsent) {
+            close();
+            return Verdict::Overflow;
+        }
+        ++unsent_signals_;
+        if (from != kServersOwn) ++shares_[from].signals;
+        return launch(bytes);
+    }
+    /// One message of any size may wait for each.
+    bool withinShare(SenderKey from, std::size_t bytes) const {
+        if (of_peers_.messages >= parts(limits_.control_messages, 3) ||
+            of_peers_.bytes + bytes > parts(limits_.control_bytes, 3))
+            return false;
+        const auto found = shares_.find(from);
+        if (found == shares_.end() || found->second.control.messages == 0) return true;
+        const auto& its = found->second.control;
+        return its.messages < parts(limits_.control_messages, 1) &&
+               its.bytes + bytes <= parts(limits_.control_bytes, 1);
+    }
+    void dropData() {
+        const auto most = std::max_element(shares_.begin(), shares_.end(), [](const auto& one, const auto& other) {
+                              return one.second.data < other.second.data;
+                          })->first;
+        const auto oldest = std::find_if(data_.begin(), data_.end(), [&](const auto& item) { return item->from == most; });
+        forgetData(**oldest);
+        queue_.erase(*oldest);
+        data_.erase(oldest);
+        ++counts_.dropped;
+    }
+    void forgetData(const Item& item) {
+        data_bytes_ -= item.bytes;
+        change(item.from, [&](Share& its) { its.data -= item.bytes; });
+    }
+    template <class Change>
+    void change(SenderKey from, Change&& change) {
+        const auto its = shares_.find(from);
+        if (its == shares_.end()) return;
+        change(its->second);
+        if (its->second.control.messages == 0 && its->second.data == 0 && its->second.signals == 0) shares_.erase(its);
     }
 
     OutboxLimits limits_;
     std::list<Item> queue_;
     std::deque<typename std::list<Item>::iterator> data_;  // the data in queue_, oldest first
     std::size_t data_bytes_ = 0;
-    std::size_t control_bytes_ = 0;
-    std::size_t control_messages_ = 0;
+    Waiting control_, of_peers_;                     // of all, and of those that have a sender
+    std::unordered_map<SenderKey, Share> shares_;  // of who has anything here
     std::size_t unsent_bytes_ = 0;
     std::size_t unsent_signals_ = 0;
     bool heartbeat_unsent_ = false;

@@ -25,8 +25,16 @@ OutboxLimits small() {
     return limits;
 }
 
-Verdict offer(Core& core, Traffic traffic, int number, std::size_t bytes = 100) {
-    return core.offer(traffic, bytes, [number] { return number; });
+Verdict offer(Core& core, Traffic traffic, int number, std::size_t bytes = 100, SenderKey from = kServersOwn) {
+    return core.offer(traffic, bytes, [number] { return number; }, from);
+}
+
+/// Of which each sender may have 4 messages or 100 bytes, all senders 12 and 300, and 2 and 6 signals.
+OutboxLimits shared() {
+    auto limits = small();
+    limits.control_messages = 16;
+    limits.signals_unsent = 8;
+    return limits;
 }
 
 std::vector<int> pump(Core& core) {
@@ -130,6 +138,72 @@ TEST(OutboxCore, NothingPassesAMessageThatIsBeingTakenOutOfTheQueue) {
     EXPECT_EQ(offer(core, Traffic::Control, 3, 10), Verdict::Send);
 }
 
+TEST(OutboxCoreShares, OneSenderHasAQuarterAndIsRefusedWithoutHarmToOthers) {
+    Core core(shared());
+    ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);
+    for (int i = 1; i <= 4; ++i) EXPECT_EQ(offer(core, Traffic::Control, i, 1, 7), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Control, 5, 1, 7), Verdict::Refused) << "its messages";
+    EXPECT_EQ(offer(core, Traffic::Control, 6, 90, 8), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Control, 7, 11, 8), Verdict::Refused) << "its bytes";
+    EXPECT_EQ(offer(core, Traffic::Control, 8, 10, 8), Verdict::Queued);
+    EXPECT_EQ(core.counts().dropped, 0U);
+    core.sent(Traffic::Control, 100);
+    EXPECT_EQ(pump(core), (std::vector<int>{1, 2, 3, 4, 6, 8}));
+    for (const auto bytes : {1U, 1U, 1U, 1U, 90U}) core.sent(Traffic::Control, bytes);
+    ASSERT_EQ(offer(core, Traffic::Control, 9), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Control, 10, 1, 7), Verdict::Queued) << "what has gone does not count";
+}
+
+TEST(OutboxCoreShares, AnyOneMessageMayWaitWhateverItsSize) {
+    Core core(shared());
+    ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Control, 1, 250, 7), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Control, 2, 1, 7), Verdict::Refused);
+}
+
+TEST(OutboxCoreShares, ManySendersTogetherLeaveAQuarterToTheServer) {
+    Core core(shared());
+    ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);
+    for (SenderKey from = 1; from <= 12; ++from) EXPECT_EQ(offer(core, Traffic::Control, 1, 1, from), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Control, 2, 1, 13), Verdict::Refused);
+    for (int i = 0; i < 4; ++i) EXPECT_EQ(offer(core, Traffic::Control, 3, 1), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Control, 4, 1), Verdict::Overflow) << "only the server's own disconnects";
+}
+
+TEST(OutboxCoreShares, OneSenderHasAQuarterOfTheSignals) {
+    Core core(shared());
+    for (int i = 0; i < 2; ++i) EXPECT_EQ(offer(core, Traffic::Signal, i, 1, 7), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Signal, 2, 1, 7), Verdict::Refused);
+    EXPECT_EQ(offer(core, Traffic::Signal, 3, 1, 8), Verdict::Send);
+    core.sent(Traffic::Signal, 1, 7);
+    EXPECT_EQ(offer(core, Traffic::Signal, 4, 1, 7), Verdict::Send);
+    for (SenderKey from = 20; from < 23; ++from) EXPECT_EQ(offer(core, Traffic::Signal, 5, 1, from), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Signal, 6, 1, 30), Verdict::Refused) << "six of all senders";
+    EXPECT_EQ(offer(core, Traffic::Signal, 7, 1), Verdict::Send) << "the server's own";
+    core.close();
+    core.sent(Traffic::Signal, 1, 7);
+    core.sent(Traffic::Signal, 1);
+}
+
+TEST(OutboxCoreShares, TheOldestDataOfWhoHasMostGivesWay) {
+    Core core(small());  // of data 5 messages and 300 bytes
+    ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Data, 1, 20, 7), Verdict::Queued);
+    for (int i = 2; i <= 4; ++i) EXPECT_EQ(offer(core, Traffic::Data, i, 80, 8), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Data, 5, 80, 8), Verdict::Queued);  // 2 goes
+    EXPECT_EQ(offer(core, Traffic::Data, 6, 20, 7), Verdict::Queued);
+    EXPECT_EQ(offer(core, Traffic::Data, 7, 10, 7), Verdict::Queued);  // 3 goes: there are five
+    core.sent(Traffic::Control, 100);
+    std::vector<int> out;
+    while (core.startPump()) {
+        while (auto item = core.next()) {
+            out.push_back(item->parcel);
+            core.sent(item->traffic, item->bytes, item->from);
+        }
+    }
+    EXPECT_EQ(out, (std::vector<int>{1, 4, 5, 6, 7}));
+}
+
 /// Random traffic against a socket that takes some of it: order kept, bounds kept, control never lost unless
 /// the consumer is disconnected.
 TEST(OutboxCoreProperty, KeepsOrderAndBounds) {
@@ -154,8 +228,9 @@ TEST(OutboxCoreProperty, KeepsOrderAndBounds) {
             const bool control = random.next() % 4 == 0;
             is_control.push_back(control);
             const std::size_t bytes = 1 + random.next() % 90;
-            const auto verdict = offer(core, control ? Traffic::Control : Traffic::Data, number, bytes);
-            if (control && verdict != Verdict::Overflow) control_offered.push_back(number);
+            const auto verdict =
+                offer(core, control ? Traffic::Control : Traffic::Data, number, bytes, random.next() % 3);
+            if (control && (verdict == Verdict::Send || verdict == Verdict::Queued)) control_offered.push_back(number);
             if (verdict == Verdict::Send) record(number, control, bytes);
             overflow = verdict == Verdict::Overflow;
             const auto counts = core.counts();

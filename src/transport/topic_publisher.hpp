@@ -8,6 +8,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -75,11 +76,13 @@ class TopicPublisher {
         }
     }
 
-    /// By the topic. `call` as in CallbackSender::send.
+    /// By the topic. Arguments, and false, as of CallbackSender::send.
     template <class... Arguments>
-    void data(Arguments&&... arguments) const {
+    bool data(Arguments&&... arguments) const {
         const auto routes = data_.load();  // held, for another may be stored meanwhile
-        for (const auto& route : *routes) route.sender->send(arguments...);
+        bool taken = true;
+        for (const auto& route : *routes) taken = route.sender->send(arguments...) && taken;
+        return taken;
     }
     /// To each neighbour, then by the topic.
     template <class... Arguments>
@@ -102,18 +105,18 @@ class TopicPublisher {
     }
     /// To this server alone: straight, or by the topic while it is not reached.
     template <class... Arguments>
-    void one(const std::string& server, Arguments&&... arguments) const {
-        if (!straight(Lane::Data, server, arguments...)) data(arguments...);
+    bool one(const std::string& server, Arguments&&... arguments) const {
+        const auto taken = straight(Lane::Data, server, arguments...);
+        return taken ? *taken : data(arguments...);
     }
-    /// To this neighbour, straight. False where it is not reached.
+    /// To this neighbour, straight. Nothing where it is not reached.
     template <class... Arguments>
-    bool straight(Lane lane, const std::string& server, Arguments&&... arguments) const {
+    std::optional<bool> straight(Lane lane, const std::string& server, Arguments&&... arguments) const {
         const auto routes = (lane == Lane::Signal ? direct_ : direct_data_).load();
         const auto found = std::find_if(routes->begin(), routes->end(),
                                         [&](const Route& route) { return route.place.server == server; });
-        if (found == routes->end()) return false;
-        found->sender->send(std::forward<Arguments>(arguments)...);
-        return true;
+        if (found == routes->end()) return std::nullopt;
+        return found->sender->send(std::forward<Arguments>(arguments)...);
     }
 
   private:
