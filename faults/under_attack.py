@@ -7,13 +7,14 @@
 One client has a robot at work, and another one drills it (a stop's way, acknowledged without stopping), by the servers. Each attack
 of tests/hostile/attacks.py is made in its turn, between quiet times with as many drills. Prints a line for each: the medians and 99th
 percentiles from the call to the acknowledgement of the robot's application, and what became of the honest client, of the robot and of
-the server's memory. Exit status 1 where a bound is broken: a 99th percentile above --times the quiet one (and above --least
+the server's memory. "blows" are calls, or batches of calls. Exit status 1 where a bound is broken: a 99th percentile above --times the quiet one (and above --least
 milliseconds), a session or task that ended, a drill that never arrived, memory of more than --times the quiet one, an attacker whom the
 server's log does not name; 2 where it could not be run.
 """
 import argparse
 import json
 import pathlib
+import signal
 import subprocess
 import sys
 import tempfile
@@ -39,8 +40,13 @@ compile_contracts("slice2py", GENERATED.name)
 sys.path.insert(0, GENERATED.name)
 from attacks import ATTACKS  # noqa: E402
 
-# What the log calls who attacks: its name, or where it comes from.
-NAMES = {"log_ins": "'nobody", "long_passwords": "127.0.0.1:", "silent_connections": None}
+# How the log tells of who exceeds a bound: users by their names, entities as "Hostile". An attack that exceeds none, or that nobody
+# has logged in for, leaves no more than the lines of who came and went.
+TOLD = {"lists_of_stops": "audit: drill by guest@", "long_lists_of_stops": "client guest@example was dropped", "drills": "audit: drill by guest@",
+        "stops_of_another": "audit: stop by guest@", "log_ins": "audit: failed log-in of 'nobody", "sessions": "client guest@example joined",
+        "all_statuses": "client guest@example", "large_messages": "client bob@example", "small_messages": None, "check_outs": None,
+        "unreadable_calls": "cannot be read", "statuses": "is not believed", "profiles": "Hostile", "registrations": "Hostile",
+        "long_passwords": None, "silent_connections": None, "words_to_a_client": None, "words_to_a_robot": None}
 
 
 def resident_mib(process):
@@ -76,18 +82,22 @@ class Siege:
         attack = subprocess.Popen([sys.executable, TESTS / "hostile" / "attacks.py", GENERATED.name, self.lab.at["client"],
                                    self.lab.at["entity"], name, "3600"], stdout=subprocess.PIPE, text=True)
         try:
-            attack.stdout.readline()
+            if attack.stdout.readline() != "attacks\n":
+                raise Failed(f"the attack {name} did not begin")
             time.sleep(0.5)
             attacked = self.drill()
             after = resident_mib(self.lab.server)
+            attack.send_signal(signal.SIGTERM)
+            blows = int((attack.stdout.readline().split() or ["0"])[-1])
         finally:
             attack.kill()
             attack.wait()
             attack.stdout.close()
-        called = NAMES.get(name, "ostile")
-        named = called is None or called in self.lab.server.text()[logged:]
+        named = TOLD[name] is None or TOLD[name] in self.lab.server.text()[logged:]
         wrong = []
-        if attacked[1] is None or attacked[1] > max(arguments.least, arguments.times * quiet[1]):
+        if not blows:
+            raise Failed(f"the attack {name} struck nothing")
+        if attacked[1] is None or attacked[1] > max(arguments.least, arguments.times * (quiet[1] or 0)):
             wrong.append("a stop takes longer")
         if attacked[2]:
             wrong.append(f"{attacked[2]} drills never arrived")
@@ -98,7 +108,11 @@ class Siege:
         if not named:
             wrong.append("the log does not name who attacks")
         return {"attack": name, "quiet_p50_ms": quiet[0], "quiet_p99_ms": quiet[1], "p50_ms": attacked[0], "p99_ms": attacked[1],
-                "quiet_mib": before, "mib": after, "named": named, "broken": wrong}
+                "quiet_mib": before, "mib": after, "blows": blows, "named": named, "broken": wrong}
+
+
+def told(milliseconds):
+    return "never" if milliseconds is None else f"{milliseconds:.2f}"
 
 
 def main():
@@ -108,13 +122,12 @@ def main():
     lab, figures = make_laboratory(), []
     try:
         siege = Siege(lab)
-        print(f"{'attack':22} {'quiet p50':>10} {'p99 ms':>8} {'under p50':>10} {'p99 ms':>8} {'MiB':>7} {'under':>7}")
+        print(f"{'attack':22} {'quiet p50':>10} {'p99 ms':>8} {'under p50':>10} {'p99 ms':>8} {'MiB':>7} {'under':>7} {'blows':>8}")
         for name in wanted:
             one = siege.under(name)
             figures.append(one)
-            p99 = "never" if one["p99_ms"] is None else f"{one['p99_ms']:.2f}"
-            print(f"{name:22} {one['quiet_p50_ms']:10.2f} {one['quiet_p99_ms']:8.2f} {one['p50_ms']:10.2f} {p99:>8} {one['quiet_mib']:7.1f}"
-                  f" {one['mib']:7.1f}  {'; '.join(one['broken']) or 'kept'}", flush=True)
+            print(f"{name:22} {told(one['quiet_p50_ms']):>10} {told(one['quiet_p99_ms']):>8} {told(one['p50_ms']):>10} {told(one['p99_ms']):>8}"
+                  f" {one['quiet_mib']:7.1f} {one['mib']:7.1f} {one['blows']:8}  {'; '.join(one['broken']) or 'kept'}", flush=True)
             if siege.work.child.poll() is not None:
                 print(siege.work.text()[-2000:], file=sys.stderr)
                 return 1

@@ -30,13 +30,13 @@ struct Liars::Ears final : public front_end_server::ClientOutbox, public entity_
         statuses[status.entity] = status;
         if (!status.holder.id.empty()) people[status.holder.id] = status.holder;
     }
-    void newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view) override {}
-    bool newEntityMsg(Lane, const Header&, std::string_view, front_end_server::Share) override { return true; }
+    bool newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view, QueueShare) override { return true; }
+    bool newEntityMsg(Lane, const Header&, std::string_view, QueueShare) override { return true; }
     void newEntityMsgDataSeq(const Header&, std::string_view) override {}
     void newStopAccepted(const Header&, std::int32_t) override {}
     void newUpdateMsg(RefusalCode, const std::string&) override {}
     // As an entity.
-    bool newClientMsg(const Header& head, std::string_view message) override {
+    bool newClientMsg(const Header& head, std::string_view message, QueueShare) override {
         proto::ToEntity body;
         if (body.ParseFromArray(message.data(), static_cast<int>(message.size())) && body.has_check_out())
             asked.emplace_back(head.sender, body.check_out().request_id());

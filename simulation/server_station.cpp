@@ -52,15 +52,17 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
         send(Traffic::Control, 0,
              [status](ClientStation& to, std::uint64_t attempt) { to.newStatusMsg(attempt, status); });
     }
-    void newSvcRecordMsg(const Header& head, std::int32_t, std::int32_t, std::string_view record) override {
-        send(Traffic::Control, record.size(),
-             [head, bytes = std::string(record)](ClientStation& to, std::uint64_t attempt) {
-                 to.newSvcRecordMsg(attempt, head, bytes);
-             });
+    bool newSvcRecordMsg(const Header& head, std::int32_t, std::int32_t, std::string_view record, QueueShare share) override {
+        return send(
+            Traffic::Control, record.size(),
+            [head, bytes = std::string(record)](ClientStation& to, std::uint64_t attempt) {
+                to.newSvcRecordMsg(attempt, head, bytes);
+            },
+            transport::senderKey(head.entity, share));
     }
-    bool newEntityMsg(Lane lane, const Header& head, std::string_view message, front_end_server::Share of) override {
+    bool newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) override {
         return entityMsg(lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
-                         of == front_end_server::Share::Clients ? transport::kServersOwn : transport::senderKey(head.entity));
+                         transport::senderKey(head.entity, share));
     }
     void newEntityMsgDataSeq(const Header& head, std::string_view data) override {
         entityMsg(Traffic::Data, head, data, transport::senderKey(head.entity));
@@ -158,7 +160,7 @@ class ToEntityOutbox final : public entity_server::EntityOutbox {
   public:
     ToEntityOutbox(Process& server, Connection& connection, EntityManagerStation& to, std::uint64_t attempt)
         : server_(server), connection_(connection), to_(to), attempt_(attempt) {}
-    bool newClientMsg(const Header& head, std::string_view message) override {
+    bool newClientMsg(const Header& head, std::string_view message, QueueShare) override {
         return send([head, bytes = std::string(message)](EntityManagerStation& to, std::uint64_t attempt) {
             to.newClientMsg(attempt, head, bytes);
         });

@@ -323,6 +323,7 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
 void StopDesk::onRefusal(std::int64_t sequence, const std::string& entity, const Refusal& refusal) {
     const Order* order = find(sequence);
     if (order == nullptr) return;
+    if (order->repeats && refusal.code == RefusalCode::Overloaded) return;  // the next one may be taken
     // With several entities the others may still answer: the one that is gone stays without times.
     if (order->receipts.size() > 1 && !entity.empty()) return;
     take(sequence).done(refusal);

@@ -384,6 +384,14 @@ TEST_F(StopDeskTest, AnOpenOrderIsSentAgainOverANewConnection) {
     EXPECT_EQ(answers, 1);
 }
 
+TEST_F(StopDeskTest, AStopThatAQueueDoesNotTakeIsGivenAgain) {
+    stop({"Cyton"});
+    desk.onRefusal(1, uuid(3), {RefusalCode::Overloaded, "full", {}});
+    EXPECT_EQ(answers, 0) << "it is repeated until its deadline";
+    desk.onRefusal(1, uuid(3), {RefusalCode::UnknownEntity, "gone", {}});
+    EXPECT_EQ(answers, 1);
+}
+
 TEST_F(StopDeskTest, AnEntityThatIsGoneIsRefused) {
     stop({"Cyton"});
     desk.onRefusal(1, uuid(3), {RefusalCode::UnknownEntity, "gone", {}});

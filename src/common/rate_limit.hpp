@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT
 #pragma once
-#include <algorithm>
 #include <atomic>
 #include <cstdint>
 
@@ -32,21 +31,6 @@ class RateLimit {
     const std::uint32_t per_second_;
     std::atomic<std::int64_t> second_{0};
     std::atomic<std::uint32_t> count_{0};
-};
-
-/// Spaces what comes too fast, where the newest is enough: a second's worth at once, then evenly. Not thread-safe.
-class Pace {
-  public:
-    explicit Pace(std::uint32_t per_second) : step_(Duration(std::chrono::seconds{1}) / per_second) {}
-
-    /// When the next may go: now, or within a step of the one before.
-    TimePoint next(TimePoint now) const { return std::max(now, spent_until_ - std::chrono::seconds{1}); }
-    /// One has gone that is like so many.
-    void take(TimePoint now, std::uint32_t count = 1) { spent_until_ = std::max(spent_until_, now) + count * step_; }
-
-  private:
-    const Duration step_;
-    TimePoint spent_until_;
 };
 
 }  // namespace axon

@@ -99,10 +99,4 @@ std::string_view refusalName(RefusalCode code) {
     return "INTERNAL";
 }
 
-Refusal shareTaken(const std::string& consumer) {
-    return {RefusalCode::Overloaded,
-            consumer + " reads slowly, and as much waits for it as one sender may leave there; send less, or again in a moment",
-            {}};
-}
-
 }  // namespace axon

@@ -67,7 +67,4 @@ struct Refusal {
     bool ok() const { return code == RefusalCode::Ok; }
 };
 
-/// OVERLOADED, for whom one sender's share of what waits for `consumer`, who reads slowly, is taken.
-Refusal shareTaken(const std::string& consumer);
-
 }  // namespace axon

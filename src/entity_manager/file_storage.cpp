@@ -96,9 +96,9 @@ constexpr std::chrono::seconds kTryAgain{1};
     throw std::system_error(errno, std::generic_category(), std::string(what) + ' ' + path.string());
 }
 
-void synchroniseFolder(const fs::path& folder) {
+bool synchroniseFolder(const fs::path& folder) {
     const File handle(folder, O_RDONLY | O_DIRECTORY);
-    if (handle.isOpen()) ::fsync(handle.fd());
+    return handle.isOpen() && ::fsync(handle.fd()) == 0;
 }
 
 /// Held until it is closed, also by a process that is killed. The file has the process id, for people.
@@ -209,8 +209,7 @@ bool FileStorage::carryOut(const std::string& key, const Wish& wish) const {
     // What cannot be deleted is on a disk that a next life cannot write its epoch to either.
     if (!wish) {
         if (::unlink(path.c_str()) != 0 && errno != ENOENT) return false;
-        synchroniseFolder(folder_);  // or a loss of power brings it back
-        return true;
+        return synchroniseFolder(folder_);  // or a loss of power brings it back
     }
     try {
         const auto fresh = write(key, *wish);
@@ -218,22 +217,23 @@ bool FileStorage::carryOut(const std::string& key, const Wish& wish) const {
     } catch (const std::system_error&) {  // the disk is full, say
         return false;
     }
-    synchroniseFolder(folder_);
-    return true;
+    return synchroniseFolder(folder_);
 }
 
 void FileStorage::run() {
     // What could not be done since the last pause. It holds nothing else up: on a full disk nothing can be written, and
     // deleted all the same.
     std::map<std::string, Wish> failed;
-    // Deletions first: the latch is one.
+    // Deletions first: the latch is one. And nothing is kept while one of them fails: that a robot is free must not be on
+    // the disk before its latch is (power_loss_test.cpp tries this order).
     const auto next = [&] {
         auto found = waiting_.end();
+        const bool deletion_failed = std::any_of(failed.begin(), failed.end(), [](const auto& one) { return !one.second; });
         for (auto at = waiting_.begin(); at != waiting_.end(); ++at) {
             const auto before = failed.find(at->first);
             if (before != failed.end() && before->second == at->second) continue;
             if (!at->second) return at;
-            if (found == waiting_.end()) found = at;
+            if (found == waiting_.end() && !deletion_failed) found = at;
         }
         return found;
     };

@@ -9,6 +9,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <fstream>
 #include <future>
 #include <sstream>
@@ -95,6 +96,22 @@ TEST_F(Folder, AValueSurvivesAndNoKeyLeavesTheFolder) {
     EXPECT_EQ(std::distance(fs::directory_iterator(folder), {}), 1);
 }
 
+/// What a loss of power leaves of a write that was not over: the beginning of the new file, of any length.
+TEST_F(Folder, TheBeginningOfAWriteIsNotReadAndNotInTheWay) {
+    FileStorage(folder).save("latch", "old");
+    const auto place = fs::directory_iterator(folder);
+    const auto value = std::find_if(place, {}, [](const auto& entry) { return entry.path().extension() == ".value"; })->path();
+    const std::string fresh = "the new value";
+    for (std::size_t length = 0; length <= fresh.size(); ++length) {
+        std::ofstream(value.string() + ".new", std::ios::binary) << fresh.substr(0, length);
+        FileStorage storage(folder);
+        EXPECT_EQ(storage.load("latch"), "old") << length;
+        storage.save("latch", "next");
+        EXPECT_EQ(storage.load("latch"), "next") << length;
+        storage.save("latch", "old");
+    }
+}
+
 TEST_F(Folder, TheFolderHasOneUserAtATime) {
     {
         FileStorage first(folder);
@@ -161,6 +178,23 @@ TEST_F(Folder, WhatIsForgottenIsNotWaitedForAndDoesNotComeBack) {
         stuck.release();
     }
     EXPECT_EQ(FileStorage(folder).load("k"), std::nullopt);
+}
+
+TEST_F(Folder, NothingIsKeptWhileADeletionFails) {
+    fs::create_directories(folder / "6b.value");  // cannot be deleted as a file
+    {
+        FileStorage storage(folder);
+        storage.forget("k");
+        storage.keep("other", "1");
+    }
+    {
+        FileStorage next(folder);
+        EXPECT_EQ(next.load("other"), std::nullopt) << "a robot's latch is a deletion";
+        fs::remove(folder / "6b.value");
+        next.forget("k");
+        next.keep("other", "2");
+    }
+    EXPECT_EQ(FileStorage(folder).load("other"), "2");
 }
 
 TEST_F(Folder, WhatIsSuspendedIsKeptForItsOwner) {

@@ -9,6 +9,8 @@
 
 #include "common/entity_name.hpp"
 #include "common/life_signs.hpp"
+#include "common/pace.hpp"
+#include "common/queue_share.hpp"
 #include "common/rights.hpp"
 #include "common/snapshot.hpp"
 #include "common/utf8.hpp"
@@ -23,6 +25,7 @@ constexpr std::uint32_t kPeerBytesPerSecond = 8 * 1024 * 1024U;
 // Of one entity for anybody on a signal lane, which stops share: beats and ends of runs, receipts, refusals.
 constexpr std::size_t kSignalBytes = 16 * 1024U;
 constexpr std::uint32_t kSignalBytesPerSecond = 1024 * 1024U;
+constexpr std::size_t kSignalOverhead = 64;  // of each
 // What every client is told of one entity: each status, and each begun 16 KiB of a profile, counts once.
 constexpr std::uint32_t kPublishedPerSecond = 200;
 constexpr std::size_t kProfileStep = 16 * 1024U;
@@ -50,6 +53,7 @@ class EntityServerCore::Session {
     std::atomic<bool> registered{false};
 
     Snapshot<std::string> name;  // of its newest registration
+    Snapshot<std::string> holder;  // by its newest status
 
     RateLimit rate, peer_bytes{kPeerBytesPerSecond}, signal_bytes{kSignalBytesPerSecond}, lines{kLinesPerSecond};
     LifeSigns signs;  // written without a lock
@@ -112,16 +116,15 @@ constexpr std::size_t kTextMax = 1024;
 // Another entity server says each 50 ms that it lives; one that is killed does not keep its entities from coming here.
 constexpr std::chrono::milliseconds kPeerLives{250};
 
-/// Raw data is dropped, oldest first, for an entity that is slower than its peer. False: its sender has its share of
-/// what waits there.
+/// Raw data is dropped, oldest first, for an entity that is slower than its peer. False: it is beyond its sender's share.
 bool deliver(EntityOutbox& outbox, const Header& head, std::string_view message) {
-    if (head.msg_type != kMsgRaw) return outbox.newClientMsg(head, message);
+    if (head.msg_type != kMsgRaw) return outbox.newClientMsg(head, message, QueueShare::OfSender);
     outbox.newClientMsgDataSeq(head, message);
     return true;
 }
 
 Refusal slowEntity(const Header& head) {
-    return shareTaken("entity " + head.entity.substr(0, 64));
+    return queueShareFull("entity " + head.entity.substr(0, 64));
 }
 
 Refusal notForPeers(const Header& head) {
@@ -215,6 +218,7 @@ EntityServerCore::EntityServerCore(CoreSettings settings, const Clock& clock, Ra
       instance_(Id128::random(random).toString().substr(0, 8)),
       drill_(settings.drill_period > Duration{} ? "drill-" + Id128::random(random).toString() + "-"
                                                 : std::string()),
+      slow_lines_(kLinesPerSecond),
       front_ends_(settings.front_ends),
       entity_servers_(settings.entity_servers) {}
 
@@ -359,6 +363,8 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
                 line += " (" + std::to_string(left_out) + " changes of its holder before this one are not in the log)";
             }
         }
+        if (before.holder.id != status.holder.id)
+            session->holder.store(std::make_shared<const std::string>(status.holder.id));
         late = before.holder.id != status.holder.id && !status.orphaned && !front_ends_.serves(status.holder.id);
         if (late) given = status;
         countBusy(before, status, now);
@@ -406,7 +412,7 @@ bool EntityServerCore::flooded(const SessionRef& session) {
 
 bool EntityServerCore::tooMuchSignal(Session& session, std::string_view message) {
     return message.size() > kSignalBytes ||
-           !session.signal_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size()));
+           !session.signal_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size() + kSignalOverhead));
 }
 
 void EntityServerCore::sendSvcPrflRecord(const SessionRef& session, Header head, std::int32_t record_id,
@@ -477,10 +483,12 @@ void EntityServerCore::keepAlive(const SessionRef& session) {
 }
 
 void EntityServerCore::leave(const SessionRef& session, bool orderly, const std::string& why) {
+    std::size_t lines_left_out = 0;
     {
         const std::lock_guard lock(mutex_);
         if (session->gone) return;
         session->gone = true;
+        lines_left_out = session->lines_left_out;
         tokens_.erase(session->token);
         if (session->registered) {
             countBusy(session->record->status, {}, clock_.now());
@@ -494,7 +502,8 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
     if (session->registered) {
         leaveToPublisher(session->entity);
         pending_();
-        note_(*session->name.load() + " left: " + why);
+        note_(*session->name.load() + " left: " + why +
+              (lines_left_out > 0 ? " (" + std::to_string(lines_left_out) + " changes of its holder are not in the log)" : ""));
     }
 }
 
@@ -512,9 +521,9 @@ void EntityServerCore::refuseSlow(Lane lane, const Header& head) {
 }
 
 void EntityServerCore::noteSlow(const Header& head) {
-    if (!refusedLately(head.sender.id))
+    if (slow_lines_.admit(clock_.now()))
         note_("entity " + head.entity.substr(0, 64) + " reads slowly, and " + head.sender.name + " (" + head.sender.id +
-              ") sends it more than one sender may: refused");
+              ") sends it more than its share of the queue: refused");
 }
 
 // Data is not answered message by message: a sender that streams to an entity that left needs one answer.
@@ -532,7 +541,9 @@ bool EntityServerCore::refusedLately(const std::string& sender) {
 void EntityServerCore::clientMsg(const Header& head, std::string_view message, Way way) {
     const auto entity = table_.find(head.entity, kData);
     if (!entity) return refuseUnknown(Lane::Data, head, way);
-    if (!entity->data->newClientMsg(head, message)) refuseSlow(Lane::Data, head);
+    // Its holder's orders are never refused for what others send: it has the whole queue.
+    const auto share = head.sender.id == *entity->holder.load() ? QueueShare::Whole : QueueShare::OfSender;
+    if (!entity->data->newClientMsg(head, message, share)) refuseSlow(Lane::Data, head);
 }
 
 void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view data, Way way) {
@@ -759,11 +770,7 @@ TimePoint EntityServerCore::onTimer() {
     {
         const std::lock_guard lock(mutex_);
         const auto now = clock_.now();
-        if (next_paced_ <= now) {
-            paced = true;
-            next_paced_ = TimePoint::max();
-            for (const auto& [entity, again] : std::exchange(paced_, {})) putInQueue(entity, again);
-        }
+        paced = endPauses(now);
         while (!due_.empty() && due_.top().at <= now) {
             const auto due = due_.top();
             due_.pop();
@@ -944,23 +951,45 @@ void EntityServerCore::putInQueue(const std::string& entity, bool again) {
     }
 }
 
-/// Under the registry's mutex: whether this entity changes faster than all clients are told; it comes again then, and
+/// Whether front-end servers are told the profile, and not its status alone.
+bool EntityServerCore::tellsProfile(const RecordRef& before, const RecordRef& now, bool again) {
+    return again || !before || before->session != now->session || now->registration != before->registration ||
+           (now->profile != before->profile && *now->profile != *before->profile);
+}
+
+/// Under the registry's mutex: whether this entity changes faster than all clients are told. It comes again then, and
 /// what is told is what holds by then.
 bool EntityServerCore::isPaced(Session& session, bool again) {
     const auto now = clock_.now();
     const auto at = session.pace.next(now);
     if (at > now) {
         auto& its = paced_[session.entity];
-        its = its || again;
+        its.again = its.again || again;
+        its.at = at;
         next_paced_ = std::min(next_paced_, at);
         return true;
     }
-    const auto& profile = *session.record->profile;
     const auto published = published_.find(session.entity);
-    const bool same_profile = published != published_.end() && (published->second->profile == session.record->profile ||
-                                                                *published->second->profile == profile);
-    session.pace.take(now, same_profile ? 1 : 1 + static_cast<std::uint32_t>(profile.size() / kProfileStep));
+    const auto before = published != published_.end() ? published->second : nullptr;
+    const auto profile = tellsProfile(before, session.record, again) ? session.record->profile->size() / kProfileStep : 0;
+    session.pace.take(now, 1 + static_cast<std::uint32_t>(profile));
     return false;
+}
+
+/// Under the registry's mutex: queues those whose time has come.
+bool EntityServerCore::endPauses(TimePoint now) {
+    if (next_paced_ > now) return false;
+    next_paced_ = TimePoint::max();
+    for (auto its = paced_.begin(); its != paced_.end();) {
+        if (its->second.at > now) {
+            next_paced_ = std::min(next_paced_, its->second.at);
+            ++its;
+            continue;
+        }
+        putInQueue(its->first, its->second.again);
+        its = paced_.erase(its);
+    }
+    return true;
 }
 
 void EntityServerCore::publishPending() {
@@ -988,9 +1017,11 @@ void EntityServerCore::publishPending() {
             again = waiting->second;
             waiting_to_publish_.erase(waiting);
             const auto session = registered_.find(one);
+            const auto timer = next_paced_;
             if (session != registered_.end() && isPaced(*session->second, again)) {
+                const bool earlier = next_paced_ < timer;
                 lock.unlock();
-                wake_();
+                if (earlier) wake_();
                 continue;
             }
             if (const auto found = published_.find(one); found != published_.end()) before = found->second;
@@ -1043,7 +1074,7 @@ void EntityServerCore::publishOne(const std::string& entity, const RecordRef& be
     if (!now) return;
     if (!same_session) {
         presence(Presence::Joined, now->registration, *now->profile);
-    } else if (again || now->registration != before->registration || *now->profile != *before->profile) {
+    } else if (tellsProfile(before, now, again)) {
         presence(Presence::Changed, now->registration, *now->profile);
     }
     const bool was_ready = same_session && !before->profile->empty();

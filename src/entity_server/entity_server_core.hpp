@@ -179,7 +179,9 @@ class EntityServerCore {
     void schedule(const SessionRef& session, TimePoint at);
     void leaveToPublisher(const std::string& entity);
     void putInQueue(const std::string& entity, bool again);
+    static bool tellsProfile(const RecordRef& before, const RecordRef& now, bool again);
     bool isPaced(Session& session, bool again);
+    bool endPauses(TimePoint now);
     bool isDrill(const Header& head) const;
     void drillAnswered(const SessionRef& session, const Header& head);
     void settleDrills(TimePoint now, std::vector<std::string>& changed, std::vector<std::string>& lines);
@@ -208,6 +210,7 @@ class EntityServerCore {
     SnapshotTable<SessionRef, 2> table_;        // by entity, for each lane
     SnapshotTable<ElsewhereRef, 2> elsewhere_;  // by entity, for each lane
 
+    RateLimit slow_lines_;  // of the log, about who reads slowly
     Neighbours front_ends_;
     Neighbours entity_servers_;
     std::atomic<bool> entities_changed_{false};  // since the other entity servers were told
@@ -229,7 +232,11 @@ class EntityServerCore {
     std::unordered_map<std::string, RecordRef> published_;
     std::deque<std::string> to_publish_;  // each UUID at most once, so bounded by the number of entities
     std::unordered_map<std::string, bool> waiting_to_publish_;  // true: also where nothing has changed
-    std::unordered_map<std::string, bool> paced_;  // like waiting_to_publish_, later
+    struct Paced {
+        bool again = false;  // as in waiting_to_publish_
+        TimePoint at;
+    };
+    std::unordered_map<std::string, Paced> paced_;  // to be published later
     TimePoint next_paced_ = TimePoint::max();
     bool list_due_ = false;
     bool announcement_due_ = false;

@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "common/queue_share.hpp"
 #include "common/refusal.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
@@ -15,14 +16,14 @@ namespace axon::entity_server {
 // What EntityServerCore needs from the world. The core calls these with none of its locks held; none may
 // block, none throws, and none may call back into the core before it returns.
 
-/// The way to one Entity Manager on one lane (thesis: EntityMonitorCallbackAdapter). What clients and other entities
-/// send is refused (false) while too much of the same sender waits here.
+/// The way to one Entity Manager on one lane (thesis: EntityMonitorCallbackAdapter). Those that return false send nothing
+/// then: the message is beyond its sender's share of the queue.
 class EntityOutbox {
   public:
     virtual ~EntityOutbox() = default;
-    virtual bool newClientMsg(const Header& head, std::string_view message) = 0;
+    virtual bool newClientMsg(const Header& head, std::string_view message, QueueShare share) = 0;
     virtual void newClientMsgDataSeq(const Header& head, std::string_view data) = 0;
-    /// Those of the servers' own causes are never refused.
+    /// Never false for the causes that only servers give.
     virtual bool stopSignal(const Header& head, StopCause cause) = 0;
     virtual bool resetSignal(const Header& head) = 0;
     virtual bool clearSignal(const Header& head) = 0;

@@ -5,6 +5,7 @@
 
 #include <utility>
 
+#include "common/queue_share.hpp"
 #include "transport/bound_uuid.hpp"
 #include "transport/communicator.hpp"
 
@@ -31,13 +32,13 @@ IceEntityOutbox::IceEntityOutbox(const std::shared_ptr<Prx>& callback, transport
                   peer->disconnect({improper, why}, false);
               }) {}
 
-bool IceEntityOutbox::newClientMsg(const Header& head, std::string_view message) {
+bool IceEntityOutbox::newClientMsg(const Header& head, std::string_view message, QueueShare share) {
     return sender_.send(
         Traffic::Control, head, message,
         [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
             prx.newClientMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
         },
-        senderKey(head.sender.id));
+        senderKey(head.sender.id, share));
 }
 
 void IceEntityOutbox::newClientMsgDataSeq(const Header& head, std::string_view data) {
@@ -127,17 +128,18 @@ IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& dat
           lost(head, {RefusalCode::NotConnected,
                       "the connection to the entity server that has that entity has failed; try again", {}});
       }),
-      client_lost_([lost = std::move(lost.to_client)](const Header& head) {
+      client_lost_([lost = lost.to_client](const Header& head) {
           lost(head, {RefusalCode::NotConnected, "the connection to the client's front-end server has failed", {}});
       }),
+      to_client_refused_(std::move(lost.to_client)),
       front_ends_(data, signal, "entity server"),
       peers_(data, signal, "entity server") {}
 
 /// To the front-end server of the recipient, or to all.
 template <class Call>
-void IceFrontEndTopic::toOne(Traffic traffic, const Header& head, std::string_view bytes, const Call& call,
+bool IceFrontEndTopic::toOne(Traffic traffic, const Header& head, std::string_view bytes, const Call& call,
                              transport::SenderKey from) {
-    front_ends_.one(std::string(originOf(head.sender.id).server), traffic, head, bytes, call, from);
+    return front_ends_.one(std::string(originOf(head.sender.id).server), traffic, head, bytes, call, from);
 }
 
 void IceFrontEndTopic::entityBasicPrflUpdate(Presence presence, const Registration& registration,
@@ -176,7 +178,7 @@ void IceFrontEndTopic::entityMsg(Lane lane, const Header& head, std::string_view
         front_ends_.data(Traffic::Control, head, message, call);
     } else {
         const auto ticket = std::make_shared<transport::PublicationTicket>(client_lost_, head);
-        toOne(
+        const bool taken = toOne(
             Traffic::Control, head, message,
             [ticket](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
                 prx.entityMsgAsync(Axon::CommUtil::Lane::Data, h, bytes, std::move(a),
@@ -184,6 +186,8 @@ void IceFrontEndTopic::entityMsg(Lane lane, const Header& head, std::string_view
                 ticket->given();
             },
             senderKey(head.entity));
+        if (!taken && ticket.use_count() == 1 && ticket->take())
+            to_client_refused_(head, queueShareFull("the client's front-end server"));
     }
 }
 void IceFrontEndTopic::entityMsgDataSeq(const Header& head, std::string_view data) {
@@ -248,7 +252,7 @@ Result<void> IceFrontEndTopic::peerMsg(Lane lane, const std::string& server, con
                                        std::string_view message) {
     const bool raw = head.msg_type == kMsgRaw;  // droppable, and nobody waits for it
     const auto refused = [&](std::optional<bool> taken) {
-        return taken.value_or(true) ? serverUnreached(server) : shareTaken("that entity's server");
+        return taken.value_or(true) ? serverUnreached(server) : queueShareFull("that entity's server");
     };
     const auto from = senderKey(head.sender.id);
     if (lane == Lane::Signal || raw) {

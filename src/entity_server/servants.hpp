@@ -22,7 +22,7 @@ class IceEntityOutbox final : public EntityOutbox {
   public:
     IceEntityOutbox(const std::shared_ptr<Axon::EntityComm::EntityCallbackPrx>& callback,
                     transport::OutboxLimits limits, std::shared_ptr<transport::PeerConnection> peer);
-    bool newClientMsg(const Header& head, std::string_view message) override;
+    bool newClientMsg(const Header& head, std::string_view message, QueueShare share) override;
     void newClientMsgDataSeq(const Header& head, std::string_view data) override;
     bool stopSignal(const Header& head, StopCause cause) override;
     bool resetSignal(const Header& head) override;
@@ -77,12 +77,13 @@ class IceFrontEndTopic final : public FrontEndTopic {
 
   private:
     template <class Call>
-    void toOne(transport::Traffic traffic, const Header& head, std::string_view bytes, const Call& call,
+    bool toOne(transport::Traffic traffic, const Header& head, std::string_view bytes, const Call& call,
                transport::SenderKey from = transport::kServersOwn);
     Axon::CommUtil::ServerAnnouncement withProxies(const ServerAnnouncement& self) const;
 
     const transport::PublicationTicket::Lost peer_lost_;
     const transport::PublicationTicket::Lost client_lost_;
+    const std::function<void(const Header&, const Refusal&)> to_client_refused_;
     transport::TopicPublisher<Axon::EntityComm::EntityToFrontEndCommPrx> front_ends_;
     transport::TopicPublisher<Axon::FrontEndComm::FrontEndToEntityCommPrx> peers_;
     std::string signals_;

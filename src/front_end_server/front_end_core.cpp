@@ -280,7 +280,7 @@ void FrontEndCore::audit(const char* what, const Sender& who,
           ") to " + to);
 }
 
-/// Who asks for more than its part, for those who look for whom the server is slow.
+/// Logs a client that exceeds its limits, so that an operator can find out why the server is slow.
 void FrontEndCore::noteExcess(const Client& client, const Refusal& refusal) {
     if (refusal.code != RefusalCode::Overloaded && refusal.code != RefusalCode::TooLarge) return;
     if (excesses_.admit(clock_.now()))
@@ -305,7 +305,7 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
         head.entity.clear();
         head.sender = client->me;
         if (answer.ok())
-            client->data->newEntityMsg(Lane::Data, head, answer.value(), Share::Clients);
+            client->data->newEntityMsg(Lane::Data, head, answer.value(), QueueShare::Whole);
         else
             client->data->newRefusalMsg(head, answer.refusal());
         return;
@@ -831,27 +831,36 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
     }
 }
 
+/// `send(outbox, share)` returns false where the message was left out. An entity that a client has asked has its whole
+/// queue: what that one sends it must read.
+template <class Send>
+void FrontEndCore::toClientsOf(Lane lane, const Header& head, Send&& send) {
+    const auto to = [&](const ClientRef& client) {
+        auto& outbox = lane == Lane::Signal ? *client->signalOutbox() : *client->data;
+        if (send(outbox, client->knows(head.entity) ? QueueShare::Whole : QueueShare::OfSender)) return;
+        if (doubts_.admit(clock_.now()))
+            note_("client " + client->me.name + " reads slowly, and entity " + head.entity +
+                  " sends it more than its share of the queue: left out");
+    };
+    const auto its_lane = static_cast<std::size_t>(lane);
+    if (head.sender.id.empty()) {
+        table_.each(to, its_lane);
+    } else if (const auto client = table_.find(head.sender.id, its_lane)) {
+        to(client);
+    }
+}
+
 void FrontEndCore::entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
                                    std::string_view record) {
-    toClients(Lane::Data, head.sender.id,
-              [&](ClientOutbox& client) { client.newSvcRecordMsg(head, record_id, count, record); });
+    toClientsOf(Lane::Data, head, [&](ClientOutbox& client, QueueShare share) {
+        return client.newSvcRecordMsg(head, record_id, count, record, share);
+    });
 }
 
 void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view message) {
-    if (head.sender.id.empty()) {
-        return toClients(lane, {}, [&](ClientOutbox& client) { client.newEntityMsg(lane, head, message, Share::Entitys); });
-    }
-    const auto client = table_.find(head.sender.id, static_cast<std::size_t>(lane));
-    if (!client) return;
-    if (lane == Lane::Data) {
-        const auto share = client->knows(head.entity) ? Share::Clients : Share::Entitys;
-        if (client->data->newEntityMsg(lane, head, message, share)) return;
-    } else if (client->signalOutbox()->newEntityMsg(lane, head, message, Share::Entitys)) {
-        return;
-    }
-    if (doubts_.admit(clock_.now()))
-        note_("client " + client->me.name + " reads slowly, and entity " + head.entity +
-              " sends it more than one sender may: left out");
+    toClientsOf(lane, head, [&](ClientOutbox& client, QueueShare share) {
+        return client.newEntityMsg(lane, head, message, share);
+    });
 }
 
 void FrontEndCore::entityMsgDataSeq(const Header& head, std::string_view data) {

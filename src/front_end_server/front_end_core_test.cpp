@@ -48,12 +48,14 @@ class FakeOutbox final : public ClientOutbox {
     void newStatusMsg(const EntityStatus& status) override {
         lines.push_back(status.entity + " " + toString(status.state));
     }
-    void newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view) override {
+    bool newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view, QueueShare share) override {
+        if (slow && share == QueueShare::OfSender) return false;
         lines.emplace_back("record");
+        return true;
     }
-    bool newEntityMsg(Lane, const Header& head, std::string_view message, Share of) override {
+    bool newEntityMsg(Lane, const Header& head, std::string_view message, QueueShare share) override {
         last_head = head;
-        if (slow && of == Share::Entitys) return false;
+        if (slow && share == QueueShare::OfSender) return false;
         lines.push_back("msg " + std::string(message));
         return true;
     }
@@ -254,15 +256,23 @@ TEST_F(FrontEndTest, AnEntityThatAClientHasNotAskedMayLeaveLittleForIt) {
     peer.data->take();
     receipt(Lane::Data);
     EXPECT_THAT(peer.data->take(), IsEmpty());
-    EXPECT_THAT(notes.back(), HasSubstr("client1 reads slowly, and entity e1 sends it more than one sender may"));
+    EXPECT_THAT(notes.back(), HasSubstr("client1 reads slowly, and entity e1 sends it more than its share"));
     ask(peer.client, "e1");
     peer.data->take();
     receipt(Lane::Data);
     EXPECT_THAT(peer.data->take(), ElementsAre("msg word")) << "what it has asked for it must read";
     receipt(Lane::Signal);
-    EXPECT_THAT(peer.signal->take(), IsEmpty());
+    EXPECT_THAT(peer.signal->take(), ElementsAre("msg word"));
     EXPECT_FALSE(peer.data->disconnected);
-    for (int i = 0; i < 100; ++i) receipt(Lane::Signal);
+    const auto other = join("client2");
+    other.data->slow = true;
+    other.data->take();
+    auto to_all = to("e1");
+    to_all.sender = {};
+    for (int i = 0; i < 100; ++i) core.entityMsg(Lane::Data, to_all, "word");
+    core.entitySvcRecord(to_all, 1, 1, "record");
+    EXPECT_THAT(other.data->take(), IsEmpty());
+    EXPECT_THAT(notes.back(), HasSubstr("client2 reads slowly"));
     EXPECT_LE(std::count_if(notes.begin(), notes.end(), [](const auto& line) { return line.find("slowly") != std::string::npos; }), 8);
 }
 

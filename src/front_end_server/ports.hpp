@@ -5,6 +5,7 @@
 #include <string_view>
 #include <vector>
 
+#include "common/queue_share.hpp"
 #include "common/refusal.hpp"
 #include "common/result.hpp"
 #include "common/routed.hpp"
@@ -14,12 +15,6 @@ namespace axon::front_end_server {
 // What FrontEndCore needs from the world. The core calls these with none of its locks held; none may block,
 // none throws, and none may call back into the core before it returns.
 
-/// Of what waits for a client that does not read.
-enum class Share : std::uint8_t {
-    Entitys,  ///< a part
-    Clients   ///< all: the client has asked this entity, so it reads that, or is disconnected
-};
-
 /// The way to one client on one lane (thesis: ClientMonitorCallbackAdapter).
 class ClientOutbox {
   public:
@@ -27,12 +22,11 @@ class ClientOutbox {
     virtual void newBasicPrflMsg(Presence presence, const Registration& registration,
                                  std::string_view profile) = 0;
     virtual void newStatusMsg(const EntityStatus& status) = 0;
-    /// Of the entity's share of what waits, and left out beyond it.
-    virtual void newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
-                                 std::string_view record) = 0;
-    /// `lane`: a receipt on the signal lane never waits behind other messages. `of`: whose share of what waits it takes.
-    /// False where that is taken, and the message is left out.
-    virtual bool newEntityMsg(Lane lane, const Header& head, std::string_view message, Share of) = 0;
+    /// This and the next return false, and send nothing, when the message is beyond its share of the queue.
+    virtual bool newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
+                                 std::string_view record, QueueShare share) = 0;
+    /// `lane`: a receipt on the signal lane never waits behind other messages.
+    virtual bool newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) = 0;
     virtual void newEntityMsgDataSeq(const Header& head, std::string_view data) = 0;
     virtual void newRefusalMsg(const Header& head, const Refusal& refusal) = 0;
     virtual void newStopAccepted(const Header& head, std::int32_t entities) = 0;

@@ -5,6 +5,7 @@
 
 #include <utility>
 
+#include "common/queue_share.hpp"
 #include "transport/communicator.hpp"
 
 namespace axon::front_end_server {
@@ -46,23 +47,23 @@ void IceClientOutbox::newStatusMsg(const EntityStatus& status) {
     });
 }
 
-void IceClientOutbox::newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
-                                      std::string_view record) {
-    sender_.send(
+bool IceClientOutbox::newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
+                                      std::string_view record, QueueShare share) {
+    return sender_.send(
         Traffic::Control, head, record,
         [record_id, count](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
             prx.newSvcRecordMsgAsync(h, record_id, count, bytes, std::move(a), std::move(f), std::move(s));
         },
-        senderKey(head.entity));
+        senderKey(head.entity, share));
 }
 
-bool IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message, Share of) {
+bool IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) {
     return sender_.send(
         lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
         [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
             prx.newEntityMsgAsync(h, bytes, std::move(a), std::move(f), std::move(s));
         },
-        of == Share::Clients ? transport::kServersOwn : senderKey(head.entity));
+        senderKey(head.entity, share));
 }
 
 void IceClientOutbox::newEntityMsgDataSeq(const Header& head, std::string_view data) {
@@ -140,7 +141,7 @@ Result<void> IceEntityTopic::clientMsg(const std::string& server, const Header& 
             ticket->given();
         },
         senderKey(head.sender.id));
-    if (ticket.use_count() == 1 && ticket->take()) return taken ? topicDown() : shareTaken("the entity's server");
+    if (ticket.use_count() == 1 && ticket->take()) return taken ? topicDown() : queueShareFull("the entity's server");
     return {};
 }
 void IceEntityTopic::clientMsgDataSeq(const std::string& server, const Header& head, std::string_view data) {

@@ -25,9 +25,9 @@ class IceClientOutbox final : public ClientOutbox {
     void newBasicPrflMsg(Presence presence, const Registration& registration,
                          std::string_view profile) override;
     void newStatusMsg(const EntityStatus& status) override;
-    void newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
-                         std::string_view record) override;
-    bool newEntityMsg(Lane lane, const Header& head, std::string_view message, Share of) override;
+    bool newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
+                         std::string_view record, QueueShare share) override;
+    bool newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) override;
     void newEntityMsgDataSeq(const Header& head, std::string_view data) override;
     void newRefusalMsg(const Header& head, const Refusal& refusal) override;
     void newStopAccepted(const Header& head, std::int32_t entities) override;

@@ -18,6 +18,7 @@ std::string ofContract(const std::string& topic) {
 }
 
 std::optional<int> contractOfOther(const std::string& topic, const std::string& found) {
+    if (found == topic) return 1;  // before names had a number
     if (!found.starts_with(topic + "-")) return std::nullopt;
     int theirs = 0;
     const char* const end = found.data() + found.size();

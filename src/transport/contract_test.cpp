@@ -51,7 +51,8 @@ TEST(Contract, ATopicOfAnotherEditionIsAnotherTopic) {
     EXPECT_EQ(ofContract("Topic"), "Topic-" + std::to_string(kOurs));
     EXPECT_EQ(contractOfOther("Topic", ofContract("Topic")), std::nullopt);
     EXPECT_EQ(contractOfOther("Topic", "Topic-" + std::to_string(kOurs + 1)), kOurs + 1);
-    for (const auto* other : {"Topic", "Topic-", "Topic-2x", "Topical-2", "Other-2", "Topic-99999999999"})
+    EXPECT_EQ(contractOfOther("Topic", "Topic"), 1);
+    for (const auto* other : {"Topic-", "Topic-2x", "Topical-2", "Other-2", "Topic-99999999999"})
         EXPECT_EQ(contractOfOther("Topic", other), std::nullopt) << other;
 }
 

@@ -47,8 +47,8 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
     ~Outbox() { const std::lock_guard lock(mutex_); }
 
     /// `send(SendCallbacks&&)` makes the asynchronous call, perhaps at once; `own()` returns a Parcel that
-    /// does the same from copies. `bytes` is about the message's size on the wire. False where `from` has its
-    /// share of what waits here, and nothing has happened then.
+    /// does the same from copies. `bytes` is about the message's size on the wire. Returns false, and sends
+    /// nothing, when it is beyond the share of `from`.
     template <class Send, class Own>
     bool post(Traffic traffic, std::size_t bytes, Send&& send, Own&& own, SenderKey from = kServersOwn) {
         using Verdict = OutboxCore<Parcel>::Verdict;

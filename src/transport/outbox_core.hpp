@@ -11,6 +11,8 @@
 #include <unordered_map>
 #include <utility>
 
+#include "common/queue_share.hpp"
+
 namespace axon::transport {
 
 /// What may happen to a message when its consumer does not read.
@@ -26,12 +28,12 @@ enum class Traffic : std::uint8_t {
 /// Whose message it is. Many peers' messages share a queue, and none of them may fill it.
 using SenderKey = std::uint64_t;
 inline constexpr SenderKey kServersOwn = 0;
-inline SenderKey senderKey(std::string_view id) {
-    return std::hash<std::string_view>{}(id) | 1U;
+inline SenderKey senderKey(std::string_view id, QueueShare share = QueueShare::OfSender) {
+    return share == QueueShare::Whole ? kServersOwn : std::hash<std::string_view>{}(id) | 1U;
 }
 
-/// Of each sender at most a quarter of the control messages and of the signals, and of all of them three quarters;
-/// the rest is for the server's own.
+/// Of each sender at most a quarter of the control messages and of the signals, and of all of them three quarters of
+/// the control messages; the rest is for the server's own, and for who holds the consumer.
 struct OutboxLimits {
     std::size_t window_bytes = 256 * 1024;  ///< given to Ice and not yet written to the socket
     /// Waiting behind the window; one message of the largest size fits. A larger one waits alone.
@@ -39,7 +41,7 @@ struct OutboxLimits {
     std::size_t data_messages = 4096;
     std::size_t control_bytes = 8 * 1024 * 1024;
     std::size_t control_messages = 16384;
-    std::size_t signals_unsent = 6144;  ///< three quarters: two receipts of each of 2048 entities
+    std::size_t signals_unsent = 4096;  ///< a stop for each of 2048 entities, twice
 };
 
 struct OutboxCounts {
@@ -56,8 +58,9 @@ struct OutboxCounts {
 /// rest waits here, in the order of arrival and within bounds. While anything waits, or is being taken out of
 /// the queue, nothing but signals and a heartbeat is sent past it.
 ///
-/// What a sender may not leave here is Refused, to be told to it, and never costs the consumer its connection. Data
-/// gives way by itself: the oldest of whoever has most of it waiting.
+/// A control message or signal beyond its sender's share is Refused, and the sender to be told. Only the server's own
+/// overflow, and that of all signals together, disconnects the consumer. Of data the oldest is dropped, of the sender that
+/// has most of what there is too much of.
 ///
 ///     idle ── offer ──► Send …… sent() ──► idle
 ///     window full ── offer ──► Queued …… sent() → startPump() → next()* → none
@@ -71,7 +74,7 @@ class OutboxCore {
         Send,  ///< the caller sends now and reports sent(bytes)
         Queued,
         Dropped,   ///< this message was left out
-        Refused,   ///< its sender has its share here already; nothing has happened
+        Refused,   ///< it is beyond its sender's share; nothing has happened
         Overflow,  ///< the consumer must be disconnected; the outbox is closed now
         Closed
     };
@@ -116,13 +119,20 @@ class OutboxCore {
                 break;
         }
         if (mayPass()) return launch(bytes);
-        while (!data_.empty() &&
-               (data_bytes_ + bytes > limits_.data_bytes || data_.size() >= limits_.data_messages))
-            dropData();
+        while (data_.messages > 0) {
+            if (data_.bytes + bytes > limits_.data_bytes) {
+                dropData(&Waiting::bytes);
+            } else if (data_.messages >= limits_.data_messages) {
+                dropData(&Waiting::messages);
+            } else {
+                break;
+            }
+        }
         queue_.push_back({make(), bytes, traffic, from});
-        data_.push_back(std::prev(queue_.end()));
-        data_bytes_ += bytes;
-        shares_[from].data += bytes;
+        auto& its = shares_[from];
+        its.data_items.push_back(std::prev(queue_.end()));
+        its.data.add(bytes);
+        data_.add(bytes);
         return Verdict::Queued;
     }
 
@@ -152,8 +162,7 @@ class OutboxCore {
         }
         auto first = queue_.begin();
         if (first->traffic == Traffic::Data) {
-            data_.pop_front();
-            forgetData(*first);
+            forgetOldestData(shares_.find(first->from));
         } else {
             control_.remove(first->bytes);
             if (first->from != kServersOwn) {
@@ -171,11 +180,9 @@ class OutboxCore {
     void close() {
         closed_ = true;
         queue_.clear();
-        data_.clear();
-        data_bytes_ = 0;
-        control_ = of_peers_ = {};
+        data_ = control_ = of_peers_ = {};
         for (auto share = shares_.begin(); share != shares_.end();) {
-            share->second = {{}, 0, share->second.signals};  // those are still unsent
+            share->second = {.signals = share->second.signals};  // those are still unsent
             share = share->second.signals == 0 ? shares_.erase(share) : std::next(share);
         }
     }
@@ -205,23 +212,27 @@ class OutboxCore {
         }
     };
     struct Share {
-        Waiting control;
-        std::size_t data = 0;  // bytes
+        Waiting control = {}, data = {};
+        std::deque<typename std::list<Item>::iterator> data_items = {};  // oldest first
         std::size_t signals = 0;
+        bool empty() const { return control.messages == 0 && data.messages == 0 && signals == 0; }
     };
+    using Shares = std::unordered_map<SenderKey, Share>;
 
     static constexpr std::size_t parts(std::size_t limit, std::size_t of_four) { return limit * of_four / 4; }
     Verdict launch(std::size_t bytes) {
         unsent_bytes_ += bytes;
         return Verdict::Send;
     }
+    /// No sender's signals are refused for those of others: who has none unsent may send one, or the consumer is
+    /// disconnected, and its robot stops by itself.
     Verdict offerSignal(std::size_t bytes, SenderKey from) {
         if (from != kServersOwn) {
             const auto its = shares_.find(from);
-            if (unsent_signals_ >= parts(limits_.signals_unsent, 3) ||
-                (its != shares_.end() && its->second.signals >= parts(limits_.signals_unsent, 1)))
+            if (its != shares_.end() && its->second.signals >= std::max<std::size_t>(parts(limits_.signals_unsent, 1), 1))
                 return Verdict::Refused;
-        } else if (unsent_signals_ >= limits_.signals_unsent) {
+        }
+        if (unsent_signals_ >= limits_.signals_unsent) {
             close();
             return Verdict::Overflow;
         }
@@ -229,7 +240,7 @@ class OutboxCore {
         if (from != kServersOwn) ++shares_[from].signals;
         return launch(bytes);
     }
-    /// One message of any size may wait for each.
+    /// One message may wait for each sender, as long as there is room for senders.
     bool withinShare(SenderKey from, std::size_t bytes) const {
         if (of_peers_.messages >= parts(limits_.control_messages, 3) ||
             of_peers_.bytes + bytes > parts(limits_.control_bytes, 3))
@@ -240,34 +251,35 @@ class OutboxCore {
         return its.messages < parts(limits_.control_messages, 1) &&
                its.bytes + bytes <= parts(limits_.control_bytes, 1);
     }
-    void dropData() {
-        const auto most = std::max_element(shares_.begin(), shares_.end(), [](const auto& one, const auto& other) {
-                              return one.second.data < other.second.data;
-                          })->first;
-        const auto oldest = std::find_if(data_.begin(), data_.end(), [&](const auto& item) { return item->from == most; });
-        forgetData(**oldest);
-        queue_.erase(*oldest);
-        data_.erase(oldest);
+    void dropData(std::size_t Waiting::*scarce) {
+        const auto most = std::max_element(shares_.begin(), shares_.end(), [&](const auto& one, const auto& other) {
+            return one.second.data.*scarce < other.second.data.*scarce;
+        });
+        const auto oldest = most->second.data_items.front();
+        forgetOldestData(most);
+        queue_.erase(oldest);
         ++counts_.dropped;
     }
-    void forgetData(const Item& item) {
-        data_bytes_ -= item.bytes;
-        change(item.from, [&](Share& its) { its.data -= item.bytes; });
+    /// The item stays in the queue.
+    void forgetOldestData(typename Shares::iterator its) {
+        const auto bytes = its->second.data_items.front()->bytes;
+        its->second.data_items.pop_front();
+        its->second.data.remove(bytes);
+        data_.remove(bytes);
+        if (its->second.empty()) shares_.erase(its);
     }
     template <class Change>
     void change(SenderKey from, Change&& change) {
         const auto its = shares_.find(from);
         if (its == shares_.end()) return;
         change(its->second);
-        if (its->second.control.messages == 0 && its->second.data == 0 && its->second.signals == 0) shares_.erase(its);
+        if (its->second.empty()) shares_.erase(its);
     }
 
     OutboxLimits limits_;
     std::list<Item> queue_;
-    std::deque<typename std::list<Item>::iterator> data_;  // the data in queue_, oldest first
-    std::size_t data_bytes_ = 0;
-    Waiting control_, of_peers_;                     // of all, and of those that have a sender
-    std::unordered_map<SenderKey, Share> shares_;  // of who has anything here
+    Waiting data_, control_, of_peers_;  // of_peers_: of the control messages that have a sender
+    Shares shares_;                      // of who has anything here
     std::size_t unsent_bytes_ = 0;
     std::size_t unsent_signals_ = 0;
     bool heartbeat_unsent_ = false;

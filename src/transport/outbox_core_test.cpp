@@ -29,7 +29,7 @@ Verdict offer(Core& core, Traffic traffic, int number, std::size_t bytes = 100, 
     return core.offer(traffic, bytes, [number] { return number; }, from);
 }
 
-/// Of which each sender may have 4 messages or 100 bytes, all senders 12 and 300, and 2 and 6 signals.
+/// Of which each sender may have 4 messages or 100 bytes, and 2 signals, and all senders 12 messages or 300 bytes.
 OutboxLimits shared() {
     auto limits = small();
     limits.control_messages = 16;
@@ -177,12 +177,11 @@ TEST(OutboxCoreShares, OneSenderHasAQuarterOfTheSignals) {
     EXPECT_EQ(offer(core, Traffic::Signal, 3, 1, 8), Verdict::Send);
     core.sent(Traffic::Signal, 1, 7);
     EXPECT_EQ(offer(core, Traffic::Signal, 4, 1, 7), Verdict::Send);
-    for (SenderKey from = 20; from < 23; ++from) EXPECT_EQ(offer(core, Traffic::Signal, 5, 1, from), Verdict::Send);
-    EXPECT_EQ(offer(core, Traffic::Signal, 6, 1, 30), Verdict::Refused) << "six of all senders";
-    EXPECT_EQ(offer(core, Traffic::Signal, 7, 1), Verdict::Send) << "the server's own";
-    core.close();
+    for (SenderKey from = 20; from < 25; ++from)
+        EXPECT_EQ(offer(core, Traffic::Signal, 5, 1, from), Verdict::Send) << "nobody's stop is refused for others'";
+    EXPECT_EQ(offer(core, Traffic::Signal, 6, 1, 30), Verdict::Overflow) << "the robot is cut off, and stops by itself";
     core.sent(Traffic::Signal, 1, 7);
-    core.sent(Traffic::Signal, 1);
+    core.sent(Traffic::Signal, 1, 20);
 }
 
 TEST(OutboxCoreShares, TheOldestDataOfWhoHasMostGivesWay) {
@@ -202,6 +201,17 @@ TEST(OutboxCoreShares, TheOldestDataOfWhoHasMostGivesWay) {
         }
     }
     EXPECT_EQ(out, (std::vector<int>{1, 4, 5, 6, 7}));
+}
+
+TEST(OutboxCoreShares, ManyTinyDataDoNotDriveOutTheLargeOnesOfOthers) {
+    Core core(small());  // of data 5 messages and 300 bytes
+    ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);
+    EXPECT_EQ(offer(core, Traffic::Data, 1, 200, 7), Verdict::Queued);
+    for (int i = 2; i <= 20; ++i) EXPECT_EQ(offer(core, Traffic::Data, i, 1, 8), Verdict::Queued);
+    core.sent(Traffic::Control, 100);
+    EXPECT_EQ(pump(core), (std::vector<int>{1}));
+    EXPECT_EQ(core.counts().waiting, 4U);
+    EXPECT_EQ(core.counts().dropped, 15U);
 }
 
 /// Random traffic against a socket that takes some of it: order kept, bounds kept, control never lost unless

@@ -17,6 +17,7 @@ namespace {
 
 constexpr std::chrono::seconds kLook{1};
 constexpr std::chrono::milliseconds kTryAgain{250};
+constexpr std::chrono::seconds kLookForOthers{10};
 constexpr int kPatienceMs = 2000;
 
 /// As `manager` is written by a person, or null.
@@ -101,14 +102,21 @@ class StormTopics::Search {
         }
     }
 
-    /// Those of other editions, which hear nothing of this server, and it of them.
+    /// Servers of other editions hear nothing of this one, and it of them. What they do with their topics meanwhile is no
+    /// failure of ours.
     void lookForOthers() {
-        for (const auto& [name, topic] : manager_->retrieveAll()) {
-            const auto contract = contractOfOther(settings_.subscribe_to, name);
-            if (!contract || others_.contains(*contract) || patient(topic)->getSubscribers().empty()) continue;
-            others_.insert(*contract);
-            note_("servers of contract " + std::to_string(*contract) + " use this IceStorm, too; this server has contract " +
-                  contractContext().at(kContextContract) + ", and they and it do not see each other: upgrade those of the smaller number");
+        if (clock_.now() < look_for_others_) return;
+        look_for_others_ = clock_.now() + kLookForOthers;
+        try {
+            for (const auto& [name, topic] : manager_->retrieveAll()) {
+                const auto contract = contractOfOther(settings_.subscribe_to, name);
+                if (!contract || others_.contains(*contract) || patient(topic)->getSubscribers().empty()) continue;
+                others_.insert(*contract);
+                note_("there are subscriptions of servers of contract " + std::to_string(*contract) +
+                      " at this IceStorm; this server has contract " + contractContext().at(kContextContract) +
+                      ", and it and they do not see each other: upgrade those of the smaller number, or start icebox again, if they run no more");
+            }
+        } catch (const Ice::Exception&) {
         }
     }
 
@@ -156,6 +164,7 @@ class StormTopics::Search {
     std::vector<std::shared_ptr<IceStorm::TopicPrx>> published_;
     bool said_ = false;
     std::set<int> others_;  // of which it was told
+    TimePoint look_for_others_;
     std::unique_ptr<TimerThread> thread_;
 };
 

@@ -29,7 +29,7 @@ struct StormSettings {
 /// there, and makes topics and subscription anew where it is not. IceStorm may come later than the server, be
 /// killed and be started again; what was published meanwhile is lost, which `changed` is there for.
 ///
-/// Servers of another edition of the contracts that use the same IceStorm are told of by `note`, once for each edition.
+/// Each ten seconds it looks for servers of other editions of the contracts at the same IceStorm; `note` tells of each edition once.
 ///
 /// The subscription is ordered and for ever: one message at a time, and no message that fails ends it. States:
 /// searching ─ changed(publishers) ► found ─ a look failed: changed({}) ► searching. Threads: one of its own,

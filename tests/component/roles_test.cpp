@@ -410,18 +410,28 @@ TEST_F(RealServers, IceStormMayComeLaterDieAndComeBack) {
 
 TEST_F(RealServers, ServersOfAnotherEditionAreNotMetAndToldOf) {
     startStorm();
-    auto& entity_server = start("es1");
-    ASSERT_TRUE(waitUntil([&] { return entity_server.text().find("IceStorm is found") != std::string::npos; }, 5s));
     const Ice::CommunicatorHolder communicator(Ice::initialize());
-    const auto manager = Ice::checkedCast<IceStorm::TopicManagerPrx>(
-        communicator->stringToProxy("IceStorm/TopicManager:tcp -h " + loopbackAddress() + " -p 10430"));
+    const auto proxy = communicator->stringToProxy("IceStorm/TopicManager:tcp -h " + loopbackAddress() + " -p 10430");
+    ASSERT_TRUE(waitUntil([&] {
+        try {
+            proxy->ice_ping();
+            return true;
+        } catch (const Ice::ConnectFailedException&) {
+            return false;
+        }
+    }, 5s));
+    const auto manager = Ice::uncheckedCast<IceStorm::TopicManagerPrx>(proxy);
     const auto other = std::to_string(Axon::CommUtil::ContractNumber + 1);
     const auto newer = manager->create("FrontEndToEntity-" + other);
-    EXPECT_FALSE(waitUntil([&] { return entity_server.text().find("contract " + other) != std::string::npos; }, 1500ms))
-        << "a topic to which nobody listens";
     newer->subscribeAndGetPublisher({}, communicator->stringToProxy("nobody:tcp -h " + loopbackAddress() + " -p 1"));
-    EXPECT_TRUE(waitUntil([&] { return entity_server.text().find("servers of contract " + other + " use this IceStorm, too") != std::string::npos; }, 5s))
-        << entity_server.text();
+    const auto nobodys = std::to_string(Axon::CommUtil::ContractNumber + 2);
+    manager->create("FrontEndToEntity-" + nobodys);
+    auto& entity_server = start("es1");
+    const auto tells = [&](const std::string& number) {
+        return entity_server.text().find("subscriptions of servers of contract " + number) != std::string::npos;
+    };
+    EXPECT_TRUE(waitUntil([&] { return tells(other); }, 5s)) << entity_server.text();
+    EXPECT_FALSE(tells(nobodys)) << "a topic to which nobody listens";
 }
 
 TEST_F(RealServers, AKilledFrontEndServerHasLostItsClientsWithinTheWatchdog) {

@@ -21,6 +21,10 @@ USERS = {"ann": "operator", "bob": "operator", "chief": "admin", "guest": "obser
 def make_laboratory():
     """Everything runs: axon-server with these users and with an endpoint for routers (lab.at["client-router"]), the robot
     application (lab.app), its Entity Manager (lab.manager). Whoever calls ends it."""
+    if not (BIN / "foreign-counter").exists():
+        sys.exit(f"{BIN} has no foreign-counter, the robot application of these tests; fix: build it in that folder's preset, such as "
+                 "cmake --preset release -DAXON_TESTS=ON && cmake --build --preset release --target "
+                 "axon axon-server axon-entity-manager foreign-counter")
     low = 6000 + os.getpid() * 7 % 1900
     lab = Laboratory(BIN, application=f"foreign-{os.getpid()}", ports=f"{low}-{low + 5}", environment="embedded")
     try:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Whatever calls a peer makes that has a session of either server, or speaks as another server: the honest client keeps its
+// Whatever calls a peer makes that has a session of each kind at both servers: the honest client keeps its
 // session and what it holds, nobody else is its robot's holder, and its stop arrives at once. The calls go through Ice, in one
 // process. The input is calls of a byte for whom they are made to, a byte for the operation, two for the length, then what
 // Ice calls the encapsulation's content.
@@ -44,20 +44,22 @@ class Anybody final : public transport::PeerConnection {
 struct HonestClient final : front_end_server::ClientOutbox {
     void newBasicPrflMsg(Presence, const Registration&, std::string_view) override {}
     void newStatusMsg(const EntityStatus& status) override { statuses[status.entity] = status; }
-    void newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view) override {}
-    bool newEntityMsg(Lane, const Header&, std::string_view, front_end_server::Share) override { return true; }
+    bool newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view, QueueShare share) override { return takes(share); }
+    bool newEntityMsg(Lane, const Header&, std::string_view, QueueShare share) override { return takes(share); }
     void newEntityMsgDataSeq(const Header&, std::string_view) override {}
     void newRefusalMsg(const Header&, const Refusal&) override {}
     void newStopAccepted(const Header&, std::int32_t) override {}
     void newUpdateMsg(RefusalCode, const std::string&) override {}
     void newHeartbeat(std::int64_t) override {}
     void disconnect(bool, const std::string&) override { dropped = true; }
+    bool takes(QueueShare share) const { return !slow || share == QueueShare::Whole; }
     std::map<std::string, EntityStatus> statuses;
     bool dropped = false;
+    bool slow = false;  // others have their share of what waits here
 };
 
 struct HonestEntity final : entity_server::EntityOutbox {
-    bool newClientMsg(const Header&, std::string_view) override { return true; }
+    bool newClientMsg(const Header&, std::string_view, QueueShare share) override { return !slow || share == QueueShare::Whole; }
     void newClientMsgDataSeq(const Header&, std::string_view) override {}
     bool stopSignal(const Header& head, StopCause) override { return last_stop = head, true; }
     bool resetSignal(const Header&) override { return true; }
@@ -70,6 +72,7 @@ struct HonestEntity final : entity_server::EntityOutbox {
     std::string holder;
     bool lost = false;
     bool dropped = false;
+    bool slow = false;
 };
 
 /// The two servers without their sockets, as in one process.
@@ -146,6 +149,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     status.holder = me;
     servers.entities.sendStatus(entity, status);
     entity_signal->holder = me.id;
+
+    client_out->slow = entity_data->slow = size % 3 == 0;  // others have their share of what waits there
 
     // And a peer with a session of each kind.
     auto adapter = communicator().createObjectAdapter("");

@@ -4,10 +4,11 @@
     /usr/bin/python3 tests/hostile/attacks.py GENERATED HOST:PORT HOST:PORT ATTACK SECONDS
 
 GENERATED: what slice2py and protoc make of the contracts. The addresses: of the server for clients, and for entities.
-Prints "attacks" when it begins, and "has attacked COUNT" at the end. Its clients are called hostile@example, its
-entities Hostile. Who is dropped comes back.
+Prints "attacks" when it begins, and "has attacked COUNT" at the end, or at a SIGTERM. Its clients are the users guest and
+bob, its entities are called Hostile. Who is dropped comes back.
 """
 import pathlib
+import signal
 import socket
 import sys
 import time
@@ -33,7 +34,7 @@ class Attack:
         self.open = []
 
     def _client(self, user="guest"):
-        client = Client(self.at["client"], user, f"word of {user}", "hostile@example")
+        client = Client(self.at["client"], user, f"word of {user}", "somebody@example")
         self.open.append(client)
         return client
 
@@ -265,12 +266,13 @@ def main():
         sys.exit(f"unknown attack '{name}'; expected one of {', '.join(ATTACKS)}")
     attack, blows = Attack(client_address, entity_address), 0
     print("attacks", flush=True)
-    end = time.monotonic() + float(seconds)
-    while time.monotonic() < end:
+    end, ended = time.monotonic() + float(seconds), []
+    signal.signal(signal.SIGTERM, lambda *_: ended.append(True))
+    while time.monotonic() < end and not ended:
         try:
             for _ in getattr(attack, name)():
                 blows += 1
-                if time.monotonic() >= end:
+                if time.monotonic() >= end or ended:
                     break
         except (Ice.Exception, TimeoutError, OSError):
             pass  # dropped, or not let in in time
