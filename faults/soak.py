@@ -32,6 +32,7 @@ from rig import compile_contracts, make_laboratory  # noqa: E402
 GENERATED = tempfile.TemporaryDirectory(prefix="axon-contracts-")
 compile_contracts("slice2py", GENERATED.name)
 sys.path.insert(0, GENERATED.name)
+import Ice  # noqa: E402
 from Axon import CommUtil  # noqa: E402
 from axon import lease_pb2, task_pb2  # noqa: E402
 from client import Client  # noqa: E402
@@ -145,10 +146,12 @@ def main():
         processes = {"server": lab.server.child.pid, "Entity Manager": lab.manager.child.pid}
         churn, begin = Churn(lab, arguments.seed), time.monotonic()
         end, settled = begin + 60 * arguments.minutes, begin + 6 * arguments.minutes
-        before, tell, trouble = None, begin, None
+        before, tell, trouble, lost = None, begin, None, 0
         while time.monotonic() < end and not trouble:
             try:
                 churn.round()
+            except Ice.ConnectionLostException:
+                lost += 1  # this process was not given the time to beat for its client or entity
             except (TimeoutError, OSError) as error:
                 trouble = f"round {churn.rounds}: {error}"
             now = time.monotonic()
@@ -165,7 +168,7 @@ def main():
                     now.descriptors <= was.descriptors + arguments.descriptors)
             kept = kept and same
             print(f"{name}: {was} → {now}: {'as before' if same else 'MORE THAN BEFORE'}")
-        print(f"{churn.rounds} rounds in {(time.monotonic() - begin) / 60:.1f} minutes")
+        print(f"{churn.rounds} rounds in {(time.monotonic() - begin) / 60:.1f} minutes, {lost} broken off by a lost connection")
         if trouble or not before:
             print(trouble or "too short: nothing to compare with", file=sys.stderr)
             return 2

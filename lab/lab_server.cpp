@@ -248,7 +248,8 @@ class LabServer::Loop final : Control::Operator {
     }
 
     void tellTime() {
-        const double rate = pendingStep() ? kStepRate : paused_ ? 0 : speed_;
+        const auto step = pendingStep();  // of which who asked may still have to be told that it is over
+        const double rate = step && *step > lab_.age() ? kStepRate : paused_ ? 0 : speed_;
         if (clock_file_) clock_file_->tell(lab_.age(), rate, clock_.now());
     }
 

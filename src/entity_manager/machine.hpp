@@ -323,6 +323,7 @@ class EntityManagerCore::Machine {
     };
     /// This entity's part in a run, as a slave or as the master itself.
     struct Membership {
+        Membership() {}  // clang: or std::optional takes it for not default constructible within Machine
         std::string run_id;
         Sender master;
         std::vector<proto::Participant> participants;

@@ -60,7 +60,7 @@ class Life {
     std::string next(const char* what) { return what + std::to_string(++number_); }
     void event() {
         const std::string client = random_.next() % 3 == 0 ? "client2" : "client1";
-        switch (random_.next() % 11) {
+        switch (random_.next() % 14) {
             case 0:
                 return rig_.makeIdle();
             case 1:
@@ -84,6 +84,18 @@ class Life {
             }
             case 9:
                 return rig_.stop(client, StopCause::ClientLost);
+            case 10:
+            case 11: {  // taken over, or waited for
+                proto::ToEntity take;
+                take.mutable_check_out()->set_request_id(std::string(12, 'x') + std::to_string(1000 + number_++));
+                take.mutable_check_out()->set_phase(proto::TAKE);
+                const bool force = random_.next() % 2 == 0;
+                (force ? take.mutable_check_out()->set_force(true) : take.mutable_check_out()->set_wait(true));
+                return rig_.send(force ? "admin1" : client, take);
+            }
+            case 12:
+                rig_.restart();
+                return;
             default:
                 return rig_.advance(std::chrono::milliseconds{random_.next() % 2000}, random_.next() % 4 != 0);
         }
@@ -111,7 +123,7 @@ std::string told(const Life& life) {
 TEST(PowerLoss, AtNoWriteDoesItUnlatchARobotThatWasHeldOrStoppedSinceWhatTheDiskHasWhole) {
     constexpr std::size_t kWaiting = 5;  // writes behind which the disk may be
     std::size_t cuts = 0, must = 0, may = 0;
-    for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+    for (std::uint64_t seed = 1; seed <= 20; ++seed) {
         const Life life(seed);
         const auto& writes = life.writes();
         const auto& events = life.events();

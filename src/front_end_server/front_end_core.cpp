@@ -832,12 +832,13 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
 }
 
 /// `send(outbox, share)` returns false where the message was left out. An entity that a client has asked has its whole
-/// queue: what that one sends it must read.
+/// queue of the data lane: what that one sends it must read. On the signal lane nobody waits for the lock of that.
 template <class Send>
 void FrontEndCore::toClientsOf(Lane lane, const Header& head, Send&& send) {
     const auto to = [&](const ClientRef& client) {
         auto& outbox = lane == Lane::Signal ? *client->signalOutbox() : *client->data;
-        if (send(outbox, client->knows(head.entity) ? QueueShare::Whole : QueueShare::OfSender)) return;
+        const bool whole = lane == Lane::Data && client->knows(head.entity);
+        if (send(outbox, whole ? QueueShare::Whole : QueueShare::OfSender)) return;
         if (doubts_.admit(clock_.now()))
             note_("client " + client->me.name + " reads slowly, and entity " + head.entity +
                   " sends it more than its share of the queue: left out");
