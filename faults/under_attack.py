@@ -60,8 +60,11 @@ class Siege:
         self.ann, self.chief = ({**lab.env, "AXON_USER": user, "AXON_PASSWORD": f"word of {user}"} for user in ("ann", "chief"))
         wait_until(lambda: self.state() == "IDLE", "the robot is ready", 20)
         lab.axon("rearm", "Counter", env=self.ann)
-        self.work = lab.axon_in_background("work", "run", "Counter", "Count", "To=10000000", "--no-direct", env=self.ann)
-        wait_until(lambda: self.state() == "BUSY", "the robot works", 20)
+        self.work = lab.axon_in_background("work", "run", "Counter", "Count", "To=100000", "--no-direct", env=self.ann)
+        try:
+            wait_until(lambda: self.state() == "BUSY", "the robot works", 20)
+        except Failed as failed:
+            raise Failed(f"{failed}\n{self.work.text()}") from failed
 
     def state(self):
         _, lines, _ = self.lab.axon("ls", env=self.chief)
@@ -74,7 +77,9 @@ class Siege:
         told = next((line for line in lines if line.get("event") == "drill"), None)
         if told is None:
             raise Failed(f"axon drill ended with {status}: {errors}")
-        return told["callback"]["p50_ms"], told["callback"]["p99_ms"], told["never"]
+        its = told["callback"]
+        median, tail = (value if isinstance(value, float) else None for value in (its["p50_ms"], its["p99_ms"]))
+        return median, tail, its["never_arrived"]
 
     def under(self, name):
         logged = len(self.lab.server.text())
