@@ -45,12 +45,12 @@ REST = 75  # s; Ice keeps some KB of a connection for a minute after its end
 class Usage:
     """Of one process: descriptors, threads, MiB that only it has."""
 
-    def __init__(self, pid):
-        root = pathlib.Path(f"/proc/{pid}")
+    def __init__(self, process):
+        root = pathlib.Path(f"/proc/{process.child.pid}")
         self.descriptors = len(os.listdir(root / "fd"))
         status = dict(line.split(":", 1) for line in (root / "status").read_text().splitlines() if ":" in line)
         self.threads = int(status["Threads"])
-        self.mib = int(status["RssAnon"].split()[0]) / 1024
+        self.mib = process.mib()
 
     def __str__(self):
         return f"{self.descriptors} descriptors, {self.threads} threads, {self.mib:.1f} MiB"
@@ -143,7 +143,7 @@ class Churn:
 def main():
     lab = make_laboratory()
     try:
-        processes = {"server": lab.server.child.pid, "Entity Manager": lab.manager.child.pid}
+        processes = {"server": lab.server, "Entity Manager": lab.manager}
         churn, begin = Churn(lab, arguments.seed), time.monotonic()
         end, settled = begin + 60 * arguments.minutes, begin + 6 * arguments.minutes
         before, tell, trouble, lost = None, begin, None, 0
@@ -159,7 +159,7 @@ def main():
                 before = rest(churn, processes)
             if now >= tell:
                 tell += 60
-                print(f"{(now - begin) / 60:6.1f} min {churn.rounds:8} rounds", *(f"| {name}: {Usage(pid)}" for name, pid in processes.items()),
+                print(f"{(now - begin) / 60:6.1f} min {churn.rounds:8} rounds", *(f"| {name}: {Usage(process)}" for name, process in processes.items()),
                       flush=True)
         after, kept = rest(churn, processes), True
         for name, was in (before or {}).items():
@@ -181,7 +181,7 @@ def rest(churn, processes):
     """What each has when everybody has gone, and what they left has been cleaned up."""
     churn.finish()
     time.sleep(REST)
-    return {name: Usage(pid) for name, pid in processes.items()}
+    return {name: Usage(process) for name, process in processes.items()}
 
 
 if __name__ == "__main__":

@@ -49,11 +49,6 @@ TOLD = {"lists_of_stops": "audit: drill by guest@", "long_lists_of_stops": "clie
         "long_passwords": None, "silent_connections": None, "words_to_a_client": None, "words_to_a_robot": None}
 
 
-def resident_mib(process):
-    status = pathlib.Path(f"/proc/{process.child.pid}/status").read_text()
-    return int(next(line for line in status.splitlines() if line.startswith("RssAnon")).split()[1]) / 1024
-
-
 class Siege:
     def __init__(self, lab):
         self.lab = lab
@@ -83,7 +78,7 @@ class Siege:
 
     def under(self, name):
         logged = len(self.lab.server.text())
-        quiet, before = self.drill(), resident_mib(self.lab.server)
+        quiet, before = self.drill(), self.lab.server.mib()
         attack = subprocess.Popen([sys.executable, TESTS / "hostile" / "attacks.py", GENERATED.name, self.lab.at["client"],
                                    self.lab.at["entity"], name, "3600"], stdout=subprocess.PIPE, text=True)
         try:
@@ -91,7 +86,7 @@ class Siege:
                 raise Failed(f"the attack {name} did not begin")
             time.sleep(0.5)
             attacked = self.drill()
-            after = resident_mib(self.lab.server)
+            after = self.lab.server.mib()
             attack.send_signal(signal.SIGTERM)
             blows = int((attack.stdout.readline().split() or ["0"])[-1])
         finally:

@@ -42,6 +42,11 @@ class Process:
     def text(self):
         return self.log.read_text(errors="replace")
 
+    def mib(self):
+        """The memory that only it has."""
+        status = pathlib.Path(f"/proc/{self.child.pid}/status").read_text()
+        return int(next(line for line in status.splitlines() if line.startswith("RssAnon")).split()[1]) / 1024
+
     def wait_for(self, begin, seconds=15.0):
         """The first line that begins with `begin`."""
         end = time.monotonic() + seconds

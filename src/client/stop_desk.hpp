@@ -54,7 +54,7 @@ class StopDesk {
     void onStopAccepted(std::int64_t sequence, const std::string& entity, int entities);
     /// A receipt of an EM; those of other people's stops raise the generation and nothing else.
     void onReceipt(const std::string& entity, const proto::StopReceipt& receipt);
-    /// newRefusalMsg: the servers know no such entity (any more).
+    /// newRefusalMsg: the servers know no such entity (any more). A stop whose message was OVERLOADED is repeated.
     void onRefusal(std::int64_t sequence, const std::string& entity, const Refusal& refusal);
 
     /// No names = every entity there is. In doubt it stops: an ambiguous name stops all that it may mean, and

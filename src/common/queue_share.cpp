@@ -5,8 +5,7 @@ namespace axon {
 
 Refusal queueShareFull(const std::string& consumer) {
     return {RefusalCode::Overloaded,
-            consumer + " reads slowly, and the part of its queue that other senders than its holder may fill is full; fix: send less, or "
-                       "try again in a moment",
+            consumer + " reads slowly, and its queue has no more room for this sender; fix: send less, or try again in a moment",
             {}};
 }
 

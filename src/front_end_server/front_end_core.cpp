@@ -519,13 +519,13 @@ void FrontEndCore::leave(const ClientRef& client, Ending ending, const std::stri
 }
 
 template <class Send>
-void FrontEndCore::toClients(Lane lane, const std::string& recipient, Send&& send) {
+void FrontEndCore::eachOf(Lane lane, const std::string& recipient, Send&& send) {
     const auto its_lane = static_cast<std::size_t>(lane);
     const auto to = [&](const ClientRef& client) {
         if (lane == Lane::Signal) {
-            send(*client->signalOutbox());
+            send(*client, *client->signalOutbox());
         } else {
-            send(*client->data);
+            send(*client, *client->data);
         }
     };
     if (recipient.empty()) {
@@ -533,6 +533,11 @@ void FrontEndCore::toClients(Lane lane, const std::string& recipient, Send&& sen
     } else if (const auto client = table_.find(recipient, its_lane)) {
         to(client);
     }
+}
+
+template <class Send>
+void FrontEndCore::toClients(Lane lane, const std::string& recipient, Send&& send) {
+    eachOf(lane, recipient, [&](const Client&, ClientOutbox& outbox) { send(outbox); });
 }
 
 void FrontEndCore::updateHolding(const std::string& holder) {
@@ -835,20 +840,13 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
 /// queue of the data lane: what that one sends it must read. On the signal lane nobody waits for the lock of that.
 template <class Send>
 void FrontEndCore::toClientsOf(Lane lane, const Header& head, Send&& send) {
-    const auto to = [&](const ClientRef& client) {
-        auto& outbox = lane == Lane::Signal ? *client->signalOutbox() : *client->data;
-        const bool whole = lane == Lane::Data && client->knows(head.entity);
+    eachOf(lane, head.sender.id, [&](const Client& client, ClientOutbox& outbox) {
+        const bool whole = lane == Lane::Data && client.knows(head.entity);
         if (send(outbox, whole ? QueueShare::Whole : QueueShare::OfSender)) return;
         if (doubts_.admit(clock_.now()))
-            note_("client " + client->me.name + " reads slowly, and entity " + head.entity +
+            note_("client " + client.me.name + " reads slowly, and entity " + head.entity +
                   " sends it more than its share of the queue: left out");
-    };
-    const auto its_lane = static_cast<std::size_t>(lane);
-    if (head.sender.id.empty()) {
-        table_.each(to, its_lane);
-    } else if (const auto client = table_.find(head.sender.id, its_lane)) {
-        to(client);
-    }
+    });
 }
 
 void FrontEndCore::entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,

@@ -149,6 +149,8 @@ class FrontEndCore {
     };
 
     template <class Send>
+    void eachOf(Lane lane, const std::string& recipient, Send&& send);
+    template <class Send>
     void toClients(Lane lane, const std::string& recipient, Send&& send);
     template <class Send>
     void toClientsOf(Lane lane, const Header& head, Send&& send);

@@ -5,11 +5,19 @@
 
 #include <charconv>
 #include <string>
+#include <string_view>
 
 namespace axon::transport {
 namespace {
 
 constexpr int kOurs = Axon::CommUtil::ContractNumber;
+
+std::optional<int> numberIn(std::string_view text) {
+    int number = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+    if (error != std::errc{} || end != text.data() + text.size()) return std::nullopt;
+    return number;
+}
 
 }  // namespace
 
@@ -20,11 +28,8 @@ std::string ofContract(const std::string& topic) {
 std::optional<int> contractOfOther(const std::string& topic, const std::string& found) {
     if (found == topic) return 1;  // before names had a number
     if (!found.starts_with(topic + "-")) return std::nullopt;
-    int theirs = 0;
-    const char* const end = found.data() + found.size();
-    const auto [at, error] = std::from_chars(found.data() + topic.size() + 1, end, theirs);
-    if (error != std::errc{} || at != end || theirs == kOurs) return std::nullopt;
-    return theirs;
+    const auto theirs = numberIn(std::string_view(found).substr(topic.size() + 1));
+    return theirs == kOurs ? std::nullopt : theirs;
 }
 
 Ice::Context contractContext() {
@@ -40,17 +45,16 @@ std::optional<Refusal> otherContract(const Ice::Context& of_peer) {
                               "request context axon-contract (CommUtil.ContractNumber)",
                        {}};
     const auto& text = found->second;
-    int theirs = 0;
-    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), theirs);
-    if (error != std::errc{} || end != text.data() + text.size())
+    const auto theirs = numberIn(text);
+    if (!theirs)
         return Refusal{RefusalCode::Malformed,
                        ours + ", and the program that opens the session says '" + text.substr(0, 16) +
                            "': expected a number in the request context axon-contract",
                        {}};
-    if (theirs == kOurs) return std::nullopt;
+    if (*theirs == kOurs) return std::nullopt;
     return Refusal{RefusalCode::NotSupported,
-                   ours + ", the program that opens the session has contract " + std::to_string(theirs) + ": upgrade " +
-                       (theirs < kOurs ? "that program" : "the server"),
+                   ours + ", the program that opens the session has contract " + std::to_string(*theirs) + ": upgrade " +
+                       (*theirs < kOurs ? "that program" : "the server"),
                    {}};
 }
 

@@ -178,14 +178,14 @@ class Client:
                     and all(getattr(getattr(message, arm), field) == value for field, value in fields.items()))
         return getattr(self.wait(wanted, seconds)[2], arm)
 
-    def find(self, name, seconds=10.0):
-        """The UUID of the entity of this name, as soon as it can be checked out or is held."""
+    def find(self, name, seconds=10.0, states=(CommUtil.EntityState.IDLE, CommUtil.EntityState.REG)):
+        """The UUID of the entity of this name, as soon as it is in one of these states: it can be checked out or is held."""
         end = time.monotonic() + seconds
         with self.news:
             while time.monotonic() < end:
                 for entity, reg in self.entities.items():
                     status = self.statuses.get(entity)
-                    if reg.name == name and status and status.state in (CommUtil.EntityState.IDLE, CommUtil.EntityState.REG):
+                    if reg.name == name and status and status.state in states:
                         return entity
                 self.news.wait(0.1)
         raise TimeoutError(f"no entity {name} that is ready")

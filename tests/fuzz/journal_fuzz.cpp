@@ -3,8 +3,6 @@
 #include <unistd.h>
 
 #include <cstdint>
-#include <cstdio>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <optional>
@@ -12,17 +10,12 @@
 
 #include "common/ids.hpp"
 #include "entity_manager/file_journal.hpp"
+#include "claim.hpp"
 
 namespace {
 
 using namespace axon;
 using namespace axon::entity_manager;
-
-void require(bool holds, const char* claim) {
-    if (holds) return;
-    std::fprintf(stderr, "journal_fuzz: not true: %s\n", claim);
-    std::abort();
-}
 
 /// Gone with the process.
 struct Folder {

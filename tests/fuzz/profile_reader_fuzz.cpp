@@ -3,20 +3,13 @@
 // reader.
 #include <cstddef>
 #include <cstdint>
-#include <cstdio>
-#include <cstdlib>
 #include <string_view>
 
 #include "messages/profile_reader.hpp"
 #include "messages/profile_writer.hpp"
+#include "claim.hpp"
 
 namespace {
-
-void require(bool holds, const char* claim) {
-    if (holds) return;
-    std::fprintf(stderr, "profile_reader_fuzz: not true: %s\n", claim);
-    std::abort();
-}
 
 template <class Read, class Write>
 void exercise(std::string_view xml, const Read& read, const Write& write) {

@@ -7,8 +7,6 @@
 
 #include <array>
 #include <cstdint>
-#include <cstdio>
-#include <cstdlib>
 #include <memory>
 #include <string>
 #include <vector>
@@ -17,16 +15,11 @@
 #include "common/ids.hpp"
 #include "entity_server/servants.hpp"
 #include "front_end_server/servants.hpp"
+#include "claim.hpp"
 
 namespace {
 
 using namespace axon;
-
-void require(bool holds, const char* claim) {
-    if (holds) return;
-    std::fprintf(stderr, "servants_fuzz: not true: %s\n", claim);
-    std::abort();
-}
 
 /// As of a connection that nobody else can speak on.
 class Anybody final : public transport::PeerConnection {

@@ -2,21 +2,14 @@
 // A value of the state folder that is damaged in any way: the Entity Manager says so and does not start, or the robot, which
 // was held and stopped when the last life ended, comes up latched. The first byte chooses the value, the rest is its content.
 #include <cstdint>
-#include <cstdio>
-#include <cstdlib>
 #include <iterator>
 #include <stdexcept>
 #include <string>
 
+#include "claim.hpp"
 #include "tests/support/core_rig.hpp"
 
 namespace {
-
-void require(bool holds, const char* claim) {
-    if (holds) return;
-    std::fprintf(stderr, "state_fuzz: not true: %s\n", claim);
-    std::abort();
-}
 
 }  // namespace
 

@@ -2,23 +2,16 @@
 // What people write or pass on: a query for entities, a ports.cfg, and a lease's ticket. Any text is one or a refusal that says
 // what was expected; a ticket that is taken says the same again. The first byte chooses.
 #include <cstdint>
-#include <cstdio>
-#include <cstdlib>
 #include <string_view>
 
 #include "client/entity_query.hpp"
 #include "client/session_core.hpp"
 #include "host/port_range.hpp"
+#include "claim.hpp"
 
 namespace {
 
 using namespace axon;
-
-void require(bool holds, const char* claim) {
-    if (holds) return;
-    std::fprintf(stderr, "text_fuzz: not true: %s\n", claim);
-    std::abort();
-}
 
 template <class T>
 void requireMend(const Result<T>& result) {

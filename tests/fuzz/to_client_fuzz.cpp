@@ -5,22 +5,15 @@
 #include <axon/messages.pb.h>
 
 #include <cstdint>
-#include <cstdio>
-#include <cstdlib>
 #include <string>
 
 #include "client/test_environment.hpp"
+#include "claim.hpp"
 
 namespace {
 
 using namespace axon;
 using namespace axon::client::test;
-
-void require(bool holds, const char* claim) {
-    if (holds) return;
-    std::fprintf(stderr, "to_client_fuzz: not true: %s\n", claim);
-    std::abort();
-}
 
 }  // namespace
 

@@ -5,23 +5,16 @@
 #include <axon/messages.pb.h>
 
 #include <cstdint>
-#include <cstdio>
-#include <cstdlib>
 #include <string>
 #include <vector>
 
+#include "claim.hpp"
 #include "tests/support/core_rig.hpp"
 
 namespace {
 
 using namespace axon;
 using namespace std::chrono_literals;
-
-void require(bool holds, const char* claim) {
-    if (holds) return;
-    std::fprintf(stderr, "to_entity_fuzz: not true: %s\n", claim);
-    std::abort();
-}
 
 const std::vector<std::string> kSenders{"client1", "client2", "admin1", "observer1", "22222222-1111-4111-8111-111111111111"};
 const std::vector<const char*> kTypes{kMsgCheckOut, kMsgTask,   kMsgRearm, kMsgWatch,         kMsgRaw,

@@ -24,6 +24,7 @@ from client import Client  # noqa: E402
 from peer import Peer  # noqa: E402
 
 BATCH = 64
+ANY = tuple(map(CommUtil.EntityState.valueOf, range(9)))
 
 
 class Attack:
@@ -48,17 +49,6 @@ class Attack:
             (one.destroy if isinstance(one, Client) else one.close)()
         self.open.clear()
 
-    def _find(self, client, name):
-        """The UUID of the entity of this name, whatever its state."""
-        end = time.monotonic() + 5
-        with client.news:
-            while time.monotonic() < end:
-                for entity, registration in client.entities.items():
-                    if registration.name == name and entity in client.statuses:
-                        return entity
-                client.news.wait(0.1)
-        raise TimeoutError(f"no entity {name}")
-
     def _lists(self, names):
         client = self._client()
         while not client.closed.is_set():
@@ -75,7 +65,7 @@ class Attack:
 
     def drills(self):
         client = self._client()
-        entity = self._find(client, "Counter")
+        entity = client.find("Counter", states=ANY)
         proxy = client.oneway("signal").ice_batchOneway()
         while not client.closed.is_set():
             for _ in range(BATCH):
@@ -86,7 +76,7 @@ class Attack:
     def stops_of_another(self):
         """Of a robot of its own, which is as good as none: what others' stops share with it are the servers."""
         peer, client = self._peer(), self._client()
-        self._find(client, "Hostile")
+        client.find("Hostile", states=ANY)
         proxy = client.oneway("signal").ice_batchOneway()
         while not client.closed.is_set():
             for _ in range(BATCH):
@@ -155,7 +145,7 @@ class Attack:
 
     def _texts(self, size):
         client = self._client("bob")
-        entity = self._find(client, "Counter")
+        entity = client.find("Counter", states=ANY)
         text = messages_pb2.ToEntity(text=messages_pb2.Text(text="x" * size)).SerializeToString()
         proxy = client.oneway("data").ice_batchOneway()
         while not client.closed.is_set():
@@ -175,7 +165,7 @@ class Attack:
 
     def check_outs(self):
         client = self._client("bob")
-        entity = self._find(client, "Counter")
+        entity = client.find("Counter", states=ANY)
         proxy = client.oneway("data").ice_batchOneway()
         while not client.closed.is_set():
             for _ in range(BATCH // 2):
@@ -200,7 +190,7 @@ class Attack:
     def _victims(self):
         """The entity that an honest client holds, and that client's id."""
         witness = self._client()
-        entity = self._find(witness, "Counter")
+        entity = witness.find("Counter", states=ANY)
         holder = witness.statuses[entity].holder.id
         witness.destroy()
         self.open.remove(witness)

@@ -40,11 +40,6 @@ def code(number):
     return refusal_pb2.RefusalCode.Name(number)
 
 
-def resident_mib(process):
-    status = pathlib.Path(f"/proc/{process.child.pid}/status").read_text()
-    return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
-
-
 class HostileTest(unittest.TestCase):
     def setUp(self):
         self.lab = make_laboratory()
@@ -329,7 +324,7 @@ class HostileTest(unittest.TestCase):
 
     def test_log_ins_keep_no_memory_with_long_passwords(self):
         host, port = self.lab.at["client"].rsplit(":", 1)
-        before = resident_mib(self.lab.server)
+        before = self.lab.server.mib()
         communicator = Ice.initialize(["--Ice.MessageSizeMax=4096", "--Ice.Default.Timeout=20000"])
         self.addCleanup(communicator.destroy)
         gate = FrontEndComm.ClientGatePrx.uncheckedCast(communicator.stringToProxy(f"ClientGate:tcp -h {host} -p {port}"))
@@ -341,7 +336,7 @@ class HostileTest(unittest.TestCase):
                 future.result()
             codes.add(code(refused.exception.code))
         self.assertEqual(codes, {"MALFORMED"})
-        self.assertLess(resident_mib(self.lab.server), before + 100, "MiB; all of them together have 234")
+        self.assertLess(self.lab.server.mib(), before + 100, "MiB; all of them together have 234")
 
     # -- what outlives who caused it -------------------------------------------------------------------------------
 
