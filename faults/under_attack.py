@@ -39,6 +39,8 @@ GENERATED = tempfile.TemporaryDirectory(prefix="axon-contracts-")
 compile_contracts("slice2py", GENERATED.name)
 sys.path.insert(0, GENERATED.name)
 from attacks import ATTACKS  # noqa: E402
+from axon import messages_pb2  # noqa: E402
+from client import Client  # noqa: E402
 
 # How the log tells of who exceeds a bound: users by their names, entities as "Hostile". An attack that exceeds none, or that nobody
 # has logged in for, leaves no more than the lines of who came and went.
@@ -46,7 +48,7 @@ TOLD = {"lists_of_stops": "audit: drill by guest@", "long_lists_of_stops": "clie
         "stops_of_another": "audit: stop by guest@", "log_ins": "audit: failed log-in of 'nobody", "sessions": "client guest@example joined",
         "all_statuses": "client guest@example", "large_messages": "client bob@example", "small_messages": None, "check_outs": None,
         "unreadable_calls": "cannot be read", "statuses": "is not believed", "profiles": "Hostile", "registrations": "Hostile",
-        "long_passwords": None, "silent_connections": None, "words_to_a_client": None, "words_to_a_robot": None}
+        "long_passwords": None, "silent_connections": "closed: more than 1024 without a session", "words_to_a_client": None, "words_to_a_robot": None}
 
 
 class Siege:
@@ -55,11 +57,24 @@ class Siege:
         self.ann, self.chief = ({**lab.env, "AXON_USER": user, "AXON_PASSWORD": f"word of {user}"} for user in ("ann", "chief"))
         wait_until(lambda: self.state() == "IDLE", "the robot is ready", 20)
         lab.axon("rearm", "Counter", env=self.ann)
+        self.carry(3_000_000)
+        wait_until(lambda: self.state() == "IDLE", "the robot is free again", 20)
         self.work = lab.axon_in_background("work", "run", "Counter", "Count", "To=100000", "--no-direct", env=self.ann)
         try:
             wait_until(lambda: self.state() == "BUSY", "the robot works", 20)
         except Failed as failed:
             raise Failed(f"{failed}\n{self.work.text()}") from failed
+
+    def carry(self, size):
+        """What an honest holder may send, so that the memory of quiet times is that of a server which has carried the largest messages."""
+        client = Client(self.lab.at["client"], "ann", "word of ann", "ann@example")
+        entity = client.find("Counter", 20)
+        if not client.checkout(entity).HasField("lease"):
+            raise Failed("the robot is not free")
+        for _ in range(8):
+            client.send(entity, "TEXT", {"text": messages_pb2.Text(text="x" * size)})
+        client.rearm(entity)  # answered after what was sent before it
+        client.close()
 
     def state(self):
         _, lines, _ = self.lab.axon("ls", env=self.chief)

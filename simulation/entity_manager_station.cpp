@@ -232,12 +232,12 @@ void EntityManagerStation::stopSignal(std::uint64_t attempt, const Header& head,
         return;
     }
     if (cause == StopCause::Drill) {
-        if (life.inbox.signalsFull()) return;
+        if (life.inbox.wouldDrop(senderKey(head.sender.id))) return;
         const auto number = life.gate.drill(head.sender.id, head.sequence);
         if (!number) return;
         stop(*number, cause);
         wakeStrand(life.inbox.pushSignal(
-            Inbox::Signal::Passing, [this, head, number = *number] { life_->core.onDrill(head, number); }));
+            Inbox::Signal::Passing, [this, head, number = *number] { life_->core.onDrill(head, number); }, senderKey(head.sender.id)));
         return;
     }
     const auto generation = life.gate.raise(head.sender.id, head.sequence);
@@ -245,7 +245,7 @@ void EntityManagerStation::stopSignal(std::uint64_t attempt, const Header& head,
         if (const auto known = life.gate.raisedBy(head.sender.id, head.sequence))
             wakeStrand(life.inbox.pushSignal(Inbox::Signal::Passing, [this, head, cause, known = *known] {
                 life_->core.onStopRepeated(head, cause, known);
-            }));
+            }, senderKey(head.sender.id)));
         return;
     }
     observer_.stopRaises(entity_, head, process_.life());
@@ -260,12 +260,12 @@ void EntityManagerStation::stopSignal(std::uint64_t attempt, const Header& head,
 void EntityManagerStation::resetSignal(std::uint64_t attempt, const Header& head) {
     if (hears(attempt))
         wakeStrand(life_->inbox.pushSignal(Inbox::Signal::Passing,
-                                           [this, head] { life_->core.onResetSignal(head); }));
+                                           [this, head] { life_->core.onResetSignal(head); }, senderKey(head.sender.id)));
 }
 void EntityManagerStation::clearSignal(std::uint64_t attempt, const Header& head) {
     if (hears(attempt))
         wakeStrand(life_->inbox.pushSignal(Inbox::Signal::Passing,
-                                           [this, head] { life_->core.onClearSignal(head); }));
+                                           [this, head] { life_->core.onClearSignal(head); }, senderKey(head.sender.id)));
 }
 void EntityManagerStation::newClientUpdate(std::uint64_t attempt, const Header& head, ClientChange change) {
     if (hears(attempt))

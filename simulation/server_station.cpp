@@ -58,14 +58,14 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
             [head, bytes = std::string(record)](ClientStation& to, std::uint64_t attempt) {
                 to.newSvcRecordMsg(attempt, head, bytes);
             },
-            transport::senderKey(head.entity, share));
+            senderKey(head.entity, share));
     }
     bool newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) override {
         return entityMsg(lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
-                         transport::senderKey(head.entity, share));
+                         senderKey(head.entity, share));
     }
     void newEntityMsgDataSeq(const Header& head, std::string_view data) override {
-        entityMsg(Traffic::Data, head, data, transport::senderKey(head.entity));
+        entityMsg(Traffic::Data, head, data, senderKey(head.entity));
     }
     void newRefusalMsg(const Header& head, const Refusal& refusal) override {
         send(Traffic::Control, 0, [head, refusal](ClientStation& to, std::uint64_t attempt) {
@@ -96,7 +96,7 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
     using Core = transport::OutboxCore<Parcel>;
     static constexpr std::size_t kOverhead = 256;  // as in transport/callback_sender.hpp
 
-    bool entityMsg(Traffic traffic, const Header& head, std::string_view message, transport::SenderKey from) {
+    bool entityMsg(Traffic traffic, const Header& head, std::string_view message, SenderKey from) {
         return send(
             traffic, message.size(),
             [head, bytes = std::string(message)](ClientStation& to, std::uint64_t attempt) {
@@ -105,7 +105,7 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
             from);
     }
     template <class Deliver>
-    bool send(Traffic traffic, std::size_t bytes, Deliver deliver, transport::SenderKey from = transport::kServersOwn) {
+    bool send(Traffic traffic, std::size_t bytes, Deliver deliver, SenderKey from = kServersOwn) {
         const auto dropped = core_.counts().dropped;
         const auto verdict = core_.offer(traffic, kOverhead + bytes, [&] { return Parcel(deliver); }, from);
         counts_.slow_dropped += core_.counts().dropped - dropped;
@@ -118,7 +118,7 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
         return verdict != Core::Verdict::Refused;
     }
     template <class Deliver>
-    void launch(Traffic traffic, std::size_t bytes, transport::SenderKey from, Deliver deliver) {
+    void launch(Traffic traffic, std::size_t bytes, SenderKey from, Deliver deliver) {
         if (connection_.send(server_, [to = &to_, attempt = attempt_, deliver = std::move(deliver)] {
                 deliver(*to, attempt);
             })) {
@@ -150,7 +150,7 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
     struct Unwritten {
         Traffic traffic;
         std::size_t bytes;
-        transport::SenderKey from;
+        SenderKey from;
     };
     std::deque<Unwritten> unwritten_;  ///< sent, and the sockets have no room yet
 };

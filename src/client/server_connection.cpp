@@ -325,7 +325,7 @@ void ServerConnection::sendStopSignals(Lane lane, const Header& head,
     const auto& end = lane == Lane::Signal ? signal_ : data_;
     // A signal is sent at once or not at all, so the parcel that would own a copy is never made.
     const auto send = [&](SendCallbacks&& callbacks) {
-        end.oneway->sendStopSignalsAsync(toIce(head), entities, toIce(cause), nullptr,
+        end.oneway->sendStopSignalsAsync(toIce(head), Axon::CommUtil::StopList(entities), toIce(cause), nullptr,
                                          std::move(callbacks.failed), std::move(callbacks.sent));
     };
     end.outbox->post(Traffic::Signal, kHeaderBytes + entities.size() * kUuidBytes, send,

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT
 #pragma once
+#include <cstddef>
 #include <cstdint>
 #include <string>
+#include <string_view>
 
 #include "common/refusal.hpp"
 
@@ -12,6 +14,20 @@ enum class QueueShare : std::uint8_t {
     OfSender,  ///< its sender's part; beyond it the message is refused
     Whole      ///< all: the peer belongs to the sender, or has asked it; a queue that overflows disconnects the peer
 };
+
+/// Whose message it is. Many peers' messages share a queue, and none of them may fill it.
+using SenderKey = std::uint64_t;
+inline constexpr SenderKey kServersOwn = 0;
+
+/// Whose share a message of the peer with this id counts towards. All sessions of one user have the same: the UUIDs at the
+/// end of their ids begin with userPart(), 48 bits that are made of the user's name. UUIDs of clients are of version 8, which no
+/// entity can choose (docs/adr/0024).
+SenderKey senderKey(std::string_view id, QueueShare share = QueueShare::OfSender);
+
+/// The characters of a UUID before its version.
+inline constexpr std::size_t kUserDigits = 14;
+/// The beginning of the ids of a user's sessions, such as "0a1b2c3d-4e5f-"; the same at all servers.
+std::string userPart(std::string_view user);
 
 /// OVERLOADED: no more messages of this sender are taken for `consumer`, who reads slowly.
 Refusal queueShareFull(const std::string& consumer);

@@ -17,6 +17,7 @@
 #include "transport/lane_socket.hpp"
 #include "transport/outbox.hpp"
 #include "transport/peer_connection.hpp"
+#include "transport/session_peers.hpp"
 
 namespace axon::entity_manager {
 namespace {
@@ -182,6 +183,8 @@ class GateServant final : public slice::DirectGate {
     GateServant(Lane lane, std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
         : lane_(lane), entity_(std::move(entity)), clock_(clock), events_(std::move(events)) {}
 
+    bool hasSession(const std::string& peer) const { return sessions_->has(peer); }
+
     Axon::CommUtil::Bytes challenge(const Ice::Current& current) override {
         const auto nonce = Id128::random(random_);
         const std::lock_guard lock(mutex_);
@@ -211,15 +214,18 @@ class GateServant final : public slice::DirectGate {
         its.claim.nonce = *nonce;
         its.proof = toBytes(opening.proof);
         its.refuse = refuse;
-        its.admit = [lane = lane_, path = *path, entity = entity_, &clock = clock_, events = events_, response, current,
+        its.admit = [lane = lane_, path = *path, entity = entity_, &clock = clock_, events = events_, sessions = sessions_, response, current,
                      callback = transport::callbackProxy(callback, current)](
                         const Sender& sender, std::shared_ptr<DirectSigns> signs, std::string proof) -> std::shared_ptr<DirectLane> {
             auto back = std::make_shared<IceLane>(current.con, callback);
+            const auto peer = back->peer();
+            sessions->add(peer);
             if (lane == Lane::Signal) transport::prepareSignalLane(*current.con);
             const auto session = current.adapter->addWithUUID(
                 std::make_shared<SessionServant>(path, lane, sender, entity, std::move(signs), back, clock, events));
             back->connection().onClosed([adapter = current.adapter, identity = session->ice_getIdentity(), path,
-                                         events](const transport::CloseReason& reason) {
+                                         events, sessions, peer](const transport::CloseReason& reason) {
+                sessions->remove(peer);
                 try {
                     adapter->remove(identity);
                 } catch (const Ice::Exception&) {  // the adapter is being destroyed, and the servant with it
@@ -258,6 +264,7 @@ class GateServant final : public slice::DirectGate {
     const std::string entity_;
     const Clock& clock_;
     const std::weak_ptr<DirectEvents> events_;
+    const std::shared_ptr<transport::SessionPeers> sessions_ = std::make_shared<transport::SessionPeers>();
     SystemRandom random_;
     std::mutex mutex_;
     std::deque<Challenge> challenges_;  // guarded by mutex_
@@ -267,8 +274,11 @@ class GateServant final : public slice::DirectGate {
 
 struct DirectDoor::Adapters {
     std::shared_ptr<Ice::ObjectAdapter> data, signal;
+    transport::ConnectionLimits& limits;
+    std::vector<std::uint16_t> watched = {};
 
     ~Adapters() {
+        limits.unwatch(watched);
         for (const auto& adapter : {data, signal})
             if (adapter) adapter->destroy();
     }
@@ -278,7 +288,7 @@ struct DirectDoor::Adapters {
         for (std::uint32_t port = ports.first; port <= ports.last; ++port) {
             if (port != 0 && port == taken) continue;
             try {
-                return transport::listen(communicator, name, "tcp -h " + address + " -p " + std::to_string(port));
+                return transport::listen(communicator, name, "tcp -h " + address + " -p " + std::to_string(port), 0, transport::Idle::Watched);
             } catch (const std::runtime_error&) {
                 if (port == 0) break;
             }
@@ -290,13 +300,17 @@ struct DirectDoor::Adapters {
 
 DirectDoor::DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports, std::string entity, const Clock& clock,
                        std::weak_ptr<DirectEvents> events)
-    : adapters_(std::make_unique<Adapters>()) {
+    : adapters_(new Adapters{.data = {}, .signal = {}, .limits = ice.limits()}) {
     // A name of its own: many Entity Managers share the communicators, and this one listens anew at another address.
     const auto name = "Direct-" + Ice::generateUUID();
     std::uint16_t taken = 0;
     const auto open = [&](Lane lane, Ice::Communicator& communicator, std::shared_ptr<Ice::ObjectAdapter>& adapter) {
         adapter = Adapters::listen(communicator, name + (lane == Lane::Data ? "-data" : "-signal"), address, ports, taken);
-        adapter->add(std::make_shared<GateServant>(lane, entity, clock, events), Ice::stringToIdentity(kGate));
+        const auto gate = std::make_shared<GateServant>(lane, entity, clock, events);
+        adapter->add(gate, Ice::stringToIdentity(kGate));
+        const auto its_ports = transport::portsOf(*adapter);
+        ice.limits().watch(its_ports, [gate](const std::string& peer) { return gate->hasSession(peer); });
+        adapters_->watched.insert(adapters_->watched.end(), its_ports.begin(), its_ports.end());
         const auto at = transport::publishedEndpoints(*adapter).front();
         taken = at.port;
         return address + ":" + std::to_string(at.port);
@@ -310,6 +324,7 @@ DirectDoor::DirectDoor(ServerCommunicators& ice, const std::string& address, Dir
 DirectDoor::~DirectDoor() = default;
 
 void DirectDoor::shut() {
+    adapters_->limits.unwatch(adapters_->watched);
     adapters_->data->deactivate();
     adapters_->signal->deactivate();
 }

@@ -124,21 +124,22 @@ void EntityManager::stopSignal(Header head, StopCause cause) {
     wake(passStop(std::move(head), cause));
 }
 
-Inbox::Verdict EntityManager::passSignal(Inbox::Signal kind, Inbox::Event event) {
+Inbox::Verdict EntityManager::passSignal(Inbox::Signal kind, Inbox::Event event, SenderKey from) {
     const std::lock_guard in_order(signal_mutex_);
-    return inbox_.pushSignal(kind, std::move(event));
+    return inbox_.pushSignal(kind, std::move(event), from);
 }
 
 Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
     const std::lock_guard in_order(signal_mutex_);
+    const auto from = senderKey(head.sender.id);
     if (cause == StopCause::Drill) {
-        if (inbox_.signalsFull()) return Inbox::Verdict::Dropped;  // nobody would hear of the answer
+        if (inbox_.wouldDrop(from)) return Inbox::Verdict::Dropped;  // nobody would hear of the answer
         const auto number = gate_.drill(head.sender.id, head.sequence);
         if (!number) return Inbox::Verdict::Dropped;  // by the other path
         back_end_.port->stop(*number, cause);
         return inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head), number = *number] {
             core_->onDrill(head, number);
-        });
+        }, from);
     }
     const auto generation = gate_.raise(head.sender.id, head.sequence, static_cast<std::uint32_t>(head.stop_generation));
     if (!generation) {  // the same stop by another path, or repeated because its receipt did not arrive
@@ -147,7 +148,7 @@ Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
         return inbox_.pushSignal(Inbox::Signal::Passing,
                                  [this, head = std::move(head), cause, generation = *known] {
                                      core_->onStopRepeated(head, cause, generation);
-                                 });
+                                 }, from);
     }
     back_end_.port->stop(*generation, cause);
     return inbox_.pushSignal(Inbox::Signal::Stop,
@@ -157,11 +158,13 @@ Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
 }
 
 void EntityManager::resetSignal(Header head) {
-    wake(passSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onResetSignal(head); }));
+    const auto from = senderKey(head.sender.id);
+    wake(passSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onResetSignal(head); }, from));
 }
 
 void EntityManager::clearSignal(Header head) {
-    wake(passSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onClearSignal(head); }));
+    const auto from = senderKey(head.sender.id);
+    wake(passSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onClearSignal(head); }, from));
 }
 
 void EntityManager::clientUpdate(Header head, ClientChange change) {

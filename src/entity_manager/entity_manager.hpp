@@ -108,7 +108,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     /// To the robot, and into the inbox. The executor, whose lock everything takes, is woken after it.
     Inbox::Verdict passStop(Header head, StopCause cause);
     /// Of all others.
-    Inbox::Verdict passSignal(Inbox::Signal kind, Inbox::Event event);
+    Inbox::Verdict passSignal(Inbox::Signal kind, Inbox::Event event, SenderKey from = kServersOwn);
     /// On the strand, of one that came by the servers.
     void handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes);
     template <class Use>

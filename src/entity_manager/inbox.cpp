@@ -21,13 +21,13 @@ std::size_t Inbox::victimFor(Signal kind) {
     return kSignals;
 }
 
-Inbox::Verdict Inbox::pushSignal(Signal kind, Event event) {
+Inbox::Verdict Inbox::pushSignal(Signal kind, Event event, SenderKey from) {
     Event victim;  // destroyed after the lock
     {
         const std::lock_guard lock(signal_mutex_);
-        if (kind == Signal::Peer && peers_ == kPeerSignals) return Verdict::Dropped;
+        if (kind == Signal::Peer && (peers_ == kPeerSignals || signal_count_ == kSignals)) return Verdict::Dropped;
+        if (kind == Signal::Passing && noRoomForPassing(from)) return Verdict::Dropped;
         if (signal_count_ == kSignals) {
-            if (kind == Signal::Passing || kind == Signal::Peer) return Verdict::Dropped;
             auto at = victimFor(kind);
             if (at == kSignals) return Verdict::Overflow;
             victim = std::move(signalAt(at).event);
@@ -35,16 +35,28 @@ Inbox::Verdict Inbox::pushSignal(Signal kind, Event event) {
             for (; at + 1 < kSignals; ++at) signalAt(at) = std::move(signalAt(at + 1));
             --signal_count_;
         }
-        signalAt(signal_count_) = {kind, std::move(event)};
+        signalAt(signal_count_) = {kind, std::move(event), from};
         ++signal_count_;
         peers_ += kind == Signal::Peer ? 1 : 0;
     }
     return wake();
 }
 
-bool Inbox::signalsFull() const {
+bool Inbox::wouldDrop(SenderKey from) const {
     const std::lock_guard lock(signal_mutex_);
-    return signal_count_ == kSignals;
+    return noRoomForPassing(from);
+}
+
+/// Under signal_mutex_.
+bool Inbox::noRoomForPassing(SenderKey from) const {
+    if (signal_count_ == kSignals) return true;
+    if (from == kServersOwn) return false;
+    std::size_t its = 0;
+    for (std::size_t i = 0; i < signal_count_; ++i) {
+        const auto& one = signals_[(signal_first_ + i) % signals_.size()];
+        its += one.kind == Signal::Passing && one.from == from ? 1 : 0;
+    }
+    return its >= kPassingOfOne;
 }
 
 Inbox::Verdict Inbox::pushControl(Event&& event, std::size_t bytes, Share share) {

@@ -9,6 +9,8 @@
 #include <functional>
 #include <mutex>
 
+#include "common/queue_share.hpp"
+
 namespace axon::entity_manager {
 
 /// What waits to be handled by one Entity Manager's strand. Signals overtake everything else; data is dropped
@@ -16,7 +18,8 @@ namespace axon::entity_manager {
 ///
 /// A stop is never lost: when all signal slots are taken it takes the place of a signal that may be dropped, and
 /// among nothing but stops that of the second newest, whose effect the newest has too. A client's loss or return is
-/// not lost either. What else finds the slots full is dropped.
+/// not lost either. What else finds the slots full is dropped; so is what may be dropped of a sender who has a quarter of
+/// the slots already, so that nobody's drills and resets leave none for those of others.
 ///
 /// Threads: push…() from any; take() from the strand alone. Signals have a mutex and preallocated slots of their own,
 /// so that no amount of data holds up a stop (invariant 3).
@@ -34,10 +37,11 @@ class Inbox {
     enum class Signal : std::uint8_t {
         Stop,
         Client,   ///< a client was lost, came back, or has left
-        Passing,  ///< may be dropped: reset, clear, a drill, a repeated stop
+        Passing,  ///< may be dropped: reset, clear, a drill, a repeated stop; at most kPassingOfOne of one sender wait
         Peer,     ///< of another entity, whose next one repeats it; at most kPeerSignals wait
     };
     static constexpr std::size_t kSignals = 64;
+    static constexpr std::size_t kPassingOfOne = kSignals / 4;  ///< that may be dropped, of one sender
     static constexpr std::size_t kPeerSignals = 48;  ///< a master of many slaves hears them all at once
 
     explicit Inbox(Bounds bounds) : bounds_(bounds) {}
@@ -45,9 +49,9 @@ class Inbox {
 
     /// Dropped: a passing one or a peer's found no slot. Overflow: one that may not be lost found nothing
     /// that may.
-    Verdict pushSignal(Signal kind, Event event);
-    /// Whether a passing signal would be dropped now. False stays false until a signal is pushed.
-    bool signalsFull() const;
+    Verdict pushSignal(Signal kind, Event event, SenderKey from = kServersOwn);
+    /// Whether a passing signal of this sender would be dropped now. False stays false until a signal is pushed.
+    bool wouldDrop(SenderKey from) const;
     /// Half of the bounds is for those who can wait (awaitRoom); the rest is left to those who cannot. One event alone always fits.
     enum class Share : std::uint8_t { Whole, Half };
     /// On Overflow the event is still the caller's.
@@ -75,8 +79,10 @@ class Inbox {
     struct WaitingSignal {
         Signal kind = Signal::Passing;
         Event event;
+        SenderKey from = kServersOwn;
     };
     WaitingSignal& signalAt(std::size_t i) { return signals_[(signal_first_ + i) % signals_.size()]; }
+    bool noRoomForPassing(SenderKey from) const;
     std::size_t victimFor(Signal kind);
     Event next();
 

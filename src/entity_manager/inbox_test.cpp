@@ -115,10 +115,22 @@ TEST_F(InboxTest, AStopThatWaitsIsNotLostToAFloodOfDrillsAndResets) {
     Inbox inbox;
     inbox.pushSignal(Signal::Stop, note('S'));
     for (int i = 0; i < 200; ++i) inbox.pushSignal(Signal::Passing, note('x'));
-    EXPECT_TRUE(inbox.signalsFull());
+    EXPECT_TRUE(inbox.wouldDrop(kServersOwn));
     EXPECT_EQ(inbox.pushSignal(Signal::Passing, note('x')), Inbox::Verdict::Dropped);
     drain(inbox);
     EXPECT_EQ(seen, "S" + std::string(63, 'x'));
+}
+
+TEST_F(InboxTest, TheDrillsOfOneSenderLeaveRoomForThoseOfOthers) {
+    Inbox inbox;
+    for (int i = 0; i < 200; ++i) inbox.pushSignal(Signal::Passing, note('x'), senderKey("flood"));
+    EXPECT_TRUE(inbox.wouldDrop(senderKey("flood")));
+    EXPECT_FALSE(inbox.wouldDrop(senderKey("honest")));
+    EXPECT_EQ(inbox.pushSignal(Signal::Passing, note('h'), senderKey("honest")), Inbox::Verdict::AlreadyScheduled);
+    EXPECT_EQ(inbox.pushSignal(Signal::Stop, note('S'), senderKey("flood")), Inbox::Verdict::AlreadyScheduled);
+    drain(inbox);
+    EXPECT_EQ(seen, std::string(16, 'x') + "hS");
+    EXPECT_FALSE(inbox.wouldDrop(senderKey("flood")));
 }
 
 TEST_F(InboxTest, AStopThatFindsTheRingFullTakesThePlaceOfTheOldestThatIsNone) {

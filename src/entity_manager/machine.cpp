@@ -5,10 +5,12 @@
 #include <charconv>
 #include <chrono>
 #include <stdexcept>
+#include <unordered_map>
 #include <utility>
 
 #include "common/entity_name.hpp"
 #include "common/planted_bug.hpp"
+#include "common/queue_share.hpp"
 #include "common/utf8.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -1056,9 +1058,20 @@ void EntityManagerCore::Machine::onDrill(const Header& head, std::uint32_t numbe
         tellStage(open);
         return;
     }
-    if (open_drills_.size() == kOpenDrills) open_drills_.pop_front();
+    if (open_drills_.size() == kOpenDrills) forgetADrill();
     open_drills_.push_back(std::move(open));
     if (std::erase(early_drills_, number) > 0) drillDone(number);
+}
+
+/// The oldest of whoever has most of them, so that nobody's drills are forgotten for a flood of somebody else's.
+void EntityManagerCore::Machine::forgetADrill() {
+    const auto senderOf = [](const OpenStop& open) { return open.to.empty() ? kServersOwn : senderKey(open.to.front().id); };
+    std::unordered_map<SenderKey, std::size_t> of;
+    for (const auto& open : open_drills_) ++of[senderOf(open)];
+    const auto most = std::max_element(open_drills_.begin(), open_drills_.end(), [&](const OpenStop& one, const OpenStop& other) {
+        return of[senderOf(one)] < of[senderOf(other)];
+    });
+    open_drills_.erase(most);
 }
 
 void EntityManagerCore::Machine::drillDone(std::uint32_t number) {

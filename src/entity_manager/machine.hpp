@@ -202,6 +202,7 @@ class EntityManagerCore::Machine {
     void stopApplication(Incident& incident);
     void acknowledge(const Incident& incident);
     void stopDone(const proto::StopDone& done);
+    void forgetADrill();
     void drillDone(std::uint32_t number);
     void confirmStop(std::uint32_t generation);
     void deliverStops();

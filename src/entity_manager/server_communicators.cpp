@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "entity_manager/server_communicators.hpp"
 
+#include <spdlog/spdlog.h>
+
 #include "transport/communicator.hpp"
 
 namespace axon::entity_manager {
@@ -19,6 +21,15 @@ ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads,
       signal_adapter_(signal_->createObjectAdapter("")) {
     data_adapter_->activate();
     signal_adapter_->activate();
+}
+
+transport::ConnectionLimits& ServerCommunicators::limits() {
+    // A client opens a path in a moment, and there is one holder at a time.
+    static constexpr transport::ConnectionBounds kBounds{.strangers_of_one_address = 64, .strangers = 256};
+    std::call_once(limited_, [this] {
+        limits_.emplace(clock_, [](const std::string& line) { spdlog::warn("direct path: {}", line); }, kBounds);
+    });
+    return *limits_;
 }
 
 void ServerCommunicators::destroy() {

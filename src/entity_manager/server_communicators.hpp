@@ -4,7 +4,12 @@
 
 #include <map>
 #include <memory>
+#include <mutex>
+#include <optional>
 #include <string>
+
+#include "common/clock.hpp"
+#include "transport/connection_limits.hpp"
 
 namespace axon::entity_manager {
 
@@ -26,12 +31,17 @@ class ServerCommunicators {
     const std::shared_ptr<Ice::Communicator>& signal() const { return signal_.communicator(); }
     const std::shared_ptr<Ice::ObjectAdapter>& dataAdapter() const { return data_adapter_; }
     const std::shared_ptr<Ice::ObjectAdapter>& signalAdapter() const { return signal_adapter_; }
+    /// Of the ports of direct paths; has a thread from the first call on. Any thread.
+    transport::ConnectionLimits& limits();
 
   private:
     Ice::CommunicatorHolder data_;
     Ice::CommunicatorHolder signal_;
     std::shared_ptr<Ice::ObjectAdapter> data_adapter_;  // no endpoints: pushes come over our own connections
     std::shared_ptr<Ice::ObjectAdapter> signal_adapter_;
+    const SteadyClock clock_;
+    std::once_flag limited_;
+    std::optional<transport::ConnectionLimits> limits_;
 };
 
 }  // namespace axon::entity_manager

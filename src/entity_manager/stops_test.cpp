@@ -181,6 +181,13 @@ TEST_F(Stops, ADrillOfALostApplicationIsNotKeptForItsReturn) {
     EXPECT_EQ(rig.stops.size(), told) << "nothing is stopped on its account";
 }
 
+TEST_F(Stops, ADrillIsAnsweredWhateverSomebodyElseDrillsMeanwhile) {
+    rig.stop("client2", StopCause::Drill);
+    for (int i = 0; i < 300; ++i) rig.stop("client3", StopCause::Drill);
+    rig.drillDone(1);
+    EXPECT_EQ(last("client2").stage(), StopReceipt::CALLBACK_RETURNED);
+}
+
 // -- standstill
 
 TEST_F(Stops, OfARobotThatMovesStandstillIsAnnouncedWhereItsApplicationReportsIt) {

@@ -35,8 +35,9 @@ class EntityServer::Rim {
           data_lane{core, Lane::Data, {}, {}, transport::OpenSessions<EntitySessionServant>(clock)},
           signal_lane{
               core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<EntitySessionServant>(clock)},
-          data_adapter(transport::listen(*data, "EntityServer", settings.data_endpoint)),
-          signal_adapter(transport::listen(*signal, "EntityServerSignal", settings.signal_endpoint)) {
+          data_adapter(transport::listen(*data, "EntityServer", settings.data_endpoint, 0, transport::Idle::Watched)),
+          signal_adapter(transport::listen(*signal, "EntityServerSignal", settings.signal_endpoint, 0, transport::Idle::Watched)),
+          limits(settings.limits) {
         const auto gate = Ice::stringToIdentity("EntityGate");
         data_lane.logins = settings.logins;
         data_lane.server = signal_lane.server = settings.name;
@@ -91,6 +92,7 @@ class EntityServer::Rim {
     EntityLane signal_lane;
     std::shared_ptr<Ice::ObjectAdapter> data_adapter;
     std::shared_ptr<Ice::ObjectAdapter> signal_adapter;
+    transport::ConnectionLimits* const limits;
     std::unique_ptr<transport::RouterConnections> routers;
     std::unique_ptr<transport::RouterDoor> door;
     std::shared_ptr<Ice::ObjectAdapter> router_adapter;
@@ -119,6 +121,8 @@ void EntityServer::publishTo(const std::vector<std::string>& front_ends,
 }
 
 void EntityServer::activate() {
+    transport::watch(*rim_->limits, *rim_->signal_adapter, rim_->signal_lane);
+    transport::watch(*rim_->limits, *rim_->data_adapter, rim_->data_lane);
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
     if (rim_->router_adapter) rim_->router_adapter->activate();

@@ -9,6 +9,7 @@
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "entity_server/entity_server_core.hpp"
+#include "transport/connection_limits.hpp"
 
 namespace Ice {
 class Communicator;
@@ -40,6 +41,8 @@ struct EntityServerSettings {
     std::string topic_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::string topic_signal_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::shared_ptr<Ice::Communicator> topic_signals;
+    /// Looks after the connections of peers from activate() on; destroyed before this server.
+    transport::ConnectionLimits* limits = nullptr;
 };
 
 /// The entity server on Ice: two adapters, EntityServer and EntityServerSignal, each with a communicator and

@@ -13,7 +13,6 @@ namespace axon::entity_server {
 
 using transport::ByteRange;
 using transport::fromIce;
-using transport::senderKey;
 using transport::toIce;
 using transport::toRange;
 using transport::toView;
@@ -57,7 +56,7 @@ bool IceEntityOutbox::stopSignal(const Header& head, StopCause cause) {
         [its_cause = toIce(cause)](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
             prx.stopSignalAsync(h, its_cause, std::move(a), std::move(f), std::move(s));
         },
-        of_peer ? senderKey(head.sender.id) : transport::kServersOwn);
+        of_peer ? senderKey(head.sender.id) : kServersOwn);
 }
 
 bool IceEntityOutbox::resetSignal(const Header& head) {
@@ -138,7 +137,7 @@ IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& dat
 /// To the front-end server of the recipient, or to all.
 template <class Call>
 bool IceFrontEndTopic::toOne(Traffic traffic, const Header& head, std::string_view bytes, const Call& call,
-                             transport::SenderKey from) {
+                             SenderKey from) {
     return front_ends_.one(std::string(originOf(head.sender.id).server), traffic, head, bytes, call, from);
 }
 

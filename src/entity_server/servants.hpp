@@ -78,7 +78,7 @@ class IceFrontEndTopic final : public FrontEndTopic {
   private:
     template <class Call>
     bool toOne(transport::Traffic traffic, const Header& head, std::string_view bytes, const Call& call,
-               transport::SenderKey from = transport::kServersOwn);
+               SenderKey from = kServersOwn);
     Axon::CommUtil::ServerAnnouncement withProxies(const ServerAnnouncement& self) const;
 
     const transport::PublicationTicket::Lost peer_lost_;

@@ -10,6 +10,7 @@
 
 #include "common/life_signs.hpp"
 #include "common/planted_bug.hpp"
+#include "common/queue_share.hpp"
 #include "common/rights.hpp"
 #include "common/utf8.hpp"
 
@@ -122,7 +123,6 @@ Refusal refuse(RefusalCode code, std::string message) {
 
 // A little less than the second in which a server announces itself by the topic.
 constexpr std::chrono::milliseconds kAskAgain{900};
-constexpr std::size_t kStopsAtOnce = 8192;
 constexpr std::size_t kStopsForOne = 16;  // so many entities of a list cost as much as a message
 constexpr auto kData = static_cast<std::size_t>(Lane::Data);
 constexpr auto kSignal = static_cast<std::size_t>(Lane::Signal);
@@ -169,7 +169,7 @@ std::size_t FrontEndCore::told(const Client& client) {
 }
 
 Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& display_name, Role role,
-                                                          std::shared_ptr<ClientOutbox> data) {
+                                                          std::shared_ptr<ClientOutbox> data, const std::string& user) {
     ClientRef client;
     {
         const std::lock_guard lock(mutex_);
@@ -183,7 +183,8 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         const auto origin = alone() ? std::string() : settings_.name + ":" + instance_ + ":";
         // Of version 8: no entity can register under it without a secret that nobody has (docs/adr/0024).
         auto id = Id128::uuid(random_).toString();
-        id[14] = '8';
+        id[kUserDigits] = '8';
+        if (!user.empty()) id.replace(0, kUserDigits, userPart(user));
         Sender me{origin + id, name.empty() ? "unnamed" : std::move(name), role};
         client = std::make_shared<Client>(std::move(me), Id128::random(random_).toString(), std::move(data),
                                           settings_, clock_.now());
@@ -435,8 +436,7 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     audit(cause == StopCause::Drill ? "drill" : "stop", client->me, wanted);
     // A longer list is for nobody's robots; each costs its sender a session.
     if (entities.size() > kStopsAtOnce)
-        return leave(client, Ending::Improper, "it sent a list of " + std::to_string(entities.size()) + " entities to stop, of at most " +
-                                                   std::to_string(kStopsAtOnce));
+        return leave(client, Ending::Improper, "it sent a list of more than " + std::to_string(kStopsAtOnce) + " entities to stop");
     flooded(client, 1 + entities.size() / kStopsForOne);
 }
 

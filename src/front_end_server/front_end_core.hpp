@@ -44,6 +44,9 @@ struct CoreSettings {
     std::uint32_t drills_per_second = kDrillsPerSecond;
 };
 
+/// The most entities that one list of stops may name. A stop goes to the first of a longer one, and its sender's session ends.
+inline constexpr std::size_t kStopsAtOnce = 8192;
+
 /// How a session ended.
 enum class Ending : std::uint8_t {
     Ended,    ///< the client said so
@@ -85,9 +88,9 @@ class FrontEndCore {
 
     // From a client.
     /// A client is here: it is told of every entity, now and from now on. `user` and `role` come from the
-    /// login.
-    Result<ClientRef> setCallback(const std::string& display_name, Role role,
-                                  std::shared_ptr<ClientOutbox> data);
+    /// login; `user` is empty where the server has no users, and each session then counts for itself.
+    Result<ClientRef> setCallback(const std::string& display_name, Role role, std::shared_ptr<ClientOutbox> data,
+                                  const std::string& user = {});
     Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);
     static const Sender& me(const Client& client);
     static const std::string& token(const Client& client);

@@ -310,6 +310,15 @@ TEST_F(FrontEndTest, AStatusThatNobodyHasHeardIsNotTold) {
     EXPECT_THAT(data->take(), IsEmpty());
 }
 
+TEST_F(FrontEndTest, SessionsOfOneUserShareTheirPartOfEveryQueue) {
+    const auto keyOf = [&](const std::string& user) {
+        return senderKey(FrontEndCore::me(*core.setCallback("pc", Role::Operator, std::make_shared<FakeOutbox>(), user).value()).id);
+    };
+    EXPECT_EQ(keyOf("bob"), keyOf("bob"));
+    EXPECT_NE(keyOf("bob"), keyOf("ann"));
+    EXPECT_NE(keyOf(""), keyOf("")) << "where there are no users each session counts for itself";
+}
+
 TEST_F(FrontEndTest, AClientIsToldHowManyEntitiesItWasToldOf) {
     for (const auto* name : {"e1", "e2"}) {
         entity(name);

@@ -32,8 +32,9 @@ class FrontEndServer::Rim {
           data_lane{core, Lane::Data, {}, {}, transport::OpenSessions<ClientSessionServant>(clock)},
           signal_lane{
               core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<ClientSessionServant>(clock)},
-          data_adapter(transport::listen(*data, "FrontEndServer", settings.data_endpoint)),
-          signal_adapter(transport::listen(*signal, "FrontEndServerSignal", settings.signal_endpoint)) {
+          data_adapter(transport::listen(*data, "FrontEndServer", settings.data_endpoint, 0, transport::Idle::Watched)),
+          signal_adapter(transport::listen(*signal, "FrontEndServerSignal", settings.signal_endpoint, 0, transport::Idle::Watched)),
+          limits(settings.limits) {
         const auto gate = Ice::stringToIdentity("ClientGate");
         data_lane.logins = settings.logins;
         data_lane.server = signal_lane.server = settings.name;
@@ -78,6 +79,7 @@ class FrontEndServer::Rim {
     ClientLane signal_lane;
     std::shared_ptr<Ice::ObjectAdapter> data_adapter;
     std::shared_ptr<Ice::ObjectAdapter> signal_adapter;
+    transport::ConnectionLimits* const limits;
     std::unique_ptr<transport::RouterConnections> routers;
     std::unique_ptr<transport::RouterDoor> door;
     std::shared_ptr<Ice::ObjectAdapter> router_adapter;
@@ -104,6 +106,8 @@ void FrontEndServer::publishTo(const std::vector<std::string>& entity_servers) {
 }
 
 void FrontEndServer::activate() {
+    transport::watch(*rim_->limits, *rim_->signal_adapter, rim_->signal_lane);
+    transport::watch(*rim_->limits, *rim_->data_adapter, rim_->data_lane);
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
     if (rim_->router_adapter) rim_->router_adapter->activate();

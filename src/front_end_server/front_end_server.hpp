@@ -8,6 +8,7 @@
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "front_end_server/front_end_core.hpp"
+#include "transport/connection_limits.hpp"
 
 namespace Ice {
 class Communicator;
@@ -41,6 +42,8 @@ struct FrontEndServerSettings {
     std::string topic_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::string topic_signal_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::shared_ptr<Ice::Communicator> topic_signals;
+    /// Looks after the connections of peers from activate() on; destroyed before this server.
+    transport::ConnectionLimits* limits = nullptr;
 };
 
 /// The front-end server on Ice: two adapters, FrontEndServer and FrontEndServerSignal, each with a

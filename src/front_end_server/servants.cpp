@@ -12,7 +12,6 @@ namespace axon::front_end_server {
 
 using transport::ByteRange;
 using transport::fromIce;
-using transport::senderKey;
 using transport::toIce;
 using transport::toRange;
 using transport::toView;
@@ -22,6 +21,7 @@ using Answered = std::function<void()>;
 using Failed = std::function<void(std::exception_ptr)>;
 using Sent = std::function<void(bool)>;
 using IceHeader = Axon::CommUtil::Header;
+static_assert(Axon::CommUtil::StopList::kMost == kStopsAtOnce);
 
 IceClientOutbox::IceClientOutbox(const std::shared_ptr<Prx>& callback, transport::OutboxLimits limits,
                                  std::shared_ptr<transport::PeerConnection> peer)
@@ -214,7 +214,7 @@ Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_p
                                                                    const Ice::Current& current) {
     auto proxy = session_.newCallback(callback, lane_.lane == Lane::Data, current);
     auto client = transport::valueOrThrow(lane_.core.setCallback(
-        name_, role_, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer())));
+        name_, who_.role, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer()), who_.user));
     Axon::FrontEndComm::SessionFacts facts;
     facts.me = toIce(FrontEndCore::me(*client));
     facts.token = lane_.toPeer(FrontEndCore::token(*client));
@@ -256,13 +256,13 @@ void ClientSessionServant::sendStopSignal(IceHeader head, Axon::CommUtil::StopCa
     lane_.core.sendStopSignal(its_client, std::move(its_head), fromIce(cause));
     if (!proper) session_.peer()->disconnect({true, std::string(transport::kImproperHead)}, false);
 }
-void ClientSessionServant::sendStopSignals(IceHeader head, Axon::CommUtil::Entities entities,
+void ClientSessionServant::sendStopSignals(IceHeader head, Axon::CommUtil::StopList entities,
                                            Axon::CommUtil::StopCause cause, const Ice::Current& current) {
     const auto& its_client = session_.of(current);
     auto its_head = fromIce(std::move(head));
     const bool proper = transport::isProper(its_head);
     if (!proper) transport::cutStrings(its_head);
-    lane_.core.sendStopSignals(its_client, std::move(its_head), entities, fromIce(cause));
+    lane_.core.sendStopSignals(its_client, std::move(its_head), entities.names, fromIce(cause));
     if (!proper) session_.peer()->disconnect({true, std::string(transport::kImproperHead)}, false);
 }
 void ClientSessionServant::sendResetSignal(IceHeader head, const Ice::Current& current) {
@@ -307,7 +307,7 @@ void ClientGateServant::openAsync(std::string user, std::string password, std::s
         lane_, peer, {std::move(user), std::move(password), {}, {}}, std::move(opened), std::move(refused),
         current,
         [&lane = lane_, peer, display_name = std::move(display_name)](const transport::LoggedIn& who) {
-            return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who.role);
+            return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who);
         },
         [](transport::Logins& logins, transport::LoginRequest request, transport::Logins::Answer answer) {
             logins.client(std::move(request), std::move(answer));
@@ -323,7 +323,7 @@ transport::RouterDoor doorForRouters(ClientLane& data,
         data, data_adapter, signal, signal_adapter, routers, &transport::Logins::client,
         &transport::Logins::vouchedClient,
         [](ClientLane& lane, const std::shared_ptr<transport::RoutedConnection>& peer, const transport::LoggedIn& who,
-           const std::string& display_name) { return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who.role); });
+           const std::string& display_name) { return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who); });
 }
 
 void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence presence,

@@ -83,10 +83,10 @@ using ClientLane = transport::SessionLane<FrontEndCore, ClientSessionServant>;
 class ClientSessionServant final : public Axon::FrontEndComm::ClientSession {
   public:
     ClientSessionServant(ClientLane& lane, std::shared_ptr<transport::PeerConnection> peer,
-                         std::string display_name, Role role)
+                         std::string display_name, transport::LoggedIn who)
         : lane_(lane),
           name_(std::move(display_name)),
-          role_(role),
+          who_(std::move(who)),
           session_(std::move(peer), [&lane](const auto& client, const Farewell& farewell) {
               lane.core.leave(client, farewell.ending, farewell.why);
           }) {}
@@ -110,7 +110,7 @@ class ClientSessionServant final : public Axon::FrontEndComm::ClientSession {
                              const Ice::Current& current) override;
     void sendStopSignal(Axon::CommUtil::Header head, Axon::CommUtil::StopCause cause,
                         const Ice::Current& current) override;
-    void sendStopSignals(Axon::CommUtil::Header head, Axon::CommUtil::Entities entities,
+    void sendStopSignals(Axon::CommUtil::Header head, Axon::CommUtil::StopList entities,
                          Axon::CommUtil::StopCause cause, const Ice::Current& current) override;
     void sendResetSignal(Axon::CommUtil::Header head, const Ice::Current& current) override;
     void sendClearSignal(Axon::CommUtil::Header head, const Ice::Current& current) override;
@@ -129,7 +129,7 @@ class ClientSessionServant final : public Axon::FrontEndComm::ClientSession {
 
     ClientLane& lane_;
     const std::string name_;
-    const Role role_;
+    const transport::LoggedIn who_;
     transport::LaneSession<FrontEndCore::ClientRef, Farewell> session_;
 };
 

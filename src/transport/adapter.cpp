@@ -21,13 +21,14 @@ std::vector<Endpoint> endpointsOf(const Ice::EndpointSeq& endpoints) {
 }  // namespace
 
 std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, const std::string& name,
-                                           const std::string& endpoint, int threads) {
+                                           const std::string& endpoint, int threads, Idle idle) {
     // Threads of its own, so that no adapter waits for another; in order on each connection.
     const auto properties = communicator.getProperties();
     const bool in_order = threads == 0;
     if (in_order) threads = properties->getPropertyAsIntWithDefault("Ice.ThreadPool.Server.Size", 1);
     properties->setProperty(name + ".ThreadPool.Size", std::to_string(threads));
     properties->setProperty(name + ".ThreadPool.Serialize", in_order && threads > 1 ? "1" : "0");
+    if (idle == Idle::Watched) properties->setProperty(name + ".ACM.Timeout", "0");
     try {
         return communicator.createObjectAdapterWithEndpoints(name, endpoint);
     } catch (const Ice::SocketException& error) {
@@ -50,6 +51,12 @@ std::vector<Endpoint> publishedEndpoints(const Ice::ObjectAdapter& adapter) {
     for (auto& endpoint : all)
         if (endpoint.host == "0.0.0.0" || endpoint.host == "*" || endpoint.host == "::") endpoint.host.clear();
     return all;
+}
+
+std::vector<std::uint16_t> portsOf(const Ice::ObjectAdapter& adapter) {
+    std::vector<std::uint16_t> ports;
+    for (const auto& endpoint : endpointsOf(adapter.getEndpoints())) ports.push_back(endpoint.port);
+    return ports;
 }
 
 std::string addressOf(const Ice::ObjectAdapter& adapter) {

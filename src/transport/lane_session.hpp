@@ -11,7 +11,9 @@
 #include <utility>
 #include <vector>
 
+#include "transport/adapter.hpp"
 #include "transport/communicator.hpp"
+#include "transport/connection_limits.hpp"
 #include "transport/contract.hpp"
 #include "transport/convert.hpp"
 #include "transport/endpoint.hpp"
@@ -134,13 +136,19 @@ class LaneSession {
     std::atomic<bool> ready_{false};
 };
 
+/// From now on who has no session of this lane cannot keep connections to its adapter.
+template <class Core, class Servant>
+void watch(ConnectionLimits& limits, const Ice::ObjectAdapter& adapter, const SessionLane<Core, Servant>& lane) {
+    limits.watch(portsOf(adapter), [&sessions = lane.sessions](const std::string& peer) { return sessions.has(peer); });
+}
+
 /// Puts a session's servant behind a proxy that tells of unreadable calls; it ends with its peer (`closed(reason)`).
 template <class SessionPrx, class Core, class Servant>
 std::shared_ptr<SessionPrx> addSession(SessionLane<Core, Servant>& lane,
                                        const std::shared_ptr<PeerConnection>& peer,
                                        const std::shared_ptr<Servant>& servant,
                                        const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
-    valueOrThrow(lane.sessions.add(peer->key(), servant));
+    valueOrThrow(lane.sessions.add(*peer, servant));
     auto proxy = Ice::uncheckedCast<SessionPrx>(adapter->addWithUUID(std::make_shared<UnreadableCalls>(servant, peer->peer())));
     peer->onClosed([&lane, servant, key = peer->key(), adapter,
                     id = proxy->ice_getIdentity()](const CloseReason& reason) {

@@ -4,15 +4,17 @@
 #include <deque>
 #include <memory>
 #include <mutex>
-#include <set>
 #include <string>
+#include <unordered_map>
 
 #include "common/clock.hpp"
 #include "common/result.hpp"
+#include "transport/peer_connection.hpp"
+#include "transport/session_peers.hpp"
 
 namespace axon::transport {
 
-/// The sessions that have been opened: one for each connection (PeerConnection::key()), and each must be
+/// The sessions that have been opened: one for each connection (PeerConnection), and each must be
 /// taken into use (`ready()`) within ten seconds or is disconnected. Threads: any.
 template <class Servant>
 class OpenSessions {
@@ -21,21 +23,31 @@ class OpenSessions {
 
     explicit OpenSessions(const Clock& clock) : clock_(clock) {}
 
-    Result<void> add(const void* connection, const std::shared_ptr<Servant>& servant) {
+    Result<void> add(const PeerConnection& connection, const std::shared_ptr<Servant>& servant) {
+        auto peer = connection.peer();
         const std::lock_guard lock(mutex_);
-        if (!connections_.insert(connection).second) {
+        const auto [at, is_new] = connections_.try_emplace(connection.key());
+        if (!is_new) {
             return Refusal{RefusalCode::Duplicate,
                            "this connection has a session already; open another connection for another one",
                            {}};
         }
+        peers_.add(peer);
+        at->second = std::move(peer);
         opening_.push_back({clock_.now() + kSetUpTime, servant});
         return {};
     }
 
     void remove(const void* connection) {
         const std::lock_guard lock(mutex_);
-        connections_.erase(connection);
+        const auto found = connections_.find(connection);
+        if (found == connections_.end()) return;
+        peers_.remove(found->second);
+        connections_.erase(found);
     }
+
+    /// Whether the peer at "127.0.0.1:50122" has a session.
+    bool has(const std::string& peer) const { return peers_.has(peer); }
 
     /// Disconnects those that are late; returns when the next one will be, at most a second ahead.
     TimePoint expire() {
@@ -63,7 +75,8 @@ class OpenSessions {
     };
     const Clock& clock_;
     std::mutex mutex_;
-    std::set<const void*> connections_;             // guarded by mutex_
+    std::unordered_map<const void*, std::string> connections_;  // guarded by mutex_: its peer, by PeerConnection::key()
+    SessionPeers peers_;                                        // those of connections_
     std::deque<Opening> opening_;                   // guarded by mutex_, earliest first
 };
 

@@ -4,10 +4,8 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
-#include <functional>
 #include <list>
 #include <optional>
-#include <string_view>
 #include <unordered_map>
 #include <utility>
 
@@ -24,13 +22,6 @@ enum class Traffic : std::uint8_t {
     Control,    ///< queued in order; overflow disconnects the consumer
     Data        ///< queued in order; overflow drops the oldest data
 };
-
-/// Whose message it is. Many peers' messages share a queue, and none of them may fill it.
-using SenderKey = std::uint64_t;
-inline constexpr SenderKey kServersOwn = 0;
-inline SenderKey senderKey(std::string_view id, QueueShare share = QueueShare::OfSender) {
-    return share == QueueShare::Whole ? kServersOwn : std::hash<std::string_view>{}(id) | 1U;
-}
 
 /// Of each sender at most a quarter of the control messages and of the signals, and of all of them three quarters of
 /// the control messages; the rest is for the server's own, and for who holds the consumer.

@@ -239,7 +239,7 @@ TEST_F(Servers, AStopOfSeveralIsOneMessageAndReachesNobodyElse) {
     third.join();
     RawClient client(clients());
     client.signalOneway()->sendStopSignals(transport::toIce(client.headTo(kSecond, 7)),
-                                           {kFirst, "nobody", kThird}, Axon::CommUtil::StopCause::Requested);
+                                           Axon::CommUtil::StopList({kFirst, "nobody", kThird}), Axon::CommUtil::StopCause::Requested);
     EXPECT_TRUE(waitUntil([&] { return first.log.has("signal stop requested client1@lab"); }));
     EXPECT_TRUE(waitUntil([&] { return third.log.has("signal stop requested client1@lab"); }));
     EXPECT_TRUE(waitUntil([&] { return client.log.has("refused 20 of 7"); }));

@@ -8,6 +8,7 @@ Prints "attacks" when it begins, and "has attacked COUNT" at the end, or at a SI
 bob, its entities are called Hostile. Who is dropped comes back.
 """
 import pathlib
+import resource
 import signal
 import socket
 import sys
@@ -109,17 +110,18 @@ class Attack:
             communicator.destroy()
 
     def silent_connections(self):
-        """And as many as the process may have, which come and go."""
+        """Some thousands, which come and go."""
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(16_384, resource.getrlimit(resource.RLIMIT_NOFILE)[1]),) * 2)
         silent = []
         try:
             while True:
                 for kind in ("client", "entity"):
                     host, port = self.at[kind].rsplit(":", 1)
                     silent.append(socket.create_connection((host, int(port)), timeout=5))
-                if len(silent) >= 800:
-                    for one in silent[:400]:
+                if len(silent) >= 8000:
+                    for one in silent[:4000]:
                         one.close()
-                    del silent[:400]
+                    del silent[:4000]
                 yield
         finally:
             for one in silent:

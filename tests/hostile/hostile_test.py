@@ -6,6 +6,7 @@ programs, with clients and entities written from the contracts alone (tests/fore
     /usr/bin/python3 tests/hostile/hostile_test.py --bin build/dev/bin [unittest options]
 """
 import pathlib
+import resource
 import shutil
 import signal
 import socket
@@ -299,7 +300,7 @@ class HostileTest(unittest.TestCase):
         stays(lambda: not holder.closed.is_set() and self.state(holder, entity) == State.BUSY, "the holder is not lost", 3)
         for attack in attacks:
             self.assertRegex(attack.stdout.readline(), r"has attacked [1-9]")
-        self.assertIn("it sent a list of 500000 entities to stop", self.lab.server.text())
+        self.assertIn("it sent a list of more than 8192 entities to stop", self.lab.server.text())
         self.assertFalse(holder.closed.is_set(), "the holder's session")
         receipts = holder.stop(entity, until=Stage.CALLBACK_RETURNED)
         self.assertEqual(receipts[-1].stage, Stage.CALLBACK_RETURNED)
@@ -321,6 +322,23 @@ class HostileTest(unittest.TestCase):
             self.assertEqual(code(refusal[0]), "TOO_LARGE")
         self.run_task(holder, entity)
         self.assertFalse(holder.closed.is_set())
+
+    def test_connections_without_a_session_are_bounded(self):
+        before = self.lab.server.mib()
+        silent = []
+        self.addCleanup(lambda: [one.close() for one in silent])
+        limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit[1], limit[1]))
+        for kind in ("client", "entity"):
+            host, port = self.lab.at[kind].rsplit(":", 1)
+            for _ in range(2500):
+                silent.append(socket.create_connection((host, int(port)), timeout=5))
+        wait_until(lambda: "closed: more than 1024 without a session" in self.lab.server.text(), "the oldest are closed")
+        client = self.client()
+        client.find("Counter")
+        wait_until(lambda: "closed: no session in 10 s" in self.lab.server.text(), "the others are closed in time", 20)
+        self.assertFalse(client.closed.is_set(), "who has a session is not meant")
+        self.assertLess(self.lab.server.mib(), before + 40, "MiB")
 
     def test_log_ins_keep_no_memory_with_long_passwords(self):
         host, port = self.lab.at["client"].rsplit(":", 1)
