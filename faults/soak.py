@@ -26,6 +26,7 @@ parser.add_argument("--minutes", type=float, default=120)
 parser.add_argument("--mib", type=float, default=8, help="of memory that each may have gained (default: 8)")
 parser.add_argument("--descriptors", type=int, default=4, help="that each may have gained (default: 4)")
 parser.add_argument("--seed", type=int, default=1)
+parser.add_argument("--pause", type=float, default=0, metavar="SECONDS", help="between two rounds, to leave a part of the machine to others (default: 0)")
 arguments = parser.parse_args()
 from rig import compile_contracts, make_laboratory  # noqa: E402
 
@@ -150,6 +151,7 @@ def main():
         while time.monotonic() < end and not trouble:
             try:
                 churn.round()
+                time.sleep(arguments.pause)
             except Ice.ConnectionLostException:
                 lost += 1  # this process was not given the time to beat for its client or entity
             except (TimeoutError, OSError) as error:
