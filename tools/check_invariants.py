@@ -23,6 +23,7 @@ EI_PUBLIC = ("src/entity_interfacer/axon/*.hpp",)
 
 # Where Ice may be seen (invariant 8). Every other file talks to it through src/transport.
 ICE_ALLOWED = (
+    "api/slice/*",
     "src/transport/*",
     "src/entity_server/*servant*",
     "src/front_end_server/*servant*",
