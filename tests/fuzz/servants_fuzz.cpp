@@ -157,8 +157,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     {
         const auto add = [&](const std::shared_ptr<Ice::Object>& servant) { return adapter->addWithUUID(servant)->ice_invocationTimeout(-1); };
         const auto role = size % 2 == 0 ? Role::Observer : Role::Operator;
-        doors[0] = add(std::make_shared<front_end_server::ClientSessionServant>(client_data, std::make_shared<Anybody>(), "peer", role));
-        doors[1] = add(std::make_shared<front_end_server::ClientSessionServant>(client_signal, std::make_shared<Anybody>(), "peer", role));
+        doors[0] = add(std::make_shared<front_end_server::ClientSessionServant>(client_data, std::make_shared<Anybody>(), "peer", transport::LoggedIn{"peer", role}));
+        doors[1] = add(std::make_shared<front_end_server::ClientSessionServant>(client_signal, std::make_shared<Anybody>(), "peer", transport::LoggedIn{"peer", role}));
         doors[2] = add(std::make_shared<entity_server::EntitySessionServant>(peer_data, std::make_shared<Anybody>()));
         doors[3] = add(std::make_shared<entity_server::EntitySessionServant>(peer_signal, std::make_shared<Anybody>()));
         const auto as_client = Ice::uncheckedCast<Axon::FrontEndComm::ClientCallbackPrx>(nowhere("client"));
