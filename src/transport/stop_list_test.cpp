@@ -46,7 +46,7 @@ TEST_F(StopLists, ANumberOfNamesThatTheMessageCannotHoldIsRefused) {
     Ice::InputStream in(ice_.communicator(), bytes);
     StopList list;
     EXPECT_THROW(in.read(list), Ice::UnmarshalOutOfBoundsException);
-    EXPECT_LE(list.names.size(), 2U) << "no more than the bytes that there are";
+    EXPECT_LE(list.names.size(), bytes.size()) << "no more than the bytes that there are";
 }
 
 TEST_F(StopLists, ANameThatIsLongerThanTheRestIsRefusedAlsoWhereItIsSkipped) {
