@@ -48,7 +48,7 @@ TOLD = {"lists_of_stops": "audit: drill by guest@", "long_lists_of_stops": "clie
         "stops_of_another": "audit: stop by guest@", "log_ins": "audit: failed log-in of 'nobody", "sessions": "client guest@example joined",
         "all_statuses": "client guest@example", "large_messages": "client bob@example", "small_messages": None, "check_outs": None,
         "unreadable_calls": "cannot be read", "statuses": "is not believed", "profiles": "Hostile", "registrations": "Hostile",
-        "long_passwords": None, "silent_connections": "closed: more than 1024 without a session", "words_to_a_client": None, "words_to_a_robot": None}
+        "long_passwords": None, "silent_connections": "of one address without a session", "words_to_a_client": None, "words_to_a_robot": None}
 
 
 class Siege:

@@ -20,11 +20,13 @@ using SenderKey = std::uint64_t;
 inline constexpr SenderKey kServersOwn = 0;
 
 /// Whose share a message of the peer with this id counts towards. All sessions of one user have the same: the UUIDs at the
-/// end of their ids begin with userPart(), 48 bits that are made of the user's name. UUIDs of clients are of version 8, which no
-/// entity can choose (docs/adr/0024).
+/// end of their ids begin with userPart(), 48 bits that are made of the user's name. UUIDs of clients are of version 8, as are those
+/// of entities that are bound to a secret; whoever has tried 2^48 secrets has one that begins like a user's (docs/adr/0024).
 SenderKey senderKey(std::string_view id, QueueShare share = QueueShare::OfSender);
+/// Of stops: each session has its own, so that no program of a user keeps the user's own stop back.
+SenderKey sessionKey(std::string_view id);
 
-/// The characters of a UUID before its version.
+/// The characters of a UUID before its version, which is at this index.
 inline constexpr std::size_t kUserDigits = 14;
 /// The beginning of the ids of a user's sessions, such as "0a1b2c3d-4e5f-"; the same at all servers.
 std::string userPart(std::string_view user);

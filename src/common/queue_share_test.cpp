@@ -31,6 +31,14 @@ TEST(QueueShare, WhoChoosesItsIdItselfHasNobodysPart) {
     EXPECT_NE(senderKey(userPart("bob") + "8"), senderKey(sessionOf("bob", "0123456789ab"))) << "no UUID";
 }
 
+TEST(QueueShare, TheBeginningOfAUsersIdsIsTheSameInEveryProgram) {
+    EXPECT_EQ(userPart("ann"), "e6f79d19-fcb8-");
+}
+
+TEST(QueueShare, StopsCountForEachSession) {
+    EXPECT_NE(sessionKey(sessionOf("bob", "0123456789ab")), sessionKey(sessionOf("bob", "ba9876543210")));
+}
+
 TEST(QueueShare, WhoHasTheWholeQueueCountsAsTheServer) {
     EXPECT_EQ(senderKey(sessionOf("bob", "0123456789ab"), QueueShare::Whole), kServersOwn);
 }

@@ -207,6 +207,8 @@ class GateServant final : public slice::DirectGate {
             return refuse({RefusalCode::Malformed,
                            "direct path: expected the session UUID of the holder, a path of 16 bytes, a callback, and the lane of this port",
                            {}});
+        if (hasSession(transport::DirectConnection::peerOf(*current.con)))
+            return refuse(wrongState("expected a connection for each lane; this one has its session"));
         const auto nonce = takeNonce(current.con);
         if (!nonce) return refuse(wrongState("expected challenge() over the same connection before each open()"));
         its.claim.client = *client;
@@ -274,11 +276,10 @@ class GateServant final : public slice::DirectGate {
 
 struct DirectDoor::Adapters {
     std::shared_ptr<Ice::ObjectAdapter> data, signal;
-    transport::ConnectionLimits& limits;
-    std::vector<std::uint16_t> watched = {};
+    std::vector<std::shared_ptr<void>> watches;
 
     ~Adapters() {
-        limits.unwatch(watched);
+        watches.clear();
         for (const auto& adapter : {data, signal})
             if (adapter) adapter->destroy();
     }
@@ -300,7 +301,7 @@ struct DirectDoor::Adapters {
 
 DirectDoor::DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports, std::string entity, const Clock& clock,
                        std::weak_ptr<DirectEvents> events)
-    : adapters_(new Adapters{.data = {}, .signal = {}, .limits = ice.limits()}) {
+    : adapters_(std::make_unique<Adapters>()) {
     // A name of its own: many Entity Managers share the communicators, and this one listens anew at another address.
     const auto name = "Direct-" + Ice::generateUUID();
     std::uint16_t taken = 0;
@@ -308,9 +309,9 @@ DirectDoor::DirectDoor(ServerCommunicators& ice, const std::string& address, Dir
         adapter = Adapters::listen(communicator, name + (lane == Lane::Data ? "-data" : "-signal"), address, ports, taken);
         const auto gate = std::make_shared<GateServant>(lane, entity, clock, events);
         adapter->add(gate, Ice::stringToIdentity(kGate));
-        const auto its_ports = transport::portsOf(*adapter);
-        ice.limits().watch(its_ports, [gate](const std::string& peer) { return gate->hasSession(peer); });
-        adapters_->watched.insert(adapters_->watched.end(), its_ports.begin(), its_ports.end());
+        adapters_->watches.push_back(ice.limits().watch(transport::listenedEndpoints(*adapter), {[gate](const std::string& peer) {
+            return gate->hasSession(peer) ? transport::ConnectionLimits::Peer::HasSession : transport::ConnectionLimits::Peer::Stranger;
+        }}));
         const auto at = transport::publishedEndpoints(*adapter).front();
         taken = at.port;
         return address + ":" + std::to_string(at.port);
@@ -324,7 +325,7 @@ DirectDoor::DirectDoor(ServerCommunicators& ice, const std::string& address, Dir
 DirectDoor::~DirectDoor() = default;
 
 void DirectDoor::shut() {
-    adapters_->limits.unwatch(adapters_->watched);
+    adapters_->watches.clear();
     adapters_->data->deactivate();
     adapters_->signal->deactivate();
 }

@@ -51,12 +51,14 @@ bool Inbox::wouldDrop(SenderKey from) const {
 bool Inbox::noRoomForPassing(SenderKey from) const {
     if (signal_count_ == kSignals) return true;
     if (from == kServersOwn) return false;
-    std::size_t its = 0;
+    std::size_t its = 0, all = 0;
     for (std::size_t i = 0; i < signal_count_; ++i) {
-        const auto& one = signals_[(signal_first_ + i) % signals_.size()];
-        its += one.kind == Signal::Passing && one.from == from ? 1 : 0;
+        const auto& one = signalAt(i);
+        if (one.kind != Signal::Passing) continue;
+        ++all;
+        its += one.from == from ? 1 : 0;
     }
-    return its >= kPassingOfOne;
+    return its >= kPassingOfOne || all >= kPassing;
 }
 
 Inbox::Verdict Inbox::pushControl(Event&& event, std::size_t bytes, Share share) {

@@ -37,11 +37,12 @@ class Inbox {
     enum class Signal : std::uint8_t {
         Stop,
         Client,   ///< a client was lost, came back, or has left
-        Passing,  ///< may be dropped: reset, clear, a drill, a repeated stop; at most kPassingOfOne of one sender wait
+        Passing,  ///< may be dropped: reset, clear, a drill, a repeated stop; at most kPassingOfOne of one sender wait, kPassing of all
         Peer,     ///< of another entity, whose next one repeats it; at most kPeerSignals wait
     };
     static constexpr std::size_t kSignals = 64;
     static constexpr std::size_t kPassingOfOne = kSignals / 4;  ///< that may be dropped, of one sender
+    static constexpr std::size_t kPassing = 48;                 ///< … and of all
     static constexpr std::size_t kPeerSignals = 48;  ///< a master of many slaves hears them all at once
 
     explicit Inbox(Bounds bounds) : bounds_(bounds) {}
@@ -82,6 +83,7 @@ class Inbox {
         SenderKey from = kServersOwn;
     };
     WaitingSignal& signalAt(std::size_t i) { return signals_[(signal_first_ + i) % signals_.size()]; }
+    const WaitingSignal& signalAt(std::size_t i) const { return signals_[(signal_first_ + i) % signals_.size()]; }
     bool noRoomForPassing(SenderKey from) const;
     std::size_t victimFor(Signal kind);
     Event next();

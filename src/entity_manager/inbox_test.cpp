@@ -133,6 +133,14 @@ TEST_F(InboxTest, TheDrillsOfOneSenderLeaveRoomForThoseOfOthers) {
     EXPECT_FALSE(inbox.wouldDrop(senderKey("flood")));
 }
 
+TEST_F(InboxTest, TheDrillsOfManySendersLeaveRoomForWhatMayNotBeLost) {
+    Inbox inbox;
+    for (int i = 0; i < 100; ++i) inbox.pushSignal(Signal::Passing, note('x'), senderKey("flood" + std::to_string(i)));
+    for (int i = 0; i < 16; ++i) EXPECT_EQ(inbox.pushSignal(Signal::Client, note('C')), Inbox::Verdict::AlreadyScheduled);
+    drain(inbox);
+    EXPECT_EQ(seen, std::string(48, 'x') + std::string(16, 'C'));
+}
+
 TEST_F(InboxTest, AStopThatFindsTheRingFullTakesThePlaceOfTheOldestThatIsNone) {
     Inbox inbox;
     inbox.pushSignal(Signal::Stop, note('S'));

@@ -24,8 +24,8 @@ ServerCommunicators::ServerCommunicators(int data_threads, int signal_threads,
 }
 
 transport::ConnectionLimits& ServerCommunicators::limits() {
-    // A client opens a path in a moment, and there is one holder at a time.
-    static constexpr transport::ConnectionBounds kBounds{.strangers_of_one_address = 64, .strangers = 256};
+    // A client opens a path in a moment, and each Entity Manager has one holder at a time.
+    static constexpr transport::ConnectionBounds kBounds{.strangers_of_one_address = 256, .strangers = 1024};
     std::call_once(limited_, [this] {
         limits_.emplace(clock_, [](const std::string& line) { spdlog::warn("direct path: {}", line); }, kBounds);
     });

@@ -37,7 +37,7 @@ class EntityServer::Rim {
               core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<EntitySessionServant>(clock)},
           data_adapter(transport::listen(*data, "EntityServer", settings.data_endpoint, 0, transport::Idle::Watched)),
           signal_adapter(transport::listen(*signal, "EntityServerSignal", settings.signal_endpoint, 0, transport::Idle::Watched)),
-          limits(settings.limits) {
+          limits(*settings.limits) {
         const auto gate = Ice::stringToIdentity("EntityGate");
         data_lane.logins = settings.logins;
         data_lane.server = signal_lane.server = settings.name;
@@ -82,6 +82,11 @@ class EntityServer::Rim {
         topic.reachPeers({});
     }
 
+    void watch() {
+        watches = {transport::watch(limits, *data_adapter, data_lane, routers.get()),
+                   transport::watch(limits, *signal_adapter, signal_lane, routers.get())};
+    }
+
     void wake() {
         if (auto* thread = timer_ready.load()) thread->wake();
     }
@@ -92,7 +97,7 @@ class EntityServer::Rim {
     EntityLane signal_lane;
     std::shared_ptr<Ice::ObjectAdapter> data_adapter;
     std::shared_ptr<Ice::ObjectAdapter> signal_adapter;
-    transport::ConnectionLimits* const limits;
+    transport::ConnectionLimits& limits;
     std::unique_ptr<transport::RouterConnections> routers;
     std::unique_ptr<transport::RouterDoor> door;
     std::shared_ptr<Ice::ObjectAdapter> router_adapter;
@@ -100,6 +105,7 @@ class EntityServer::Rim {
     std::atomic<transport::TimerThread*> timer_ready{nullptr};
     std::atomic<transport::TimerThread*> publisher_ready{nullptr};
     std::unique_ptr<transport::TimerThread> publisher;
+    std::vector<std::shared_ptr<void>> watches;
     std::unique_ptr<transport::TimerThread> timer;  // destroyed first: it wakes the publisher
 };
 
@@ -121,8 +127,7 @@ void EntityServer::publishTo(const std::vector<std::string>& front_ends,
 }
 
 void EntityServer::activate() {
-    transport::watch(*rim_->limits, *rim_->signal_adapter, rim_->signal_lane);
-    transport::watch(*rim_->limits, *rim_->data_adapter, rim_->data_lane);
+    rim_->watch();
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
     if (rim_->router_adapter) rim_->router_adapter->activate();

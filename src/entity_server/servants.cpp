@@ -56,7 +56,7 @@ bool IceEntityOutbox::stopSignal(const Header& head, StopCause cause) {
         [its_cause = toIce(cause)](Prx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
             prx.stopSignalAsync(h, its_cause, std::move(a), std::move(f), std::move(s));
         },
-        of_peer ? senderKey(head.sender.id) : kServersOwn);
+        of_peer ? sessionKey(head.sender.id) : kServersOwn);
 }
 
 bool IceEntityOutbox::resetSignal(const Header& head) {

@@ -88,7 +88,7 @@ class FrontEndCore {
 
     // From a client.
     /// A client is here: it is told of every entity, now and from now on. `user` and `role` come from the
-    /// login; `user` is empty where the server has no users, and each session then counts for itself.
+    /// login; `user` is empty where the login names none, and each session then counts for itself.
     Result<ClientRef> setCallback(const std::string& display_name, Role role, std::shared_ptr<ClientOutbox> data,
                                   const std::string& user = {});
     Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);

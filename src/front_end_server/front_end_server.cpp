@@ -34,7 +34,7 @@ class FrontEndServer::Rim {
               core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<ClientSessionServant>(clock)},
           data_adapter(transport::listen(*data, "FrontEndServer", settings.data_endpoint, 0, transport::Idle::Watched)),
           signal_adapter(transport::listen(*signal, "FrontEndServerSignal", settings.signal_endpoint, 0, transport::Idle::Watched)),
-          limits(settings.limits) {
+          limits(*settings.limits) {
         const auto gate = Ice::stringToIdentity("ClientGate");
         data_lane.logins = settings.logins;
         data_lane.server = signal_lane.server = settings.name;
@@ -69,6 +69,11 @@ class FrontEndServer::Rim {
         topic.reach({});
     }
 
+    void watch() {
+        watches = {transport::watch(limits, *data_adapter, data_lane, routers.get()),
+                   transport::watch(limits, *signal_adapter, signal_lane, routers.get())};
+    }
+
     void wake() {
         if (auto* thread = timer_ready.load()) thread->wake();
     }
@@ -79,12 +84,13 @@ class FrontEndServer::Rim {
     ClientLane signal_lane;
     std::shared_ptr<Ice::ObjectAdapter> data_adapter;
     std::shared_ptr<Ice::ObjectAdapter> signal_adapter;
-    transport::ConnectionLimits* const limits;
+    transport::ConnectionLimits& limits;
     std::unique_ptr<transport::RouterConnections> routers;
     std::unique_ptr<transport::RouterDoor> door;
     std::shared_ptr<Ice::ObjectAdapter> router_adapter;
     transport::TopicAdapters others;
     std::atomic<transport::TimerThread*> timer_ready{nullptr};
+    std::vector<std::shared_ptr<void>> watches;
     std::unique_ptr<transport::TimerThread> timer;
 };
 
@@ -106,8 +112,7 @@ void FrontEndServer::publishTo(const std::vector<std::string>& entity_servers) {
 }
 
 void FrontEndServer::activate() {
-    transport::watch(*rim_->limits, *rim_->signal_adapter, rim_->signal_lane);
-    transport::watch(*rim_->limits, *rim_->data_adapter, rim_->data_lane);
+    rim_->watch();
     rim_->signal_adapter->activate();
     rim_->data_adapter->activate();
     if (rim_->router_adapter) rim_->router_adapter->activate();

@@ -42,7 +42,7 @@ struct FrontEndServerSettings {
     std::string topic_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::string topic_signal_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::shared_ptr<Ice::Communicator> topic_signals;
-    /// Looks after the connections of peers from activate() on; destroyed before this server.
+    /// Looks after the connections of peers from activate() on. Needed; outlives the server.
     transport::ConnectionLimits* limits = nullptr;
 };
 

@@ -270,11 +270,10 @@ class Server::Parts {
               communicatorSettings(settings, Lane::Signal, {"FrontEndServerSignal"}))),
           receipts(transport::makeCommunicator(receiptSettings(settings))) {
         const bool both = settings.role == ServerRole::Both;
-        limits.emplace(steady, note);
         if (settings.role != ServerRole::FrontEnd) {
             auto its = entitySettings(settings);
             its.logins = &logins;
-            its.limits = &*limits;
+            its.limits = &limits;
             its.here = both ? &clients_here : nullptr;
             its.topic_signals = signal.communicator();  // stops
             entity.emplace(std::move(its), data.communicator(), receipts.communicator(), clock, random, note);
@@ -282,7 +281,7 @@ class Server::Parts {
         if (settings.role != ServerRole::Entity) {
             auto its = frontEndSettings(settings);
             its.logins = &logins;
-            its.limits = &*limits;
+            its.limits = &limits;
             if (!settings.global_services.empty()) {
                 services_folder.emplace(settings.global_services, clock, note);
                 its.global_services = &*services_folder;
@@ -304,10 +303,10 @@ class Server::Parts {
     }
 
     ~Parts() {
-        limits.reset();
         if (front_end) front_end->core().shutDown();
         topics.reset();
         logins.close();  // a communicator waits for calls that are not answered
+        limits.close();  // and for peers that are silent
         // First the threads that call the cores, then the cores.
         data.communicator()->destroy();
         signal.communicator()->destroy();
@@ -347,6 +346,7 @@ class Server::Parts {
     const std::shared_ptr<const Clock> time = clockFromEnvironment();
     const Clock& clock = *time;
     const SteadyClock steady;  // of what peers cost, also where the laboratory's time stands
+    transport::ConnectionLimits limits{steady, note};
     SystemRandom random;
     LoginDesk logins;
     Ice::CommunicatorHolder data;
@@ -359,7 +359,6 @@ class Server::Parts {
     std::optional<entity_server::EntityServer> entity;             // none in a front-end server's process
     std::optional<front_end_server::FrontEndServer> front_end;     // none in an entity server's process
     std::optional<transport::StormTopics> topics;
-    std::optional<transport::ConnectionLimits> limits;  // last: it asks the servers
 };
 
 Server::Server(ServerSettings settings) : parts_(std::make_unique<Parts>(settings)) {}

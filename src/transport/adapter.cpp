@@ -42,21 +42,26 @@ std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, cons
     }
 }
 
-std::vector<Endpoint> publishedEndpoints(const Ice::ObjectAdapter& adapter) {
-    // Not asked of Ice where none is configured: it publishes every address of the machine for an adapter that
-    // listens on all.
-    const auto configured =
-        !adapter.getCommunicator()->getProperties()->getProperty(adapter.getName() + ".PublishedEndpoints").empty();
-    auto all = endpointsOf(configured ? adapter.getPublishedEndpoints() : adapter.getEndpoints());
+namespace {
+
+std::vector<Endpoint> withoutWildcards(std::vector<Endpoint> all) {
     for (auto& endpoint : all)
         if (endpoint.host == "0.0.0.0" || endpoint.host == "*" || endpoint.host == "::") endpoint.host.clear();
     return all;
 }
 
-std::vector<std::uint16_t> portsOf(const Ice::ObjectAdapter& adapter) {
-    std::vector<std::uint16_t> ports;
-    for (const auto& endpoint : endpointsOf(adapter.getEndpoints())) ports.push_back(endpoint.port);
-    return ports;
+}  // namespace
+
+std::vector<Endpoint> publishedEndpoints(const Ice::ObjectAdapter& adapter) {
+    // Not asked of Ice where none is configured: it publishes every address of the machine for an adapter that
+    // listens on all.
+    const auto configured =
+        !adapter.getCommunicator()->getProperties()->getProperty(adapter.getName() + ".PublishedEndpoints").empty();
+    return withoutWildcards(endpointsOf(configured ? adapter.getPublishedEndpoints() : adapter.getEndpoints()));
+}
+
+std::vector<Endpoint> listenedEndpoints(const Ice::ObjectAdapter& adapter) {
+    return withoutWildcards(endpointsOf(adapter.getEndpoints()));
 }
 
 std::string addressOf(const Ice::ObjectAdapter& adapter) {

@@ -2,8 +2,10 @@
 #pragma once
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <string>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include "common/clock.hpp"
@@ -12,36 +14,43 @@ namespace axon::transport {
 
 /// What connections to a process's own ports may cost it. Ice bounds none of this.
 struct ConnectionBounds {
-    /// Without a session, which an honest peer has a moment after it has connected.
+    /// Without a session. This machine counts as one address.
     std::size_t strangers_of_one_address = 1024;
     std::size_t strangers = 4096;  ///< of all addresses
     Duration to_log_in = std::chrono::seconds{10};
     /// Of a session's connection, which its peer keeps alive by Ice's heartbeats.
     Duration silence = std::chrono::seconds{60};
+
+    /// No more than a quarter of so many descriptors, so that the rest is left to sessions.
+    ConnectionBounds fittingInto(std::size_t descriptors) const;
 };
 
-/// Decides which connections are closed: those that have had no session for too long, the oldest of those
-/// without one where there are too many of an address (or in all: of the address that has most), and those of
-/// sessions over which nothing has come for too long. The oldest, because an honest peer has a session a
-/// moment after it has connected. I/O-free and not thread-safe; ConnectionLimits is its rim.
+/// Decides which connections are closed: those that have had no session for too long, the oldest of those without one where there
+/// are too many of an address (or in all: of the address that has most), and those of sessions over which nothing has come for too
+/// long. I/O-free and not thread-safe; ConnectionLimits is its rim.
 class ConnectionLimitsCore {
   public:
+    enum class Peer : std::uint8_t {
+        Stranger,
+        Exempt,     ///< its log-in is under way, which is bounded elsewhere, or it is a router
+        HasSession
+    };
     struct Seen {
         std::uint64_t id = 0;  ///< of the connection, never used again
         std::string address;   ///< of the peer, without its port
-        bool has_session = false;
+        Peer peer = Peer::Stranger;
         Duration silent_for{};
     };
     struct Verdict {
-        std::vector<std::uint64_t> close;
-        std::vector<std::string> notes;  ///< for the log, one for each address and reason
-        bool strangers = false;          ///< some are left: look again soon
+        std::vector<std::uint64_t> close;   ///< of strangers
+        std::vector<std::uint64_t> silent;  ///< of sessions
+        std::vector<std::string> notes;     ///< for the log: at once, and then what has come together in ten seconds
+        bool strangers = false;             ///< some are left: look again soon
     };
 
     explicit ConnectionLimitsCore(ConnectionBounds bounds) : bounds_(bounds) {}
 
-    /// `connections`: all that there are. What is closed may be among them for some more calls, and is not
-    /// reported again.
+    /// `connections`: all that there are. What is closed may be among them for some more calls, and is not reported again.
     Verdict look(const std::vector<Seen>& connections, TimePoint now);
 
   private:
@@ -51,9 +60,13 @@ class ConnectionLimitsCore {
         bool closed = false;
         bool there = false;
     };
+    void tell(Verdict& verdict, TimePoint now);
+
     const ConnectionBounds bounds_;
     std::unordered_map<std::uint64_t, Known> known_;
     std::uint64_t count_ = 0;
+    std::map<std::pair<std::string, std::string>, std::size_t> untold_;  // closed: by reason and address
+    TimePoint tell_from_{};
 };
 
 }  // namespace axon::transport

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 #include <netinet/in.h>
 #include <poll.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 
 #include <algorithm>
@@ -54,7 +55,9 @@ class ConnectionLimitsTest : public testing::Test {
                 notes_.push_back(line);
             },
             bounds);
-        limits_->watch(portsOf(*adapter_), [session](const std::string& peer) { return peer == session; });
+        watch_ = limits_->watch(listenedEndpoints(*adapter_), {[session](const std::string& peer) {
+            return peer == session ? ConnectionLimits::Peer::HasSession : ConnectionLimits::Peer::Stranger;
+        }});
     }
     Descriptor connect() {
         Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
@@ -87,6 +90,7 @@ class ConnectionLimitsTest : public testing::Test {
     std::mutex mutex_;
     std::vector<std::string> notes_;  // guarded by mutex_
     std::optional<ConnectionLimits> limits_;
+    std::shared_ptr<void> watch_;
 };
 
 TEST_F(ConnectionLimitsTest, WhoIsSilentIsClosedAndWhoHasASessionIsNot) {
@@ -109,7 +113,7 @@ TEST_F(ConnectionLimitsTest, OfTooManyFromOneAddressSomeAreClosedAtOnce) {
     while (left() > 3 && std::chrono::steady_clock::now() < until) ends(strangers.back(), 50ms);
     EXPECT_EQ(left(), 3);
     EXPECT_NO_THROW(proxy_->ice_ping());
-    EXPECT_THAT(notes(), Contains(HasSubstr("more than 3 without a session")));
+    EXPECT_THAT(notes(), Contains(HasSubstr("more than 3 of one address without a session")));
 }
 
 TEST_F(ConnectionLimitsTest, ASessionsConnectionIsClosedWhenNothingComesOverIt) {
@@ -121,9 +125,33 @@ TEST_F(ConnectionLimitsTest, ASessionsConnectionIsClosedWhenNothingComesOverIt) 
     EXPECT_THAT(notes(), Contains(HasSubstr("nothing has come over a session's connection")));
 }
 
+TEST_F(ConnectionLimitsTest, AProcessWithoutAFreeDescriptorGetsThoseOfStrangersBack) {
+    start({.to_log_in = 100ms});
+    std::vector<Descriptor> strangers;
+    for (int i = 0; i < 3; ++i) strangers.push_back(connect());
+    rlimit allowed{};
+    ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &allowed), 0);
+    const rlimit few{256, allowed.rlim_max};
+    ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &few), 0);
+    std::vector<Descriptor> rest;
+    for (Descriptor one(::dup(0)); one.open(); one = Descriptor(::dup(0))) rest.push_back(std::move(one));
+    EXPECT_LT(rest.size(), 256U) << "there is none left";
+    for (const auto& stranger : strangers) EXPECT_TRUE(ends(stranger, 10s));
+    rest.clear();
+    ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &allowed), 0);
+    EXPECT_NO_THROW(proxy_->ice_ping());
+}
+
+TEST_F(ConnectionLimitsTest, AtTheEndOfTheProcessNobodyWhoIsSilentIsWaitedFor) {
+    start({});
+    const auto stranger = connect();
+    limits_->close();
+    EXPECT_TRUE(ends(stranger, 10s));
+}
+
 TEST_F(ConnectionLimitsTest, WhatIsNotWatchedAnyMoreIsLeftAlone) {
     start({.to_log_in = 1ms});
-    limits_->unwatch(portsOf(*adapter_));
+    watch_.reset();
     const auto stranger = connect();
     EXPECT_FALSE(ends(stranger, 1500ms));
 }

@@ -136,10 +136,17 @@ class LaneSession {
     std::atomic<bool> ready_{false};
 };
 
-/// From now on who has no session of this lane cannot keep connections to its adapter.
+/// As long as what is returned lives, who has no session of this lane cannot keep connections to its adapter. `routers`: those
+/// whose sessions come by it as well; null where there are none.
 template <class Core, class Servant>
-void watch(ConnectionLimits& limits, const Ice::ObjectAdapter& adapter, const SessionLane<Core, Servant>& lane) {
-    limits.watch(portsOf(adapter), [&sessions = lane.sessions](const std::string& peer) { return sessions.has(peer); });
+[[nodiscard]] std::shared_ptr<void> watch(ConnectionLimits& limits, const Ice::ObjectAdapter& adapter, SessionLane<Core, Servant>& lane,
+                                          const RouterConnections* routers) {
+    auto& sessions = lane.sessions;
+    return limits.watch(listenedEndpoints(adapter),
+                        {[&sessions, routers](const std::string& peer) {
+                             return routers != nullptr && routers->has(peer) ? ConnectionLimits::Peer::Exempt : sessions.stateOf(peer);
+                         },
+                         [&sessions](const std::string& peer) { sessions.endSilent(peer); }});
 }
 
 /// Puts a session's servant behind a proxy that tells of unreadable calls; it ends with its peer (`closed(reason)`).
@@ -186,7 +193,11 @@ void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<DirectC
         }
     };
     if (lane.logins == nullptr) return answer(LoggedIn{});
-    ask(*lane.logins, std::move(request), std::move(answer));
+    lane.sessions.asks(request.peer);
+    ask(*lane.logins, std::move(request), [&lane, its_peer = request.peer, answer = std::move(answer)](Result<LoggedIn> who) {
+        answer(std::move(who));
+        lane.sessions.answered(its_peer);
+    });
 }
 
 }  // namespace axon::transport

@@ -9,6 +9,7 @@
 
 #include "common/clock.hpp"
 #include "common/result.hpp"
+#include "transport/connection_limits.hpp"
 #include "transport/peer_connection.hpp"
 #include "transport/session_peers.hpp"
 
@@ -24,16 +25,14 @@ class OpenSessions {
     explicit OpenSessions(const Clock& clock) : clock_(clock) {}
 
     Result<void> add(const PeerConnection& connection, const std::shared_ptr<Servant>& servant) {
-        auto peer = connection.peer();
+        const auto peer = connection.routed() ? std::string() : connection.peer();
         const std::lock_guard lock(mutex_);
-        const auto [at, is_new] = connections_.try_emplace(connection.key());
-        if (!is_new) {
+        if (!connections_.try_emplace(connection.key(), peer).second) {
             return Refusal{RefusalCode::Duplicate,
                            "this connection has a session already; open another connection for another one",
                            {}};
         }
-        peers_.add(peer);
-        at->second = std::move(peer);
+        if (!peer.empty()) peers_[peer] = servant;
         opening_.push_back({clock_.now() + kSetUpTime, servant});
         return {};
     }
@@ -42,12 +41,23 @@ class OpenSessions {
         const std::lock_guard lock(mutex_);
         const auto found = connections_.find(connection);
         if (found == connections_.end()) return;
-        peers_.remove(found->second);
+        peers_.erase(found->second);
         connections_.erase(found);
     }
 
-    /// Whether the peer at "127.0.0.1:50122" has a session.
-    bool has(const std::string& peer) const { return peers_.has(peer); }
+    /// The peer at "127.0.0.1:50122" has asked to log in; answered() comes once it has been.
+    void asks(const std::string& peer) { asking_.add(peer); }
+    void answered(const std::string& peer) { asking_.remove(peer); }
+
+    /// For ConnectionLimits. A session that was opened and not taken into use makes nobody known.
+    ConnectionLimits::Peer stateOf(const std::string& peer) {
+        if (asking_.has(peer)) return ConnectionLimits::Peer::Exempt;
+        const auto servant = servantOf(peer);
+        return servant && servant->ready() ? ConnectionLimits::Peer::HasSession : ConnectionLimits::Peer::Stranger;
+    }
+    void endSilent(const std::string& peer) {
+        if (const auto servant = servantOf(peer)) servant->disconnect("nothing was heard of it for a minute");
+    }
 
     /// Disconnects those that are late; returns when the next one will be, at most a second ahead.
     TimePoint expire() {
@@ -74,9 +84,17 @@ class OpenSessions {
         std::weak_ptr<Servant> servant;
     };
     const Clock& clock_;
+    std::shared_ptr<Servant> servantOf(const std::string& peer) {
+        const std::lock_guard lock(mutex_);
+        const auto found = peers_.find(peer);
+        return found == peers_.end() ? nullptr : found->second.lock();
+    }
+
     std::mutex mutex_;
-    std::unordered_map<const void*, std::string> connections_;  // guarded by mutex_: its peer, by PeerConnection::key()
-    SessionPeers peers_;                                        // those of connections_
+    // Guarded by mutex_: of each connection (PeerConnection::key()) its peer, which is empty behind a router.
+    std::unordered_map<const void*, std::string> connections_;
+    std::unordered_map<std::string, std::weak_ptr<Servant>> peers_;  // guarded by mutex_
+    SessionPeers asking_;
     std::deque<Opening> opening_;                   // guarded by mutex_, earliest first
 };
 

@@ -10,6 +10,8 @@
 namespace axon::transport {
 namespace {
 
+constexpr int kHeartbeatSeconds = 60;
+
 bool isLoopback(const std::string& peer) {
     return peer.rfind("127.", 0) == 0;
 }
@@ -44,11 +46,14 @@ Result<void> RouterConnections::admit(const std::shared_ptr<Ice::Connection>& co
     {
         const std::lock_guard lock(mutex_);
         if (!sessions_.try_emplace(connection.get()).second) return {};
+        const auto peer = DirectConnection::peerOf(*connection);
+        peer_of_.emplace(connection.get(), peer);
+        peers_.add(peer);
     }
     connection->setCloseCallback([this](const std::shared_ptr<Ice::Connection>& it) { closed(it.get()); });
     // A router closes what is idle for a minute, unless it is configured not to; its sessions would be lost
     // with it.
-    connection->setACM(Ice::nullopt, Ice::nullopt, Ice::ACMHeartbeat::HeartbeatAlways);
+    connection->setACM(kHeartbeatSeconds, Ice::ACMClose::CloseOff, Ice::ACMHeartbeat::HeartbeatAlways);
     return {};
 }
 
@@ -79,6 +84,9 @@ void RouterConnections::closed(const Ice::Connection* connection) {
         if (found == sessions_.end()) return;
         its = std::move(found->second);
         sessions_.erase(found);
+        const auto peer = peer_of_.find(connection);
+        peers_.remove(peer->second);
+        peer_of_.erase(peer);
     }
     for (const auto& [key, session] : its) {
         if (const auto alive = session.lock()) alive->ended("the router is gone");

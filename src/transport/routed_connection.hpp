@@ -15,6 +15,7 @@
 #include "transport/login.hpp"
 #include "transport/outbox.hpp"
 #include "transport/peer_connection.hpp"
+#include "transport/session_peers.hpp"
 
 namespace axon::transport {
 
@@ -38,6 +39,8 @@ class RouterConnections {
     /// An admitted connection has brought this session's first call.
     void add(const Ice::Connection* connection, const std::shared_ptr<RoutedConnection>& session);
     void remove(const Ice::Connection* connection, const RoutedConnection* session);
+    /// Whether an admitted connection comes from there ("127.0.0.1:50122").
+    bool has(const std::string& peer) const { return peers_.has(peer); }
 
   private:
     std::optional<std::string> objection(const Ice::Connection& connection) const;
@@ -48,6 +51,8 @@ class RouterConnections {
     // Guarded by mutex_; an entry for each admitted connection until it closes:
     std::map<const Ice::Connection*, std::map<const RoutedConnection*, std::weak_ptr<RoutedConnection>>>
         sessions_;
+    std::map<const Ice::Connection*, std::string> peer_of_;  // guarded by mutex_
+    SessionPeers peers_;
 };
 
 /// The way to a peer behind a router, as one session on the server's side has it. Many of them share one

@@ -6,8 +6,8 @@
 
 namespace axon::transport {
 
-/// The peers ("127.0.0.1:50122") that have a session over their connection, which ConnectionLimits asks for.
-/// Threads: any.
+/// Peers ("127.0.0.1:50122") of which ConnectionLimits is to know something, such as that they have a session. One that
+/// was added twice is there until it has been removed twice. Threads: any.
 class SessionPeers {
   public:
     void add(const std::string& peer) {
@@ -25,7 +25,7 @@ class SessionPeers {
 
   private:
     mutable std::mutex mutex_;
-    std::unordered_multiset<std::string> peers_;  // guarded by mutex_: behind a router many have its address
+    std::unordered_multiset<std::string> peers_;  // guarded by mutex_
 };
 
 }  // namespace axon::transport

@@ -19,7 +19,7 @@ import unittest
 ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 import stalls  # noqa: E402
-from laboratory import Laboratory, addresses, keep_if_failed, programs, wait_until  # noqa: E402
+from laboratory import Laboratory, addresses, keep_if_failed, programs, stays, wait_until  # noqa: E402
 
 BIN = programs()
 ROUTER = shutil.which("glacier2router")
@@ -179,6 +179,12 @@ Axon.Ports={self.lab.ports}
     def start_waiting_kept(self):
         task = self.lab.axon_in_background("kept", "run", "Greeter", "Wait", "Seconds=60")
         wait_until(lambda: "RUNNING" in task.text(), "the task runs")
+
+    def test_a_router_is_no_stranger_who_has_to_log_in_within_ten_seconds(self):
+        self.start_all()
+        client = self.start_waiting()
+        stays(lambda: client.child.poll() is None and self.lab.entities()[0]["state"] == "BUSY", "the task runs on", 12)
+        self.assertNotIn("connections", self.server.text())
 
     # -- who is not let in --------------------------------------------------------------------------------------
 

@@ -333,12 +333,33 @@ class HostileTest(unittest.TestCase):
             host, port = self.lab.at[kind].rsplit(":", 1)
             for _ in range(2500):
                 silent.append(socket.create_connection((host, int(port)), timeout=5))
-        wait_until(lambda: "closed: more than 1024 without a session" in self.lab.server.text(), "the oldest are closed")
+        wait_until(lambda: "closed: more than 1024 of one address without a session" in self.lab.server.text(), "the oldest are closed")
         client = self.client()
         client.find("Counter")
         wait_until(lambda: "closed: no session in 10 s" in self.lab.server.text(), "the others are closed in time", 20)
         self.assertFalse(client.closed.is_set(), "who has a session is not meant")
         self.assertLess(self.lab.server.mib(), before + 40, "MiB")
+
+    def test_silent_connections_to_a_direct_path_are_bounded(self):
+        client = self.client()
+        host, port = client.checkout(client.find("Counter")).direct_endpoint.rsplit(":", 1)
+        silent = [socket.create_connection((host, int(port)), timeout=5) for _ in range(400)]
+        self.addCleanup(lambda: [one.close() for one in silent])
+        wait_until(lambda: "more than 256 of one address without a session" in self.lab.manager.text(), "the oldest are closed")
+
+    def test_a_session_that_is_opened_and_not_used_is_none(self):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(8192, resource.getrlimit(resource.RLIMIT_NOFILE)[1]),) * 2)
+        holder, entity = self.holder()
+        host, port = self.lab.at["client-signal"].rsplit(":", 1)
+        communicator = Ice.initialize(["--Ice.Default.Timeout=20000", "--Ice.ACM.Close=0"])
+        self.addCleanup(communicator.destroy)
+        gate = FrontEndComm.ClientGatePrx.uncheckedCast(communicator.stringToProxy(f"ClientGate:tcp -h {host} -p {port}"))
+        context = {"axon-contract": str(CommUtil.ContractNumber)}
+        for number in range(1200):
+            gate.ice_connectionId(str(number)).openAsync("", "", "", context)
+        wait_until(lambda: "more than 1024 of one address without a session" in self.lab.server.text(), "the oldest are closed", 20)
+        self.assertFalse(holder.closed.is_set(), "who has a session is not meant")
+        self.assertEqual(holder.stop(entity)[-1].stage, Stage.CALLBACK_RETURNED)
 
     def test_log_ins_keep_no_memory_with_long_passwords(self):
         host, port = self.lab.at["client"].rsplit(":", 1)
