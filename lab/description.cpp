@@ -375,6 +375,8 @@ void addItem(WorldDescription& world, std::string_view line, const ReadFile& rea
         world.tables.push_back(parsed<Table>(kind, rest, ' '));
     } else if (kind == "box") {
         world.boxes.push_back(parsed<Box>(kind, rest, ' '));
+    } else if (kind == "glass") {
+        world.boxes.push_back(parsed(kind, rest, ' ', Box{.dx = 1, .dy = 0.02, .height = 2, .glass = true}));
     } else if (kind == "object") {
         world.objects.push_back(parsed<Object>(kind, rest, ' '));
     } else if (kind == "peoplebot") {
@@ -389,8 +391,8 @@ void addItem(WorldDescription& world, std::string_view line, const ReadFile& rea
     } else if (kind == "cyton") {
         world.arms.push_back(parsed<ArmPlacement>(kind, rest, ' '));
     } else {
-        throw BadDescription(
-            fmt::format("\"{}\": expected one of box, cyton, map, object, peoplebot, room, table", kind));
+        throw BadDescription(fmt::format(
+            "\"{}\": expected one of box, cyton, glass, map, object, peoplebot, room, table", kind));
     }
 }
 
@@ -607,11 +609,12 @@ std::string mjcf(const WorldDescription& described) {
                     left + w / 2, bottom + h / 2 - 0.57 * far, 0.82 * far);
     constexpr auto kWood = "0.62 0.55 0.47 1";
     const auto block = [&xml](const std::string& name, double x, double y, double z, double hx, double hy,
-                              double hz, double theta, std::string_view colour) {
+                              double hz, double theta, std::string_view colour, int group = 0) {
         xml += fmt::format(
-            R"(<geom name="{}" class="obstacle" pos="{} {} {}" size="{} {} {}" euler="0 0 {}"{}/>)"
+            R"(<geom name="{}" class="obstacle" group="{}" pos="{} {} {}" size="{} {} {}" euler="0 0 {}"{}/>)"
             "\n",
-            name, x, y, z, hx, hy, hz, theta, colour.empty() ? "" : fmt::format(" rgba=\"{}\"", colour));
+            name, group, x, y, z, hx, hy, hz, theta,
+            colour.empty() ? "" : fmt::format(" rgba=\"{}\"", colour));
     };
     int number = 0;
     const auto wall = [&](double x, double y, double hx, double hy, double theta) {
@@ -632,7 +635,8 @@ std::string mjcf(const WorldDescription& described) {
     for (std::size_t i = 0; i < world.boxes.size(); ++i) {
         const auto& box = world.boxes[i];
         block(fmt::format("box{}:", i), box.x, box.y, box.z + box.height / 2, box.dx / 2, box.dy / 2,
-              box.height / 2, box.theta, "0.7 0.7 0.66 1");
+              box.height / 2, box.theta, box.glass ? "0.6 0.8 0.85 0.3" : "0.7 0.7 0.66 1",
+              box.glass ? 5 : 0);
     }
     for (std::size_t i = 0; i < world.tables.size(); ++i) {
         const auto& t = world.tables[i];

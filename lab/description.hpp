@@ -19,6 +19,7 @@ struct Box {
     double z = 0;         ///< of its underside: a box on a table is a platform
     double dx = 0.5, dy = 0.5, height = 0.6;
     double theta = 0;
+    bool glass = false;  ///< sonars see it, the laser looks through
 };
 
 struct Table {
@@ -99,6 +100,7 @@ RobotPlacement parseRobot(std::string_view text, std::size_t index);
 ///                                     homes are the places of robots that have none
 ///     table name=west x=0.6 y=3 dx=0.8 dy=3 height=0.66
 ///     box name=platform x=0.6 y=3.3 z=0.66 dx=0.12 dy=0.12 height=0.1
+///     glass x=4 y=2 dx=1.5 theta=90    a pane: 20 mm thick and 2 m high where dy and height are not given
 ///     object name=red colour=red shape=box x=0.6 y=3.3 dx=0.028 dy=0.028 dz=0.08 mass=0.06
 ///     peoplebot name=PeopleBot x=2 y=3 theta=180 port=8101
 ///     cyton name=Cyton x=0.7 y=3 theta=0 port=8201
@@ -125,8 +127,8 @@ std::optional<std::array<double, 3>> colourNamed(std::string_view name);
 /// "table<k>:<n>", "box<k>:", "wall:<n>", and kObstacles spare boxes under the floor are mocap bodies
 /// "obstacle<k>". physics.cpp finds them by these names. Cameras: "r<k>_camera" and "overview". Geometry
 /// groups say who sees what: 0 obstacles, 1 robot hulls and arms and 2 objects are seen by range sensors, 3
-/// is the floor and 4 wheels, casters, grippers and camera heads, which are not. Who renders must switch all
-/// groups on.
+/// is the floor and 4 wheels, casters, grippers and camera heads, which are not; 5 is glass, which the laser
+/// does not see. Who renders must switch all groups on.
 inline constexpr int kObstacles = 6;
 std::string mjcf(const WorldDescription& world);
 

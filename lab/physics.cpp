@@ -514,7 +514,7 @@ class Physics::Model {
 
     /// The distance along a ray that starts in the robot's frame, or nothing: 1e9.
     double ray_mm(const Body& body, double x_mm, double y_mm, double height_mm, double yaw_deg,
-                  double pitch_deg) const {
+                  double pitch_deg, bool through_glass = false) const {
         const std::array<mjtNum, 3> point{x_mm / 1000, y_mm / 1000, (height_mm - kWheelRadius_mm) / 1000};
         const std::array<mjtNum, 3> along{std::cos(pitch_deg * kDegree) * std::cos(yaw_deg * kDegree),
                                           std::cos(pitch_deg * kDegree) * std::sin(yaw_deg * kDegree),
@@ -527,9 +527,9 @@ class Physics::Model {
         mju_addTo3(from.data(), data_->xpos + 3 * body.base);
         // Obstacles, hulls and objects; not the floor, which a flat cone of sound leaves without an echo, and
         // not wheels and grippers.
-        static constexpr std::array<mjtByte, mjNGROUP> kSeen{1, 1, 1, 0, 0, 0};
+        const std::array<mjtByte, mjNGROUP> seen{1, 1, 1, 0, 0, static_cast<mjtByte>(through_glass ? 0 : 1)};
         int geom = -1;
-        const double distance = mj_ray(model_.get(), data_.get(), from.data(), direction.data(), kSeen.data(),
+        const double distance = mj_ray(model_.get(), data_.get(), from.data(), direction.data(), seen.data(),
                                        1, body.base, &geom);
         // MuJoCo's ray hits planes whatever their group says.
         const bool floor = geom >= 0 && model_->geom_type[geom] == mjGEOM_PLANE;
@@ -595,7 +595,7 @@ class Physics::Model {
         for (std::size_t i = 0; i < r.laser_mm.size(); ++i) {
             const double angle = body.laser.start_deg + static_cast<double>(i) * body.laser.resolution_deg;
             const double range =
-                ray_mm(body, kLaserX_mm, 0, kLaserHeight_mm, angle, 0) + noise(kLaserNoise_mm);
+                ray_mm(body, kLaserX_mm, 0, kLaserHeight_mm, angle, 0, true) + noise(kLaserNoise_mm);
             r.laser_mm[i] = range > kLaserMaximum_mm
                                 ? arcos::LaserPacket::kNothing_mm
                                 : static_cast<std::uint16_t>(std::lround(std::max(0.0, range)));

@@ -292,6 +292,18 @@ TEST(Physics, TheLaserMeasuresTheRoomFromRightToLeft) {
     EXPECT_EQ(physics.sense(0).laser_mm.size(), 361U);
 }
 
+TEST(Physics, SonarsSeeGlassAndTheLaserLooksThrough) {
+    auto world = parseWorld("room x=8 y=6\nglass x=4 y=3 dx=2 theta=90\npeoplebot x=3 y=3\n", "a.lab", {});
+    Physics physics(world);
+    physics.setLaser(0, {.on = true});
+    EXPECT_NEAR(physics.sense(0).laser_mm.at(90), 5000 - 21, 2);
+    for (int i = 0; i < 100; ++i) {  // each sonar has fired
+        physics.step();
+        physics.sense(0);
+    }
+    EXPECT_NEAR(physics.sense(0).sonar_mm[3], 1000 - 10 - 166, 30);
+}
+
 TEST(Physics, NoiseComesFromItsSeedAlone) {
     WorldDescription world;
     world.robots = {{.x = 3, .y = 2.5}};
