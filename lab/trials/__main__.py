@@ -22,8 +22,9 @@ NEEDED = ["axon", "axon-server", "axon-entity-manager", "axon-lab", "axon-people
 
 EPILOG = """\
   axon-lab-trials                                          the transport, seeds 1 to 20
-  axon-lab-trials --scenario navigation --seeds 1..3       every goal of the three maps
-  axon-lab-trials --scenario wander --seeds 1..3 --minutes 30 --jobs 3
+  axon-lab-trials --scenario navigation --seeds 1..8       every goal of the eight maps
+  axon-lab-trials --scenario doors                         twenty doors, met at an angle
+  axon-lab-trials --scenario wander --seeds 1..8 --minutes 30 --jobs 3
   axon-lab-trials --scenario all --seeds 1..3 --json figures.json
 
 Scenarios, and what must be true of a seed:

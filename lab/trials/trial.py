@@ -71,7 +71,18 @@ class Trial:
         return (self.share / "worlds" / f"{name}.lab").read_text()
 
     def map_file(self, name):
-        return self.share / "worlds" / f"{name}.map"
+        """A map that this trial drew with draw_map(), else one that comes with the program."""
+        drawn = self.lab.folder / f"{name}.map"
+        return drawn if drawn.exists() else self.share / "worlds" / f"{name}.map"
+
+    def draw_map(self, name, walls, goals):
+        """A Mapper3 map for this trial: walls as (x1, y1, x2, y2) and goals as {name: (x, y)}, in metres."""
+        def millimetres(values):
+            return " ".join(f"{value * 1000:.0f}" for value in values)
+
+        lines = ["2D-Map", *(f'Cairn: Goal {millimetres(at)} 0 "" ICON "{goal}"' for goal, at in goals.items()), "LINES",
+                 *map(millimetres, walls)]
+        (self.lab.folder / f"{name}.map").write_text("\n".join(lines) + "\n")
 
     def start(self, text, stand, services=None):
         """Starts the laboratory of this world's text with these robots ({name: where it is told to stand}) and waits until

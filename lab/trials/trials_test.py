@@ -3,9 +3,12 @@
 """The judge of axon-lab-trials without a laboratory: what it lets pass and what not, and how it is called."""
 import contextlib
 import io
+import math
 import pathlib
+import random
 import runpy
 import sys
+import tempfile
 import types
 import unittest
 
@@ -60,6 +63,33 @@ class JudgeTest(unittest.TestCase):
         self.assertEqual(trial.Trial.reason([run]), "grab: not found")
         self.assertEqual(trial.Trial.reason([{"event": "error", "message": "no such entity"}]), "no such entity")
         self.assertEqual(trial.Trial.reason([]), "")
+
+
+def distance_to(wall, x, y):
+    x1, y1, x2, y2 = wall
+    square = (x2 - x1) ** 2 + (y2 - y1) ** 2
+    part = max(0, min(1, ((x - x1) * (x2 - x1) + (y - y1) * (y2 - y1)) / square))
+    return math.dist((x, y), (x1 + part * (x2 - x1), y1 + part * (y2 - y1)))
+
+
+class DoorTest(unittest.TestCase):
+    def test_the_opening_is_as_wide_as_told_and_there_is_room_before_and_behind_it(self):
+        for seed in range(200):
+            door = scenarios.Door(random.Random(seed))
+            nearest = min(distance_to(wall, 0, 0) for wall in door.walls())
+            self.assertAlmostEqual(nearest, door.width / 2 + scenarios.HALF_WALL_M)
+            for x, y in (door.robot()[:2], door.goal()):
+                self.assertGreater(min(distance_to(wall, x, y) for wall in door.walls()), 0.6)
+
+    def test_a_drawn_map_has_the_walls_and_goals_in_millimetres(self):
+        one = trial.Trial.__new__(trial.Trial)
+        with tempfile.TemporaryDirectory() as folder:
+            one.lab, one.share = types.SimpleNamespace(folder=pathlib.Path(folder)), pathlib.Path("share")
+            self.assertEqual(one.map_file("door"), pathlib.Path("share/worlds/door.map"))
+            one.draw_map("door", [(0, 0, 4, -1.5)], {"beyond": (2, 0.25)})
+            goal = trial.goals_of(one.map_file("door"))["beyond"]
+            self.assertEqual((goal.x, goal.y, goal.heading), (2, 0.25, None))
+            self.assertIn("LINES\n0 0 4000 -1500\n", one.map_file("door").read_text())
 
 
 def slowing(deceleration, speed=0.4):

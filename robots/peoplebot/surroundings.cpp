@@ -17,6 +17,9 @@ constexpr double kBesideAxis_mm = 50;
 constexpr double kSideFrom_deg = 25;
 constexpr double kSideTo_deg = 120;
 constexpr double kSonarSeesUpTo_mm = 4900;
+// How much an echo and the laser's reading of the same thing may differ: noise, and the way between the two.
+constexpr double kSameRange_mm = 70;
+constexpr double kSameBearing_deg = 3;
 constexpr double kTurnGrain_deg = 5;
 constexpr double kNearer_mm = 5;  // what a turn does not bring nearer than it is does not stand in its way
 
@@ -42,12 +45,37 @@ Spot seenFrom(const MapPose& here, const MapPose& from, double x, double y) {
 void Surroundings::update(const arcos::RobotState& robot) {
     here_ = {robot.x_mm, robot.y_mm, robot.heading_deg};
     now_ = robot.taken;
+    laser_ = robot.laser;
     for (std::size_t i = 0; i < echoes_.size(); ++i) {
         const auto& sonar = robot.sonars[i];
         if (sonar.heard == TimePoint{} || sonar.heard == echoes_[i].heard) continue;
-        echoes_[i] = {here_, static_cast<double>(sonar.range_mm), sonar.heard};
+        Echo echo{here_, static_cast<double>(sonar.range_mm), sonar.heard};
+        if (echo.range_mm <= kSonarSeesUpTo_mm) echo.at = seenByLaser(i, echo);
+        echoes_[i] = echo;
     }
-    laser_ = robot.laser;
+}
+
+std::optional<MapPose> Surroundings::seenByLaser(std::size_t sonar, const Echo& echo) const {
+    if (!laser_ || now_ - laser_->taken > kMemory) return std::nullopt;
+    const auto& pose = body::kSonars[sonar];
+    const auto eye = echo.from.then({pose.x_mm, pose.y_mm, pose.direction_deg});
+    const MapPose from{laser_->x_mm, laser_->y_mm, laser_->heading_deg};
+    std::optional<MapPose> at;
+    double nearest = echo.range_mm + kSameRange_mm;
+    for (std::size_t i = 0; i < laser_->ranges_mm.size(); ++i) {
+        const double range = laser_->ranges_mm[i];
+        const double a = (laser_->start_deg + static_cast<double>(i) * laser_->step_deg) * kDegree;
+        const double x = body::kLaserX_mm + range * std::cos(a);
+        const double y = range * std::sin(a);
+        const auto spot = seenFrom(eye, from, x, y);
+        const double away = std::hypot(spot.x, spot.y);
+        if (away > nearest || away < echo.range_mm - kSameRange_mm) continue;
+        if (std::abs(std::atan2(spot.y, spot.x) / kDegree) > body::kSonarHalfCone_deg + kSameBearing_deg)
+            continue;
+        nearest = away;
+        at = from.then({x, y, 0});
+    }
+    return at;
 }
 
 template <class Visit>
@@ -62,6 +90,7 @@ template <class Visit>
 void Surroundings::forEachSpot(const Visit& visit) const {
     forEachEcho([&](std::size_t i, const Echo& echo) {
         if (echo.range_mm > kSonarSeesUpTo_mm) return;
+        if (echo.at) return visit(seenFrom(here_, {}, echo.at->x_mm, echo.at->y_mm));
         const auto& pose = body::kSonars[i];
         for (const double part : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
             const double a = (pose.direction_deg + part * body::kSonarHalfCone_deg) * kDegree;

@@ -2,6 +2,7 @@
 #pragma once
 #include <array>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "robots/arcos/client_session.hpp"
@@ -20,9 +21,11 @@ struct Clearance {
     bool heard = false;          ///< a front sonar or the laser spoke within the last second
 };
 
-/// What the range sensors saw last, in the odometry's frame. A sonar is heard every third of a second, and the
-/// robot moves meanwhile; so readings are remembered where they were made and looked at from where the robot is.
-/// Each reading of a sonar stands for its cone's arc. I/O-free, not thread-safe.
+/// What the range sensors saw last, in the odometry's frame. A sonar is heard every third of a second, and
+/// the robot moves meanwhile; so readings are remembered where they were made and looked at from where the
+/// robot is. A sonar tells how far something is and not where in its cone. Where the laser sees something in
+/// the cone that is as far, the echo is taken to come from there; otherwise it stands for the cone's whole
+/// arc, as what is above or below the laser's plane may be anywhere on it. I/O-free, not thread-safe.
 class Surroundings {
   public:
     static constexpr Duration kMemory = std::chrono::seconds{1};
@@ -48,7 +51,9 @@ class Surroundings {
         MapPose from;  // of the robot, odometry
         double range_mm = 0;
         TimePoint heard{};
+        std::optional<MapPose> at{};  // where the laser sees what it comes from; odometry, without heading
     };
+    std::optional<MapPose> seenByLaser(std::size_t sonar, const Echo& echo) const;
     template <class Visit>
     void forEachEcho(const Visit& visit) const;
     template <class Visit>

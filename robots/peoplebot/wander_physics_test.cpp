@@ -58,5 +58,15 @@ TEST_F(WanderPhysicsTest, AmongTablesWhichOnlyTheirSensorsSee) {
     wander("a room of tables", world, 3);
 }
 
+TEST_F(WanderPhysicsTest, InTheWorldsOfTheLaboratory) {
+    if (std::getenv("AXON_LONG_TRIALS") == nullptr)
+        GTEST_SKIP() << "takes a minute; AXON_LONG_TRIALS=1 runs it";
+    for (const char* name :
+         {"room", "corridors", "transport", "offices", "openplan", "ward", "workshop", "villa"}) {
+        nearest_mm_ = 1e9;
+        wander(name, lab::loadWorld(std::string("lab/worlds/") + name + ".lab"), 4);
+    }
+}
+
 }  // namespace
 }  // namespace axon::peoplebot

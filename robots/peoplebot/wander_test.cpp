@@ -4,6 +4,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
+#include <numbers>
+
+#include "robots/arcos/laser.hpp"
 #include "robots/peoplebot/body.hpp"
 
 namespace axon::peoplebot {
@@ -175,6 +179,60 @@ TEST(Surroundings, WhatWasHeardBeforeATurnStaysWhereItWas) {
     robot.taken += std::chrono::seconds{2};
     surroundings.update(robot);
     EXPECT_EQ(surroundings.clearance().front, Clearance::kNothing_mm) << "and is forgotten after a while";
+}
+
+/// A robot whose laser sees one thing, 5 degrees wide, in this direction and at this range from the laser.
+arcos::RobotState seesByLaser(double direction_deg, double range_mm) {
+    arcos::RobotState robot;
+    robot.online = true;
+    robot.taken = TimePoint{std::chrono::seconds{10}};
+    arcos::LaserScan scan;
+    scan.taken = robot.taken;
+    scan.ranges_mm.assign(181, arcos::LaserPacket::kNothing_mm);
+    for (int i = -2; i <= 2; ++i)
+        scan.ranges_mm.at(static_cast<std::size_t>(direction_deg + 90 + i)) =
+            static_cast<std::uint16_t>(range_mm);
+    robot.laser = std::make_shared<const arcos::LaserScan>(scan);
+    return robot;
+}
+
+TEST(Surroundings, AnEchoOfWhatTheLaserSeesIsWhereTheLaserSeesIt) {
+    // A door's left jamb as it is met at an angle: the arc of the left sonars reaches into the lane, the jamb
+    // does not.
+    constexpr double kJamb_deg = 52;
+    auto robot = seesByLaser(kJamb_deg, 400);
+    const double x = body::kLaserX_mm + 400 * std::cos(kJamb_deg * std::numbers::pi / 180);
+    const double y = 400 * std::sin(kJamb_deg * std::numbers::pi / 180);
+    const auto& pose = body::kSonars[17];
+    const auto range = static_cast<int>(std::hypot(x - pose.x_mm, y - pose.y_mm));
+    Surroundings without;
+    without.update(robot);
+    robot.sonars[17] = {range, robot.taken};
+    Surroundings with;
+    with.update(robot);
+    EXPECT_EQ(with.clearance().front, Clearance::kNothing_mm);
+    EXPECT_NEAR(with.clearance().left, without.clearance().left, 0.1);
+    EXPECT_NEAR(with.roomToTurn(-90), without.roomToTurn(-90), 0.1);
+    const double left = with.clearance().left;
+    robot.laser.reset();
+    robot.taken += milliseconds{300};
+    robot.heading_deg = -60;
+    with.update(robot);
+    EXPECT_NEAR(with.clearance().left, left, 30) << "it stays there when the robot has turned away from it";
+}
+
+TEST(Surroundings, AnEchoOfSomethingElseStandsForItsWholeArc) {
+    auto robot = seesByLaser(52, 400);
+    robot.sonars[17] = {200, robot.taken};  // nearer than what the laser sees: above or below its plane
+    robot.sonars[19] = {380, robot.taken};  // ahead, where the laser sees nothing
+    Surroundings surroundings;
+    surroundings.update(robot);
+    EXPECT_LT(surroundings.clearance().left, 150);
+    EXPECT_LT(surroundings.clearance().front, 300);
+    robot.laser.reset();
+    robot.sonars[17] = {318, robot.taken += milliseconds{300}};
+    surroundings.update(robot);
+    EXPECT_LT(surroundings.clearance().left, 250) << "without a laser there is only the arc";
 }
 
 TEST(Surroundings, ATurnNeedsRoomWhereTheRearSweepsAndWhereItEnds) {
