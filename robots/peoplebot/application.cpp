@@ -8,6 +8,7 @@
 #include <random>
 #include <sstream>
 
+#include "robots/peoplebot/home.hpp"
 #include "robots/peoplebot/navigation.hpp"
 #include "robots/peoplebot/table_approach.hpp"
 
@@ -28,6 +29,7 @@ constexpr Duration kControlPeriod =
 constexpr int kSonarsInScan = 24;
 constexpr std::uint64_t kPacketsPerSecond = 10;
 constexpr double kLaserReach_m = 32;
+constexpr Duration kFreshScan = std::chrono::seconds{1};
 constexpr std::size_t kParticlesShown = 100;
 constexpr double kDegree = std::numbers::pi / 180;
 
@@ -280,12 +282,14 @@ std::optional<Localisation::Start> Application::startOn(const std::shared_ptr<co
                                                     pose_.x_mm, pose_.y_mm));
         return Localisation::Start{.pose = pose_, .spread_mm = 350, .spread_deg = 15};
     }
-    if (plan->map().homes.empty()) {
-        throw std::invalid_argument("nobody has said where the robot is, and the map has no RobotHome: give Start (X,Y,HEADING in mm, mm, "
-                                    "degrees), or start the program with --at");
+    const auto scan = robot_->state().laser;
+    if (!scan || clock_->now() - scan->taken > kFreshScan) {
+        throw std::invalid_argument(
+            "nobody has said where the robot is, and its laser sends no readings to find it by; fix: switch "
+            "the laser on, or give Start "
+            "(X,Y,HEADING in mm, mm, degrees)");
     }
-    const auto& home = plan->map().homes.front();
-    return Localisation::Start{.pose = {home.at.x_mm, home.at.y_mm, home.heading_deg.value_or(0)}};
+    return startFromHome(*plan, origin_.then({scan->x_mm, scan->y_mm, scan->heading_deg}), *scan);
 }
 
 void Application::navigate(Task& task) {

@@ -63,8 +63,8 @@ class Application {
     void navigate(Task& task);
     /// The map that lies in this file, read once. Throws mapper3::BadMap.
     std::shared_ptr<const FloorPlan> planOf(const std::filesystem::path& file) const;
-    /// Where the robot is on a map: what the task says, else what is known, else the map's home. Throws
-    /// std::invalid_argument with the mend.
+    /// Where the robot is on a map: what the task says, else what is known, else startFromHome(). Nothing:
+    /// the present localisation is on this map. Throws std::invalid_argument with the remedy.
     std::optional<Localisation::Start> startOn(const std::shared_ptr<const FloorPlan>& plan, const Task& task) const;
 
     // On the stop thread.

@@ -14,6 +14,7 @@
 #include <asio/strand.hpp>
 #include <fstream>
 #include <functional>
+#include <optional>
 #include <thread>
 
 #include "common/ids.hpp"
@@ -209,7 +210,8 @@ class ApplicationTest : public ::testing::Test {
         settings.application = "peoplebot-test-" + std::to_string(::getpid());
         settings.ports = ports_.path();
         settings.profiles = "robots/peoplebot";
-        settings.at = {1500, 3000, 0};
+        settings.at = at_.value_or(MapPose{});
+        settings.at_given = at_.has_value();
         // This machine may stand still for a while; loss of the robot has its own tests, which close the connection.
         settings.robot_silence_limit = std::chrono::seconds{10};
         application_ = std::make_unique<Application>(settings);
@@ -258,6 +260,7 @@ class ApplicationTest : public ::testing::Test {
             .string();
     const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
     int port_ = 0;
+    std::optional<MapPose> at_ = MapPose{1500, 3000, 0};  // what the program is told
     lab::WorldDescription world_;
     std::unique_ptr<lab::LabServer> lab_;
     std::thread lab_thread_;
@@ -416,6 +419,52 @@ TEST_F(ApplicationTest, NavigationDrivesToAGoalOfTheMap) {
     EXPECT_NEAR(lastTrue("y_m"), 2.6, 0.25);
     EXPECT_NEAR(lastTrue("theta_deg"), -90, 8);
     for (const char* stream : {"laser", "localisation", "localisation quality", "particles"}) EXPECT_GT(manager_->samples(stream), 0) << stream;
+}
+
+/// Nobody has said where the robot stands.
+class HomeApplicationTest : public ApplicationTest {
+  protected:
+    HomeApplicationTest() { at_.reset(); }
+    /// The room with a niche, so that it looks different from everywhere; the home is `home`.
+    static std::string map(const std::string& home) {
+        return "2D-Map\nCairn: Goal 5500 2600 0 \"\" ICON \"middle\"\nCairn: " + home +
+               " \"\" ICON \"home\"\nLINES\n0 0 8000 0\n8000 0 8000 6000\n8000 6000 0 6000\n0 6000 0 0\n"
+               "2000 5000 3000 5000\n2000 5000 2000 6000\n3000 5000 3000 6000\n";
+    }
+    void SetUp() override {
+        world_.boxes = {{.x = 2.5, .y = 5.5, .dx = 1, .dy = 0.999, .height = 1.5}};
+        world_.robots = {{.x = 1.5, .y = 3}};
+        ApplicationTest::SetUp();
+    }
+};
+
+TEST_F(HomeApplicationTest, NavigationCountsTheWaySinceTheRobotLeftItsHome) {
+    const TemporaryFile file(map("RobotHome 1500 3000 0"));
+    const auto driven = drive(1400, 400);
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(driven).has_value(); }, std::chrono::seconds{30}));
+    const auto task = manager_->navigate(file.path().string(), {{"Destination", "middle"}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
+    EXPECT_EQ(manager_->end(task)->state(), proto::TASK_SUCCEEDED) << manager_->end(task)->reason().message();
+    EXPECT_NEAR(lastTrue("x_m"), 5.5, 0.25);
+    EXPECT_NEAR(lastTrue("y_m"), 2.6, 0.25);
+}
+
+TEST_F(HomeApplicationTest, ARobotThatIsNotAtTheMapsHomeIsDeniedAndStandsStill) {
+    for (const char* home : {"RobotHome 6500 1000 90", "Dock 6500 1000 90", "Elsewhere 0 0 0"}) {
+        const TemporaryFile file(map(home));
+        std::string why;
+        // The laser's first readings come a little after the connection.
+        ASSERT_TRUE(waitUntil([&] {
+            const auto task = manager_->navigate(file.path().string(), {{"Destination", "middle"}});
+            waitUntil([&] { return manager_->answer(task).has_value(); });
+            why = manager_->answer(task).value_or(proto::Refusal()).message();
+            return why.find("sends no readings") == std::string::npos;
+        }));
+        EXPECT_THAT(why, HasSubstr("nobody has said where the robot is")) << home;
+        EXPECT_THAT(why, HasSubstr("fix: give Start")) << home;
+    }
+    EXPECT_TRUE(stands());
+    EXPECT_NEAR(lastTrue("x_m"), 1.5, 0.01);
 }
 
 TEST_F(ApplicationTest, StreamsCarryPoseSonarAndBattery) {

@@ -29,6 +29,22 @@ constexpr int kFirstScans = 3;
 
 }  // namespace
 
+double fitOf(const FloorPlan& plan, const arcos::LaserScan& scan, const MapPose& pose) {
+    const auto laser = pose.then({body::kLaserX_mm, 0, 0});
+    int seen = 0;
+    int explained = 0;
+    for (std::size_t i = 0; i < scan.ranges_mm.size(); ++i) {
+        const double range = scan.ranges_mm[i];
+        if (!(range > 0 && range < kReach_mm)) continue;
+        const double a =
+            (laser.heading_deg + scan.start_deg + static_cast<double>(i) * scan.step_deg) * kDegree;
+        const mapper3::Point end{laser.x_mm + range * std::cos(a), laser.y_mm + range * std::sin(a)};
+        ++seen;
+        explained += plan.contains(end) && plan.wallDistance_mm(end) <= kAtWall_mm ? 1 : 0;
+    }
+    return seen == 0 ? 0 : static_cast<double>(explained) / seen;
+}
+
 /// What is MRPT's.
 struct Localisation::Filter {
     mrpt::maps::COccupancyGridMap2D::Ptr grid;
@@ -141,17 +157,7 @@ void Localisation::weigh(const arcos::LaserScan& scan) {
     estimate_.spread_mm = std::sqrt(covariance(0, 0) + covariance(1, 1)) * kMetre;
     estimate_.spread_deg = std::sqrt(covariance(2, 2)) / kDegree;
     ++estimate_.scans;
-    int seen = 0;
-    int explained = 0;
-    for (std::size_t i = 0; i < beams; ++i) {
-        const double range = scan.ranges_mm[i];
-        if (!(range > 0 && range < kReach_mm)) continue;
-        const double a = (scan.start_deg + static_cast<double>(i) * scan.step_deg) * kDegree;
-        const auto end = estimate_.pose.then({body::kLaserX_mm + range * std::cos(a), range * std::sin(a), 0});
-        ++seen;
-        explained += plan_->wallDistance_mm({end.x_mm, end.y_mm}) <= kAtWall_mm && plan_->contains({end.x_mm, end.y_mm}) ? 1 : 0;
-    }
-    estimate_.fit = seen == 0 ? 0 : static_cast<double>(explained) / seen;
+    estimate_.fit = fitOf(*plan_, scan, estimate_.pose);
 }
 
 Estimate Localisation::estimate() const {

@@ -19,6 +19,9 @@ struct Estimate {
     TimePoint scan_taken{};  ///< of the last of them
 };
 
+/// The share of a scan's readings that end at a wall of the map when it was taken from there, 0 to 1.
+double fitOf(const FloorPlan& plan, const arcos::LaserScan& scan, const MapPose& pose);
+
 /// Monte-Carlo localisation on a map (F. Dellaert, D. Fox, W. Burgard, S. Thrun, "Monte Carlo localization for mobile
 /// robots", ICRA 1999), by MRPT: particles move with the odometry and are weighed by how well the laser's readings
 /// end at walls, so what stands about in the room matters little. Between scans the odometry carries the

@@ -24,7 +24,7 @@ struct Settings {
     /// Without a packet for so long the robot is lost; five are missing then.
     std::chrono::steady_clock::duration robot_silence_limit = std::chrono::milliseconds{500};
     MapPose at;                      ///< where the robot stands when the program starts
-    bool at_given = false;           ///< somebody said so; else a map's home is believed first
+    bool at_given = false;           ///< somebody said so; else a map's homes tell (home.hpp)
     std::filesystem::path profiles;  ///< the folder of the two profiles; empty: found beside the program
     std::vector<std::filesystem::path> resources;  ///< folders in which absolute urls of resources may lead
 };
