@@ -86,7 +86,7 @@ class Navigation {
     const std::function<Estimate()> locate_;
     const mapper3::Place goal_;
 
-    Surroundings surroundings_;
+    Surroundings surroundings_{Surroundings::Echoes::WhereTheLaserSees};
     Estimate estimate_;
     State state_ = State::Locating;
     TimePoint state_since_;

@@ -50,7 +50,8 @@ void Surroundings::update(const arcos::RobotState& robot) {
         const auto& sonar = robot.sonars[i];
         if (sonar.heard == TimePoint{} || sonar.heard == echoes_[i].heard) continue;
         Echo echo{here_, static_cast<double>(sonar.range_mm), sonar.heard};
-        if (echo.range_mm <= kSonarSeesUpTo_mm) echo.at = seenByLaser(i, echo);
+        if (echoes_stand_for_ == Echoes::WhereTheLaserSees && echo.range_mm <= kSonarSeesUpTo_mm)
+            echo.at = seenByLaser(i, echo);
         echoes_[i] = echo;
     }
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <array>
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -23,12 +24,17 @@ struct Clearance {
 
 /// What the range sensors saw last, in the odometry's frame. A sonar is heard every third of a second, and
 /// the robot moves meanwhile; so readings are remembered where they were made and looked at from where the
-/// robot is. A sonar tells how far something is and not where in its cone. Where the laser sees something in
-/// the cone that is as far, the echo is taken to come from there; otherwise it stands for the cone's whole
-/// arc, as what is above or below the laser's plane may be anywhere on it. I/O-free, not thread-safe.
+/// robot is. A sonar tells how far something is and not where in its cone, so an echo stands for the cone's whole arc.
+/// With Echoes::WhereTheLaserSees, what the laser sees in the cone as far away is taken to be what the echo comes from;
+/// only other echoes stand for the arc, as what is above or below the laser's plane may be anywhere on it. I/O-free, not
+/// thread-safe.
 class Surroundings {
   public:
     static constexpr Duration kMemory = std::chrono::seconds{1};
+
+    /// What an echo stands for. Wandering keeps a margin by the whole arc; navigation has to get through doors.
+    enum class Echoes : std::uint8_t { WholeArc, WhereTheLaserSees };
+    explicit Surroundings(Echoes echoes = Echoes::WholeArc) : echoes_stand_for_(echoes) {}
 
     /// With each news of the robot.
     void update(const arcos::RobotState& robot);
@@ -59,6 +65,7 @@ class Surroundings {
     template <class Visit>
     void forEachSpot(const Visit& visit) const;
 
+    const Echoes echoes_stand_for_;
     MapPose here_;
     TimePoint now_{};
     std::array<Echo, 24> echoes_{};

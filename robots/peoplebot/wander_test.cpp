@@ -205,10 +205,10 @@ TEST(Surroundings, AnEchoOfWhatTheLaserSeesIsWhereTheLaserSeesIt) {
     const double y = 400 * std::sin(kJamb_deg * std::numbers::pi / 180);
     const auto& pose = body::kSonars[17];
     const auto range = static_cast<int>(std::hypot(x - pose.x_mm, y - pose.y_mm));
-    Surroundings without;
+    Surroundings without(Surroundings::Echoes::WhereTheLaserSees);
     without.update(robot);
     robot.sonars[17] = {range, robot.taken};
-    Surroundings with;
+    Surroundings with(Surroundings::Echoes::WhereTheLaserSees);
     with.update(robot);
     EXPECT_EQ(with.clearance().front, Clearance::kNothing_mm);
     EXPECT_NEAR(with.clearance().left, without.clearance().left, 0.1);
@@ -225,7 +225,7 @@ TEST(Surroundings, AnEchoOfSomethingElseStandsForItsWholeArc) {
     auto robot = seesByLaser(52, 400);
     robot.sonars[17] = {200, robot.taken};  // nearer than what the laser sees: above or below its plane
     robot.sonars[19] = {380, robot.taken};  // ahead, where the laser sees nothing
-    Surroundings surroundings;
+    Surroundings surroundings(Surroundings::Echoes::WhereTheLaserSees);
     surroundings.update(robot);
     EXPECT_LT(surroundings.clearance().left, 150);
     EXPECT_LT(surroundings.clearance().front, 300);
