@@ -31,8 +31,8 @@ RawPaths::RawPaths(const client::LaneHome& data, const client::LaneHome& signal,
       relay_(std::move(relay)),
       hear_(std::move(hear)),
       links_(clock_, kPathsMax, [this](const client::DirectOffer& offer) {
-          return std::make_shared<DirectPath>(data_, signal_, offer, Id128::random(random_), backlog_, clock_,
-                                              weak_from_this());
+          return std::make_shared<client::IceDirectPath>(data_, signal_, offer, Id128::random(random_),
+                                                         backlog_, clock_, weak_from_this());
       }) {}
 
 RawPaths::~RawPaths() {

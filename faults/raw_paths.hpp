@@ -13,6 +13,7 @@
 #include <thread>
 
 #include "client/direct_links.hpp"
+#include "client/ice_direct_path.hpp"
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 

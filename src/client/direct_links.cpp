@@ -2,12 +2,10 @@
 #include "client/direct_links.hpp"
 
 #include <axon/messages.pb.h>
-#include <spdlog/logger.h>
 
 #include <algorithm>
 #include <utility>
 
-#include "client/log.hpp"
 #include "direct/always_relayed.hpp"
 
 namespace axon::client {
@@ -76,6 +74,21 @@ DirectLinks::Closing DirectLinks::markRefused(const std::string& entity) {
     return {found->second.path};
 }
 
+void DirectLinks::stop(const Paths& paths, const Header& head, const std::vector<std::string>& entities,
+                       StopCause cause) {
+    const auto one = [&](const std::string& entity) {
+        if (const auto path = paths.find(entity); path != paths.end())
+            path->second->sendStopSignal(head, cause);
+    };
+    if (!entities.empty()) {
+        for (const auto& entity : entities) one(entity);
+    } else if (!head.entity.empty()) {
+        one(head.entity);
+    } else {
+        for (const auto& [entity, path] : paths) path->sendStopSignal(head, cause);
+    }
+}
+
 std::shared_ptr<DirectLink> DirectLinks::linkOf(const std::string& entity) const {
     if (entries_.empty()) return nullptr;
     const auto found = entries_.find(entity);
@@ -133,7 +146,8 @@ DirectLinks::Arrival DirectLinks::arrived(const DirectPath& path, direct::Keepin
         case Verdict::HeldBack:
             if (entry.mark_due == TimePoint::max()) entry.mark_due = clock_.now() + direct::kMarkWithin;
             return {};
-        case Verdict::Overflow: return {false, false, entry.path};
+        case Verdict::Overflow:
+            return {false, false, entry.path};
         case Verdict::LeftOut: break;
     }
     return {};
@@ -151,10 +165,9 @@ DirectLinks::Turn DirectLinks::turn() {
         if (entry.path && entry.path->ended()) {
             const auto stood = entry.begun ? now - entry.begun_at : Duration{};
             const auto again = entry.retry.after(stood);
-            if (entry.begun)
-                log().info("client: the direct path to {} has ended: {}; everything goes by the server", entity, entry.path->reason());
-            else
-                log().debug("client: no direct path to {}: {}; everything goes by the server", entity, entry.path->reason());
+            turn.news.push_back({entry.begun, (entry.begun ? "the direct path to " + entity + " has ended: "
+                                                           : "no direct path to " + entity + ": ") +
+                                                  entry.path->reason() + "; everything goes by the server"});
             turn.ended = turn.ended || entry.begun;
             entry.in.close(entry.path->number());
             entry.path = nullptr;
@@ -172,7 +185,7 @@ DirectLinks::Turn DirectLinks::turn() {
             entry.begun = changed = true;
             entry.begun_at = now;
             turn.begun.emplace_back(entry.link, entry.path);
-            log().info("client: direct path to {}", entity);
+            turn.news.push_back({true, "direct path to " + entity});
         }
         if (entry.path) {
             if (now >= entry.mark_due && !entry.in.holdsBack()) entry.mark_due = TimePoint::max();

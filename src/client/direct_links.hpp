@@ -71,6 +71,11 @@ class DirectLinks {
     /// Of all paths that are open, for signals; behind a lock of its own.
     std::shared_ptr<const Paths> paths() const { return paths_.load(); }
 
+    /// A stop goes straight to those entities of it that have a path: to `entities`, or the one that `head`
+    /// names, or all.
+    static void stop(const Paths& paths, const Header& head, const std::vector<std::string>& entities,
+                     StopCause cause);
+
     /// A message of an entity that came by the servers, on the data lane: whether it counts. A mark makes `deliver` be
     /// called for what was held back.
     bool relayed(direct::Keeping keeping, const Header& head, std::string_view message, const Deliver& deliver);
@@ -87,6 +92,11 @@ class DirectLinks {
         /// Paths that are open now: their marks are to be sent, and the links take them.
         std::vector<std::pair<std::shared_ptr<DirectLink>, std::shared_ptr<DirectPath>>> begun;
         bool ended = false;  ///< one has: what it has not acknowledged is to be sent again
+        struct News {
+            bool matters;  ///< otherwise an attempt that failed, of which there are many
+            std::string text;
+        };
+        std::vector<News> news;  ///< for the log
         TimePoint next = TimePoint::max();
     };
     /// What is due. Call at the time of the last turn, and when a path says that it has changed.

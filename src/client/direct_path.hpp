@@ -1,30 +1,24 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <Ice/Ice.h>
-#include <axon/directcomm.h>
-
 #include <atomic>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <string>
 #include <string_view>
+#include <utility>
 
-#include "client/backlog.hpp"
-#include "client/server_connection.hpp"
 #include "common/clock.hpp"
+#include "common/ids.hpp"
 #include "common/routed.hpp"
 #include "direct/beats.hpp"
 #include "direct/incoming_way.hpp"
 #include "direct/proof.hpp"
-#include "transport/outbox.hpp"
-#include "transport/peer_connection.hpp"
 
 namespace axon::client {
 
 class DirectPath;
 
-/// What happens on direct paths. On Ice's threads: data and signals at the same time, each in order.
+/// What happens on direct paths. On the path's threads: data and signals at the same time, each in order.
 class DirectPathEvents {
   public:
     virtual ~DirectPathEvents() = default;
@@ -44,86 +38,99 @@ struct DirectOffer {
     std::string data_endpoint, signal_endpoint;  ///< "host:port"
 };
 
-/// Two connections with an Entity Manager, data and signals, without the servers in between (docs/reference/direct.md).
+/// Two connections with an Entity Manager, data and signals, without the servers in between
+/// (docs/reference/direct.md).
 ///
-/// Where in the flow: beside ServerConnection, for one lease. States: being opened ─► open ─► ended, or at once ended;
-/// it does not come back, another attempt is another path. Threads: any. Nothing waits: it is opened by asynchronous
-/// calls, what is sent goes to the socket from the caller's thread or into the lane's outbox. Ownership: shared, because Ice's
-/// callbacks may be under way when it ends. Failure: it ends, with a reason.
-class DirectPath : public std::enable_shared_from_this<DirectPath> {
+/// Where in the flow: beside ServerConnection, for one lease; what carries it is IceDirectPath, or a
+/// simulated network. States: being opened ─► open ─► ended, or at once ended; it does not come back, another
+/// attempt is another path. Threads: any. Nothing waits. Ownership: shared, because what comes may be under
+/// way when it ends. Failure: it ends, with a reason.
+class DirectPath {
   public:
-    DirectPath(const LaneHome& data, const LaneHome& signal, DirectOffer offer, Id128 number, std::shared_ptr<Backlog> backlog,
-               const Clock& clock, std::weak_ptr<DirectPathEvents> events);
-    ~DirectPath();
+    DirectPath(DirectOffer offer, Id128 number, const Clock& clock)
+        : silence(clock.now()),
+          clock_(clock),
+          offer_(std::move(offer)),
+          number_(number),
+          claim_{
+              Lane::Data, offer_.lease, Id128::parse(uuidOf(offer_.client)).value_or(Id128{}), number_, {}} {}
+    virtual ~DirectPath() = default;
     DirectPath(const DirectPath&) = delete;
     DirectPath& operator=(const DirectPath&) = delete;
 
     /// Once; `timeout` is that of each of its four calls.
-    void open(Duration timeout);
+    virtual void open(Duration timeout) = 0;
     bool isOpen() const { return open_ && !ended_; }
     bool ended() const { return ended_; }
     /// Why; empty until then.
-    std::string reason() const;
+    virtual std::string reason() const = 0;
     /// Ends it at once; what is unsent is lost.
-    void close(const std::string& why);
+    virtual void close(const std::string& why) = 0;
 
     const Id128& number() const { return number_; }
     const std::string& entity() const { return offer_.entity; }
 
     // While it is open; nothing happens otherwise.
-    void send(direct::Keeping keeping, const Header& head, std::shared_ptr<const std::string> message) const;
-    void sendStopSignal(const Header& head, StopCause cause) const;
-    void sendResetSignal(const Header& head) const;
-    void sendClearSignal(const Header& head) const;
-    void beat() const;
+    virtual void send(direct::Keeping keeping, const Header& head,
+                      std::shared_ptr<const std::string> message) const = 0;
+    virtual void sendStopSignal(const Header& head, StopCause cause) const = 0;
+    virtual void sendResetSignal(const Header& head) const = 0;
+    virtual void sendClearSignal(const Header& head) const = 0;
+    virtual void beat() const = 0;
+
     /// A message goes: busy for a while. True when it was not before; then let it beat at once.
-    bool enliven() const;
+    bool enliven() const {
+        const auto now = clock_.now();
+        return lively_until_.exchange((now + direct::kLively).time_since_epoch().count()) <=
+               now.time_since_epoch().count();
+    }
     /// On one thread: beats if it is due and permitted. When next, and whether it is busy now and was not before. `moving`: the entity.
-    std::pair<TimePoint, bool> beatIfDue(bool moving, bool permitted);
+    std::pair<TimePoint, bool> beatIfDue(bool moving, bool permitted) {
+        const auto now = clock_.now();
+        const bool busy = moving || now.time_since_epoch().count() < lively_until_;
+        const bool faster = busy && !silence.busy();
+        permitted_ = permitted;
+        silence.setBusy(busy, now);
+        if (faster || now >= beat_at_) {
+            beat_at_ = now + (busy ? direct::kBeatBusy : direct::kBeatIdle);
+            if (permitted) beat();
+        }
+        return {beat_at_, faster};
+    }
 
     // What its threads and its user's share; no lock, so that no beat waits.
     direct::Silence silence;                      ///< of the Entity Manager
     std::atomic<std::int64_t> acknowledged{0};    ///< by the Entity Manager
     std::atomic<std::int64_t> passed{0};          ///< to the core, for the next beat
 
-  private:
-    class Callback;
-    struct LaneEnd {
-        std::shared_ptr<Axon::DirectComm::DirectGatePrx> gate;
-        std::shared_ptr<transport::DirectConnection> connection;
-        std::shared_ptr<Axon::DirectComm::DirectSessionPrx> session;  // oneway
-        std::shared_ptr<transport::Outbox> outbox;
-        Ice::Identity callback;
-    };
-    void openLane(Lane lane);
-    void challenged(Lane lane, const Axon::CommUtil::Bytes& nonce);
-    void opened(Lane lane, const Axon::DirectComm::Opened& its);
-    LaneEnd& end(Lane lane) { return lane == Lane::Data ? data_ : signal_; }
-    const LaneHome& home(Lane lane) const { return lane == Lane::Data ? data_home_ : signal_home_; }
-    std::function<void(std::exception_ptr)> failure();
-    template <class Use>
-    void step(Use use);
-    template <class Send>
-    void post(transport::Traffic traffic, Send send) const;
+  protected:
+    /// The Entity Manager's beat.
+    void heard(std::int64_t received, bool asks) {
+        silence.heard(clock_.now());
+        acknowledged.store(received, std::memory_order_relaxed);
+        if (asks && permitted_) beat();
+    }
+    /// The nonce of a lane has come: this side's proof. One lane after the other.
+    std::string proofFor(Lane lane, const Id128& nonce) {
+        claim_.lane = lane;
+        claim_.nonce = nonce;
+        return direct::proofOf(claim_, direct::Prover::Client, offer_.key);
+    }
+    /// Whether the other side of the same lane knows the key too.
+    bool trusts(std::string_view proof) const {
+        return direct::proves(proof, claim_, direct::Prover::EntityManager, offer_.key);
+    }
 
-    const LaneHome data_home_, signal_home_;
+    const Clock& clock_;
     const DirectOffer offer_;
     const Id128 number_;
-    const std::shared_ptr<Backlog> backlog_;
-    const Clock& clock_;
-    const std::weak_ptr<DirectPathEvents> events_;
+    std::atomic<bool> open_{false}, ended_{false};
+
+  private:
+    direct::Claim claim_;
     mutable std::atomic<Duration::rep> lively_until_{0};
     TimePoint beat_at_{};  // of the thread of beatIfDue()
     std::atomic<bool> permitted_{true};
-    int timeout_ms_ = 0;
-    // Each written by one step of the opening, and read after open_ by others.
-    LaneEnd data_, signal_;
-    direct::Claim claim_;
-    std::atomic<bool> open_{false}, ended_{false};
-    mutable std::mutex mutex_;
-    // Guarded by mutex_: what is to be closed, as far as it is there, and why it was.
-    std::vector<std::shared_ptr<transport::DirectConnection>> connections_;
-    std::string reason_;
 };
 
 }  // namespace axon::client

@@ -76,8 +76,7 @@ class ServerConnection {
     const Watchdogs& watchdogs() const { return watchdogs_; }
     std::uint64_t attempt() const { return attempt_; }
 
-    /// Reset and Clear travel on the signal lane, all else on the data lane.
-    enum class Operation : std::uint8_t { ToEntity, ToEntityDataSeq, Request, Reset, Clear };
+    using Operation = client::Operation;
     void send(Operation operation, const Header& head, std::string bytes) const;
 
     /// Small messages that go to the socket together: one system call for all of them here, and one turn of a thread

@@ -23,6 +23,9 @@ inline constexpr const char* kMsgStop = "STOP";
 inline constexpr const char* kMsgReset = "RESET";
 inline constexpr const char* kMsgClear = "CLEAR";
 
+/// Of a session with a server. Reset and Clear travel on the signal lane, all else on the data lane.
+enum class Operation : std::uint8_t { ToEntity, ToEntityDataSeq, Request, Reset, Clear };
+
 /// What the session logic sends to the server: the client's side of ClientSession (thesis, figure 3.13).
 /// Implementations: the Ice rim (session.cpp), a fake in tests, a simulated network. Called from inside the
 /// core; must neither call back into it nor wait. What is sent while there is no connection is dropped.

@@ -13,7 +13,6 @@
 #include "client/log.hpp"
 #include "common/shared_clock.hpp"
 #include "common/waiting.hpp"
-#include "direct/always_relayed.hpp"
 #include "messages/values.hpp"
 #include "transport/communicator.hpp"
 #include "transport/routed_session.hpp"
@@ -79,11 +78,17 @@ Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
       direct_(clock_, static_cast<std::size_t>(std::max(options_.direct_paths, 0)),
               [this](const DirectOffer& offer) {
                   const auto connection = connection_.load();
-                  return std::make_shared<DirectPath>(data_, signal_, offer, Id128::random(random_),
-                                                      connection ? connection->backlog() : std::make_shared<Backlog>(), clock_,
-                                                      weak_from_this());
+                  return std::make_shared<IceDirectPath>(
+                      data_, signal_, offer, Id128::random(random_),
+                      connection ? connection->backlog() : std::make_shared<Backlog>(), clock_,
+                      weak_from_this());
               }),
-      desk_(clock_, *this, marks_) {}
+      desk_(clock_, *this, marks_),
+      ways_(
+          [this](Operation kind, const Header& head, std::string bytes) {
+              if (const auto connection = connection_.load()) connection->send(kind, head, std::move(bytes));
+          },
+          [this] { heartbeat_.wake(); }) {}
 
 Client::Session::~Session() {
     close();
@@ -154,10 +159,14 @@ auto Client::Session::withDesk(Use&& use) {
                 for (const auto& stop : stops) {
                     // One message to the servers reaches many sooner than one to each.
                     const bool one = stop.entities.empty() ? !stop.head.entity.empty() : stop.entities.size() == 1;
-                    if (one) session.stopDirectly(*paths, stop);
+                    const auto directly = [&] {
+                        if (stop.lane == Lane::Signal)
+                            DirectLinks::stop(*paths, stop.head, stop.entities, stop.cause);
+                    };
+                    if (one) directly();
                     if (connection && stop.entities.empty()) connection->sendStopSignal(stop.lane, stop.head, stop.cause);
                     if (connection && !stop.entities.empty()) connection->sendStopSignals(stop.lane, stop.head, stop.entities, stop.cause);
-                    if (!one) session.stopDirectly(*paths, stop);
+                    if (!one) directly();
                 }
                 for (const auto& stop : stops) {
                     // A datagram is a stop: a drill is none.
@@ -189,103 +198,6 @@ Answer Client::Session::ask(Ask&& ask) {
     return future.get();
 }
 
-/// Straight to the Entity Managers that have a path; the servers' way is taken too, and the first to arrive counts.
-void Client::Session::stopDirectly(const DirectLinks::Paths& paths, const OutgoingStop& stop) {
-    if (stop.lane != Lane::Signal || paths.empty()) return;
-    if (stop.entities.empty() && stop.head.entity.empty()) {
-        for (const auto& [entity, path] : paths) path->sendStopSignal(stop.head, stop.cause);
-    } else if (stop.entities.empty()) {
-        if (const auto path = paths.find(stop.head.entity); path != paths.end()) path->second->sendStopSignal(stop.head, stop.cause);
-    } else {
-        for (const auto& entity : stop.entities)
-            if (const auto path = paths.find(entity); path != paths.end()) path->second->sendStopSignal(stop.head, stop.cause);
-    }
-}
-
-/// Whether it has gone by the direct path.
-bool Client::Session::sendDirect(Outgoing& message) {
-    auto& link = *message.link;
-    if (message.path) {
-        if (message.path->ended() || link.forget) return true;
-        if (const auto connection = connection_.load()) connection->send(message.kind, message.head, std::move(message.bytes));
-        link.by = message.path;
-        link.out.begin();
-        by_path_[message.head.entity] = message.link;
-        return true;
-    }
-    // The end of the lease is the end of the path, and nothing of the next one may overtake it by the servers.
-    if (message.head.msg_type == kMsgRelease) link.by->close("the entity is released");
-    if (link.by->ended()) {
-        fallBack(message.link);
-        return false;
-    }
-    switch (message.kind) {
-        // Those come by all ways, and count once.
-        case Kind::Reset: link.by->sendResetSignal(message.head); return false;
-        case Kind::Clear: link.by->sendClearSignal(message.head); return false;
-        case Kind::ToEntityDataSeq:
-            if (link.by->enliven()) heartbeat_.wake();
-            link.by->send(direct::Keeping::Droppable, message.head, std::make_shared<const std::string>(std::move(message.bytes)));
-            return true;
-        case Kind::ToEntity: break;
-        case Kind::Request: return false;
-    }
-    if (direct::alwaysRelayed(message.head.msg_type)) return false;
-    const auto size = message.bytes.size() + kMessageOverhead;
-    makeRoomToKeep(link, size);
-    if (!link.by) return false;
-    const auto bytes = std::make_shared<const std::string>(std::move(message.bytes));
-    link.by->send(direct::Keeping::Kept, message.head, bytes);
-    link.out.keep(message.head.sequence, size, {message.head, bytes});
-    if (link.by->enliven()) heartbeat_.wake();
-    return true;
-}
-
-/// All that is kept may fall back at the same moment, and must find room on the way to the server. Where it would not, the path that
-/// keeps most is given up.
-void Client::Session::makeRoomToKeep(DirectLink& link, std::size_t bytes) {
-    link.out.acknowledged(link.by->acknowledged.load(std::memory_order_relaxed));
-    for (bool looked = false;; looked = true) {
-        std::size_t messages = 0, kept = 0;
-        std::shared_ptr<DirectLink> most;
-        for (const auto& [entity, one] : by_path_) {
-            if (looked) one->out.acknowledged(one->by->acknowledged.load(std::memory_order_relaxed));
-            messages += one->out.keptMessages();
-            kept += one->out.keptBytes();
-            if (!most || one->out.keptBytes() > most->out.keptBytes()) most = one;
-        }
-        if (messages == 0 || (messages < kKeptBounds.messages && kept + bytes <= kKeptBounds.bytes)) return;
-        if (!looked) continue;
-        most->by->close("the Entity Manager acknowledges too little");
-        fallBack(most);
-        if (most.get() == &link) return;
-    }
-}
-
-/// The path is over: what the Entity Manager may not have goes by the servers, before anything else does.
-void Client::Session::fallBack(std::shared_ptr<DirectLink> link) {
-    std::erase_if(by_path_, [&](const auto& one) { return one.second == link; });
-    link->out.acknowledged(link->by->acknowledged.load(std::memory_order_relaxed));
-    link->by = nullptr;
-    const auto left = link->out.end();
-    const auto connection = connection_.load();
-    if (link->forget || !connection) return;
-    for (const auto& kept : left) connection->send(Kind::ToEntity, kept.message.head, *kept.message.message);
-}
-
-void Client::Session::fallBackFromEnded() {
-    std::vector<std::shared_ptr<DirectLink>> ended;
-    for (const auto& [entity, link] : by_path_)
-        if (link->by->ended()) ended.push_back(link);
-    for (auto& link : ended) fallBack(std::move(link));
-}
-
-std::shared_ptr<DirectLink> Client::Session::leftBefore(const Outgoing& message) const {
-    if (by_path_.empty()) return nullptr;
-    const auto found = by_path_.find(message.head.entity);
-    return found == by_path_.end() || (found->second == message.link && !message.path) ? nullptr : found->second;
-}
-
 /// Who sends fast, without waiting for answers, leaves little messages to the sender's thread, which writes those together
 /// that came while it wrote. When that one does not keep up, the caller writes them all.
 bool Client::Session::leavesToSender() {
@@ -301,20 +213,16 @@ void Client::Session::flush(std::uint64_t ticket) {
     for (auto item = outgoing_.take(ticket); item;) {
         auto next = outgoing_.take(ticket);
         auto& message = item->message;
-        const bool by_path = message.link && (message.path || message.link->out.direct());
-        const auto left = leftBefore(message);
-        if (by_path || left) part.reset();  // what may go by the servers now comes behind what was added
-        if (left) {
-            left->by->close("another lease or path takes its place");
-            fallBack(left);
-        }
-        if (by_path && sendDirect(message)) {
+        if (ways_.concerns(message))
+            part.reset();  // what may go by the servers now comes behind what was added
+        if (ways_.takes(message)) {
             outgoing_.sent(item->bytes);
             item = std::move(next);
             continue;
         }
         const auto connection = connection_.load();
-        const bool joins = item->bytes <= kTogetherBytes && message.kind != Kind::Reset && message.kind != Kind::Clear;
+        const bool joins = item->bytes <= kTogetherBytes && message.kind != Operation::Reset &&
+                           message.kind != Operation::Clear;
         if (part && (!joins || part->of() != connection.get())) part.reset();
         if (connection && joins && (part || next)) {
             if (!part) part.emplace(connection);
@@ -327,26 +235,26 @@ void Client::Session::flush(std::uint64_t ticket) {
     }
 }
 
-void Client::Session::put(Kind kind, const Header& head, std::string bytes) {
+void Client::Session::put(Operation kind, const Header& head, std::string bytes) {
     const auto size = bytes.size() + kMessageOverhead;
     outgoing_.put({kind, head, std::move(bytes), direct_.linkOf(head.entity)}, size);
     last_bytes_ = size;
-    if (kind == Kind::Reset || kind == Kind::Clear) sent_at_ = {};  // signals are left to nobody
+    if (kind == Operation::Reset || kind == Operation::Clear) sent_at_ = {};  // signals are left to nobody
 }
 void Client::Session::sendToEntity(const Header& head, std::string bytes) {
-    put(Kind::ToEntity, head, std::move(bytes));
+    put(Operation::ToEntity, head, std::move(bytes));
 }
 void Client::Session::sendToEntityDataSeq(const Header& head, std::string bytes) {
-    put(Kind::ToEntityDataSeq, head, std::move(bytes));
+    put(Operation::ToEntityDataSeq, head, std::move(bytes));
 }
 void Client::Session::sendRequest(const Header& head, std::string bytes) {
-    put(Kind::Request, head, std::move(bytes));
+    put(Operation::Request, head, std::move(bytes));
 }
 void Client::Session::sendReset(const Header& head) {
-    put(Kind::Reset, head, {});
+    put(Operation::Reset, head, {});
 }
 void Client::Session::sendClear(const Header& head) {
-    put(Kind::Clear, head, {});
+    put(Operation::Clear, head, {});
 }
 void Client::Session::keepAlive(std::int64_t sequence, bool busy) {
     beat_ = {sequence, busy};
@@ -440,7 +348,7 @@ Result<void> Client::Session::connect() {
     sender_.start("axon-sender", Lane::Data, clock_, [this] {
         {
             const std::lock_guard sending(send_mutex_);
-            fallBackFromEnded();
+            ways_.fallBackFromEnded();
         }
         flush(outgoing_.last());
         return clock_.now() + kLongestSleep;
@@ -675,10 +583,12 @@ TimePoint Client::Session::directTurn() {
                 head.sent_at_us = toMicroseconds(clock_.now());
                 auto bytes = mark.SerializeAsString();
                 const auto size = bytes.size() + kMessageOverhead;
-                outgoing_.put({Kind::ToEntity, head, std::move(bytes), link, path}, size);
+                outgoing_.put({Operation::ToEntity, head, std::move(bytes), link, path}, size);
             }
         },
         Sends::Sender);
+    for (const auto& [matters, text] : turn.news)
+        log().log(matters ? spdlog::level::info : spdlog::level::debug, "client: {}", text);
     if (turn.ended) sender_.wake();
     for (const auto& path : turn.begun) path.second->beat();
     for (const auto& path : turn.open) path->open(settingsOf(options_).timeout);

@@ -19,6 +19,8 @@
 #include "client/callback_queue.hpp"
 #include "client/datagram_sender.hpp"
 #include "client/direct_links.hpp"
+#include "client/direct_sending.hpp"
+#include "client/ice_direct_path.hpp"
 #include "client/send_queue.hpp"
 #include "client/server_connection.hpp"
 #include "client/session_core.hpp"
@@ -222,14 +224,6 @@ class Client::Session final : public SessionObserver,
         std::mutex mutex_;
         std::unique_ptr<transport::TimerThread> thread_;  // guarded by mutex_
     };
-    using Kind = ServerConnection::Operation;
-    struct Outgoing {
-        Kind kind;
-        Header head;
-        std::string bytes;
-        std::shared_ptr<DirectLink> link;  // of the entity, where it offers one
-        std::shared_ptr<DirectPath> path = {};  // of a mark: taken when it has been sent
-    };
     struct OutgoingStop {
         Lane lane;
         Header head;
@@ -248,16 +242,8 @@ class Client::Session final : public SessionObserver,
     template <class Use>
     auto withDesk(Use&& use);
 
-    void put(Kind kind, const Header& head, std::string bytes);
+    void put(Operation kind, const Header& head, std::string bytes);
     void flush(std::uint64_t ticket);
-    // Under send_mutex_.
-    bool sendDirect(Outgoing& message);
-    void makeRoomToKeep(DirectLink& link, std::size_t bytes);
-    void fallBack(std::shared_ptr<DirectLink> link);
-    void fallBackFromEnded();
-    /// The link of an earlier path of the entity, which falls back before this message; mostly null.
-    std::shared_ptr<DirectLink> leftBefore(const Outgoing& message) const;
-    void stopDirectly(const DirectLinks::Paths& paths, const OutgoingStop& stop);
     /// Whether it was a receipt.
     bool receipt(const Header& head, std::string_view message);
     void signalReply(const Header& head, std::string_view message);
@@ -313,8 +299,7 @@ class Client::Session final : public SessionObserver,
 
     SendQueue<Outgoing> outgoing_;  // put into under core_mutex_
     std::mutex send_mutex_;         // the order of outgoing_ is that on the wire
-    // Guarded by send_mutex_: by entity, links whose messages go by a path.
-    std::unordered_map<std::string, std::shared_ptr<DirectLink>> by_path_;
+    DirectSending ways_;            // guarded by send_mutex_
 
     std::mutex callbacks_mutex_;
     // Guarded by callbacks_mutex_:

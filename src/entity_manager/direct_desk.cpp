@@ -2,10 +2,9 @@
 #include "entity_manager/direct_desk.hpp"
 
 #include <axon/messages.pb.h>
-#include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <stdexcept>
+#include <utility>
 
 #include "direct/always_relayed.hpp"
 
@@ -21,50 +20,24 @@ constexpr auto kWarnAgain = std::chrono::minutes{1};
 
 }  // namespace
 
-DirectDesk::DirectDesk(asio::any_io_executor strand, const Clock& clock, EntityCommunicator& server)
-    : strand_(std::move(strand)), clock_(clock), server_(server), silence_(strand_, clock_) {}
+DirectDesk::DirectDesk(const Clock& clock, RelayedWay& server, Log log)
+    : clock_(clock), server_(server), log_(std::move(log)) {}
 
 DirectDesk::~DirectDesk() = default;
-
-void DirectDesk::offer(DirectSettings settings, std::shared_ptr<ServerCommunicators> ice, std::string entity,
-                       std::weak_ptr<DirectEvents> events) {
-    settings_ = std::move(settings);
-    ice_ = std::move(ice);
-    entity_ = std::move(entity);
-    events_ = std::move(events);
-}
-
-std::pair<std::string, std::string> DirectDesk::listen(const std::string& way_to_server) {
-    if (!settings_.offered) return {};
-    const auto& address = settings_.address.empty() ? way_to_server : settings_.address;
-    if (address.empty()) return {};
-    if (listens_at_ != address) {
-        if (!listens_at_.empty()) doors_.back()->shut();
-        listens_at_.clear();
-        try {
-            doors_.push_back(std::make_unique<DirectDoor>(*ice_, address, settings_.ports, entity_, clock_, events_));
-        } catch (const std::runtime_error& error) {
-            spdlog::warn("clients are not offered a direct path: {} (expected an address of this machine and two free ports; see Axon.Direct)",
-                         error.what());
-            return {};
-        }
-        listens_at_ = address;
-    }
-    const auto& door = *doors_.back();
-    if (settings_.named) return {settings_.named(door.dataEndpoint()), settings_.named(door.signalEndpoint())};
-    return {door.dataEndpoint(), door.signalEndpoint()};
-}
 
 // -- the path ---------------------------------------------------------------------------------------------------------
 
 void DirectDesk::onOpening(const DirectOpening& opening, const LeaseBook::Held* held) {
     const auto& claim = opening.claim;
     // One answer for all of it: a stranger learns nothing of the lease.
-    if (held == nullptr || held->grace_until || held->number != claim.lease || Id128::parse(uuidOf(held->holder.id)) != claim.client ||
+    if (held == nullptr || held->grace_until || held->number != claim.lease ||
+        Id128::parse(uuidOf(held->holder.id)) != claim.client ||
         !direct::proves(opening.proof, claim, direct::Prover::Client, held->key.bytes())) {
         if (const auto now = clock_.now(); now >= warn_from_) {
             warn_from_ = now + kWarnAgain;
-            spdlog::warn("a direct path was refused: expected the proof of the present lease's holder (told once a minute)");
+            log_(true,
+                 "a direct path was refused: expected the proof of the present lease's holder (told once a "
+                 "minute)");
         }
         return opening.refuse({RefusalCode::PermissionDenied,
                                "A direct path is opened by the present holder, with the key of its lease. Check the entity out first.",
@@ -90,7 +63,6 @@ void DirectDesk::onOpening(const DirectOpening& opening, const LeaseBook::Held* 
     auto& lane = first ? path_->data : path_->signal;
     lane = opening.admit(path_->holder, path_->signs, direct::proofOf(claim, direct::Prover::EntityManager, held->key.bytes()));
     if (!first) begin();
-    watch();
 }
 
 void DirectDesk::begin() {
@@ -104,17 +76,16 @@ void DirectDesk::begin() {
     head.sent_at_us = toMicroseconds(clock_.now());
     server_.sendToClient(Lane::Data, head, mark);
     out_.begin();
-    spdlog::info("direct path to {} ({})", named(path_->holder), path_->data->peer());
+    log_(false, "direct path to " + named(path_->holder) + " (" + path_->data->peer() + ")");
 }
 
 void DirectDesk::end(const std::string& why, Rest rest) {
     if (!path_) return;
     const auto ended = std::move(path_);
-    silence_.cancel();
     for (const auto& lane : {ended->data, ended->signal})
         if (lane) lane->close(why);
     in_.close(ended->number);
-    if (out_.direct()) spdlog::info("the direct path to {} has ended: {}", named(ended->holder), why);
+    if (out_.direct()) log_(false, "the direct path to " + named(ended->holder) + " has ended: " + why);
     out_.acknowledged(ended->signs->acknowledged.load(std::memory_order_relaxed));
     auto left = out_.end();
     if (rest == Rest::Forget) return;
@@ -137,39 +108,34 @@ void DirectDesk::serverDown() {
 
 void DirectDesk::close() {
     end("the Entity Manager ends", Rest::Forget);
-    if (!listens_at_.empty()) doors_.back()->shut();
-    listens_at_.clear();
 }
 
 void DirectDesk::onClosed(const Id128& path, const std::string& why) {
     if (path_ && path_->number == path) end(why, Rest::SendAgain);
 }
 
-void DirectDesk::onPace(const Id128& path) {
-    if (path_ && path_->number == path) watch();
+TimePoint DirectDesk::nextDeadline() const {
+    if (!path_) return TimePoint::max();
+    return std::min({path_->signs->silence.deadline(), path_->mark_due, path_->answer_due});
 }
 
-/// Rings when the client has been silent for too long, or a mark or an answer has not come in time.
-void DirectDesk::watch() {
+void DirectDesk::onTimer() {
     if (!path_) return;
-    const auto due = std::min({path_->signs->silence.deadline(), path_->mark_due, path_->answer_due});
-    if (due == silence_.due()) return;
-    silence_.at(due, [this, weak = std::weak_ptr(alive_)] {
-        if (weak.expired() || !path_) return;
-        const auto now = clock_.now();
-        if (now >= path_->signs->silence.deadline()) return end("nothing was heard of the client", Rest::SendAgain);
-        if (now >= path_->mark_due) {
-            if (in_.holdsBack()) return end("the servers have not brought its beginning in time", Rest::SendAgain);
-            path_->mark_due = TimePoint::max();
-        }
-        if (now >= path_->answer_due) {
-            if (path_->signs->silence.last() < path_->asked_at) return end("the client does not answer", Rest::SendAgain);
-            path_->answer_due = TimePoint::max();
-            out_.acknowledged(path_->signs->acknowledged.load(std::memory_order_relaxed));
-            if (out_.keptMessages() > 0) ask();
-        }
-        watch();
-    });
+    const auto now = clock_.now();
+    if (now >= path_->signs->silence.deadline())
+        return end("nothing was heard of the client", Rest::SendAgain);
+    if (now >= path_->mark_due) {
+        if (in_.holdsBack())
+            return end("the servers have not brought its beginning in time", Rest::SendAgain);
+        path_->mark_due = TimePoint::max();
+    }
+    if (now >= path_->answer_due) {
+        if (path_->signs->silence.last() < path_->asked_at)
+            return end("the client does not answer", Rest::SendAgain);
+        path_->answer_due = TimePoint::max();
+        out_.acknowledged(path_->signs->acknowledged.load(std::memory_order_relaxed));
+        if (out_.keptMessages() > 0) ask();
+    }
 }
 
 // -- what comes -------------------------------------------------------------------------------------------------------
@@ -202,13 +168,11 @@ bool DirectDesk::arrived(const Id128& path, Keeping keeping, Header& head, std::
     switch (in_.direct(path, keeping, sequence, size, came)) {
         case Verdict::Pass:
             acknowledge();
-            if (keeping == Keeping::Kept && unacknowledged_.add(size) && path_->signal) path_->signal->beat(in_.passed(), false);
+            if (keeping == Keeping::Kept && unacknowledged_.add(size) && path_->signal)
+                path_->signal->beat(in_.passed(), false);
             return true;
         case Verdict::HeldBack:
-            if (path_->mark_due == TimePoint::max()) {
-                path_->mark_due = clock_.now() + direct::kMarkWithin;
-                watch();
-            }
+            if (path_->mark_due == TimePoint::max()) path_->mark_due = clock_.now() + direct::kMarkWithin;
             return false;
         case Verdict::Overflow:
             end("too much came before its beginning by the servers", Rest::SendAgain);
@@ -241,10 +205,7 @@ void DirectDesk::sendToClient(Lane lane, const Header& head, const proto::ToClie
     }
     path_->data->send(Keeping::Kept, head, bytes);
     out_.keep(head.sequence, size, {head, std::move(bytes)});
-    if (path_->answer_due == TimePoint::max()) {
-        ask();
-        watch();
-    }
+    if (path_->answer_due == TimePoint::max()) ask();
 }
 
 /// A break is not to be found out by the idle beat only when something has gone into it.

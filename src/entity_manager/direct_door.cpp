@@ -3,6 +3,7 @@
 
 #include <Ice/Ice.h>
 #include <axon/directcomm.h>
+#include <spdlog/spdlog.h>
 
 #include <deque>
 #include <mutex>
@@ -121,13 +122,9 @@ class SessionServant final : public slice::DirectSession {
     }
     void keepAlive(double received, bool busy, const Ice::Current& current) override {
         require(Lane::Signal, current);
-        const auto now = clock_.now();
-        signs_->silence.heard(now);
-        signs_->acknowledged.store(transport::whole(received), std::memory_order_relaxed);
-        const bool faster = busy && !signs_->silence.busy();
-        signs_->silence.setBusy(busy, now);
+        const bool faster = signs_->heard(clock_.now(), transport::whole(received), busy);
         back_->beat(signs_->passed.load(std::memory_order_acquire), false);
-        if (const auto events = faster ? events_.lock() : nullptr) events->directPace(path_);
+        if (const auto events = faster ? events_.lock() : nullptr) events->directPace();
     }
 
   private:
@@ -328,6 +325,42 @@ void DirectDoor::shut() {
     adapters_->watches.clear();
     adapters_->data->deactivate();
     adapters_->signal->deactivate();
+}
+
+DirectDoors::DirectDoors(DirectSettings settings, std::shared_ptr<ServerCommunicators> ice,
+                         std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
+    : settings_(std::move(settings)),
+      ice_(std::move(ice)),
+      entity_(std::move(entity)),
+      clock_(clock),
+      events_(std::move(events)) {}
+
+std::pair<std::string, std::string> DirectDoors::listen(const std::string& way_to_server) {
+    const auto& address = settings_.address.empty() ? way_to_server : settings_.address;
+    if (address.empty()) return {};
+    if (listens_at_ != address) {
+        shut();
+        try {
+            doors_.push_back(
+                std::make_unique<DirectDoor>(*ice_, address, settings_.ports, entity_, clock_, events_));
+        } catch (const std::runtime_error& error) {
+            spdlog::warn(
+                "clients are not offered a direct path: {} (expected an address of this machine and two free "
+                "ports; see Axon.Direct)",
+                error.what());
+            return {};
+        }
+        listens_at_ = address;
+    }
+    const auto& door = *doors_.back();
+    if (settings_.named)
+        return {settings_.named(door.dataEndpoint()), settings_.named(door.signalEndpoint())};
+    return {door.dataEndpoint(), door.signalEndpoint()};
+}
+
+void DirectDoors::shut() {
+    if (!listens_at_.empty()) doors_.back()->shut();
+    listens_at_.clear();
 }
 
 }  // namespace axon::entity_manager

@@ -60,7 +60,7 @@ class ServerEvents {
 /// counts as lost. Through a Glacier2 router both lanes are sessions of the same server; what is in flight
 /// there is what the server has not answered, and a server that has died is noticed by a sign of life that is
 /// not answered.
-class EntityCommunicator final : public ServerPort {
+class EntityCommunicator final : public RelayedWay {
   public:
     EntityCommunicator(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice,
                        ServerAddress address, const Clock& clock, std::weak_ptr<ServerEvents> events);
@@ -73,8 +73,7 @@ class EntityCommunicator final : public ServerPort {
     void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) override;
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override;
 
-    /// An axon.proto.ToClient that has been written already; otherwise as sendToClient.
-    void sendToClientBytes(Lane lane, const Header& head, const std::string& message);
+    void sendToClientBytes(Lane lane, const Header& head, const std::string& message) override;
 
     /// The address of this machine at which the way to the server begins; empty while there is no session. On the
     /// strand.

@@ -4,6 +4,7 @@
 #include <axon/link.pb.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <asio/dispatch.hpp>
 #include <asio/post.hpp>
 #include <future>
@@ -42,10 +43,14 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
     settings.uuid = std::move(identity.uuid);
     self->server_ =
         std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), std::move(server), clock, self);
-    self->ways_ = std::make_unique<DirectDesk>(self->strand_, clock, *self->server_);
+    self->ways_ =
+        std::make_unique<DirectDesk>(clock, *self->server_, [](bool warning, const std::string& line) {
+            spdlog::log(warning ? spdlog::level::warn : spdlog::level::info, "{}", line);
+        });
     self->core_ =
         std::make_unique<EntityManagerCore>(std::move(settings), clock, random, *self->back_end_.port,
                                             *self->ways_, storage, resources, self->gate_, journal);
+    self->ways_->setEntity(self->core_->uuid());
     self->resources_ = &resources;
     self->journal_ = journal;
     // The thread of a store must not be the one that drops the last reference.
@@ -84,7 +89,8 @@ void EntityManager::receiveDatagrams(const DatagramSettings& settings, const Clo
 
 void EntityManager::offerDirect(const DirectSettings& settings) {
     // What is TLS to the server is not plain to a client, and who comes through a router reaches no endpoint behind it.
-    if (plain_way_) ways_->offer(settings, ice_, uuid(), weak_from_this());
+    if (plain_way_ && settings.offered)
+        doors_ = std::make_unique<DirectDoors>(settings, ice_, uuid(), clock_, weak_from_this());
 }
 
 void EntityManager::start() {
@@ -105,13 +111,14 @@ void EntityManager::stop() {
             server_->wantConnection(false);
             if (datagrams_) datagrams_->close();
             ways_->close();
+            if (doors_) doors_->shut();
             back_end_.close();
             timer_.cancel();
         }
         done.set_value();
     });
     done.get_future().wait();
-    ways_->join();
+    doors_.reset();  // joins its threads
 }
 
 // -- from the server ------------------------------------------------------------------------------------------------
@@ -210,7 +217,8 @@ void EntityManager::undeliverable(Lane lane, Header head, const Refusal& refusal
 
 void EntityManager::serverUp() {
     if (datagrams_) core_->offerDatagrams(datagrams_->open(server_->localAddress()));
-    auto [data, signal] = ways_->listen(server_->localAddress());
+    auto [data, signal] =
+        doors_ ? doors_->listen(server_->localAddress()) : std::pair<std::string, std::string>{};
     core_->offerDirect(std::move(data), std::move(signal));
     core_->onServerUp();
     afterEvents();
@@ -271,8 +279,8 @@ void EntityManager::directClear(Header head) {
     clearSignal(std::move(head));
 }
 
-void EntityManager::directPace(const Id128& path) {
-    onStrand([path](EntityManager& self) { self.ways_->onPace(path); });
+void EntityManager::directPace() {
+    onStrand([](EntityManager&) {});  // the timer is set anew
 }
 
 void EntityManager::directClosed(const Id128& path, const std::string& why) {
@@ -386,7 +394,7 @@ void EntityManager::afterEvents() {
 
 void EntityManager::armTimer() {
     if (stopped_) return;
-    const auto deadline = core_->nextDeadline();
+    const auto deadline = std::min(core_->nextDeadline(), ways_->nextDeadline());
     // What has become later is asked for again when the timer rings: each sign of life moves a watchdog, and setting a timer
     // wakes the executor.
     if (deadline >= timer_.due()) return;
@@ -395,6 +403,7 @@ void EntityManager::armTimer() {
         if (!self || self->stopped_) return;
         self->hearServer();
         self->core_->onTimer();
+        self->ways_->onTimer();
         self->afterEvents();
     });
 }

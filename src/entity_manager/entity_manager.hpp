@@ -14,6 +14,7 @@
 #include "entity_manager/caller_first.hpp"
 #include "entity_manager/datagram_desk.hpp"
 #include "entity_manager/direct_desk.hpp"
+#include "entity_manager/direct_door.hpp"
 #include "entity_manager/due_timer.hpp"
 #include "entity_manager/entity_communicator.hpp"
 #include "entity_manager/entity_manager_core.hpp"
@@ -90,7 +91,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     void directStop(Header head, StopCause cause) override;
     void directReset(Header head) override;
     void directClear(Header head) override;
-    void directPace(const Id128& path) override;
+    void directPace() override;
     void directClosed(const Id128& path, const std::string& why) override;
 
   private:
@@ -134,7 +135,8 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     const std::shared_ptr<ServerCommunicators> ice_;
     const bool plain_way_;  // to the server: neither TLS nor a router
     std::unique_ptr<EntityCommunicator> server_;
-    std::unique_ptr<DirectDesk> ways_;  // between it and the core
+    std::unique_ptr<DirectDesk> ways_;    // between it and the core
+    std::unique_ptr<DirectDoors> doors_;  // null: no direct path is offered
     ResourceStore* resources_ = nullptr;
     Journal* journal_ = nullptr;
     std::unique_ptr<EntityManagerCore> core_;

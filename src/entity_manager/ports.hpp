@@ -79,6 +79,13 @@ class ServerPort {
     virtual void sendToClientDataSeq(const Header& head, const proto::ToClient& message) = 0;
 };
 
+/// The same, as what chooses between two ways has it (direct_desk.hpp).
+class RelayedWay : public ServerPort {
+  public:
+    /// An axon.proto.ToClient that has been written already; otherwise as sendToClient.
+    virtual void sendToClientBytes(Lane lane, const Header& head, const std::string& message) = 0;
+};
+
 inline constexpr const char* kUuidKey = "uuid";  ///< of the entity's UUID in the Storage
 
 /// What must survive a restart: small named values. The daemon keeps a file for each.

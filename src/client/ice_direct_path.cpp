@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "client/direct_path.hpp"
+#include "client/ice_direct_path.hpp"
 
 #include <utility>
 
@@ -36,12 +36,12 @@ Axon::CommUtil::Bytes toIceBytes(const std::string& bytes) {
 }  // namespace
 
 /// Pushes of the Entity Manager, for one lane. The entity is that of the connection.
-class DirectPath::Callback final : public slice::DirectCallback {
+class IceDirectPath::Callback final : public slice::DirectCallback {
   public:
-    Callback(std::weak_ptr<DirectPath> path, Lane lane) : path_(std::move(path)), lane_(lane) {}
+    Callback(std::weak_ptr<IceDirectPath> path, Lane lane) : path_(std::move(path)), lane_(lane) {}
 
     void newEntityMsg(slice::Head head, ByteRange message, const Ice::Current&) override {
-        tell([&](DirectPath& path, DirectPathEvents& events) {
+        tell([&](IceDirectPath& path, DirectPathEvents& events) {
             auto its = headFrom(path, std::move(head));
             if (lane_ == Lane::Data)
                 events.newDirectMsg(path, Keeping::Kept, std::move(its), transport::toView(message));
@@ -51,20 +51,19 @@ class DirectPath::Callback final : public slice::DirectCallback {
     }
     void newEntityMsgDataSeq(slice::Head head, ByteRange message, const Ice::Current&) override {
         if (lane_ != Lane::Data) return;
-        tell([&](DirectPath& path, DirectPathEvents& events) {
-            events.newDirectMsg(path, Keeping::Droppable, headFrom(path, std::move(head)), transport::toView(message));
+        tell([&](IceDirectPath& path, DirectPathEvents& events) {
+            events.newDirectMsg(path, Keeping::Droppable, headFrom(path, std::move(head)),
+                                transport::toView(message));
         });
     }
     void newHeartbeat(double received, bool asks, const Ice::Current&) override {
         const auto path = path_.lock();
         if (!path || lane_ != Lane::Signal) return;
-        path->silence.heard(path->clock_.now());
-        path->acknowledged.store(transport::whole(received), std::memory_order_relaxed);
-        if (asks && path->permitted_) path->beat();
+        path->heard(transport::whole(received), asks);
     }
 
   private:
-    static Header headFrom(const DirectPath& path, slice::Head&& head) {
+    static Header headFrom(const IceDirectPath& path, slice::Head&& head) {
         auto its = transport::fromDirectHead(std::move(head));
         its.entity = path.entity();
         return its;
@@ -75,38 +74,35 @@ class DirectPath::Callback final : public slice::DirectCallback {
         if (!path || path->ended()) return;
         if (const auto events = path->events_.lock()) what(*path, *events);
     }
-    const std::weak_ptr<DirectPath> path_;
+    const std::weak_ptr<IceDirectPath> path_;
     const Lane lane_;
 };
 
-DirectPath::DirectPath(const LaneHome& data, const LaneHome& signal, DirectOffer offer, Id128 number, std::shared_ptr<Backlog> backlog,
-                       const Clock& clock, std::weak_ptr<DirectPathEvents> events)
-    : silence(clock.now()),
+IceDirectPath::IceDirectPath(const LaneHome& data, const LaneHome& signal, DirectOffer offer, Id128 number,
+                             std::shared_ptr<Backlog> backlog, const Clock& clock,
+                             std::weak_ptr<DirectPathEvents> events)
+    : DirectPath(std::move(offer), number, clock),
       data_home_(data),
       signal_home_(signal),
-      offer_(std::move(offer)),
-      number_(number),
       backlog_(std::move(backlog)),
-      clock_(clock),
       events_(std::move(events)) {}
 
-DirectPath::~DirectPath() {
-    for (const auto& connection : connections_) connection->disconnect({false, "it is of no use any more"}, false);
+IceDirectPath::~IceDirectPath() {
+    for (const auto& connection : connections_)
+        connection->disconnect({false, "it is of no use any more"}, false);
 }
 
-// -- opening ----------------------------------------------------------------------------------------------------------
+// -- opening
+// ----------------------------------------------------------------------------------------------------------
 
-void DirectPath::open(Duration timeout) {
+void IceDirectPath::open(Duration timeout) {
     timeout_ms_ = static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count());
-    claim_.lease = offer_.lease;
-    claim_.client = Id128::parse(uuidOf(offer_.client)).value_or(Id128{});
-    claim_.path = number_;
     openLane(Lane::Data);
 }
 
 /// Ice's calls may throw at once; whatever they throw ends the path.
 template <class Use>
-void DirectPath::step(Use use) {
+void IceDirectPath::step(Use use) {
     if (ended_) return;
     try {
         use();
@@ -115,44 +111,48 @@ void DirectPath::step(Use use) {
     }
 }
 
-std::function<void(std::exception_ptr)> DirectPath::failure() {
-    return [self = shared_from_this()](const std::exception_ptr& error) { self->close(transport::translate(error).message); };
+std::function<void(std::exception_ptr)> IceDirectPath::failure() {
+    return [self = shared_from_this()](const std::exception_ptr& error) {
+        self->close(transport::translate(error).message);
+    };
 }
 
-void DirectPath::openLane(Lane lane) {
+void IceDirectPath::openLane(Lane lane) {
     step([&] {
-        const auto endpoint = transport::tcpEndpoint(lane == Lane::Data ? offer_.data_endpoint : offer_.signal_endpoint);
+        const auto endpoint =
+            transport::tcpEndpoint(lane == Lane::Data ? offer_.data_endpoint : offer_.signal_endpoint);
         // A connection identifier of its own: a path lives and dies with its connections.
         auto& gate = end(lane).gate;
-        gate = Ice::uncheckedCast<slice::DirectGatePrx>(home(lane).communicator->stringToProxy("DirectGate:" + endpoint)
-                                                            ->ice_connectionId(Ice::generateUUID())
-                                                            ->ice_invocationTimeout(timeout_ms_));
-        gate->challengeAsync(
-            [self = shared_from_this(), lane](const Axon::CommUtil::Bytes& nonce) { self->challenged(lane, nonce); }, failure());
+        gate = Ice::uncheckedCast<slice::DirectGatePrx>(
+            home(lane)
+                .communicator->stringToProxy("DirectGate:" + endpoint)
+                ->ice_connectionId(Ice::generateUUID())
+                ->ice_invocationTimeout(timeout_ms_));
+        gate->challengeAsync([self = shared_from_this(),
+                              lane](const Axon::CommUtil::Bytes& nonce) { self->challenged(lane, nonce); },
+                             failure());
     });
 }
 
-void DirectPath::challenged(Lane lane, const Axon::CommUtil::Bytes& nonce) {
+void IceDirectPath::challenged(Lane lane, const Axon::CommUtil::Bytes& nonce) {
     step([&] {
         auto& its = end(lane);
         const auto connection = its.gate->ice_getCachedConnection();
         if (!connection) throw Ice::ConnectionLostException(__FILE__, __LINE__);
         const auto number = Id128::fromBytes({reinterpret_cast<const char*>(nonce.data()), nonce.size()});
         if (!number) return close("its nonce is none");
-        claim_.lane = lane;
-        claim_.nonce = *number;
-
         connection->setAdapter(home(lane).adapter);
         if (lane == Lane::Signal) transport::prepareSignalLane(*connection);
         const auto callback = Ice::uncheckedCast<slice::DirectCallbackPrx>(
             home(lane).adapter->addWithUUID(std::make_shared<Callback>(weak_from_this(), lane)));
         its.callback = callback->ice_getIdentity();
         its.connection = std::make_shared<transport::DirectConnection>(connection);
-        its.outbox = std::make_shared<transport::Outbox>(
-            lane == Lane::Data ? dataLimits() : transport::OutboxLimits{},
-            [weak = weak_from_this()](bool, const std::string& why) {
-                if (const auto self = weak.lock()) self->close("its outbox is full: " + why);
-            });
+        its.outbox =
+            std::make_shared<transport::Outbox>(lane == Lane::Data ? dataLimits() : transport::OutboxLimits{},
+                                                [weak = weak_from_this()](bool, const std::string& why) {
+                                                    if (const auto self = weak.lock())
+                                                        self->close("its outbox is full: " + why);
+                                                });
         bool late = false;
         {
             const std::lock_guard lock(mutex_);
@@ -172,22 +172,27 @@ void DirectPath::challenged(Lane lane, const Axon::CommUtil::Bytes& nonce) {
         slice::Opening opening;
         opening.lane = transport::toIce(lane);
         opening.held = {offer_.lease.epoch, offer_.lease.number};
-        opening.client = claim_.client.toString();
+        opening.client = uuidOf(offer_.client);
         opening.path = toIceBytes(number_.bytes());
-        opening.proof = toIceBytes(direct::proofOf(claim_, direct::Prover::Client, offer_.key));
+        opening.proof = toIceBytes(proofFor(lane, *number));
         its.gate->openAsync(
-            opening, callback, [self = shared_from_this(), lane](const slice::Opened& answer) { self->opened(lane, answer); }, failure());
+            opening, callback,
+            [self = shared_from_this(), lane](const slice::Opened& answer) { self->opened(lane, answer); },
+            failure());
     });
 }
 
-void DirectPath::opened(Lane lane, const slice::Opened& answer) {
+void IceDirectPath::opened(Lane lane, const slice::Opened& answer) {
     step([&] {
         auto& its = end(lane);
-        if (!answer.session || !direct::proves({reinterpret_cast<const char*>(answer.proof.data()), answer.proof.size()}, claim_,
-                                               direct::Prover::EntityManager, offer_.key))
+        if (!answer.session ||
+            !trusts({reinterpret_cast<const char*>(answer.proof.data()), answer.proof.size()}))
             return close("who answers does not know the lease's key; is it another machine's address?");
-        its.session = Ice::uncheckedCast<slice::DirectSessionPrx>(
-            its.gate->ice_getCachedConnection()->createProxy(answer.session->ice_getIdentity())->ice_oneway()->ice_invocationTimeout(-1));
+        its.session =
+            Ice::uncheckedCast<slice::DirectSessionPrx>(its.gate->ice_getCachedConnection()
+                                                            ->createProxy(answer.session->ice_getIdentity())
+                                                            ->ice_oneway()
+                                                            ->ice_invocationTimeout(-1));
         if (lane == Lane::Data) return openLane(Lane::Signal);
         silence.heard(clock_.now());
         open_ = true;
@@ -195,7 +200,7 @@ void DirectPath::opened(Lane lane, const slice::Opened& answer) {
     });
 }
 
-void DirectPath::close(const std::string& why) {
+void IceDirectPath::close(const std::string& why) {
     std::vector<std::shared_ptr<transport::DirectConnection>> connections;
     {
         const std::lock_guard lock(mutex_);
@@ -208,22 +213,27 @@ void DirectPath::close(const std::string& why) {
     if (const auto events = events_.lock()) events->directChanged();
 }
 
-std::string DirectPath::reason() const {
+std::string IceDirectPath::reason() const {
     const std::lock_guard lock(mutex_);
     return reason_;
 }
 
-// -- sending ----------------------------------------------------------------------------------------------------------
+// -- sending
+// ----------------------------------------------------------------------------------------------------------
 
-void DirectPath::send(Keeping keeping, const Header& head, std::shared_ptr<const std::string> message) const {
+void IceDirectPath::send(Keeping keeping, const Header& head,
+                         std::shared_ptr<const std::string> message) const {
     if (!isOpen()) return;
     const bool data = keeping == Keeping::Droppable;
-    const auto call = [data](slice::DirectSessionPrx& to, const Header& its_head, const std::string& its, SendCallbacks&& back) {
+    const auto call = [data](slice::DirectSessionPrx& to, const Header& its_head, const std::string& its,
+                             SendCallbacks&& back) {
         const auto range = transport::toRange(its);
         if (data)
-            to.sendToEntityDataSeqAsync(toDirectHead(its_head), range, nullptr, std::move(back.failed), std::move(back.sent));
+            to.sendToEntityDataSeqAsync(toDirectHead(its_head), range, nullptr, std::move(back.failed),
+                                        std::move(back.sent));
         else
-            to.sendToEntityAsync(toDirectHead(its_head), range, nullptr, std::move(back.failed), std::move(back.sent));
+            to.sendToEntityAsync(toDirectHead(its_head), range, nullptr, std::move(back.failed),
+                                 std::move(back.sent));
     };
     const auto bytes = kHeadBytes + message->size();
     data_.outbox->post(
@@ -231,57 +241,43 @@ void DirectPath::send(Keeping keeping, const Header& head, std::shared_ptr<const
         [&](SendCallbacks&& back) { call(*data_.session, head, *message, std::move(back)); },
         [&] {
             backlog_->add(bytes);
-            std::shared_ptr<void> waits(nullptr, [backlog = backlog_, bytes](void*) { backlog->remove(bytes); });
-            return transport::Outbox::Parcel(
-                [session = data_.session, call, head, message, waits = std::move(waits)](SendCallbacks&& back) {
-                    call(*session, head, *message, std::move(back));
-                });
+            std::shared_ptr<void> waits(nullptr,
+                                        [backlog = backlog_, bytes](void*) { backlog->remove(bytes); });
+            return transport::Outbox::Parcel([session = data_.session, call, head, message,
+                                              waits = std::move(waits)](SendCallbacks&& back) {
+                call(*session, head, *message, std::move(back));
+            });
         });
 }
 
 template <class Send>
-void DirectPath::post(Traffic traffic, Send send) const {
-    if (isOpen()) signal_.outbox->post(traffic, kHeadBytes, send, [send] { return transport::Outbox::Parcel(send); });
+void IceDirectPath::post(Traffic traffic, Send send) const {
+    if (isOpen())
+        signal_.outbox->post(traffic, kHeadBytes, send, [send] { return transport::Outbox::Parcel(send); });
 }
 
-void DirectPath::sendStopSignal(const Header& head, StopCause cause) const {
+void IceDirectPath::sendStopSignal(const Header& head, StopCause cause) const {
     post(Traffic::Signal, [session = signal_.session, its = toDirectHead(head), cause](SendCallbacks&& back) {
-        session->sendStopSignalAsync(its, transport::toIce(cause), nullptr, std::move(back.failed), std::move(back.sent));
+        session->sendStopSignalAsync(its, transport::toIce(cause), nullptr, std::move(back.failed),
+                                     std::move(back.sent));
     });
 }
-void DirectPath::sendResetSignal(const Header& head) const {
+void IceDirectPath::sendResetSignal(const Header& head) const {
     post(Traffic::Signal, [session = signal_.session, its = toDirectHead(head)](SendCallbacks&& back) {
         session->sendResetSignalAsync(its, nullptr, std::move(back.failed), std::move(back.sent));
     });
 }
-void DirectPath::sendClearSignal(const Header& head) const {
+void IceDirectPath::sendClearSignal(const Header& head) const {
     post(Traffic::Signal, [session = signal_.session, its = toDirectHead(head)](SendCallbacks&& back) {
         session->sendClearSignalAsync(its, nullptr, std::move(back.failed), std::move(back.sent));
     });
 }
-bool DirectPath::enliven() const {
-    const auto now = clock_.now();
-    return lively_until_.exchange((now + direct::kLively).time_since_epoch().count()) <= now.time_since_epoch().count();
-}
-
-std::pair<TimePoint, bool> DirectPath::beatIfDue(bool moving, bool permitted) {
-    const auto now = clock_.now();
-    const bool busy = moving || now.time_since_epoch().count() < lively_until_;
-    const bool faster = busy && !silence.busy();
-    permitted_ = permitted;
-    silence.setBusy(busy, now);
-    if (faster || now >= beat_at_) {
-        beat_at_ = now + (busy ? direct::kBeatBusy : direct::kBeatIdle);
-        if (permitted) beat();
-    }
-    return {beat_at_, faster};
-}
-
-void DirectPath::beat() const {
-    post(Traffic::Heartbeat, [session = signal_.session, received = static_cast<double>(passed.load(std::memory_order_acquire)),
-                              busy = silence.busy()](SendCallbacks&& back) {
-        session->keepAliveAsync(received, busy, nullptr, std::move(back.failed), std::move(back.sent));
-    });
+void IceDirectPath::beat() const {
+    post(Traffic::Heartbeat,
+         [session = signal_.session, received = static_cast<double>(passed.load(std::memory_order_acquire)),
+          busy = silence.busy()](SendCallbacks&& back) {
+             session->keepAliveAsync(received, busy, nullptr, std::move(back.failed), std::move(back.sent));
+         });
 }
 
 }  // namespace axon::client
