@@ -17,6 +17,9 @@ using direct::Verdict;
 
 constexpr std::size_t kHeadBytes = 200;  // that a message costs here besides its own
 constexpr auto kWarnAgain = std::chrono::minutes{1};
+/// Clients whose numbers are known. What is sent again comes within seconds of the end of a path, and each of
+/// these has checked out since.
+constexpr std::size_t kRows = 8;
 
 }  // namespace
 
@@ -48,21 +51,32 @@ void DirectDesk::onOpening(const DirectOpening& opening, const LeaseBook::Held* 
         return opening.refuse({RefusalCode::WrongState, "The signal lane of a direct path is opened after its data lane, once.", {}});
     if (first) {
         end("the holder opens another one", Rest::SendAgain);
-        if (client_ != held->holder.id) {
-            client_ = held->holder.id;
-            in_ = direct::IncomingWay<Came>();
-        }
+        auto& row = rowOf(held->holder.id);
         path_ = std::make_unique<Path>();
         path_->number = claim.path;
         path_->lease = held->number;
         path_->holder = held->holder;
         path_->signs = std::make_shared<DirectSigns>(clock_.now());
-        path_->signs->passed = in_.passed();
-        in_.open(claim.path);
+        path_->in = &row.in;
+        path_->signs->passed = row.in.passed();
+        row.in.open(claim.path);
     }
     auto& lane = first ? path_->data : path_->signal;
     lane = opening.admit(path_->holder, path_->signs, direct::proofOf(claim, direct::Prover::EntityManager, held->key.bytes()));
     if (!first) begin();
+}
+
+/// Made where there is none; the last from now on.
+DirectDesk::Row& DirectDesk::rowOf(const std::string& client) {
+    const auto found =
+        std::find_if(rows_.begin(), rows_.end(), [&](const Row& row) { return row.client == client; });
+    if (found != rows_.end()) {
+        rows_.splice(rows_.end(), rows_, found);
+    } else {
+        if (rows_.size() >= kRows) rows_.pop_front();
+        rows_.push_back({client, {}});
+    }
+    return rows_.back();
 }
 
 void DirectDesk::begin() {
@@ -84,7 +98,7 @@ void DirectDesk::end(const std::string& why, Rest rest) {
     const auto ended = std::move(path_);
     for (const auto& lane : {ended->data, ended->signal})
         if (lane) lane->close(why);
-    in_.close(ended->number);
+    ended->in->close(ended->number);
     if (out_.direct()) log_(false, "the direct path to " + named(ended->holder) + " has ended: " + why);
     out_.acknowledged(ended->signs->acknowledged.load(std::memory_order_relaxed));
     auto left = out_.end();
@@ -125,7 +139,7 @@ void DirectDesk::onTimer() {
     if (now >= path_->signs->silence.deadline())
         return end("nothing was heard of the client", Rest::SendAgain);
     if (now >= path_->mark_due) {
-        if (in_.holdsBack())
+        if (path_->in->holdsBack())
             return end("the servers have not brought its beginning in time", Rest::SendAgain);
         path_->mark_due = TimePoint::max();
     }
@@ -141,15 +155,18 @@ void DirectDesk::onTimer() {
 // -- what comes -------------------------------------------------------------------------------------------------------
 
 bool DirectDesk::relayed(Keeping keeping, const Header& head, const std::string& bytes, const Deliver& deliver) {
-    if (client_.empty() || head.sender.id != client_ || direct::alwaysRelayed(head.msg_type)) return true;
+    if (rows_.empty() || direct::alwaysRelayed(head.msg_type)) return true;
+    const auto row = std::find_if(rows_.begin(), rows_.end(),
+                                  [&](const Row& one) { return one.client == head.sender.id; });
+    if (row == rows_.end()) return true;
     if (head.msg_type == kMsgWay) {
         proto::ToEntity mark;
         const auto path = mark.ParseFromString(bytes) ? Id128::fromBytes(mark.way().path()) : std::nullopt;
-        if (path) in_.mark(*path, [&](Came came) { deliver(came.head, came.bytes); });
+        if (path) row->in.mark(*path, [&](Came came) { deliver(came.head, came.bytes); });
         acknowledge();
         return false;
     }
-    const bool pass = in_.relayed(keeping, head.sequence) == Verdict::Pass;
+    const bool pass = row->in.relayed(keeping, head.sequence) == Verdict::Pass;
     acknowledge();
     return pass;
 }
@@ -164,12 +181,12 @@ bool DirectDesk::arrived(const Id128& path, Keeping keeping, Header& head, std::
     // Only what is held back is needed as one.
     Came came;
     const auto sequence = head.sequence;
-    if (in_.waits()) came = {std::move(head), std::move(bytes)};
-    switch (in_.direct(path, keeping, sequence, size, came)) {
+    if (path_->in->waits()) came = {std::move(head), std::move(bytes)};
+    switch (path_->in->direct(path, keeping, sequence, size, came)) {
         case Verdict::Pass:
             acknowledge();
             if (keeping == Keeping::Kept && unacknowledged_.add(size) && path_->signal)
-                path_->signal->beat(in_.passed(), false);
+                path_->signal->beat(path_->in->passed(), false);
             return true;
         case Verdict::HeldBack:
             if (path_->mark_due == TimePoint::max()) path_->mark_due = clock_.now() + direct::kMarkWithin;
@@ -183,7 +200,7 @@ bool DirectDesk::arrived(const Id128& path, Keeping keeping, Header& head, std::
 }
 
 void DirectDesk::acknowledge() {
-    if (path_) path_->signs->passed.store(in_.passed(), std::memory_order_release);
+    if (path_) path_->signs->passed.store(path_->in->passed(), std::memory_order_release);
 }
 
 // -- what goes --------------------------------------------------------------------------------------------------------
@@ -212,7 +229,7 @@ void DirectDesk::sendToClient(Lane lane, const Header& head, const proto::ToClie
 void DirectDesk::ask() {
     path_->asked_at = clock_.now();
     path_->answer_due = path_->asked_at + direct::kAsks;
-    path_->signal->beat(in_.passed(), true);
+    path_->signal->beat(path_->in->passed(), true);
 }
 
 void DirectDesk::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {

@@ -2,6 +2,7 @@
 #pragma once
 #include <cstdint>
 #include <functional>
+#include <list>
 #include <memory>
 #include <string>
 #include <utility>
@@ -83,6 +84,7 @@ class DirectDesk final : public ServerPort {
         Id128 number;
         LeaseNumber lease;
         Sender holder;
+        direct::IncomingWay<Came>* in = nullptr;  // of rows_
         std::shared_ptr<DirectSigns> signs;
         std::shared_ptr<DirectLane> data, signal;
         TimePoint mark_due = TimePoint::max();  // while something is held back
@@ -105,9 +107,14 @@ class DirectDesk final : public ServerPort {
 
     std::unique_ptr<Path> path_;
     direct::OutgoingWay<Sent> out_;
-    // Of the client that opened a path last: kept when the path and the lease are over, for what it then sends again.
-    std::string client_;
-    direct::IncomingWay<Came> in_;
+    /// Of a client that has opened a path: kept when the path and the lease are over, for what it then sends
+    /// again, which may come when the next holder has its own.
+    struct Row {
+        std::string client;
+        direct::IncomingWay<Came> in;
+    };
+    Row& rowOf(const std::string& client);
+    std::list<Row> rows_;  // whoever opened one last is the last; kRows at most
     direct::Unacknowledged unacknowledged_;
     TimePoint warn_from_{};
 };

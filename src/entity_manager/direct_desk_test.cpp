@@ -252,6 +252,26 @@ TEST_F(DirectDeskTest, SilenceEndsAPathAfterTenSecondsOrWhileItIsBusyAfterAQuart
     EXPECT_FALSE(desk.direct());
 }
 
+// Its answer to a hand-over came by its path, and was carried out before it was acknowledged.
+TEST_F(DirectDeskTest, WhatAFormerHolderSendsAgainIsLeftOutThoughAnotherHasAPathByThen) {
+    stand();
+    relayed(1, kMsgWay, markOf(claim.path));
+    EXPECT_TRUE(comes(2, kMsgHandOver));
+    const auto first = held.holder.id;
+    held.number.number = 8;
+    held.key = Id128::random(random);
+    held.holder.id = "22222222-2222-4222-8222-222222222222";
+    desk.hold(&held);
+    claim = {Lane::Data, held.number, Id128::parse(held.holder.id).value(), Id128::random(random),
+             Id128::random(random)};
+    stand();
+    relayed(1, kMsgWay, markOf(claim.path), held.holder.id);
+    EXPECT_TRUE(comes(2)) << "whose numbers are its own";
+    EXPECT_FALSE(relayed(2, kMsgHandOver, "x", first));
+    EXPECT_TRUE(relayed(3, kMsgText, "x", first));
+    EXPECT_FALSE(relayed(2, kMsgText, "x", held.holder.id));
+}
+
 TEST_F(DirectDeskTest, AnotherPathOfTheHolderTakesThePlaceOfTheFirst) {
     stand();
     tell(1);
