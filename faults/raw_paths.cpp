@@ -184,7 +184,7 @@ void RawPaths::newDirectMsg(const DirectPath& path, Keeping keeping, Header head
         const std::lock_guard lock(mutex_);
         arrival = links_.arrived(path, keeping, head, bytes);
     }
-    if (arrival.close) arrival.close->close("too much is held back");
+    if (arrival.close) arrival.close->close(arrival.why);
     if (arrival.acknowledge) path.beat();
     if (arrival.pass) hear_(head, bytes);
 }

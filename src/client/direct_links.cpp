@@ -135,6 +135,8 @@ DirectLinks::Arrival DirectLinks::arrived(const DirectPath& path, direct::Keepin
     const auto found = entries_.find(path.entity());
     if (found == entries_.end() || found->second.path.get() != &path) return {};  // what counts of it comes by the servers
     auto& entry = found->second;
+    if (direct::alwaysRelayed(head.msg_type))
+        return {false, false, entry.path, "what goes by the servers came by it"};
     const auto size = message.size() + kHeadBytes;
     const auto sequence = head.sequence;
     Came came;
@@ -142,12 +144,12 @@ DirectLinks::Arrival DirectLinks::arrived(const DirectPath& path, direct::Keepin
     switch (entry.in.direct(path.number(), keeping, sequence, size, came)) {
         case Verdict::Pass:
             told(entry);
-            return {true, keeping == direct::Keeping::Kept && entry.unacknowledged.add(size), nullptr};
+            return {true, keeping == direct::Keeping::Kept && entry.unacknowledged.add(size), nullptr, ""};
         case Verdict::HeldBack:
             if (entry.mark_due == TimePoint::max()) entry.mark_due = clock_.now() + direct::kMarkWithin;
             return {};
         case Verdict::Overflow:
-            return {false, false, entry.path};
+            return {false, false, entry.path, "too much came before its beginning by the servers"};
         case Verdict::LeftOut: break;
     }
     return {};

@@ -83,6 +83,7 @@ class DirectLinks {
         bool pass = false;
         bool acknowledge = false;  ///< by a beat, at once
         std::shared_ptr<DirectPath> close;
+        const char* why = "";  ///< for close
     };
     Arrival arrived(const DirectPath& path, direct::Keeping keeping, Header& head, std::string_view message);
 

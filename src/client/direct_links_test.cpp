@@ -192,6 +192,17 @@ TEST_F(DirectLinksTest, AMarkOfAnotherPathOpensNothing) {
     EXPECT_TRUE(heard.empty());
 }
 
+TEST_F(DirectLinksTest, WhatGoesByTheServersEndsThePathThatBringsIt) {
+    const auto path = standing();
+    markOf(*path);
+    EXPECT_TRUE(comes(*path, 1).pass);
+    for (const auto* type : {kMsgCheckOut, kMsgRearm}) {
+        const auto arrival = comes(*path, 2, type);
+        EXPECT_FALSE(arrival.pass) << type;
+        EXPECT_EQ(arrival.close, path) << type;
+    }
+}
+
 TEST_F(DirectLinksTest, APathWhoseMarkDoesNotComeInTimeIsGivenUpAndTriedAgain) {
     const auto path = standing();
     comes(*path, 1);

@@ -712,7 +712,7 @@ void Client::Session::newDirectMsg(const DirectPath& path, direct::Keeping keepi
             if (arrival.pass) core.onEntityMsg(head, message, false);
         },
         Sends::Sender);
-    if (arrival.close) arrival.close->close("too much came before its beginning by the servers");
+    if (arrival.close) arrival.close->close(arrival.why);
     if (arrival.acknowledge) path.beat();
 }
 
