@@ -1,23 +1,29 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <deque>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include "client/direct_links.hpp"
+#include "client/direct_sending.hpp"
 #include "client/server_link.hpp"
 #include "client/session_core.hpp"
 #include "client/stop_desk.hpp"
+#include "simulation/direct_ways.hpp"
 #include "simulation/network.hpp"
 #include "simulation/observer.hpp"
 #include "simulation/server_station.hpp"
 
 namespace axon::simulation {
 
-/// A client's process: SessionCore and StopDesk as the library has them, and in place of its sockets and
-/// threads two connections of the simulated network and two alarms. Its user is User (user.hpp).
+/// A client's process: SessionCore, StopDesk, DirectLinks and DirectSending as the library has them, and in
+/// place of its sockets and threads connections of the simulated network and two alarms. Its user is User
+/// (user.hpp).
 class ClientStation final : public client::ServerLink,
                             public client::StopLink,
-                            public client::SessionObserver {
+                            public client::SessionObserver,
+                            public client::DirectPathEvents {
   public:
     ClientStation(Timeline& timeline, Network& network, Observer& observer, ServerStation& server, int number,
                   Role role, std::uint64_t seed);
@@ -25,6 +31,11 @@ class ClientStation final : public client::ServerLink,
 
     Process& process() { return process_; }
     Path& path() { return path_; }
+    /// Whoever listens for direct paths under this name can be reached from here.
+    void addRoad(const std::string& name, DirectListener& listener, bool honest = true) {
+        roads_.push_back({name, &listener, honest});
+    }
+    std::deque<Road>& roads() { return roads_; }
     Role role() const { return role_; }
     void start();
     void kill();
@@ -51,7 +62,8 @@ class ClientStation final : public client::ServerLink,
                          const std::string& profile);
     void newStatusMsg(std::uint64_t attempt, const EntityStatus& status);
     void newSvcRecordMsg(std::uint64_t attempt, const Header& head, const std::string& record);
-    void newEntityMsg(std::uint64_t attempt, const Header& head, const std::string& bytes);
+    void newEntityMsg(std::uint64_t attempt, Lane lane, direct::Keeping keeping, const Header& head,
+                      const std::string& bytes);
     void newRefusalMsg(std::uint64_t attempt, const Header& head, const Refusal& refusal);
     void newStopAccepted(std::uint64_t attempt, std::int64_t sequence, const std::string& entity,
                          int entities);
@@ -68,7 +80,16 @@ class ClientStation final : public client::ServerLink,
     void sendStopSignals(Lane lane, const Header& head, std::vector<std::string> entities,
                          StopCause cause) override;
 
+    // DirectPathEvents.
+    void newDirectMsg(const client::DirectPath& path, direct::Keeping keeping, Header head,
+                      std::string_view message) override;
+    void newDirectReceipt(const client::DirectPath& path, const Header& head,
+                          std::string_view message) override;
+    void directChanged() override;
+
     // SessionObserver.
+    void onDirect(const client::Held& held, const std::string& data_endpoint,
+                  const std::string& signal_endpoint, const std::string& key) override;
     void onEntity(Presence, const client::Entity&) override {}
     void onTask(const client::TaskReport& report) override {
         if (on_task) on_task(report);
@@ -88,10 +109,19 @@ class ClientStation final : public client::ServerLink,
     struct Life {
         Life(ClientStation& station, SeededRandom& random)
             : core({}, station.process_, random, station, station, marks),
-              desk(station.process_, station, marks) {}
+              desk(station.process_, station, marks),
+              links(station.process_, kPathsMost,
+                    [&station](const client::DirectOffer& offer) { return station.makePath(offer); }),
+              ways([&station](client::Operation kind, const Header& head,
+                              std::string bytes) { station.relayForPaths(kind, head, std::move(bytes)); },
+                   [&station] { station.wakeBeat(); }) {}
         client::SignalMarks marks;
         client::SessionCore core;
         client::StopDesk desk;
+        client::DirectLinks links;
+        client::DirectSending ways;
+        TimePoint direct_at = TimePoint::max();  ///< when something is due of the direct paths
+        TimePoint path_beats_at = TimePoint::max();
         Connection* data = nullptr;
         Connection* signal = nullptr;
         ServerStation::ClientSession* session = nullptr;
@@ -104,6 +134,16 @@ class ClientStation final : public client::ServerLink,
         Duration backoff{};
     };
     bool hears(std::uint64_t attempt) const { return life_ && life_->listening == attempt; }
+    static constexpr std::size_t kPathsMost = 64;
+    std::shared_ptr<client::DirectPath> makePath(const client::DirectOffer& offer);
+    void put(client::Operation kind, const Header& head, std::string bytes);
+    void relay(client::Operation kind, const Header& head, std::string bytes);
+    void relayForPaths(client::Operation kind, const Header& head, std::string bytes);
+    void hear(const Header& head, const std::string& bytes, bool of_server);
+    void directTurn();
+    void wakeBeat();
+    void close(const client::DirectLinks::Closing& closing, const char* why);
+    void pathEnds(const std::string& entity, const std::string& why);
     void establish();
     void lost(std::uint64_t attempt, const char* reason);
     void onAlarm();
@@ -117,6 +157,7 @@ class ClientStation final : public client::ServerLink,
     ServerStation& server_;
     Process process_;
     Path path_;
+    std::deque<Road> roads_;
     const Role role_;
     SeededRandom random_;
     Alarm alarm_, beat_;

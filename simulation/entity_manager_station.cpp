@@ -6,7 +6,9 @@
 
 #include <algorithm>
 
+#include "common/rate_limit.hpp"
 #include "common/watchdog.hpp"
+#include "direct/always_relayed.hpp"
 #include "entity_manager/stop_gate.hpp"
 #include "simulation/robot_application.hpp"
 
@@ -28,6 +30,9 @@ constexpr Duration kHelloTime = 1s;
 constexpr Duration kWatchdogBusy = 100ms;
 constexpr Duration kWatchdogIdle = 500ms;
 constexpr int kFirstManager = 100;
+// As src/entity_manager/direct_door.cpp and entity_manager.cpp have them.
+constexpr std::size_t kChallenges = 64;
+constexpr int kOpenings = 8;
 
 Refusal noResources() {
     return {RefusalCode::NotSupported, "The simulation has no resources.", {}};
@@ -64,10 +69,71 @@ void Disk::replay(const std::function<void(const entity_manager::JournalRecord&)
     for (const auto& record : records_) each(record);
 }
 
+/// The relayed way, in place of EntityCommunicator.
+class EntityManagerStation::Servers final : public entity_manager::RelayedWay {
+  public:
+    explicit Servers(EntityManagerStation& station) : station_(station) {}
+    void wantConnection(bool wanted) override;
+    void sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) override;
+    void sendStatus(const EntityStatus& status) override;
+    void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) override {
+        toClient(lane, head, message.SerializeAsString());
+    }
+    void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) override;
+    void sendToClientDataSeq(const Header& head, const proto::ToClient& message) override;
+    void sendToClientBytes(Lane lane, const Header& head, const std::string& message) override {
+        if (lane == Lane::Data) ++station_.observer_.counts().sent_again;
+        toClient(lane, head, message);
+    }
+
+  private:
+    void toClient(Lane lane, const Header& head, std::string bytes);
+    EntityManagerStation& station_;
+};
+
+/// One lane of a direct path, as IceLane.
+class EntityManagerStation::BackLane final : public entity_manager::DirectLane {
+  public:
+    BackLane(EntityManagerStation& station, Connection& connection, Lane lane,
+             std::weak_ptr<DirectCaller> caller)
+        : station_(station), connection_(connection), lane_(lane), caller_(std::move(caller)) {}
+    void send(direct::Keeping keeping, const Header& head,
+              std::shared_ptr<const std::string> message) override {
+        connection_.send(station_.process_,
+                         [caller = caller_, lane = lane_, keeping, head, message = std::move(message)] {
+                             if (const auto to = caller.lock())
+                                 to->newEntityMsg(lane, keeping, head, *message);
+                         });
+    }
+    void beat(std::int64_t passed, bool asks) override {
+        connection_.beat(station_.process_, [caller = caller_, passed, asks] {
+            if (const auto to = caller.lock()) to->newHeartbeat(passed, asks);
+        });
+    }
+    void close(const std::string& why) override {
+        connection_.close(station_.process_);
+        const auto caller = caller_.lock();
+        if (lane_ == Lane::Signal) station_.pathEnds(why, !caller || caller->honest());
+        station_.closed(connection_);
+    }
+    std::string peer() const override { return "the simulated network"; }
+
+  private:
+    EntityManagerStation& station_;
+    Connection& connection_;
+    const Lane lane_;
+    const std::weak_ptr<DirectCaller> caller_;
+};
+
 /// All that is lost when the process dies.
 struct EntityManagerStation::Life {
     Life(EntityManagerStation& station, entity_manager::CoreSettings settings)
         : link_watchdog(kWatchdogBusy, kWatchdogIdle, station.process_.now()),
+          servers(station),
+          ways(station.process_, servers,
+               [&station](bool, const std::string& line) {
+                   station.timeline_.tell(station.process_.name(), [&] { return line; });
+               }),
           core(std::move(settings), station.process_, station.random_, station, station, station.disk_,
                station.disk_, gate, &station.disk_) {}
 
@@ -95,6 +161,21 @@ struct EntityManagerStation::Life {
     Duration busy_period = 50ms;
     Duration idle_period = 2s;
 
+    // The direct path: the product's desk, and what the door has in place of it.
+    struct Session {  ///< DirectSession
+        Id128 path;
+        Lane lane;
+        Sender sender;
+        std::shared_ptr<entity_manager::DirectSigns> signs;
+        std::shared_ptr<entity_manager::DirectLane> back;
+        std::shared_ptr<RateLimit> drills;
+    };
+    std::deque<std::pair<const Connection*, Id128>> challenges;
+    std::unordered_map<const Connection*, Session> sessions;  // only looked up
+    int openings = 0;
+    Servers servers;
+    entity_manager::DirectDesk ways;
+
     EntityManagerCore core;  // last: it speaks to all of the above
 };
 
@@ -116,6 +197,7 @@ EntityManagerStation::EntityManagerStation(Timeline& timeline, Network& network,
              [this] {
                  if (std::exchange(life_->server_heard, false)) life_->core.onServerHeartbeat();
                  life_->core.onTimer();
+                 life_->ways.onTimer();
                  settle();
              }),
       beat_(timeline, process_, [this] { keepAlive(); }) {
@@ -138,6 +220,7 @@ void EntityManagerStation::start() {
     entity_manager::CoreSettings settings;
     settings.application = application_.process().name();
     life_ = std::make_unique<Life>(*this, std::move(settings));
+    life_->ways.setEntity(life_->core.uuid());
     life_->core.start();
     lookIn(Duration{});
     settle();
@@ -151,7 +234,13 @@ void EntityManagerStation::kill() {
 
 void EntityManagerStation::settle() {
     observer_.managerIs(entity_, life_->core.status());
-    alarm_.set(life_->core.nextDeadline());
+    armAlarm();
+}
+
+/// As EntityManager::afterEvents.
+void EntityManagerStation::armAlarm() {
+    life_->ways.hold(life_->core.held());
+    alarm_.set(std::min(life_->core.nextDeadline(), life_->ways.nextDeadline()));
 }
 
 // -- the strand
@@ -169,7 +258,27 @@ void EntityManagerStation::drain() {
         event();
         observer_.managerIs(entity_, life_->core.status());
     }
-    alarm_.set(life_->core.nextDeadline());
+    armAlarm();
+}
+
+template <class Use>
+void EntityManagerStation::onStrand(Use use) {
+    timeline_.after(dice_.between(2us, 60us), process_, [this, use = std::move(use)] {
+        use();
+        settle();
+    });
+}
+
+void EntityManagerStation::handleRelayed(direct::Keeping keeping, const Header& head,
+                                         const std::string& bytes, bool repeated) {
+    const auto deliver = [this](const Header& its_head, const std::string& its) {
+        observer_.passes(entity_, its_head, false);
+        handleClientMsg(its_head, its);
+    };
+    if (!life_->ways.relayed(keeping, head, bytes, deliver)) return;
+    if (keeping == direct::Keeping::Kept && !direct::alwaysRelayed(head.msg_type))
+        observer_.passes(entity_, head, repeated);
+    handleClientMsg(head, bytes);
 }
 
 void EntityManagerStation::handleClientMsg(const Header& head, const std::string& bytes) {
@@ -198,7 +307,9 @@ bool EntityManagerStation::hears(std::uint64_t attempt) const {
 void EntityManagerStation::newClientMsg(std::uint64_t attempt, const Header& head, const std::string& bytes,
                                         bool repeated) {
     if (!hears(attempt)) return;
-    wakeStrand(life_->inbox.pushControl([this, head, bytes] { handleClientMsg(head, bytes); }, bytes.size()));
+    wakeStrand(life_->inbox.pushControl(
+        [this, head, bytes, repeated] { handleRelayed(direct::Keeping::Kept, head, bytes, repeated); },
+        bytes.size()));
     if (repeated || mischief_.repeats <= 0 || !dice_.chance(mischief_.repeats)) return;
     const auto again = dice_.between(Duration{}, mischief_.repeats_within);
     if (head.msg_type != kMsgCheckOut && head.msg_type != kMsgRearm) {
@@ -215,20 +326,26 @@ void EntityManagerStation::newClientMsg(std::uint64_t attempt, const Header& hea
 void EntityManagerStation::newClientMsgDataSeq(std::uint64_t attempt, const Header& head,
                                                const std::string& bytes) {
     if (!hears(attempt)) return;
-    wakeStrand(life_->inbox.pushData([this, head, bytes] { handleClientMsg(head, bytes); }, bytes.size()));
+    wakeStrand(life_->inbox.pushData(
+        [this, head, bytes] { handleRelayed(direct::Keeping::Droppable, head, bytes, false); },
+        bytes.size()));
 }
 
 void EntityManagerStation::stopSignal(std::uint64_t attempt, const Header& head, StopCause cause,
                                       bool repeated) {
     if (!hears(attempt)) return;
-    auto& life = *life_;
     if (!repeated && mischief_.repeats > 0 && dice_.chance(mischief_.repeats)) {
         timeline_.after(dice_.between(Duration{}, mischief_.repeats_within), process_,
                         [this, attempt, head, cause] { stopSignal(attempt, head, cause, true); });
     }
-    // As EntityManager::stopSignal does it.
+    passStop(head, cause);
+}
+
+/// As EntityManager::stopSignal does it.
+void EntityManagerStation::passStop(const Header& head, StopCause cause) {
+    auto& life = *life_;
     if (cause == StopCause::ClientLost && life.gate.sparesClientLoss()) {
-        newClientUpdate(attempt, head, ClientChange::Lost);
+        newClientUpdate(life.attempt, head, ClientChange::Lost);
         return;
     }
     if (cause == StopCause::Drill) {
@@ -258,14 +375,18 @@ void EntityManagerStation::stopSignal(std::uint64_t attempt, const Header& head,
 }
 
 void EntityManagerStation::resetSignal(std::uint64_t attempt, const Header& head) {
-    if (hears(attempt))
-        wakeStrand(life_->inbox.pushSignal(Inbox::Signal::Passing,
-                                           [this, head] { life_->core.onResetSignal(head); }, senderKey(head.sender.id)));
+    if (hears(attempt)) passReset(head);
 }
 void EntityManagerStation::clearSignal(std::uint64_t attempt, const Header& head) {
-    if (hears(attempt))
-        wakeStrand(life_->inbox.pushSignal(Inbox::Signal::Passing,
-                                           [this, head] { life_->core.onClearSignal(head); }, senderKey(head.sender.id)));
+    if (hears(attempt)) passClear(head);
+}
+void EntityManagerStation::passReset(const Header& head) {
+    wakeStrand(
+        life_->inbox.pushSignal(Inbox::Signal::Passing, [this, head] { life_->core.onResetSignal(head); }, senderKey(head.sender.id)));
+}
+void EntityManagerStation::passClear(const Header& head) {
+    wakeStrand(
+        life_->inbox.pushSignal(Inbox::Signal::Passing, [this, head] { life_->core.onClearSignal(head); }, senderKey(head.sender.id)));
 }
 void EntityManagerStation::newClientUpdate(std::uint64_t attempt, const Header& head, ClientChange change) {
     if (hears(attempt))
@@ -274,6 +395,139 @@ void EntityManagerStation::newClientUpdate(std::uint64_t attempt, const Header& 
 }
 void EntityManagerStation::newHeartbeat(std::uint64_t attempt) {
     if (hears(attempt)) life_->core.onServerHeartbeat();
+}
+
+// -- by the direct path: what DirectDoor and EntityManager do
+
+void EntityManagerStation::challenge(Connection& connection, Lane port, std::weak_ptr<DirectCaller> caller) {
+    auto& challenges = life_->challenges;
+    std::erase_if(challenges, [&](const auto& one) { return one.first == &connection; });
+    if (challenges.size() >= kChallenges) challenges.pop_front();
+    const auto nonce = Id128::random(random_);
+    challenges.emplace_back(&connection, nonce);
+    connection.send(process_, [caller = std::move(caller), port, nonce] {
+        if (const auto to = caller.lock()) to->challenged(port, nonce);
+    });
+}
+
+void EntityManagerStation::open(Connection& connection, Lane port, const SaidOpening& said,
+                                std::weak_ptr<DirectCaller> caller) {
+    const auto refuse = [this, &connection, port, caller](const Refusal& refusal) {
+        connection.send(process_, [caller, port, refusal] {
+            if (const auto to = caller.lock()) to->refused(port, refusal);
+        });
+    };
+    if (said.claim.path.isZero() || said.claim.lane != port)
+        return refuse({RefusalCode::Malformed, "no path, or the other port's lane", {}});
+    auto& challenges = life_->challenges;
+    const auto found = std::find_if(challenges.begin(), challenges.end(),
+                                    [&](const auto& one) { return one.first == &connection; });
+    if (found == challenges.end())
+        return refuse({RefusalCode::WrongState, "no challenge before it over this connection", {}});
+    entity_manager::DirectOpening opening;
+    opening.claim = said.claim;
+    opening.claim.nonce = found->second;
+    opening.proof = said.proof;
+    challenges.erase(found);
+    if (life_->openings >= kOpenings)
+        return refuse({RefusalCode::Overloaded, "others open direct paths at the moment", {}});
+    ++life_->openings;
+    opening.refuse = refuse;
+    opening.admit = [this, &connection, port, path = said.claim.path, claim = opening.claim,
+                     its = opening.proof,
+                     caller](const Sender& sender, std::shared_ptr<entity_manager::DirectSigns> signs,
+                             const std::string& proof) {
+        const auto* held = life_->core.held();
+        overheard_ = SaidOpening{claim, its};
+        observer_.pathOpens(entity_,
+                            held != nullptr && held->number == claim.lease &&
+                                Id128::parse(uuidOf(held->holder.id)) == claim.client &&
+                                its == direct::proofOf(claim, direct::Prover::Client, held->key.bytes()));
+        return admit(connection, port, path, sender, signs, proof, caller);
+    };
+    onStrand([this, opening = std::move(opening)] {
+        --life_->openings;
+        life_->ways.onOpening(opening, life_->core.held());
+    });
+}
+
+std::shared_ptr<entity_manager::DirectLane> EntityManagerStation::admit(
+    Connection& connection, Lane lane, const Id128& path, const Sender& sender,
+    const std::shared_ptr<entity_manager::DirectSigns>& signs, const std::string& proof,
+    const std::weak_ptr<DirectCaller>& caller) {
+    auto back = std::make_shared<BackLane>(*this, connection, lane, caller);
+    life_->sessions[&connection] = {path,  lane, sender,
+                                    signs, back, std::make_shared<RateLimit>(kDrillsPerSecond)};
+    connection.onClosed(process_, [this, &connection, path] {
+        closed(connection);
+        onStrand([this, path] { life_->ways.onClosed(path, "its holder's end is closed"); });
+    });
+    connection.send(process_, [caller, lane, proof] {
+        if (const auto to = caller.lock()) to->opened(lane, proof);
+    });
+    if (lane == Lane::Signal) ++observer_.counts().paths;
+    return back;
+}
+
+void EntityManagerStation::closed(const Connection& connection) {
+    life_->sessions.erase(&connection);
+}
+
+void EntityManagerStation::pathEnds(const std::string& why, bool honest) {
+    ++observer_.counts().paths_ended;
+    if (why == "its holder's end is closed" || why == "the lease has ended") return;
+    ++observer_.counts().paths_broken;
+    if (honest) observer_.pathHurt(process_.name() + ": a direct path ends: " + why);
+}
+
+/// The head of what has come on this lane, as of who has opened it; none where nobody has.
+std::optional<Header> EntityManagerStation::properHead(const Connection& connection, Lane lane,
+                                                       const Header& said) const {
+    const auto session = life_->sessions.find(&connection);
+    if (session == life_->sessions.end() || session->second.lane != lane) return std::nullopt;
+    auto head = said;
+    head.sender = session->second.sender;
+    head.entity = life_->core.uuid();
+    return head;
+}
+
+void EntityManagerStation::sendToEntity(Connection& connection, direct::Keeping keeping, const Header& said,
+                                        const std::string& bytes) {
+    const auto head = properHead(connection, Lane::Data, said);
+    if (!head) return;
+    auto event = [this, path = life_->sessions.at(&connection).path, keeping, head = *head, bytes] {
+        auto its = head;
+        auto message = bytes;
+        if (!life_->ways.arrived(path, keeping, its, message)) return;
+        if (keeping == direct::Keeping::Kept) observer_.passes(entity_, its, false);
+        handleClientMsg(its, message);
+    };
+    wakeStrand(keeping == direct::Keeping::Droppable
+                   ? life_->inbox.pushData(std::move(event), bytes.size())
+                   : life_->inbox.pushControl(std::move(event), bytes.size(), Inbox::Share::Half));
+}
+
+void EntityManagerStation::sendStopSignal(Connection& connection, const Header& said, StopCause cause) {
+    auto head = properHead(connection, Lane::Signal, said);
+    if (!head) return;
+    if (cause != StopCause::Drill) cause = StopCause::Requested;
+    if (head->sequence >= kServerSequences) head->sequence = 0;
+    if (cause == StopCause::Drill && !life_->sessions.at(&connection).drills->admit(process_.now())) return;
+    passStop(*head, cause);
+}
+void EntityManagerStation::sendResetSignal(Connection& connection, const Header& said) {
+    if (const auto head = properHead(connection, Lane::Signal, said)) passReset(*head);
+}
+void EntityManagerStation::sendClearSignal(Connection& connection, const Header& said) {
+    if (const auto head = properHead(connection, Lane::Signal, said)) passClear(*head);
+}
+
+void EntityManagerStation::keepAlive(Connection& connection, std::int64_t received, bool busy) {
+    if (!properHead(connection, Lane::Signal, {})) return;
+    const auto& session = life_->sessions.at(&connection);
+    const bool faster = session.signs->heard(process_.now(), received, busy);
+    session.back->beat(session.signs->passed.load(), false);
+    if (faster) onStrand([] {});
 }
 
 // -- the link to the application
@@ -431,19 +685,25 @@ void EntityManagerStation::beat() {
 // -- the session with the server
 
 void EntityManagerStation::wantConnection(bool wanted) {
-    auto& life = *life_;
-    if (life.wanted == wanted) return;
-    life.wanted = wanted;
-    if (wanted) {
-        life.backoff = kFirstBackoff;
-        login();
-        return;
-    }
-    if (life.up)
-        life.data->send(process_, [server = &server_, session = life.session] {
-            server->entityGone(*session, true, "it ended its session");
-        });
-    dropServer();
+    life_->ways.wantConnection(wanted);
+}
+void EntityManagerStation::sendBasicPrfl(const Registration& registration,
+                                         const proto::BasicProfile& profile) {
+    life_->ways.sendBasicPrfl(registration, profile);
+}
+void EntityManagerStation::sendStatus(const EntityStatus& status) {
+    life_->ways.sendStatus(status);
+}
+void EntityManagerStation::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
+    observer_.toClient(entity_, head, message);
+    if (lane == Lane::Data && !direct::alwaysRelayed(head.msg_type)) observer_.tells(head);
+    life_->ways.sendToClient(lane, head, message);
+}
+void EntityManagerStation::sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
+    life_->ways.sendToPeer(lane, head, message);
+}
+void EntityManagerStation::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
+    life_->ways.sendToClientDataSeq(head, message);
 }
 
 void EntityManagerStation::login() {
@@ -477,6 +737,8 @@ void EntityManagerStation::attached(std::uint64_t attempt) {
     auto& life = *life_;
     life.up = true;
     life.busy = false;
+    const auto& name = application_.process().name();
+    life.core.offerDirect(endpointOf(name, Lane::Data), endpointOf(name, Lane::Signal));
     life.core.onServerUp();
     keepAlive();
     settle();
@@ -498,6 +760,7 @@ void EntityManagerStation::serverLost(std::uint64_t attempt, const char* reason)
     const auto dropped = life.attempt;
     if (was_up) {
         observer_.hurt(process_.name() + " has lost its session: " + reason);
+        life.ways.serverDown();
         life.core.onServerDown(reason);
         settle();
     }
@@ -523,56 +786,74 @@ void EntityManagerStation::keepAlive() {
     beat_.set(process_.now() + (life.busy ? life.busy_period : life.idle_period));
 }
 
-void EntityManagerStation::sendBasicPrfl(const Registration& registration,
-                                         const proto::BasicProfile& profile) {
-    auto& life = *life_;
+// -- by the servers
+
+void EntityManagerStation::Servers::wantConnection(bool wanted) {
+    auto& station = station_;
+    auto& life = *station.life_;
+    if (life.wanted == wanted) return;
+    life.wanted = wanted;
+    if (wanted) {
+        life.backoff = kFirstBackoff;
+        station.login();
+        return;
+    }
+    if (life.up)
+        life.data->send(station.process_, [server = &station.server_, session = life.session] {
+            server->entityGone(*session, true, "it ended its session");
+        });
+    station.dropServer();
+}
+
+void EntityManagerStation::Servers::sendBasicPrfl(const Registration& registration,
+                                                  const proto::BasicProfile& profile) {
+    auto& life = *station_.life_;
     if (!life.up) return;
     life.busy_period = std::chrono::milliseconds(registration.heartbeat_busy_ms);
     life.idle_period = std::chrono::milliseconds(registration.heartbeat_idle_ms);
-    life.data->send(process_, [server = &server_, session = life.session, registration,
-                               bytes = profile.SerializeAsString()] {
+    life.data->send(station_.process_, [server = &station_.server_, session = life.session, registration,
+                                        bytes = profile.SerializeAsString()] {
         server->sendBasicPrfl(*session, registration, bytes);
     });
 }
 
-void EntityManagerStation::sendStatus(const EntityStatus& status) {
-    auto& life = *life_;
+void EntityManagerStation::Servers::sendStatus(const EntityStatus& status) {
+    auto& life = *station_.life_;
     if (!life.up) return;
-    life.data->send(process_, [server = &server_, session = life.session, status] {
+    life.data->send(station_.process_, [server = &station_.server_, session = life.session, status] {
         server->sendStatus(*session, status);
     });
     const bool busy = status.state == EntityState::BUSY;
-    if (std::exchange(life.busy, busy) != busy) keepAlive();
+    if (std::exchange(life.busy, busy) != busy) station_.keepAlive();
 }
 
-void EntityManagerStation::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
-    auto& life = *life_;
-    observer_.toClient(entity_, head, message);
+void EntityManagerStation::Servers::toClient(Lane lane, const Header& head, std::string bytes) {
+    auto& life = *station_.life_;
     if (!life.up) return;
     auto* connection = lane == Lane::Signal ? life.signal : life.data;
-    connection->send(process_, [server = &server_, session = life.session, lane, head,
-                                bytes = message.SerializeAsString()] {
-        server->sendToClient(*session, lane, head, bytes);
-    });
+    connection->send(station_.process_,
+                     [server = &station_.server_, session = life.session, lane, head,
+                      bytes = std::move(bytes)] { server->sendToClient(*session, lane, head, bytes); });
 }
 
-void EntityManagerStation::sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) {
-    auto& life = *life_;
+void EntityManagerStation::Servers::sendToPeer(Lane lane, const Header& head,
+                                               const proto::ToEntity& message) {
+    auto& life = *station_.life_;
     if (!life.up) return;
     auto* connection = lane == Lane::Signal ? life.signal : life.data;
-    connection->send(process_, [server = &server_, session = life.session, lane, head,
-                                bytes = message.SerializeAsString()] {
+    connection->send(station_.process_, [server = &station_.server_, session = life.session, lane, head,
+                                         bytes = message.SerializeAsString()] {
         server->sendToPeer(*session, lane, head, bytes);
     });
 }
 
-void EntityManagerStation::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
-    auto& life = *life_;
+void EntityManagerStation::Servers::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
+    auto& life = *station_.life_;
     if (!life.up) return;
-    life.data->send(process_,
-                    [server = &server_, session = life.session, head, bytes = message.SerializeAsString()] {
-                        server->sendToClientDataSeq(*session, head, bytes);
-                    });
+    life.data->send(station_.process_, [server = &station_.server_, session = life.session, head,
+                                        bytes = message.SerializeAsString()] {
+        server->sendToClientDataSeq(*session, head, bytes);
+    });
 }
 
 }  // namespace axon::simulation

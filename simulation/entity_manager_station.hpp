@@ -1,12 +1,17 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <deque>
 #include <map>
 #include <memory>
 #include <optional>
 #include <string>
+#include <unordered_map>
+#include <utility>
 
+#include "entity_manager/direct_desk.hpp"
 #include "entity_manager/entity_manager_core.hpp"
 #include "entity_manager/inbox.hpp"
+#include "simulation/direct_ways.hpp"
 #include "simulation/network.hpp"
 #include "simulation/observer.hpp"
 #include "simulation/server_station.hpp"
@@ -42,10 +47,13 @@ class Disk final : public entity_manager::Storage,
     std::vector<entity_manager::JournalRecord> records_;
 };
 
-/// An Entity Manager's process: EntityManagerCore, StopGate and Inbox as the daemon has them. In place of
-/// Ice, of the TCP link and of the strand: connections of the simulated network, and an event in which the
-/// strand comes some microseconds after something was put into the inbox, while a stop passes at once.
-class EntityManagerStation final : public entity_manager::BackEndPort, public entity_manager::ServerPort {
+/// An Entity Manager's process: EntityManagerCore, DirectDesk, StopGate and Inbox as the daemon has them. In
+/// place of Ice, of the TCP link and of the strand: connections of the simulated network, and an event in
+/// which the strand comes some microseconds after something was put into the inbox, while a stop passes at
+/// once.
+class EntityManagerStation final : public entity_manager::BackEndPort,
+                                   public entity_manager::ServerPort,
+                                   public DirectListener {
   public:
     struct Mischief {        ///< what the network does to messages of clients and to stops on their way here
         double repeats = 0;  ///< part of the messages that come once more
@@ -66,6 +74,8 @@ class EntityManagerStation final : public entity_manager::BackEndPort, public en
     /// The application's process has been frozen or goes on.
     void applicationFrozen();
     const entity_manager::EntityManagerCore* core() const;
+    /// What the holder said last to open a path, for whoever listens on the wire; nothing there is encrypted.
+    const std::optional<SaidOpening>& overheard() const { return overheard_; }
 
     // From the application, as this process.
     void linkAnswered(std::uint64_t attempt, std::uint64_t link);
@@ -86,6 +96,18 @@ class EntityManagerStation final : public entity_manager::BackEndPort, public en
     void newClientUpdate(std::uint64_t attempt, const Header& head, ClientChange change);
     void newHeartbeat(std::uint64_t attempt);
 
+    // DirectListener.
+    Process& listeningProcess() override { return process_; }
+    void challenge(Connection& connection, Lane port, std::weak_ptr<DirectCaller> caller) override;
+    void open(Connection& connection, Lane port, const SaidOpening& said,
+              std::weak_ptr<DirectCaller> caller) override;
+    void sendToEntity(Connection& connection, direct::Keeping keeping, const Header& head,
+                      const std::string& bytes) override;
+    void sendStopSignal(Connection& connection, const Header& head, StopCause cause) override;
+    void sendResetSignal(Connection& connection, const Header& head) override;
+    void sendClearSignal(Connection& connection, const Header& head) override;
+    void keepAlive(Connection& connection, std::int64_t received, bool busy) override;
+
     // BackEndPort.
     bool send(const proto::EmToEi& message) override;
     void stop(std::uint32_t generation, StopCause cause) override;
@@ -100,11 +122,28 @@ class EntityManagerStation final : public entity_manager::BackEndPort, public en
 
   private:
     struct Life;
+    class Servers;
+    class BackLane;
     bool hears(std::uint64_t attempt) const;
     void wakeStrand(entity_manager::Inbox::Verdict verdict);
     void drain();
     void settle();
+    void handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes, bool repeated);
     void handleClientMsg(const Header& head, const std::string& bytes);
+    void passStop(const Header& head, StopCause cause);
+    void passReset(const Header& head);
+    void passClear(const Header& head);
+    void armAlarm();
+    /// On the strand, as EntityManager::onStrand does it.
+    template <class Use>
+    void onStrand(Use use);
+    std::shared_ptr<entity_manager::DirectLane> admit(
+        Connection& connection, Lane lane, const Id128& path, const Sender& sender,
+        const std::shared_ptr<entity_manager::DirectSigns>& signs, const std::string& proof,
+        const std::weak_ptr<DirectCaller>& caller);
+    std::optional<Header> properHead(const Connection& connection, Lane lane, const Header& said) const;
+    void pathEnds(const std::string& why, bool honest);
+    void closed(const Connection& connection);
     // The link.
     void look();
     void lookIn(Duration time);
@@ -132,6 +171,7 @@ class EntityManagerStation final : public entity_manager::BackEndPort, public en
     Mischief mischief_;
     SeededRandom random_;
     Disk disk_;
+    std::optional<SaidOpening> overheard_;
     Alarm alarm_, beat_;
     std::uint64_t attempts_ = 0;
     bool signal_thread_ = false;  ///< whose stop is being written

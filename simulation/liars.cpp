@@ -62,12 +62,13 @@ struct Liars::Ears final : public front_end_server::ClientOutbox, public entity_
     bool disconnected = false;
 };
 
-Liars::Liars(Timeline& timeline, Process& outside, ServerStation& server, Observer& observer, std::uint64_t seed, TimePoint from,
-             TimePoint until)
+Liars::Liars(Timeline& timeline, Process& outside, ServerStation& server, Observer& observer,
+             DirectLiars& direct, std::uint64_t seed, TimePoint from, TimePoint until)
     : timeline_(timeline),
       outside_(outside),
       server_(server),
       observer_(observer),
+      direct_(direct),
       dice_(seed),
       random_(seed),
       until_(until),
@@ -150,7 +151,7 @@ void Liars::lieAsClient() {
     auto& front_end = *server_.frontEnd();
     proto::ToEntity body;
     const auto request = Id128::random(random_).bytes();
-    switch (dice_.roll(14)) {
+    switch (dice_.roll(15)) {
         case 0:
             return front_end.sendResetSignal(client_, headTo(target, ""));
         case 1:
@@ -195,6 +196,9 @@ void Liars::lieAsClient() {
             body.mutable_raw()->add_data("forwards");
             break;
         case 12:
+            body.mutable_way()->set_path(direct_.anyPath());
+            break;
+        case 13:
             body.mutable_from_master()->set_run_id(request);
             body.mutable_from_master()->mutable_end()->set_stop(true);
             break;
@@ -230,7 +234,7 @@ void Liars::lieAsEntity() {
         head.msg_type = msg_type;
         entities.sendToClient(entity_, lane, head, message.SerializeAsString());
     };
-    switch (dice_.roll(12)) {
+    switch (dice_.roll(13)) {
         case 0:
         case 1: {
             EntityStatus status;
@@ -266,6 +270,7 @@ void Liars::lieAsEntity() {
             reply.mutable_lease()->set_number(static_cast<std::uint32_t>(dice_.roll(9)));
             reply.mutable_lease()->set_key(request);
             reply.set_stop_generation(static_cast<std::uint32_t>(dice_.roll(1000)));
+            direct_.sayEndpoints(reply);
             return tell(kMsgCheckOut);
         }
         case 4: {
@@ -288,7 +293,10 @@ void Liars::lieAsEntity() {
         case 7:
             message.mutable_hand_over()->set_request_id(request);
             return tell(kMsgHandOver);
-        case 8:
+        case 8:  // a mark of another's path, or of its own
+            message.mutable_way()->set_path(direct_.anyPath());
+            return tell(kMsgWay);
+        case 9:
             head.msg_type = kMsgReply;
             return entities.sendToClient(entity_, Lane::Data, head, request + request);
         default:
@@ -298,7 +306,11 @@ void Liars::lieAsEntity() {
     // To a peer.
     head = headTo(target, kMsgCollaboration);
     proto::ToEntity body;
-    switch (dice_.roll(5)) {
+    switch (dice_.roll(6)) {
+        case 5:
+            body.mutable_way()->set_path(direct_.anyPath());
+            head.msg_type = kMsgWay;
+            break;
         case 0:
             body.mutable_from_master()->set_run_id(request);
             body.mutable_from_master()->mutable_end()->set_stop(true);

@@ -2,6 +2,7 @@
 #pragma once
 #include <memory>
 
+#include "simulation/direct_liars.hpp"
 #include "simulation/observer.hpp"
 #include "simulation/server_station.hpp"
 #include "simulation/timeline.hpp"
@@ -17,7 +18,8 @@ namespace axon::simulation {
 class Liars {
   public:
     /// Logs in at `from`, leaves at `until`.
-    Liars(Timeline& timeline, Process& outside, ServerStation& server, Observer& observer, std::uint64_t seed, TimePoint from, TimePoint until);
+    Liars(Timeline& timeline, Process& outside, ServerStation& server, Observer& observer,
+          DirectLiars& direct, std::uint64_t seed, TimePoint from, TimePoint until);
     ~Liars();
     Liars(const Liars&) = delete;
     Liars& operator=(const Liars&) = delete;
@@ -37,6 +39,7 @@ class Liars {
     Process& outside_;
     ServerStation& server_;
     Observer& observer_;
+    DirectLiars& direct_;
     Dice dice_;
     SeededRandom random_;
     const TimePoint until_;

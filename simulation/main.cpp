@@ -21,7 +21,8 @@ using namespace axon::simulation;
 constexpr const char* kUsage =
     R"(axon-simulate: the product's own cores on virtual time and a simulated network
   --seeds A..B     these seeds, both included (default 1..1000)
-  --faults PROFILE none, delay, loss, duplication, reorder, partition, crash, pause, slow, drift, lies, all (default: all);
+  --faults PROFILE none, delay, loss, duplication, reorder, partition, crash, pause, slow, drift, direct, lies,
+                   all (default: all);
                    "each" takes them in turn, seed by seed
   --story SEED     play this one seed and tell what happens in it
   --json FILE      write the figures

@@ -49,7 +49,8 @@ void Connection::refused(Process& from) {
 void Connection::breakDown() {
     for (const std::size_t to : {0U, 1U}) {
         if (closed_[to]) continue;
-        timeline_.at(arrival(to), *ends_[to], [this, to] {
+        // What is still under way then is lost.
+        timeline_.after(dice_.between(path_.fastest, path_.slowest), *ends_[to], [this, to] {
             if (std::exchange(closed_[to], true)) return;
             if (told_[to]) told_[to]();
         });

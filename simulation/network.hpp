@@ -76,7 +76,7 @@ class Connection {
     void close(Process& by);
     /// Nobody listens at the other end: `from` is told so, if the way is whole.
     void refused(Process& from);
-    /// Both ends learn that it is broken.
+    /// Both ends learn that it is broken, soon: what arrives later than that is lost.
     void breakDown();
     /// The process at that end is dead. Without a notice the other end hears nothing until restarted() .
     void endDied(const Process& dead, bool notice);

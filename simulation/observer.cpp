@@ -22,6 +22,8 @@ constexpr Duration kAllowance = 100ms;
 constexpr Duration kLookAgain = 40ms;
 /// Tasks one after another are one motion if the robot stands for less than this between them.
 constexpr Duration kPause = 20ms;
+/// By the end of a run everything has been passed on that is older than this.
+constexpr Duration kArrives = 3s;
 
 bool latches(StopCause cause) {
     return cause == StopCause::Requested || cause == StopCause::ClientLost || cause == StopCause::Improper;
@@ -194,8 +196,10 @@ void Observer::stopGoesOut(std::size_t number, std::uint32_t generation, StopCau
         entity.voided_order = ++order_;
     }
     entity.stops_to_note.push_back(generation);
-    if (isLoss(cause)) hurt(entity.name + ": a stop for " + toString(cause) + ", and nothing was lost");
     const bool held = entity.status && !entity.status->holder.id.empty();
+    // A liar that holds it may leave as it likes.
+    if (isLoss(cause) && (!held || sessions_.contains(entity.status->holder.id)))
+        hurt(entity.name + ": a stop for " + toString(cause) + ", and nothing was lost");
     if (latches(cause) && (signal || cause == StopCause::ClientLost)) wantLatch(entity);
     if (cause == StopCause::ServerLost && held) wantLatch(entity);
 }
@@ -250,6 +254,7 @@ void Observer::toClient(std::size_t number, const Header& head, const proto::ToC
                 violated(Invariant::OneLease,
                          entity.name + ": granted to " + head.sender.name + " while it moves");
             entity.highest = lease;
+            entity.keys.emplace_back(lease, reply.lease().key());
         } else if (entity.holder != head.sender.id && sessions_.contains(entity.holder) &&
                    !sessions_[entity.holder].ended_at) {
             violated(Invariant::OneLease,
@@ -274,6 +279,7 @@ void Observer::toClient(std::size_t number, const Header& head, const proto::ToC
 void Observer::managerIs(std::size_t number, const EntityStatus& status) {
     auto& entity = entities_[number];
     if (entity.status && *entity.status == status) return;
+    uuids_.insert(status.entity);
     timeline_.mark(static_cast<std::uint64_t>(status.state) * 7 + (status.latched ? 1 : 0));
     timeline_.tell(entity.name + ".em", [&] {
         return std::string("is ") + axon::toString(status.state) + (status.latched ? ", latched" : "") +
@@ -378,6 +384,83 @@ void Observer::noted(std::size_t number, const entity_manager::JournalRecord& re
         default:
             return;
     }
+}
+
+// -- messages by either way
+
+void Observer::sends(const Header& head) {
+    auto& row = to_entity_[{head.sender.id, head.entity}];
+    if (nothing_fails_) row.sent.emplace_back(head.sequence, timeline_.now());
+}
+
+void Observer::tells(const Header& head) {
+    auto& row = to_client_[{head.sender.id, head.entity}];
+    if (nothing_fails_) row.sent.emplace_back(head.sequence, timeline_.now());
+}
+
+/// Where nothing fails it is the oldest that has not been passed on.
+void Observer::takeNext(Row& row, const Header& head) {
+    row.passed = head.sequence;
+    row.sent_at_us = head.sent_at_us;
+    if (!nothing_fails_ || row.sent.empty()) return;
+    if (row.sent.front().first < head.sequence)
+        violated(Invariant::Order, "message " + std::to_string(row.sent.front().first) + " is lost: " +
+                                       std::to_string(head.sequence) + " of the same sender (" +
+                                       head.msg_type + ") is passed on, and nothing has failed");
+    while (!row.sent.empty() && row.sent.front().first <= head.sequence) row.sent.pop_front();
+}
+
+void Observer::passes(std::size_t number, const Header& head, bool repeated) {
+    const auto found = to_entity_.find({head.sender.id, head.entity});
+    if (found == to_entity_.end()) return;
+    auto& row = found->second;
+    if (const auto life = entities_[number].hops.manager->life(); row.life != life) {
+        row.life = life;
+        row.passed = 0;
+    }
+    if (repeated && head.sequence <= row.passed) return;
+    if (head.sequence <= row.passed)
+        violated(Invariant::Once, entities_[number].name + ": message " + std::to_string(head.sequence) +
+                                      " of " + head.sender.name + " (" + head.msg_type +
+                                      ") is passed on after " + std::to_string(row.passed));
+    takeNext(row, head);
+}
+
+void Observer::hears(const Header& head) {
+    const auto found = to_client_.find({head.sender.id, head.entity});
+    if (found == to_client_.end()) return;
+    auto& row = found->second;
+    // Another life of the Entity Manager counts anew, and later.
+    if (head.sequence <= row.passed && head.sent_at_us <= row.sent_at_us)
+        violated(Invariant::Once, head.sender.name + ": message " + std::to_string(head.sequence) + " (" +
+                                      head.msg_type + ") of an entity is passed on after " +
+                                      std::to_string(row.passed));
+    takeNext(row, head);
+}
+
+void Observer::pathOpens(std::size_t number, bool proper) {
+    if (!proper)
+        violated(
+            Invariant::OneLease,
+            entities_[number].name + ": somebody opens a direct path who has not proved to be the holder");
+}
+
+std::vector<std::pair<LeaseNumber, std::string>> Observer::endedLeases() const {
+    std::vector<std::pair<LeaseNumber, std::string>> ended;
+    for (const auto& entity : entities_)
+        for (const auto& key : entity.keys)
+            if (key.first < entity.highest) ended.push_back(key);
+    return ended;
+}
+
+void Observer::judgeMessages() {
+    if (!nothing_fails_) return;
+    for (const auto& [who, row] : to_entity_)
+        if (!row.sent.empty() && uuids_.contains(who.second) &&
+            timeline_.now() - row.sent.front().second > kArrives)
+            violated(Invariant::Order, "message " + std::to_string(row.sent.front().first) + " to " +
+                                           who.second.substr(0, 8) +
+                                           " has not arrived, and nothing has failed");
 }
 
 // -- at the robot application

@@ -2,10 +2,13 @@
 #pragma once
 #include <array>
 #include <cstdint>
+#include <deque>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include "common/ids.hpp"
@@ -61,6 +64,11 @@ struct Counts {
     std::uint64_t slow_dropped = 0;   ///< data that a slow reader did not get
     std::uint64_t slow_lost = 0;      ///< slow readers that the server has given up
     std::uint64_t lies = 0;           ///< messages of who lies, that its sessions let it send
+    std::uint64_t paths = 0;          ///< direct paths that stood …
+    std::uint64_t paths_ended = 0;    ///< … and are over, for whatever reason …
+    std::uint64_t paths_broken = 0;   ///< … or another one than the end of the lease
+    std::uint64_t sent_again =
+        0;  ///< messages that went by the servers because their path had not acknowledged them
 
     void add(const Counts& other);
 };
@@ -68,7 +76,7 @@ struct CountName {
     const char* name;
     std::uint64_t Counts::*count;
 };
-inline constexpr std::array<CountName, 18> kCounts{{{"tasks", &Counts::tasks},
+inline constexpr std::array<CountName, 22> kCounts{{{"tasks", &Counts::tasks},
                                                     {"dispatches", &Counts::dispatches},
                                                     {"stops", &Counts::stops},
                                                     {"grants", &Counts::grants},
@@ -85,7 +93,11 @@ inline constexpr std::array<CountName, 18> kCounts{{{"tasks", &Counts::tasks},
                                                     {"finished", &Counts::finished},
                                                     {"slow_dropped", &Counts::slow_dropped},
                                                     {"slow_lost", &Counts::slow_lost},
-                                                    {"lies", &Counts::lies}}};
+                                                    {"lies", &Counts::lies},
+                                                    {"paths", &Counts::paths},
+                                                    {"paths_ended", &Counts::paths_ended},
+                                                    {"paths_broken", &Counts::paths_broken},
+                                                    {"sent_again", &Counts::sent_again}}};
 
 /// A client's session as the dead-man sees it: the process behind it, and the way to the server.
 struct SessionHealth {
@@ -114,10 +126,16 @@ class Observer {
     /// What the bounds of the dead-man allow beside the watchdogs: the longest delay that is being injected.
     void delayed(Duration most) { delay_ = std::max(delay_, most); }
     void clocksDiffer(double by) { drift_ = by; }
-    /// Every end of a session that is not its own wish is somebody else's doing then, and so is every stop for a loss.
+    /// At most direct paths do. Every end of a session that is not its own wish is somebody else's doing
+    /// then, and so is every stop for a loss, and every message that is lost.
     void nothingFails(bool nothing) { nothing_fails_ = nothing; }
+    /// Not even direct paths fail: they end with their leases.
+    void pathsStand(bool stand) { paths_stand_ = stand; }
     void hurt(const std::string& what) {
         if (nothing_fails_) violated(Invariant::Unhurt, what);
+    }
+    void pathHurt(const std::string& what) {
+        if (paths_stand_) violated(Invariant::Unhurt, what);
     }
     /// A fault has begun: whoever moves must have stopped in time.
     void faultBegins();
@@ -143,6 +161,24 @@ class Observer {
     void stopRaises(std::size_t entity, const Header& head, std::uint32_t life);
     /// An entry of its journal.
     void noted(std::size_t entity, const entity_manager::JournalRecord& record);
+
+    // Messages that may not be lost, whichever way they take: each is passed on once, in the order of
+    // sending, and where nothing fails every one of them is. What goes by the servers always has no place in
+    // that order.
+    /// A client gives one to its library …
+    void sends(const Header& head);
+    /// … and its Entity Manager's core is given it. `repeated`: the network has made it come again.
+    void passes(std::size_t entity, const Header& head, bool repeated);
+    /// An Entity Manager's core gives one …
+    void tells(const Header& head);
+    /// … and the client's core hears it.
+    void hears(const Header& head);
+    /// A lane of a direct path is admitted. `proper`: to the present holder, who has proved it.
+    void pathOpens(std::size_t entity, bool proper);
+    /// Numbers and keys of leases that have ended, of any entity: those who held them know them still.
+    std::vector<std::pair<LeaseNumber, std::string>> endedLeases() const;
+    /// At the end: what has not been passed on.
+    void judgeMessages();
 
     // At a robot application.
     void dispatched(std::size_t entity, const std::string& task_id);
@@ -196,6 +232,7 @@ class Observer {
         std::optional<EntityStatus> status;
         std::string present_holder;
         TimePoint holder_since;
+        std::vector<std::pair<LeaseNumber, std::string>> keys;  ///< of all leases, oldest first
         LeaseNumber end_told;  ///< newest lease whose end was told to its holder
         std::map<LeaseNumber, std::int64_t> last_sequence;
         // What the journal says.
@@ -206,6 +243,14 @@ class Observer {
         std::vector<std::uint32_t> stops_to_note;
         std::map<std::pair<std::string, std::int64_t>, std::uint32_t> stops_seen;  ///< and in which life
     };
+    struct Row {                                              ///< of one sender's messages to one receiver
+        std::deque<std::pair<std::int64_t, TimePoint>> sent;  ///< and not yet passed on; where nothing fails
+        std::int64_t passed = 0;
+        std::int64_t sent_at_us = 0;  ///< of the one that has passed
+        std::uint32_t life = 0;       ///< of the Entity Manager
+    };
+    using Rows = std::map<std::pair<std::string, std::string>, Row>;  ///< by client and entity
+    void takeNext(Row& row, const Header& head);
     void watchMotion(std::size_t entity, Duration in);
     void judgeMotion(std::size_t entity);
     std::string label(const std::string& task_id) const;
@@ -216,10 +261,13 @@ class Observer {
     std::vector<Entity> entities_;
     std::map<std::string, SessionHealth> sessions_;
     std::unordered_map<std::string, Facts> tasks_;
+    Rows to_entity_, to_client_;
+    std::set<std::string> uuids_;  ///< of honest entities
     std::uint64_t order_ = 0;
     Duration delay_{};
     double drift_ = 0;
     bool nothing_fails_ = false;
+    bool paths_stand_ = false;
     std::optional<Violation> violation_;
     Counts counts_;
 };

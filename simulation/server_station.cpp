@@ -61,11 +61,11 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
             senderKey(head.entity, share));
     }
     bool newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) override {
-        return entityMsg(lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
+        return entityMsg(lane, direct::Keeping::Kept, head, message,
                          senderKey(head.entity, share));
     }
     void newEntityMsgDataSeq(const Header& head, std::string_view data) override {
-        entityMsg(Traffic::Data, head, data, senderKey(head.entity));
+        entityMsg(Lane::Data, direct::Keeping::Droppable, head, data, senderKey(head.entity));
     }
     void newRefusalMsg(const Header& head, const Refusal& refusal) override {
         send(Traffic::Control, 0, [head, refusal](ClientStation& to, std::uint64_t attempt) {
@@ -96,11 +96,15 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
     using Core = transport::OutboxCore<Parcel>;
     static constexpr std::size_t kOverhead = 256;  // as in transport/callback_sender.hpp
 
-    bool entityMsg(Traffic traffic, const Header& head, std::string_view message, SenderKey from) {
+    bool entityMsg(Lane lane, direct::Keeping keeping, const Header& head, std::string_view message,
+                   SenderKey from) {
         return send(
-            traffic, message.size(),
-            [head, bytes = std::string(message)](ClientStation& to, std::uint64_t attempt) {
-                to.newEntityMsg(attempt, head, bytes);
+            lane == Lane::Signal                    ? Traffic::Signal
+            : keeping == direct::Keeping::Droppable ? Traffic::Data
+                                                    : Traffic::Control,
+            message.size(),
+            [lane, keeping, head, bytes = std::string(message)](ClientStation& to, std::uint64_t attempt) {
+                to.newEntityMsg(attempt, lane, keeping, head, bytes);
             },
             from);
     }

@@ -118,6 +118,18 @@ TEST_F(Wire, WhoGivesUpDuringACutIsBelievedWhenItIsMended) {
     EXPECT_EQ(came, "x!");  // sent before the end; what came for the one that had gone is dropped
 }
 
+TEST_F(Wire, WhatIsUnderWayWhenAConnectionBreaksIsLost) {
+    auto& connection = network.connect(path, a, b);
+    connection.onClosed(b, [this] { came += '!'; });
+    connection.send(a, [this] { came += 'x'; });
+    run(1s);
+    connection.extra = 100s;
+    connection.send(a, [this] { came += 'y'; });
+    connection.breakDown();
+    run(200s);
+    EXPECT_EQ(came, "x!");
+}
+
 TEST_F(Wire, WhatASlowReaderDoesNotTakeIsWrittenLater) {
     auto& connection = network.connect(path, a, b);
     connection.readSlowly(b, 100ms);
@@ -378,6 +390,73 @@ TEST_F(Judge, FindsAStopForALossWhereNothingFails) {
     observer.stopGoesOut(0, 2, StopCause::ClientLost, false);
     EXPECT_EQ(broken(), "unhurt");
 }
+TEST_F(Judge, FindsAMessageThatIsPassedOnTwiceOrBehindALaterOne) {
+    Header head;
+    head.sender = {"client", "client1", Role::Operator};
+    head.entity = "uuid";
+    for (head.sequence = 1; head.sequence <= 3; ++head.sequence) {
+        observer.sends(head);
+        observer.passes(0, head, false);
+    }
+    head.sequence = 2;
+    observer.passes(0, head, true);
+    EXPECT_EQ(broken(), "none") << "the network repeats it";
+    observer.passes(0, head, false);
+    EXPECT_EQ(broken(), "once");
+}
+TEST_F(Judge, FindsAMessageThatAClientHearsTwice) {
+    Header head;
+    head.sender = {"client", "client1", Role::Operator};
+    head.entity = "uuid";
+    head.sequence = 5;
+    observer.tells(head);
+    observer.hears(head);
+    EXPECT_EQ(broken(), "none");
+    observer.hears(head);
+    EXPECT_EQ(broken(), "once");
+}
+TEST_F(Judge, FindsAMessageThatIsLostWhereNothingFails) {
+    Header head;
+    head.sender = {"client", "client1", Role::Operator};
+    head.entity = "uuid";
+    observer.nothingFails(true);
+    for (head.sequence = 1; head.sequence <= 3; ++head.sequence) observer.sends(head);
+    head.sequence = 1;
+    observer.passes(0, head, false);
+    EXPECT_EQ(broken(), "none");
+    head.sequence = 3;
+    observer.passes(0, head, false);
+    EXPECT_EQ(broken(), "order");
+}
+TEST_F(Judge, FindsAMessageThatHasNotArrivedAtTheEnd) {
+    EntityStatus status;
+    status.entity = "uuid";
+    observer.managerIs(0, status);
+    observer.nothingFails(true);
+    Header head;
+    head.sender = {"client", "client1", Role::Operator};
+    head.entity = "uuid";
+    head.sequence = 1;
+    observer.sends(head);
+    observer.judgeMessages();
+    EXPECT_EQ(broken(), "none") << "it is under way";
+    run(5s);
+    observer.judgeMessages();
+    EXPECT_EQ(broken(), "order");
+}
+TEST_F(Judge, FindsADirectPathOfSomebodyWhoHasNotProvedToBeTheHolder) {
+    observer.pathOpens(0, true);
+    EXPECT_EQ(broken(), "none");
+    observer.pathOpens(0, false);
+    EXPECT_EQ(broken(), "one-lease");
+}
+TEST_F(Judge, FindsADirectPathThatEndsWhereNothingFails) {
+    observer.pathHurt("a direct path ends: nothing was heard of the client");
+    EXPECT_EQ(broken(), "none");
+    observer.pathsStand(true);
+    observer.pathHurt("a direct path ends: nothing was heard of the client");
+    EXPECT_EQ(broken(), "unhurt");
+}
 TEST_F(Judge, FindsAStopThatIsNotInTheJournal) {
     isHeld();
     observer.stopGoesOut(0, 1, StopCause::Clear, false);
@@ -391,7 +470,7 @@ TEST_F(Judge, FindsAStopThatIsNotInTheJournal) {
 }
 
 TEST(Simulation, ASeedReplaysToTheLastEvent) {
-    for (const auto faults : {Faults::None, Faults::Crash, Faults::Lies, Faults::All}) {
+    for (const auto faults : {Faults::None, Faults::Crash, Faults::Direct, Faults::Lies, Faults::All}) {
         const auto once = World(7, faults).run();
         const auto again = World(7, faults).run(true);
         EXPECT_EQ(once.digest, again.digest);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "simulation/world.hpp"
 
+#include <algorithm>
 #include <array>
 
 namespace axon::simulation {
@@ -33,6 +34,7 @@ constexpr std::array<Named, kFaults> kNames{{
     {"pause", "processes are frozen for up to 9 s"},
     {"slow", "clients read slowly, from servers whose outboxes are small"},
     {"drift", "clocks run at different rates, up to 2 percent, and processes are frozen"},
+    {"direct", "direct paths break, are cut or slow; nothing else fails"},
     {"lies", "a client that holds nothing and an entity lie about whatever they can"},
     {"all", "all of these but the lies in one run"},
 }};
@@ -105,6 +107,7 @@ World::World(std::uint64_t seed, Faults faults)
             std::make_unique<ClientStation>(timeline_, network_, observer_, server_, static_cast<int>(i),
                                             i == 0 ? Role::Admin : Role::Operator, seeds_.next()));
         setClock(client.process());
+        for (const auto& robot : robots_) client.addRoad(robot->application.process().name(), robot->manager);
         users_.push_back(std::make_unique<User>(timeline_, client, seeds_.next(), begin + kRetire));
         users_.back()->complain = [this](const std::string& what) {
             observer_.violated(Invariant::Bounded, what);
@@ -114,6 +117,7 @@ World::World(std::uint64_t seed, Faults faults)
     auto& late = *clients_.emplace_back(std::make_unique<ClientStation>(
         timeline_, network_, observer_, server_, static_cast<int>(clients), Role::Operator, seeds_.next()));
     setClock(late.process());
+    for (const auto& robot : robots_) late.addRoad(robot->application.process().name(), robot->manager);
     visitor_ = std::make_unique<Visitor>(timeline_, late, entities);
     timeline_.at(begin + kVisit, outside_, [&late] { late.start(); });
     planFaults(faults);
@@ -160,24 +164,41 @@ void World::judgeEnd() {
     for (const auto& robot : robots_)
         bounded("tasks of " + robot->application.process().name(), robot->application.tasks(), 0);
     bounded("messages that the network holds back", network_.held(), 0);
+    observer_.judgeMessages();
 }
 
 // -- faults
 
 void World::planFaults(Faults faults) {
-    observer_.nothingFails(faults == Faults::None || faults == Faults::Lies);
+    observer_.nothingFails(faults == Faults::None || faults == Faults::Lies || faults == Faults::Direct);
+    observer_.pathsStand(faults == Faults::None || faults == Faults::Lies);
     if (faults == Faults::None) return;
     const auto begin = timeline_.now();
     if (faults == Faults::Lies) {
-        liars_.emplace(timeline_, outside_, server_, observer_, fault_dice_.roll(UINT64_MAX), begin + kFaultsFrom, begin + kFaultsUntil);
+        std::vector<DirectLiars::Robot> honest;
+        for (const auto& robot : robots_)
+            honest.push_back({robot->application.process().name(), &robot->manager});
+        direct_liars_.emplace(timeline_, network_, outside_, server_, observer_, fault_dice_.roll(UINT64_MAX),
+                              begin + kFaultsFrom, begin + kFaultsUntil, std::move(honest));
+        for (const auto& client : clients_) client->addRoad(DirectLiars::kName, *direct_liars_, false);
+        liars_.emplace(timeline_, outside_, server_, observer_, *direct_liars_, fault_dice_.roll(UINT64_MAX),
+                       begin + kFaultsFrom, begin + kFaultsUntil);
         return;
     }
-    const auto count = faults == Faults::All ? 2 + fault_dice_.roll(5) : 1 + fault_dice_.roll(4);
+    direct_only_ = faults == Faults::Direct;
+    const auto count = direct_only_            ? 10 + fault_dice_.roll(30)
+                       : faults == Faults::All ? 2 + fault_dice_.roll(5)
+                                               : 1 + fault_dice_.roll(4);
     for (std::uint64_t i = 0; i < count; ++i) {
         const auto at = begin + fault_dice_.between(kFaultsFrom, kFaultsUntil - 1s);
         auto kind = faults;
         if (faults == Faults::All) kind = static_cast<Faults>(1 + fault_dice_.roll(8));
         if (faults == Faults::Drift) kind = Faults::Pause;
+        if (faults == Faults::Direct) {
+            static constexpr std::array kKinds{Faults::Delay, Faults::Reorder, Faults::Loss, Faults::Loss,
+                                               Faults::Partition};
+            kind = kKinds[fault_dice_.roll(kKinds.size())];
+        }
         timeline_.at(at, outside_, [this, kind, at] { injectOne(kind, at); });
     }
 }
@@ -219,7 +240,26 @@ World::Victim World::anyVictim() {
     }
 }
 
+Road& World::anyRoad() {
+    std::vector<Road*> roads, open;
+    for (std::size_t i = 0; i < users_.size(); ++i)
+        for (auto& road : clients_[i]->roads()) {
+            roads.push_back(&road);
+            if (road.open > 0) open.push_back(&road);
+        }
+    const auto& from = open.empty() || fault_dice_.chance(0.1) ? roads : open;
+    return *from[fault_dice_.roll(from.size())];
+}
+
+bool World::isRoad(const Path& path) const {
+    return std::any_of(clients_.begin(), clients_.end(), [&](const auto& client) {
+        return std::any_of(client->roads().begin(), client->roads().end(),
+                           [&](const Road& road) { return &road.path == &path; });
+    });
+}
+
 Path& World::anyPath() {
+    if (direct_only_ || fault_dice_.chance(0.35)) return anyRoad().path;
     const auto which = fault_dice_.roll(users_.size() + robots_.size());
     return which < users_.size() ? clients_[which]->path()
                                  : robots_[which - users_.size()]->manager.serverPath();
@@ -228,6 +268,9 @@ Path& World::anyPath() {
 std::string World::nameOf(const Path& path) const {
     for (const auto& client : clients_)
         if (&client->path() == &path) return client->process().name() + " <-> server";
+    for (const auto& client : clients_)
+        for (const auto& road : client->roads())
+            if (&road.path == &path) return client->process().name() + " <-> " + road.to + ".em";
     for (const auto& robot : robots_) {
         if (&robot->manager.serverPath() == &path) return robot->manager.process().name() + " <-> server";
         if (&robot->manager.loopback() == &path) return robot->manager.process().name() + " <-> application";
@@ -245,7 +288,7 @@ void World::injectOne(Faults kind, TimePoint at) {
         case Faults::Reorder: {
             auto& path = anyPath();
             const auto most = fault_dice_.between(5ms, kind == Faults::Delay ? 300ms : 150ms);
-            observer_.delayed(most);
+            if (!isRoad(path)) observer_.delayed(most);
             timeline_.tell("FAULT", [&] {
                 return nameOf(path) + (kind == Faults::Delay ? ": up to " : ": one lane up to ") + ms(most) +
                        " slower for " + ms(length);
@@ -261,7 +304,7 @@ void World::injectOne(Faults kind, TimePoint at) {
         }
         case Faults::Loss: {
             if (fault_dice_.chance(0.5)) {
-                auto& path = fault_dice_.chance(0.2)
+                auto& path = !direct_only_ && fault_dice_.chance(0.2)
                                  ? robots_[fault_dice_.roll(robots_.size())]->manager.loopback()
                                  : anyPath();
                 timeline_.tell("FAULT", [&] { return nameOf(path) + ": connections break"; });
@@ -327,6 +370,7 @@ void World::injectOne(Faults kind, TimePoint at) {
         }
         case Faults::None:
         case Faults::Drift:
+        case Faults::Direct:
         case Faults::Lies:
         case Faults::All:
             return;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "simulation/client_station.hpp"
+#include "simulation/direct_liars.hpp"
 #include "simulation/entity_manager_station.hpp"
 #include "simulation/liars.hpp"
 #include "simulation/robot_application.hpp"
@@ -29,10 +30,11 @@ enum class Faults : std::uint8_t {
     Pause,
     Slow,
     Drift,
+    Direct,
     Lies,
     All
 };
-inline constexpr std::size_t kFaults = 12;
+inline constexpr std::size_t kFaults = 13;
 const char* toString(Faults faults);
 const char* describe(Faults faults);
 std::optional<Faults> faultsOf(std::string_view name);
@@ -71,6 +73,9 @@ class World {
     void frozenChanged(const Victim& victim);
     Victim anyVictim();
     Path& anyPath();
+    /// Of a client and an Entity Manager; preferably one with a direct path.
+    Road& anyRoad();
+    bool isRoad(const Path& path) const;
     Duration anyLength(TimePoint from);
     Duration atMost(Duration time) const;
     void judgeEnd();
@@ -88,7 +93,9 @@ class World {
     std::vector<std::unique_ptr<ClientStation>> clients_;
     std::vector<std::unique_ptr<User>> users_;
     std::unique_ptr<Visitor> visitor_;
+    std::optional<DirectLiars> direct_liars_;
     std::optional<Liars> liars_;
+    bool direct_only_ = false;  ///< faults of direct paths
 };
 
 }  // namespace axon::simulation
