@@ -45,7 +45,12 @@
     X(LateGrantLeft, "what is granted to a client that has gone stays its own")                              \
     X(RequestsWaitForEver, "a client's request that nobody answers does not time out")                       \
     X(StrangersObeyed, "an order of who does not hold the entity is carried out")                            \
-    X(UnaskedHolderBelieved, "an entity may name any client as its busy holder")
+    X(UnaskedHolderBelieved, "an entity may name any client as its busy holder")                             \
+    X(PathUnproved, "whoever knows the lease and its holder opens a direct path, without the key")           \
+    X(AnybodysNumbersCount, "others' marks and messages count as those of the direct path's client")         \
+    X(MarkNotAwaited, "what comes by a direct path overtakes what the servers still carry")                  \
+    X(SentAgainPassesTwice, "what is sent again after the end of a direct path passes again")                \
+    X(NotSentAgain, "what a direct path has not acknowledged is lost with it")
 
 namespace axon {
 

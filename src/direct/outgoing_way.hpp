@@ -5,6 +5,8 @@
 #include <deque>
 #include <utility>
 
+#include "common/planted_bug.hpp"
+
 namespace axon::direct {
 
 /// How much a sender keeps of what the other side has not acknowledged. Beyond it the direct way is given up.
@@ -63,6 +65,7 @@ class OutgoingWay {
     std::deque<Kept> end() {
         direct_ = false;
         bytes_ = 0;
+        if (AXON_PLANTED(NotSentAgain)) kept_.clear();
         return std::exchange(kept_, {});
     }
 

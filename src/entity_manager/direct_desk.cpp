@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "common/planted_bug.hpp"
 #include "direct/always_relayed.hpp"
 
 namespace axon::entity_manager {
@@ -35,7 +36,8 @@ void DirectDesk::onOpening(const DirectOpening& opening, const LeaseBook::Held* 
     // One answer for all of it: a stranger learns nothing of the lease.
     if (held == nullptr || held->grace_until || held->number != claim.lease ||
         Id128::parse(uuidOf(held->holder.id)) != claim.client ||
-        !direct::proves(opening.proof, claim, direct::Prover::Client, held->key.bytes())) {
+        (!direct::proves(opening.proof, claim, direct::Prover::Client, held->key.bytes()) &&
+         !AXON_PLANTED(PathUnproved))) {
         if (const auto now = clock_.now(); now >= warn_from_) {
             warn_from_ = now + kWarnAgain;
             log_(true,
@@ -156,8 +158,9 @@ void DirectDesk::onTimer() {
 
 bool DirectDesk::relayed(Keeping keeping, const Header& head, const std::string& bytes, const Deliver& deliver) {
     if (rows_.empty() || direct::alwaysRelayed(head.msg_type)) return true;
-    const auto row = std::find_if(rows_.begin(), rows_.end(),
-                                  [&](const Row& one) { return one.client == head.sender.id; });
+    const auto row = std::find_if(rows_.begin(), rows_.end(), [&](const Row& one) {
+        return one.client == head.sender.id || AXON_PLANTED(AnybodysNumbersCount);
+    });
     if (row == rows_.end()) return true;
     if (head.msg_type == kMsgWay) {
         proto::ToEntity mark;
