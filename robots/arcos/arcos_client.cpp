@@ -1,56 +1,22 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "robots/arcos/arcos_client.hpp"
 
-#include <poll.h>
-#include <sys/eventfd.h>
-#include <unistd.h>
-
-#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <mutex>
-#include <system_error>
-#include <thread>
+#include <optional>
+#include <utility>
+
+#include "robots/arcos/stream_thread.hpp"
 
 namespace axon::arcos {
-namespace {
 
-constexpr Duration kConnectTimeout = std::chrono::seconds{1};
-constexpr Duration kFirstPause = std::chrono::milliseconds{100};
-constexpr Duration kLongestPause = std::chrono::seconds{2};
-constexpr Duration kTick = std::chrono::milliseconds{25};
-
-class EventDescriptor {
-  public:
-    EventDescriptor() : fd_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
-        if (fd_ < 0) throw std::system_error(errno, std::generic_category(), "eventfd");
-    }
-    ~EventDescriptor() { ::close(fd_); }
-    EventDescriptor(const EventDescriptor&) = delete;
-    EventDescriptor& operator=(const EventDescriptor&) = delete;
-    int get() const { return fd_; }
-    void raise() const {
-        const std::uint64_t one = 1;
-        [[maybe_unused]] const auto written = ::write(fd_, &one, sizeof one);
-    }
-    void lower() const {
-        std::uint64_t raised = 0;
-        [[maybe_unused]] const auto got = ::read(fd_, &raised, sizeof raised);
-    }
-
-  private:
-    int fd_;
-};
-
-}  // namespace
-
-class ArcosClient::Worker final : public ClientSession::Port {
+class ArcosClient::Worker final : public ClientSession::Port, public StreamThread::Session {
   public:
     Worker(StreamOpener open, Callbacks callbacks, Duration silence_limit, std::shared_ptr<const Clock> clock)
-        : open_(std::move(open)),
-          callbacks_(std::move(callbacks)),
-          clock_(std::move(clock)),
-          session_(*this, silence_limit) {}
+        : callbacks_(std::move(callbacks)),
+          session_(*this, silence_limit),
+          stream_(std::move(open), *this, "the robot", std::move(clock)) {}
 
     ~Worker() override { finish(); }
 
@@ -58,41 +24,30 @@ class ArcosClient::Worker final : public ClientSession::Port {
         if (finished_.exchange(true)) return;
         command(encodeCommand(Command::EStop));
         command(encodeCommand(Command::Close));
-        quit_ = true;
-        wake_.raise();
-        if (thread_.joinable()) thread_.join();
+        stream_.finish();
     }
 
-    void start() {
-        thread_ = std::thread([this] { run(); });
-    }
+    void start() { stream_.start(); }
 
     RobotState state() const {
         const std::lock_guard lock(state_mutex_);
         return state_;
     }
 
-    bool command(const Bytes& bytes) {
-        const std::lock_guard lock(link_mutex_);
-        if (!online_ || !link_) return false;
-        if (link_->write(bytes)) return true;
-        broken_ = true;
-        wake_.raise();
-        return false;
+    bool command(const Bytes& bytes) { return online_ && stream_.write(bytes); }
+
+    void newScan(LaserScan scan) {
+        const std::lock_guard lock(scan_mutex_);
+        scan_ = std::move(scan);
     }
 
-    // ClientSession::Port, on the worker's own thread.
-    void send(const Bytes& bytes) override {
-        const std::lock_guard lock(link_mutex_);
-        if (link_ && !link_->write(bytes)) broken_ = true;
-    }
+    // ClientSession::Port, on the stream's thread.
+    void send(const Bytes& bytes) override { stream_.write(bytes); }
+    bool setSpeed(int baud) override { return stream_.setSpeed(baud); }
 
     void onOnline(const RobotIdentity& identity) override {
-        {
-            const std::lock_guard lock(link_mutex_);
-            online_ = true;
-        }
-        pause_ = kFirstPause;
+        online_ = true;
+        stream_.succeeded();
         publish(session_.robot());
         if (callbacks_.on_online) callbacks_.on_online(identity);
     }
@@ -103,88 +58,48 @@ class ArcosClient::Worker final : public ClientSession::Port {
     }
 
     void onLost(const std::string& reason) override {
-        {
-            const std::lock_guard lock(link_mutex_);
-            online_ = false;
-        }
+        online_ = false;
         publish(session_.robot());
+        unreachable(reason);
+    }
+
+    // StreamThread::Session.
+    void begin(TimePoint now) override { session_.begin(now, stream_.speed()); }
+    void receive(std::span<const std::uint8_t> bytes, TimePoint now) override {
+        if (auto scan = takeScan()) session_.newScan(*std::move(scan));
+        session_.receive(bytes, now);
+    }
+    void tick(TimePoint now) override { session_.tick(now); }
+    bool closed() const override { return session_.state() == ClientSession::State::Closed; }
+    void end(const std::string& reason) override { session_.end(reason); }
+    void unreachable(const std::string& reason) override {
         if (callbacks_.on_lost) callbacks_.on_lost(reason);
     }
 
   private:
+    std::optional<LaserScan> takeScan() {
+        const std::lock_guard lock(scan_mutex_);
+        return std::exchange(scan_, std::nullopt);
+    }
+
     void publish(const RobotState& state) {
         const std::lock_guard lock(state_mutex_);
         state_ = state;
     }
 
-    void run() {
-        while (!quit_) {
-            auto opened = open_(kConnectTimeout);
-            if (opened) {
-                attend(std::move(opened).value());
-            } else if (callbacks_.on_lost) {
-                callbacks_.on_lost(opened.refusal().message);
-            }
-            if (quit_) return;
-            waitFor(-1, pause_);
-            pause_ = std::min(pause_ * 2, kLongestPause);
-        }
-    }
-
-    /// One connection, from begin() to its end.
-    void attend(std::unique_ptr<ByteStream> stream) {
-        const int fd = stream->descriptor();
-        {
-            const std::lock_guard lock(link_mutex_);
-            link_ = std::move(stream);
-            broken_ = false;
-        }
-        session_.begin(clock_->now());
-        std::array<std::uint8_t, 2048> chunk;
-        while (!quit_ && session_.state() != ClientSession::State::Closed) {
-            waitFor(fd, clock_->realTimeUntil(clock_->now() + kTick));
-            const int got = link_->read(chunk);
-            if (got > 0)
-                session_.receive(std::span(chunk).first(static_cast<std::size_t>(got)), clock_->now());
-            if (got < 0) session_.end("the robot closed the connection");
-            if (broken_) session_.end("the connection to the robot does not take any more bytes");
-            session_.tick(clock_->now());
-        }
-        session_.end("the program ends");
-        const std::lock_guard lock(link_mutex_);
-        link_.reset();
-    }
-
-    void waitFor(int fd, Duration time) {
-        std::array<pollfd, 2> waiting{pollfd{wake_.get(), POLLIN, 0}, pollfd{fd, POLLIN, 0}};
-        // Less than none is for ever to poll(2).
-        const auto ms = std::max<std::int64_t>(0, std::chrono::ceil<std::chrono::milliseconds>(time).count());
-        ::poll(waiting.data(), fd < 0 ? 1 : 2, static_cast<int>(ms));
-        if (waiting[0].revents != 0) wake_.lower();
-    }
-
-    // Constant after construction.
-    const StreamOpener open_;
     const Callbacks callbacks_;
-    const std::shared_ptr<const Clock> clock_;
-    const EventDescriptor wake_;
-
-    // Confined to the worker's thread.
-    ClientSession session_;
-    Duration pause_ = kFirstPause;
+    ClientSession session_;  // confined to the stream's thread
 
     std::atomic<bool> finished_ = false;
-    std::atomic<bool> quit_ = false;
-    std::atomic<bool> broken_ = false;
+    std::atomic<bool> online_ = false;
 
     mutable std::mutex state_mutex_;
     RobotState state_;  // guarded by state_mutex_
 
-    std::mutex link_mutex_;             // held for one non-blocking write
-    std::unique_ptr<ByteStream> link_;  // replaced under link_mutex_, by the worker's thread only
-    bool online_ = false;               // guarded by link_mutex_
+    std::mutex scan_mutex_;
+    std::optional<LaserScan> scan_;  // guarded by scan_mutex_: the newest that the session has not got yet
 
-    std::thread thread_;
+    StreamThread stream_;  // last: its thread uses all of the above
 };
 
 ArcosClient::ArcosClient(StreamOpener open, Callbacks callbacks, Duration silence_limit,
@@ -211,6 +126,10 @@ bool ArcosClient::command(Command command, int argument) {
 }
 bool ArcosClient::command(Command command, std::string_view text) {
     return worker_->command(encodeCommand(command, text));
+}
+
+void ArcosClient::newScan(LaserScan scan) {
+    worker_->newScan(std::move(scan));
 }
 
 bool ArcosClient::drive(double forward_mm_s, double left_deg_s) {

@@ -43,6 +43,10 @@ class ArcosClient {
 
     RobotState state() const;
 
+    /// A sweep of a laser that is wired to this computer (ClientSession::newScan), from any thread. Only the
+    /// newest is kept until the robot's next state.
+    void newScan(LaserScan scan);
+
     bool command(Command command);
     bool command(Command command, int argument);
     /// A text: for the camera (Command::Tty2, vcc4.hpp).

@@ -11,6 +11,7 @@
 #include <termios.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <charconv>
@@ -44,9 +45,22 @@ class TcpStream final : public ByteStream {
     int fd_;
 };
 
+struct Speed {
+    int baud;
+    speed_t code;
+};
+constexpr std::array<Speed, 5> kSpeeds{
+    {{9600, B9600}, {19200, B19200}, {38400, B38400}, {57600, B57600}, {115200, B115200}}};
+
+const Speed* findSpeed(int baud) {
+    const auto* const found = std::find_if(kSpeeds.begin(), kSpeeds.end(),
+                                           [baud](const Speed& speed) { return speed.baud == baud; });
+    return found == kSpeeds.end() ? nullptr : found;
+}
+
 class SerialStream final : public ByteStream {
   public:
-    explicit SerialStream(int fd) : fd_(fd) {}
+    SerialStream(int fd, int asked_speed) : fd_(fd), speed_{.asked = asked_speed} {}
     ~SerialStream() override { ::close(fd_); }
     SerialStream(const SerialStream&) = delete;
     SerialStream& operator=(const SerialStream&) = delete;
@@ -64,16 +78,22 @@ class SerialStream final : public ByteStream {
         return ::write(fd_, bytes.data(), bytes.size()) == static_cast<ssize_t>(bytes.size());
     }
 
-  private:
-    int fd_;
-};
+    LineSpeed speed() const override { return speed_; }
 
-struct Speed {
-    int baud;
-    speed_t code;
+    bool setSpeed(int baud) override {
+        const auto* const speed = findSpeed(baud);
+        termios line{};
+        if (speed == nullptr || ::tcgetattr(fd_, &line) != 0) return false;
+        ::cfsetspeed(&line, speed->code);
+        if (::tcsetattr(fd_, TCSANOW, &line) != 0) return false;
+        speed_.baud = baud;
+        return true;
+    }
+
+  private:
+    const int fd_;
+    LineSpeed speed_;
 };
-constexpr std::array<Speed, 5> kSpeeds{
-    {{9600, B9600}, {19200, B19200}, {38400, B38400}, {57600, B57600}, {115200, B115200}}};
 
 Refusal notConnected(const std::string& address, const char* why) {
     return {RefusalCode::NotConnected, "cannot connect to the robot at " + address + ": " + why, {}};
@@ -115,13 +135,13 @@ Result<std::unique_ptr<ByteStream>> connectTo(const std::string& address, const 
     return notConnected(address, std::strerror(error));
 }
 
-Result<std::unique_ptr<ByteStream>> openSerial(const std::string& path, speed_t speed) {
+Result<std::unique_ptr<ByteStream>> openSerial(const std::string& path, int asked_speed) {
     const int fd = ::open(path.c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
     if (fd < 0) {
         return notConnected(path, errno == EACCES ? "permission denied: is this user in the group dialout?"
                                                   : std::strerror(errno));
     }
-    auto stream = std::make_unique<SerialStream>(fd);
+    auto stream = std::make_unique<SerialStream>(fd, asked_speed);
     // Two programs on one line would each see half of the answers.
     if (::flock(fd, LOCK_EX | LOCK_NB) != 0) return notConnected(path, "another program uses this line");
     termios line{};
@@ -131,8 +151,9 @@ Result<std::unique_ptr<ByteStream>> openSerial(const std::string& path, speed_t 
     line.c_cflag &= ~static_cast<tcflag_t>(CSTOPB | CRTSCTS);
     line.c_cc[VMIN] = 1;
     line.c_cc[VTIME] = 0;
-    ::cfsetspeed(&line, speed);
     if (::tcsetattr(fd, TCSANOW, &line) != 0) return notConnected(path, std::strerror(errno));
+    if (!stream->setSpeed(asked_speed != 0 ? asked_speed : kFirstSpeed))
+        return notConnected(path, "the line does not have this speed");
     // What the robot said to an earlier program is no answer to this one.
     ::tcflush(fd, TCIOFLUSH);
     return std::unique_ptr<ByteStream>(std::move(stream));
@@ -158,21 +179,21 @@ StreamOpener tcpStreams(const std::string& address) {
 
 StreamOpener serialStreams(const std::string& device) {
     const auto colon = device.rfind(':');
-    auto path = device;
-    int baud = kSpeeds.front().baud;
+    const auto path = device.substr(0, colon);
+    int asked_speed = 0;
+    bool good = !path.empty();
     if (colon != std::string::npos) {
-        path = device.substr(0, colon);
         const auto text = device.substr(colon + 1);
-        const auto parsed = std::from_chars(text.data(), text.data() + text.size(), baud);
-        if (parsed.ec != std::errc{} || parsed.ptr != text.data() + text.size()) baud = 0;
+        const auto parsed = std::from_chars(text.data(), text.data() + text.size(), asked_speed);
+        good = good && parsed.ec == std::errc{} && parsed.ptr == text.data() + text.size() &&
+               findSpeed(asked_speed) != nullptr;
     }
-    for (const auto& speed : kSpeeds) {
-        if (speed.baud == baud && !path.empty())
-            return [path, code = speed.code](Duration /*timeout*/) { return openSerial(path, code); };
-    }
-    throw std::invalid_argument("robot address \"" + device +
-                                "\": expected a device, with :9600, :19200, :38400, :57600 or :115200 for its "
-                                "speed, for example /dev/ttyUSB0:38400");
+    if (!good)
+        throw std::invalid_argument(
+            "robot address \"" + device +
+            "\": expected a device, with :9600, :19200, :38400, :57600 or :115200 for its "
+            "speed, for example /dev/ttyUSB0:38400");
+    return [path, asked_speed](Duration /*timeout*/) { return openSerial(path, asked_speed); };
 }
 
 StreamOpener robotStreams(const std::string& address) {

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 #include <poll.h>
 #include <stdlib.h>
+#include <termios.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -82,6 +83,29 @@ TEST(SerialStreamTest, TwoProgramsDoNotShareALine) {
     const auto second = serialStreams(robot.path())(std::chrono::seconds{1});
     ASSERT_FALSE(second);
     EXPECT_THAT(second.refusal().message, HasSubstr("another program"));
+}
+
+TEST(SerialStreamTest, ItsSpeedIsToldAndChangedOnTheLineItself) {
+    PseudoTerminal robot;
+    const auto speedOfLine = [&robot] {
+        termios line{};
+        ::tcgetattr(robot.descriptor(), &line);
+        return ::cfgetospeed(&line);
+    };
+    auto stream = std::move(serialStreams(robot.path())(std::chrono::seconds{1})).value();
+    EXPECT_EQ(stream->speed().baud, kFirstSpeed);
+    EXPECT_EQ(stream->speed().asked, 0);
+    EXPECT_EQ(speedOfLine(), static_cast<speed_t>(B9600));
+    EXPECT_TRUE(stream->setSpeed(38400));
+    EXPECT_EQ(stream->speed().baud, 38400);
+    EXPECT_EQ(speedOfLine(), static_cast<speed_t>(B38400));
+    EXPECT_FALSE(stream->setSpeed(12345));
+    EXPECT_EQ(stream->speed().baud, 38400);
+    stream.reset();
+    EXPECT_EQ(
+        std::move(serialStreams(robot.path() + ":57600")(std::chrono::seconds{1})).value()->speed().asked,
+        57600);
+    EXPECT_EQ(speedOfLine(), static_cast<speed_t>(B57600));
 }
 
 TEST(SerialStreamTest, WhatIsNoSerialLineIsSaid) {

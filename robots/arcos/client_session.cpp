@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "robots/arcos/client_session.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <numbers>
 #include <string>
+#include <utility>
 
 namespace axon::arcos {
 namespace {
@@ -12,6 +14,7 @@ namespace {
 constexpr double kDegreesPerAngleUnit = kRadiansPerAngleUnit * 180 / std::numbers::pi;
 // A full turn in angle units; the vendor's rounded constant makes it 4095.9.
 constexpr int kAngleUnitsPerTurn = 4096;
+constexpr std::size_t kFraming = 6;  // of a packet: what is sent besides its data
 
 /// The shortest way from one value to another on a ring.
 int ringDifference(int from, int to, int ring) {
@@ -31,17 +34,30 @@ void readInfrared(unsigned digital_in, RobotState& robot) {
 
 }  // namespace
 
-void ClientSession::begin(TimePoint now) {
+void ClientSession::begin(TimePoint now, const LineSpeed& line) {
     state_ = State::Synchronising;
     reader_.reset();
     identity_ = {};
     robot_ = {};
     laser_ = {};
+    poses_.clear();
+    scan_.reset();
     gripper_type_ = GripperPacket::kNone;
     gripper_known_ = false;
     previous_.reset();
     table_sensors_by_io_ = false;
-    sync_ = tries_ = rounds_ = 0;
+    line_ = line;
+    if (line_.asked == 0) line_.asked = kRaisedSpeed;
+    speeds_.clear();
+    if (line_.baud != 0) {
+        for (const int baud : {line_.baud, kFirstSpeed, kRaisedSpeed})
+            if (std::find(speeds_.begin(), speeds_.end(), baud) == speeds_.end()) speeds_.push_back(baud);
+    }
+    speed_ = 0;
+    speed_change_due_.reset();
+    speed_before_ = 0;
+    sync_ = attempts_ = 0;
+    old_session_seen_ = -1;
     sendSync(now);
 }
 
@@ -58,7 +74,11 @@ void ClientSession::send(const Bytes& bytes, TimePoint now) {
 }
 
 void ClientSession::sendSync(TimePoint now) {
-    ++tries_;
+    if (sync_ == 0 && !speeds_.empty()) {
+        send(encodeCommand(Command::EStop), now);
+        // Not each time: who knows how long a robot is deaf after it.
+        if (attempts_ / static_cast<int>(speeds_.size()) % 2 == 0) send(encodeCommand(Command::Close), now);
+    }
     send(encodeCommand(static_cast<Command>(sync_)), now);
 }
 
@@ -70,10 +90,11 @@ void ClientSession::receive(std::span<const std::uint8_t> bytes, TimePoint now) 
 }
 
 void ClientSession::onPacket(const Packet& packet, TimePoint now) {
+    if (speed_change_due_) return;  // told before the robot changed its speed: it proves nothing
     if (state_ == State::Synchronising) {
         onSync(packet, now);
     } else if (const auto sip = parseServerInformation(packet)) {
-        onServerInformation(*sip, now);
+        onServerInformation(*sip, now, onTheWire(packet.data.size() + kFraming));
     } else if (auto config = parseRobotConfig(packet)) {
         robot_.config = std::make_shared<const RobotConfig>(std::move(*config));
     } else if (const auto laser = parseLaserPacket(packet)) {
@@ -88,12 +109,19 @@ void ClientSession::onPacket(const Packet& packet, TimePoint now) {
 }
 
 void ClientSession::onSync(const Packet& packet, TimePoint now) {
-    if (packet.id != sync_) {
-        // A late echo of an earlier try, or server information of a session that was never closed: the robot
-        // is asked again when the time-out passes, and the last round before giving up starts with CLOSE.
+    if (packet.id == kMovingPacket || packet.id == kStandingPacket) {
+        // Of a session that was never closed. Once for each attempt: some more are on their way.
+        if (old_session_seen_ != attempts_) {
+            old_session_seen_ = attempts_;
+            sync_ = 0;
+            send(encodeCommand(Command::EStop), now);
+            send(encodeCommand(Command::Close), now);
+            send(encodeCommand(static_cast<Command>(sync_)), now);
+        }
         return;
     }
-    tries_ = 0;
+    if (packet.id != sync_)
+        return;  // a late echo of an earlier try: the robot is asked again after the time-out
     if (sync_ < 2) {
         ++sync_;
         sendSync(now);
@@ -105,6 +133,37 @@ void ClientSession::onSync(const Packet& packet, TimePoint now) {
     last_heard_ = now;
     send(encodeCommand(Command::Open), now);
     send(encodeCommand(Command::Pulse), now);
+    const auto* const code = std::find(kHostBaudCodes.begin(), kHostBaudCodes.end(), line_.asked);
+    if (speeds_.empty() || line_.baud == line_.asked || code == kHostBaudCodes.end()) {
+        askForEverything(now);
+        return;
+    }
+    send(encodeCommand(Command::HostBaud, static_cast<int>(code - kHostBaudCodes.begin())), now);
+    speed_change_due_ = now + kSpeedPause;
+}
+
+void ClientSession::changeSpeed(TimePoint now) {
+    if (speed_change_due_ && now >= *speed_change_due_) {
+        speed_change_due_.reset();
+        if (!port_.setSpeed(line_.asked)) {
+            end("the serial line does not have " + std::to_string(line_.asked) +
+                " baud; fix: put the speed that it has behind the name of the line, such as :9600");
+            return;
+        }
+        speed_before_ = std::exchange(line_.baud, line_.asked);
+        speed_changed_ = now;
+        reader_.reset();
+        send(encodeCommand(Command::Pulse), now);
+    } else if (speed_before_ != 0 && now - speed_changed_ >= kSpeedPatience) {
+        line_.baud = std::exchange(speed_before_, 0);
+        port_.setSpeed(line_.baud);
+        reader_.reset();
+        last_heard_ = now;
+        askForEverything(now);
+    }
+}
+
+void ClientSession::askForEverything(TimePoint now) {
     send(encodeCommand(Command::Config, 1), now);
     send(encodeCommand(Command::IoRequest, 2), now);
     send(encodeCommand(Command::Sonar, 1), now);
@@ -114,9 +173,30 @@ void ClientSession::onSync(const Packet& packet, TimePoint now) {
     send(encodeCommand(isMobileSim() ? Command::OldLaserOn : Command::LaserOn, 1), now);
 }
 
+Duration ClientSession::onTheWire(std::size_t bytes) const {
+    // Start bit, eight bits, stop bit.
+    return line_.baud == 0 ? Duration::zero()
+                           : Duration(std::chrono::seconds{1}) * static_cast<int>(bytes) * 10 / line_.baud;
+}
+
+void ClientSession::newScan(LaserScan scan) {
+    laser_of_ours_ = true;
+    if (state_ == State::Online) scan_ = std::move(scan);
+}
+
+void ClientSession::publishScan(LaserScan scan) {
+    const auto pose = poses_.at(scan.taken);
+    if (!pose) return;
+    scan.sequence = robot_.laser ? robot_.laser->sequence + 1 : 1;
+    scan.x_mm = pose->x_mm;
+    scan.y_mm = pose->y_mm;
+    scan.heading_deg = pose->heading_deg;
+    robot_.laser = std::make_shared<const LaserScan>(std::move(scan));
+}
+
 void ClientSession::onLaser(const LaserPacket& packet, TimePoint now) {
     const auto readings = laser_.add(packet);
-    if (!readings || !previous_) return;
+    if (!readings || !previous_ || laser_of_ours_) return;
     auto scan = std::make_shared<LaserScan>();
     scan->sequence = robot_.laser ? robot_.laser->sequence + 1 : 1;
     scan->taken = now;
@@ -165,12 +245,14 @@ void ClientSession::readGripper(std::uint8_t grip_state, std::uint8_t general_io
     gripper.inner_beam = switches.inner_beam_broken;
     gripper.left_pressed = switches.left_paddle_pressed;
     gripper.right_pressed = switches.right_paddle_pressed;
-    // There is no switch for it: paddles that rest and are not open are closed, on something or on each other.
+    // There is no switch for it: paddles that rest and are not open are closed, on something or on each
+    // other.
     if (!gripper.open && !gripper.paddles_moving) gripper.closed = true;
 }
 
-void ClientSession::onServerInformation(const ServerInformation& sip, TimePoint now) {
+void ClientSession::onServerInformation(const ServerInformation& sip, TimePoint now, Duration on_the_wire) {
     last_heard_ = now;
+    if (std::exchange(speed_before_, 0) != 0) askForEverything(now);
     if (previous_) {
         robot_.x_mm += ringDifference(previous_->x, sip.x, kPositionModulus);
         robot_.y_mm += ringDifference(previous_->y, sip.y, kPositionModulus);
@@ -182,6 +264,7 @@ void ClientSession::onServerInformation(const ServerInformation& sip, TimePoint 
         robot_.heading_deg = ringDifference(0, sip.theta, kAngleUnitsPerTurn) * kDegreesPerAngleUnit;
     }
     robot_.online = true;
+    robot_.baud = line_.baud;
     ++robot_.sequence;
     robot_.taken = now;
     robot_.left_mm_s = sip.left_mm_s;
@@ -200,6 +283,8 @@ void ClientSession::onServerInformation(const ServerInformation& sip, TimePoint 
         if (sonar.number < RobotState::kSonars) robot_.sonars[sonar.number] = {sonar.range_mm, now};
     }
     previous_ = sip;
+    poses_.add(now - on_the_wire, {robot_.x_mm, robot_.y_mm, robot_.heading_deg});
+    if (scan_) publishScan(*std::exchange(scan_, std::nullopt));
     if (state_ == State::Opening) {
         state_ = State::Online;
         port_.onOnline(identity_);
@@ -213,24 +298,29 @@ void ClientSession::tick(TimePoint now) {
             return;
         case State::Synchronising:
             if (now - last_sent_ < kSyncTimeout) return;
-            if (tries_ >= kSyncTries || sync_ > 0) {
-                // An echo got lost: the robot may be one step further than this side, so both start again.
-                tries_ = 0;
-                sync_ = 0;
-                if (++rounds_ >= kSyncRounds) {
-                    end("the robot does not answer SYNC: is it an ARCOS robot, and is no other client "
-                        "connected to it?");
-                    return;
-                }
-                if (rounds_ == kSyncRounds - 1) send(encodeCommand(Command::Close), now);
+            if (++attempts_ >= kSyncAttempts) {
+                end("the robot does not answer SYNC: is it an ARCOS robot, and is no other client "
+                    "connected to it?");
+                return;
             }
+            if (sync_ == 0 && speeds_.size() > 1) {
+                speed_ = (speed_ + 1) % speeds_.size();
+                if (port_.setSpeed(speeds_[speed_])) line_.baud = speeds_[speed_];
+                reader_.reset();
+            }
+            // An echo may have been lost: the robot may be one step further than this side, so both start
+            // again.
+            sync_ = 0;
             sendSync(now);
             return;
         case State::Opening:
-            if (now - last_heard_ >= kOpenTimeout) end("the robot does not send its state after OPEN");
+            changeSpeed(now);
+            if (state_ != State::Closed && now - last_heard_ >= kOpenTimeout)
+                end("the robot does not send its state after OPEN");
             break;
         case State::Online:
             if (now - last_heard_ >= silence_limit_) {
+                send(encodeCommand(Command::EStop), now);
                 end("no word from the robot for " +
                     std::to_string(
                         std::chrono::duration_cast<std::chrono::milliseconds>(silence_limit_).count()) +

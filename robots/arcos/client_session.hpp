@@ -6,8 +6,10 @@
 #include <string>
 #include <vector>
 
+#include "robots/arcos/byte_stream.hpp"
 #include "robots/arcos/gripper.hpp"
 #include "robots/arcos/laser.hpp"
+#include "robots/arcos/pose_history.hpp"
 #include "robots/arcos/server_information.hpp"
 
 namespace axon::arcos {
@@ -21,16 +23,19 @@ struct RobotIdentity {
     bool operator==(const RobotIdentity&) const = default;
 };
 
-/// One sweep of the laser, assembled from the robot's packets. Immutable once published.
+/// One sweep of the laser: assembled from the robot's packets, or given to newScan(). Immutable once
+/// published.
 struct LaserScan {
     std::uint64_t sequence = 0;  ///< from 1 per connection; packets that are missing cost their whole scan
-    TimePoint taken{};           ///< when its last packet arrived
+    TimePoint taken{};           ///< when its last packet arrived; of newScan(): when it was made
     double x_mm = 0;             ///< odometry of the sweep, in the frame of RobotState
     double y_mm = 0;
     double heading_deg = 0;
-    double start_deg = -90;  ///< of the first reading, to the left of straight ahead; the first is on the right
+    double start_deg =
+        -90;  ///< of the first reading, to the left of straight ahead; the first is on the right
     double step_deg = 1;
-    std::vector<std::uint16_t> ranges_mm;  ///< 181 of an LMS-200; what sees nothing reads LaserPacket::kNothing_mm
+    std::vector<std::uint16_t>
+        ranges_mm;  ///< 181 of an LMS-200; what sees nothing reads LaserPacket::kNothing_mm
 };
 
 /// The two-degrees-of-freedom gripper as its limit switches, beams and paddles tell. There is no position.
@@ -63,6 +68,7 @@ struct RobotState {
     };
 
     bool online = false;
+    int baud = 0;  ///< the speed of the serial line that the robot is spoken to on; 0: there is none
     std::uint64_t sequence = 0;  ///< of the server information packet, from 1 per connection
     TimePoint taken{};           ///< when that packet arrived
     double x_mm = 0;             ///< odometry since OPEN, accumulated over the 15-bit wrap of the wire
@@ -79,7 +85,8 @@ struct RobotState {
     unsigned rear_bumpers = 0;
     bool table_left = false;  ///< the infrared table sensors see something
     bool table_right = false;
-    bool column_left = false;  ///< the break beams along the column: something reaches into the robot's outline
+    bool column_left =
+        false;  ///< the break beams along the column: something reaches into the robot's outline
     bool column_right = false;
     double battery_v = 0;
     std::array<Sonar, kSonars> sonars{};
@@ -90,16 +97,27 @@ struct RobotState {
     double speed_mm_s() const { return (left_mm_s + right_mm_s) / 2; }
 };
 
-/// The client's half of an ARCOS session: shakes hands (SYNC0, SYNC1, SYNC2, OPEN), sends PULSE when nothing
-/// else was sent, turns packets into a RobotState, and says when the robot is lost.
+/// The client's half of an ARCOS session: shakes hands (SYNC0, SYNC1, SYNC2, OPEN), raises the speed of a
+/// serial line, sends PULSE when nothing else was sent, turns packets into a RobotState, and says when the
+/// robot is lost.
 ///
-/// | state | means | leaves on |
-/// |---|---|---|
-/// | Closed | no link | begin() → Synchronising |
-/// | Synchronising | SYNCn sent, its echo awaited; repeated after kSyncTimeout, from SYNC0 after kSyncTries |
-/// third echo → Opening; kSyncRounds used up → Closed, onLost | | Opening | OPEN sent, the first server
-/// information awaited for kOpenTimeout | it arrives → Online, onOnline; else → Closed, onLost | | Online | |
-/// no server information for the silence limit, or end() → Closed, onLost |
+/// - Closed: no link. begin() leads to Synchronising.
+/// - Synchronising: SYNCn was sent, its echo is awaited; after kSyncTimeout it begins with SYNC0 again. The
+/// third
+///   echo leads to Opening; kSyncAttempts used up to Closed, onLost.
+/// - Opening: OPEN was sent, the first server information is awaited for kOpenTimeout. It leads to Online,
+///   onOnline; its absence to Closed, onLost.
+/// - Online: no server information for the silence limit, and end(), lead to Closed, onLost.
+///
+/// A robot may still be driving as a program told it that was killed: on a serial line nobody tells it, and
+/// whoever shakes hands keeps its watchdog from tripping, because SYNC0 is PULSE to a robot whose session is
+/// open. So on a serial line each SYNC0 follows an ESTOP, and every other one a CLOSE as well; on other links
+/// they are sent once the robot is heard to be in an old session. ESTOP is also sent to a robot that has
+/// fallen silent: it may hear.
+///
+/// Speeds: the robot is looked for at the line's present speed, at kFirstSpeed and at kRaisedSpeed in turn.
+/// Then HOSTBAUD takes it to the speed that the address asks for, else to kRaisedSpeed, and the line follows.
+/// A robot that is not heard there within kSpeedPatience is spoken to at the speed at which it was found.
 ///
 /// Threads: none, not thread-safe; the owner confines it (ArcosClient does). I/O-free: time comes in with
 /// each call, bytes leave through the port. Failure: only onLost, with a reason for a person.
@@ -114,13 +132,19 @@ class ClientSession {
         virtual void onOnline(const RobotIdentity& identity) = 0;
         virtual void onState(const RobotState& state) = 0;
         virtual void onLost(const std::string& reason) = 0;
+        /// Changes the speed of the serial line; false where that is impossible.
+        virtual bool setSpeed(int /*baud*/) { return false; }
     };
 
+    static constexpr int kRaisedSpeed = 38400;
+    /// Until a HOSTBAUD that was written has left the computer; an adapter on USB keeps it for some
+    /// milliseconds.
+    static constexpr Duration kSpeedPause = std::chrono::milliseconds{50};
+    static constexpr Duration kSpeedPatience = std::chrono::milliseconds{900};
     static constexpr Duration kSyncTimeout = std::chrono::milliseconds{500};
-    static constexpr int kSyncTries = 3;
-    static constexpr int kSyncRounds = 4;
+    static constexpr int kSyncAttempts = 12;
     static constexpr Duration kOpenTimeout = std::chrono::seconds{2};
-    static constexpr Duration kSilenceLimit = std::chrono::milliseconds{500};  // five packets missing
+    static constexpr Duration kSilenceLimit = std::chrono::milliseconds{500};   // five packets missing
     static constexpr Duration kGripperRequestPeriod = std::chrono::seconds{1};  // until it is answered
     static constexpr Duration kPulsePeriod =
         std::chrono::milliseconds{500};  // a quarter of the robot's watchdog
@@ -128,13 +152,17 @@ class ClientSession {
     explicit ClientSession(Port& port, Duration silence_limit = kSilenceLimit)
         : port_(port), silence_limit_(silence_limit) {}
 
-    /// There is a link: start shaking hands.
-    void begin(TimePoint now);
+    /// There is a link, whose speed this is: start shaking hands.
+    void begin(TimePoint now, const LineSpeed& line = {});
     /// The link is gone; onLost(reason) unless the session was closed already.
     void end(const std::string& reason);
     void receive(std::span<const std::uint8_t> bytes, TimePoint now);
     /// To be called at least every 50 ms.
     void tick(TimePoint now);
+    /// A sweep of a laser that is wired to this computer: its angles, ranges, and when it was made. It is
+    /// part of the next RobotState, with a sequence and with where the robot was then. After the first one
+    /// the robot's own laser packets are ignored. Nothing happens before the robot is online.
+    void newScan(LaserScan scan);
     /// Something else was sent by the owner: no PULSE is needed for a while.
     void commandSent(TimePoint now) { last_sent_ = now; }
 
@@ -148,8 +176,12 @@ class ClientSession {
     void send(const Bytes& bytes, TimePoint now);
     void onPacket(const Packet& packet, TimePoint now);
     void onSync(const Packet& packet, TimePoint now);
-    void onServerInformation(const ServerInformation& sip, TimePoint now);
+    void onServerInformation(const ServerInformation& sip, TimePoint now, Duration on_the_wire);
     void onLaser(const LaserPacket& packet, TimePoint now);
+    void askForEverything(TimePoint now);
+    void changeSpeed(TimePoint now);
+    void publishScan(LaserScan scan);
+    Duration onTheWire(std::size_t bytes) const;
     void readGripper(std::uint8_t grip_state, std::uint8_t general_io);
     bool isMobileSim() const { return identity_.name == "MobileSim"; }
 
@@ -160,9 +192,15 @@ class ClientSession {
     RobotIdentity identity_;
     RobotState robot_;
     LaserScanAssembler laser_;
-    int sync_ = 0;   // which of SYNC0 to SYNC2 is awaited
-    int tries_ = 0;  // of this one
-    int rounds_ = 0;
+    LineSpeed line_;
+    std::vector<int> speeds_;  // at which the robot is looked for; none where the link has none
+    std::size_t speed_ = 0;    // which of them
+    std::optional<TimePoint> speed_change_due_;  // HOSTBAUD was sent, the line is to follow
+    int speed_before_ = 0;                       // the line has followed, and nothing was heard yet
+    TimePoint speed_changed_{};
+    int sync_ = 0;               // which of SYNC0 to SYNC2 is awaited
+    int attempts_ = 0;           // to begin with SYNC0
+    int old_session_seen_ = -1;  // in which attempt
     TimePoint last_sent_{};
     TimePoint last_heard_{};
     TimePoint gripper_asked_{};
@@ -171,6 +209,9 @@ class ClientSession {
     // What the wire last said, to accumulate differences.
     std::optional<ServerInformation> previous_;
     bool table_sensors_by_io_ = false;
+    PoseHistory poses_;
+    bool laser_of_ours_ = false;
+    std::optional<LaserScan> scan_;  // until the next server information
 };
 
 }  // namespace axon::arcos

@@ -1,12 +1,20 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "robots/arcos/client_session.hpp"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
+
+#include <utility>
 
 namespace axon::arcos {
 namespace {
 
 using std::chrono::milliseconds;
+using ::testing::ElementsAre;
+using ::testing::IsEmpty;
+
+constexpr int kEStop = static_cast<int>(Command::EStop);
+constexpr int kClose = static_cast<int>(Command::Close);
 
 /// Plays the robot by hand: notes what the session sends, and answers when told to.
 class ClientSessionTest : public ::testing::Test, public ClientSession::Port {
@@ -17,6 +25,12 @@ class ClientSessionTest : public ::testing::Test, public ClientSession::Port {
     void onOnline(const RobotIdentity& identity) override { online_ = identity; }
     void onState(const RobotState& state) override { robot_ = state; }
     void onLost(const std::string& reason) override { lost_.push_back(reason); }
+    bool setSpeed(int baud) override {
+        if (!line_can_change_) return false;
+        line_speed_ = baud;
+        speeds_.push_back(baud);
+        return true;
+    }
 
     void answer(const Packet& packet) { session_.receive(encode(packet), clock_.now()); }
     void tell(ServerInformation sip) { answer(toPacket(sip)); }
@@ -26,11 +40,21 @@ class ClientSessionTest : public ::testing::Test, public ClientSession::Port {
             session_.tick(clock_.now());
         }
     }
-    void shakeHands() {
-        session_.begin(clock_.now());
+    void shakeHands(const LineSpeed& line = {}) {
+        line_speed_ = line.baud;
+        session_.begin(clock_.now(), line);
+        echoSyncs();
+    }
+    void echoSyncs() {
         answer({0, {}});
         answer({1, {}});
         answer({2, FieldWriter{}.text("Ann").text("Pioneer").text("peoplebot-sh").take()});
+    }
+    /// The ids of what was sent since the last call.
+    std::vector<int> takeSent() {
+        std::vector<int> ids;
+        for (const auto& packet : std::exchange(sent_, {})) ids.push_back(packet.id);
+        return ids;
     }
     int countSent(Command command) const {
         int count = 0;
@@ -44,6 +68,9 @@ class ClientSessionTest : public ::testing::Test, public ClientSession::Port {
     std::optional<RobotIdentity> online_;
     RobotState robot_;
     std::vector<std::string> lost_;
+    bool line_can_change_ = true;
+    int line_speed_ = 0;
+    std::vector<int> speeds_;  // that the line was set to, one after the other
     ClientSession session_{*this};
 };
 
@@ -235,15 +262,22 @@ TEST_F(ClientSessionTest, TheGripperIsReadFromBothItsBytes) {
     shakeHands();
     ServerInformation sip;
     sip.grip_state = toByte(GripState{.lift_up = true});
-    sip.general_io = toByte(GripperSwitches{
-        .lift_at_limit = true, .inner_beam_broken = true, .left_paddle_pressed = true, .right_paddle_pressed = true});
+    sip.general_io = toByte(GripperSwitches{.lift_at_limit = true,
+                                            .inner_beam_broken = true,
+                                            .left_paddle_pressed = true,
+                                            .right_paddle_pressed = true});
     tell(sip);
     EXPECT_EQ(robot_.gripper, GripperState{}) << "nothing is known of it before the robot says what it has";
     answer(toPacket(GripperPacket{GripperPacket::kGeneralIo, {}, 10}));
     tell(sip);
-    EXPECT_EQ(robot_.gripper,
-              (GripperState{.known = true, .fitted = true, .closed = true, .lift_up = true, .lift_at_limit = true,
-                            .inner_beam = true, .left_pressed = true, .right_pressed = true}));
+    EXPECT_EQ(robot_.gripper, (GripperState{.known = true,
+                                            .fitted = true,
+                                            .closed = true,
+                                            .lift_up = true,
+                                            .lift_at_limit = true,
+                                            .inner_beam = true,
+                                            .left_pressed = true,
+                                            .right_pressed = true}));
     sip.general_io = toByte(GripperSwitches{.paddles_moving = true});
     tell(sip);
     EXPECT_FALSE(robot_.gripper.closed);
@@ -259,6 +293,165 @@ TEST_F(ClientSessionTest, TheColumnsBeamsAndTheConfigurationAreRead) {
     EXPECT_FALSE(robot_.column_left);
     ASSERT_TRUE(robot_.config);
     EXPECT_EQ(robot_.config->watchdog_ms, 2000);
+}
+
+TEST_F(ClientSessionTest, ARobotOnASerialLineIsStoppedBeforeEachSync0) {
+    // Whoever drove it may have been killed, and it hears nothing of that; to it SYNC0 is a PULSE.
+    session_.begin(clock_.now(), {.baud = 9600, .asked = 9600});
+    EXPECT_THAT(takeSent(), ElementsAre(kEStop, kClose, 0));
+    pass(milliseconds{500});
+    EXPECT_THAT(takeSent(), ElementsAre(kEStop, kClose, 0)) << "at the other speed";
+    pass(milliseconds{500});
+    EXPECT_THAT(takeSent(), ElementsAre(kEStop, 0)) << "a robot that is deaf after a CLOSE hears this one";
+    answer({0, {}});
+    EXPECT_THAT(takeSent(), ElementsAre(1));
+}
+
+TEST_F(ClientSessionTest, ARobotThatIsHeardInAnOldSessionIsStoppedOverAnyLink) {
+    session_.begin(clock_.now());
+    EXPECT_THAT(takeSent(), ElementsAre(0));
+    tell({.moving = true});
+    EXPECT_THAT(takeSent(), ElementsAre(kEStop, kClose, 0));
+    tell({.moving = true});
+    EXPECT_THAT(takeSent(), IsEmpty());
+    echoSyncs();
+    EXPECT_EQ(session_.state(), ClientSession::State::Opening);
+}
+
+TEST_F(ClientSessionTest, ARobotThatIsNoLongerHeardIsToldToStop) {
+    shakeHands();
+    tell({});
+    takeSent();
+    pass(milliseconds{500});
+    ASSERT_EQ(lost_.size(), 1U);
+    EXPECT_EQ(takeSent().back(), kEStop);
+}
+
+TEST_F(ClientSessionTest, ASerialLineIsRaisedAndThenEverythingIsAskedFor) {
+    shakeHands({.baud = 9600});
+    ASSERT_EQ(countSent(Command::HostBaud), 1);
+    EXPECT_EQ(parseArgument(sent_.back()).value, 2) << "38400";
+    EXPECT_THAT(speeds_, IsEmpty()) << "HOSTBAUD has not left the computer yet";
+    tell({});
+    EXPECT_FALSE(online_) << "the robot has not changed its speed yet";
+    pass(milliseconds{50});
+    EXPECT_EQ(line_speed_, 38400);
+    EXPECT_EQ(countSent(Command::Config), 0);
+    tell({});
+    EXPECT_TRUE(online_);
+    EXPECT_EQ(countSent(Command::Config), 1);
+    EXPECT_EQ(robot_.baud, 38400);
+    pass(milliseconds{400});
+    EXPECT_EQ(line_speed_, 38400);
+}
+
+TEST_F(ClientSessionTest, ARobotThatDoesNotFollowIsSpokenToAsBefore) {
+    shakeHands({.baud = 9600});
+    pass(milliseconds{50});
+    EXPECT_EQ(line_speed_, 38400);
+    pass(milliseconds{875});
+    EXPECT_EQ(line_speed_, 38400);
+    pass(milliseconds{25});
+    EXPECT_EQ(line_speed_, 9600);
+    EXPECT_EQ(countSent(Command::Config), 1);
+    tell({});
+    EXPECT_TRUE(online_);
+    EXPECT_EQ(robot_.baud, 9600);
+    EXPECT_THAT(lost_, IsEmpty());
+}
+
+TEST_F(ClientSessionTest, ARobotThatAKilledProgramHasRaisedIsFoundThere) {
+    line_speed_ = 9600;
+    session_.begin(clock_.now(), {.baud = 9600});
+    pass(milliseconds{500});
+    EXPECT_EQ(line_speed_, 38400);
+    echoSyncs();
+    EXPECT_EQ(countSent(Command::HostBaud), 0);
+    tell({});
+    EXPECT_EQ(robot_.baud, 38400);
+}
+
+TEST_F(ClientSessionTest, TheSpeedThatTheAddressAsksForIsUsed) {
+    shakeHands({.baud = 57600, .asked = 57600});
+    EXPECT_EQ(countSent(Command::HostBaud), 0);
+    // And a robot at another speed is brought there.
+    session_.begin(clock_.now(), {.baud = 57600, .asked = 57600});
+    pass(milliseconds{500});
+    EXPECT_EQ(line_speed_, 9600);
+    sent_.clear();
+    echoSyncs();
+    ASSERT_EQ(countSent(Command::HostBaud), 1);
+    EXPECT_EQ(parseArgument(sent_.back()).value, 3) << "57600";
+    pass(milliseconds{50});
+    EXPECT_EQ(line_speed_, 57600);
+}
+
+TEST_F(ClientSessionTest, WhereThereIsNoSpeedNoneIsChanged) {
+    shakeHands();
+    tell({});
+    EXPECT_EQ(countSent(Command::HostBaud), 0);
+    EXPECT_EQ(robot_.baud, 0);
+    EXPECT_THAT(speeds_, IsEmpty());
+}
+
+TEST_F(ClientSessionTest, ALineThatCannotChangeItsSpeedIsSaid) {
+    line_can_change_ = false;
+    shakeHands({.baud = 9600});
+    pass(milliseconds{50});
+    ASSERT_EQ(lost_.size(), 1U);
+    EXPECT_NE(lost_[0].find("fix: "), std::string::npos);
+}
+
+TEST_F(ClientSessionTest, ASweepOfALaserOfOursStandsWhereTheRobotWasThen) {
+    shakeHands();
+    ServerInformation sip;
+    tell(sip);
+    const auto first = clock_.now();
+    clock_.advance(milliseconds{100});
+    sip.x = 40;
+    sip.theta = 100;
+    tell(sip);
+    session_.newScan(
+        {.taken = first + milliseconds{25}, .start_deg = -90, .step_deg = 1, .ranges_mm = {500, 600}});
+    EXPECT_FALSE(robot_.laser);
+    tell(sip);
+    ASSERT_TRUE(robot_.laser);
+    EXPECT_EQ(robot_.laser->sequence, 1U);
+    EXPECT_NEAR(robot_.laser->x_mm, 10, 1e-9);
+    EXPECT_NEAR(robot_.laser->heading_deg, robot_.heading_deg / 4, 1e-9);
+    EXPECT_THAT(robot_.laser->ranges_mm, ElementsAre(500, 600));
+    // What the robot's own laser says is another one from then on.
+    answer(toPacket(LaserPacket{.total = 1, .readings = {{1000, 0}}}));
+    tell(sip);
+    EXPECT_THAT(robot_.laser->ranges_mm, ElementsAre(500, 600));
+    EXPECT_EQ(robot_.laser->sequence, 1U);
+}
+
+TEST_F(ClientSessionTest, ASweepBeforeTheRobotIsOnlineIsDropped) {
+    session_.newScan({.taken = clock_.now(), .ranges_mm = {500}});
+    shakeHands();
+    session_.newScan({.taken = clock_.now(), .ranges_mm = {500}});
+    tell({});
+    tell({});
+    EXPECT_FALSE(robot_.laser);
+}
+
+TEST(PoseHistoryTest, LiesBetweenWhatWasAddedAndForgets) {
+    const TimePoint start{std::chrono::seconds{5}};
+    PoseHistory poses;
+    EXPECT_FALSE(poses.at(start));
+    poses.add(start, {0, 0, 350});
+    poses.add(start + milliseconds{100}, {10, -20, 370});
+    poses.add(start + milliseconds{50}, {1000, 0, 0});  // goes back: ignored
+    const auto middle = poses.at(start + milliseconds{75});
+    ASSERT_TRUE(middle);
+    EXPECT_DOUBLE_EQ(middle->x_mm, 7.5);
+    EXPECT_DOUBLE_EQ(middle->y_mm, -15);
+    EXPECT_DOUBLE_EQ(middle->heading_deg, 365);
+    EXPECT_DOUBLE_EQ(poses.at(start - milliseconds{1})->heading_deg, 350);
+    EXPECT_DOUBLE_EQ(poses.at(start + milliseconds{900})->heading_deg, 370);
+    poses.add(start + milliseconds{2150}, {0, 0, 0});
+    EXPECT_DOUBLE_EQ(poses.at(start)->heading_deg, 0) << "older than its memory";
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <array>
 #include <cstdint>
 #include <span>
 #include <string>
@@ -57,17 +58,17 @@ enum class Command : std::uint8_t {
     Stop = 29,
     DigOut = 30,
     Vel2 = 32,
-    Gripper = 33,         // GripperOrder (gripper.hpp)
-    OldLaserOn = 35,      // 0 off, 1 on, 2 on with reflectances; ids 35 to 38 as old clients use them
-    GripperValue = 36,    // right after Gripper 16 or 17; else the old laser's first angle
-    GripperRequest = 37,  // 0 stop, 1 once, 2 continuously; any other value: the old laser's last angle
+    Gripper = 33,             // GripperOrder (gripper.hpp)
+    OldLaserOn = 35,          // 0 off, 1 on, 2 on with reflectances; ids 35 to 38 as old clients use them
+    GripperValue = 36,        // right after Gripper 16 or 17; else the old laser's first angle
+    GripperRequest = 37,      // 0 stop, 1 once, 2 continuously; any other value: the old laser's last angle
     OldLaserResolution = 38,  // hundredths of a degree
     IoRequest = 40,
     Tty2 = 42,    // a text: bytes for the serial port that the camera is wired to
     GetAux = 43,  // so many bytes that came in on it are sent as kAuxPacket; 0: they are forgotten
     BumpStall = 44,
     JoyDrive = 47,
-    HostBaud = 50,
+    HostBaud = 50,  // kHostBaudCodes; until the robot is switched off
     EStop = 55,
     QStop = 57,
     BatteryInfo = 62,
@@ -76,6 +77,9 @@ enum class Command : std::uint8_t {
     LaserEnd = 232,         // degrees, the last reading
     LaserResolution = 233,  // degrees between readings
 };
+
+/// The speeds of the robot's serial line that HOSTBAUD's argument, 0 to 4, stands for.
+inline constexpr std::array<int, 5> kHostBaudCodes{9600, 19200, 38400, 57600, 115200};
 
 /// What a robot sends.
 inline constexpr std::uint8_t kStandingPacket = 0x32;  // server information, motors at rest
