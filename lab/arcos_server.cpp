@@ -127,8 +127,14 @@ void ArcosServer::onCommand(const arcos::Packet& packet, TimePoint now) {
         case Command::Open:
         case Command::Encoder:
         case Command::JoyDrive:
-        case Command::HostBaud:
         case Command::BatteryInfo:
+            break;
+        case Command::HostBaud:
+            if (!needsInteger()) break;
+            if (argument.value >= 0 && argument.value < static_cast<int>(arcos::kHostBaudCodes.size()))
+                baud_ = arcos::kHostBaudCodes[static_cast<std::size_t>(argument.value)];
+            else
+                ++counters_.malformed_commands;
             break;
         case Command::Close:
             endSession(State::Synchronising);
@@ -235,6 +241,10 @@ void ArcosServer::onGripper(Command command, int argument) {
 }
 
 void ArcosServer::onLaser(Command command, int argument) {
+    if (!has_laser_) {
+        ++counters_.unknown_commands;
+        return;
+    }
     auto wanted = laser_;
     switch (command) {
         case Command::OldLaserOn:

@@ -6,6 +6,7 @@
 #include "lab/camera_control.hpp"
 #include "lab/gripper_control.hpp"
 #include "lab/motion_control.hpp"
+#include "robots/arcos/byte_stream.hpp"
 #include "robots/arcos/server_information.hpp"
 
 namespace axon::lab {
@@ -13,7 +14,7 @@ namespace axon::lab {
 /// How the laser range finder scans: reading n at start + n * resolution, degrees from straight ahead, to the
 /// left positive.
 struct LaserSettings {
-    static constexpr int kMaximumReadings = 361;
+    static constexpr int kMaximumReadings = 401;
     bool on = false;
     double start_deg = -90;
     double end_deg = 90;
@@ -100,7 +101,9 @@ class ArcosServer {
     /// odometry.
     static constexpr double kTrack_mm = 2 / 0.006;
 
-    ArcosServer(Identity identity, Port& port) : identity_(std::move(identity)), port_(port) {}
+    /// `laser`: false on a robot whose laser is wired to the computer; orders for it are then unknown.
+    ArcosServer(Identity identity, Port& port, bool laser = true)
+        : identity_(std::move(identity)), port_(port), has_laser_(laser) {}
 
     void clientConnected(TimePoint now);
     void clientLost();
@@ -119,6 +122,10 @@ class ArcosServer {
     const GripperSpeeds& gripper() const { return gripper_speeds_; }
     const CameraPose& camera() const { return camera_.pose(); }
     const LaserSettings& laser() const { return laser_; }
+    /// The speed of its serial line, for whoever carries the bytes over one. It is kFirstSpeed until HOSTBAUD
+    /// changes it, and stays so until the robot is switched off (assumed: the manual does not say when it
+    /// ends).
+    int baud() const { return baud_; }
 
     /// The encoders jumped, the robot did not move: the next readings count from there.
     void encodersJumped() { encoders_known_ = false; }
@@ -153,6 +160,8 @@ class ArcosServer {
 
     const Identity identity_;
     Port& port_;
+    const bool has_laser_;
+    int baud_ = arcos::kFirstSpeed;
     State state_ = State::NoClient;
     arcos::PacketReader reader_;
     MotionControl motion_;

@@ -55,8 +55,9 @@ class LabServer::Loop final : Control::Operator {
         : options_(std::move(options)),
           world_((complete(world), std::move(world))),
           wake_(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)),
-          lab_(world_, [this](std::size_t robot, const arcos::Bytes& bytes) { send(robots_[robot], bytes); },
-               {.seed = options_.seed, .noise = options_.noise}),
+          lab_(
+              world_, [this](std::size_t robot, const arcos::Bytes& bytes) { send(robots_[robot], bytes); },
+              {.seed = options_.seed, .noise = options_.noise}, laserLines()),
           speed_(options_.speed),
           paused_(options_.step),
           stepping_(options_.step),
@@ -82,20 +83,22 @@ class LabServer::Loop final : Control::Operator {
             if (arcos > 65535)
                 throw BadDescription(
                     fmt::format("robot {} would get port {}: choose a smaller --port", robot.name, arcos));
-            robots_.push_back({.index = i, .listener = listenOn(options_.listen, arcos)});
+            robots_.push_back({.kind = Link::Kind::Robot, .index = i});
+            openLink(robots_.back(), arcos);
+            // Nobody knocks on a serial line: the robot listens from the start.
+            if (options_.pty) lab_.clientConnected(i);
             if (arcos != 0) next = arcos + 1;
             pictures.cameras.push_back(port(kFirstCameraPort, i));
             pictures.acts.push_back(port(kFirstActsPort, i));
             tracks_[i].colour = kTrackColours[i % kTrackColours.size()];
         }
         for (std::size_t i = 0; i < world_.arms.size(); ++i) {
-            arms_.push_back({.arm = true, .index = i});
-            auto& arm = arms_.back();
-            if (options_.pty)
-                arm.terminal = openTerminal();
-            else
-                arm.listener =
-                    listenOn(options_.listen, world_.arms[i].port.value_or(port(kFirstArmPort, i)));
+            arms_.push_back({.kind = Link::Kind::Arm, .index = i});
+            openLink(arms_.back(), world_.arms[i].port.value_or(port(kFirstArmPort, i)));
+        }
+        for (std::size_t i = 0; options_.lasers && i < world_.robots.size(); ++i) {
+            lasers_.push_back({.kind = Link::Kind::Laser, .index = i});
+            openLink(lasers_.back(), port(kFirstLaserPort, i));
         }
         control_listener_ = listenOn(options_.listen, port(kControlPort, 0));
         if (options_.overview) pictures.overview = port(kOverviewPort, 0);
@@ -109,7 +112,7 @@ class LabServer::Loop final : Control::Operator {
 
     std::vector<int> ports() const {
         std::vector<int> ports;
-        for (const auto& link : robots_) ports.push_back(portOf(link.listener));
+        for (const auto& link : robots_) ports.push_back(link.terminal ? 0 : portOf(link.listener));
         return ports;
     }
 
@@ -118,20 +121,21 @@ class LabServer::Loop final : Control::Operator {
         const auto add = [&](const std::string& name, int port) {
             result.emplace_back(name, fmt::format("{}:{}", options_.listen, port));
         };
+        const auto addLink = [&](const std::string& name, const Link& link) {
+            if (link.terminal)
+                result.emplace_back(name, link.terminal->path);
+            else
+                add(name, portOf(link.listener));
+        };
         const auto pictures = picture_server_->ports();
         for (std::size_t i = 0; i < robots_.size(); ++i) {
             const auto& name = world_.robots[i].name;
-            add(name, portOf(robots_[i].listener));
+            addLink(name, robots_[i]);
+            if (options_.lasers) addLink(name + ".laser", lasers_[i]);
             add(name + ".camera", pictures.cameras[i]);
             add(name + ".acts", pictures.acts[i]);
         }
-        for (std::size_t i = 0; i < arms_.size(); ++i) {
-            const auto& name = world_.arms[i].name;
-            if (arms_[i].terminal)
-                result.emplace_back(name, arms_[i].terminal->path);
-            else
-                add(name, portOf(arms_[i].listener));
-        }
+        for (std::size_t i = 0; i < arms_.size(); ++i) addLink(world_.arms[i].name, arms_[i]);
         add("control", portOf(control_listener_));
         if (pictures.overview) add("overview", *pictures.overview);
         return result;
@@ -183,11 +187,12 @@ class LabServer::Loop final : Control::Operator {
 
   private:
     struct Link {
-        bool arm = false;
+        enum class Kind { Robot, Arm, Laser };
+        Kind kind = Kind::Robot;
         std::size_t index = 0;
         Descriptor listener{};
         Descriptor client{};
-        std::optional<Terminal> terminal{};  // of an arm with --pty: there is no listener, and no client
+        std::optional<Terminal> terminal{};  // with --pty: there is no listener, and no client
         bool broken = false;
 
         int fd() const { return terminal ? terminal->master.get() : client.get(); }
@@ -201,6 +206,19 @@ class LabServer::Loop final : Control::Operator {
         std::string held;
         bool broken = false;
     };
+
+    Laboratory::LaserLines laserLines() {
+        if (!options_.lasers) return {};
+        return {.send = [this](std::size_t robot, const arcos::Bytes& bytes) { send(lasers_[robot], bytes); },
+                .serial = options_.pty};
+    }
+
+    void openLink(Link& link, int port) const {
+        if (options_.pty)
+            link.terminal = openTerminal();
+        else
+            link.listener = listenOn(options_.listen, port);
+    }
 
     // ---- time
 
@@ -242,8 +260,10 @@ class LabServer::Loop final : Control::Operator {
             followTracks();
             if (truth_) writeTruth();
         }
-        for (auto& link : robots_) {
-            if (link.broken) drop(link);
+        for (auto* links : {&robots_, &lasers_}) {
+            for (auto& link : *links) {
+                if (link.broken) drop(link);
+            }
         }
     }
 
@@ -265,7 +285,7 @@ class LabServer::Loop final : Control::Operator {
         const auto add = [this](int fd, short events = POLLIN) {
             watched_.push_back({fd, events, 0});  // a negative descriptor is passed over
         };
-        for (auto* links : {&robots_, &arms_}) {
+        for (auto* links : {&robots_, &arms_, &lasers_}) {
             for (const auto& link : *links) add(link.listener.get()), add(link.fd());
         }
         add(control_listener_.get());
@@ -275,7 +295,7 @@ class LabServer::Loop final : Control::Operator {
 
     void serveClients() {
         std::size_t at = 1;
-        for (auto* links : {&robots_, &arms_}) {
+        for (auto* links : {&robots_, &arms_, &lasers_}) {
             for (auto& link : *links) {
                 const auto knocked = watched_[at++].revents;
                 const auto spoke = watched_[at++].revents;
@@ -303,10 +323,8 @@ class LabServer::Loop final : Control::Operator {
         if (!client || link.client) return;  // busy: closing the connection is the refusal
         link.client = std::move(client);
         link.broken = false;
-        if (link.arm)
-            lab_.armClientConnected(link.index);
-        else
-            lab_.clientConnected(link.index);
+        if (link.kind == Link::Kind::Arm) lab_.armClientConnected(link.index);
+        if (link.kind == Link::Kind::Robot) lab_.clientConnected(link.index);
     }
 
     void read(Link& link) {
@@ -314,20 +332,53 @@ class LabServer::Loop final : Control::Operator {
         const auto got = ::read(link.fd(), chunk.data(), chunk.size());
         if (got > 0) {
             const auto bytes = std::span(chunk).first(static_cast<std::size_t>(got));
-            if (link.arm) {
-                send(link, lab_.receiveArm(link.index, bytes));
-                if (link.broken) drop(link);
-            } else {
-                lab_.receive(link.index, bytes);
+            if (garbled(link))
+                for (auto& byte : bytes) byte = garbage(byte);
+            switch (link.kind) {
+                case Link::Kind::Arm:
+                    send(link, lab_.receiveArm(link.index, bytes));
+                    break;
+                case Link::Kind::Laser:
+                    lab_.receiveLaser(link.index, bytes);
+                    break;
+                case Link::Kind::Robot:
+                    lab_.receive(link.index, bytes);
+                    return;  // answers from within a step: what is broken is dropped after it
             }
+            if (link.broken) drop(link);
         } else if (got == 0 || (errno != EAGAIN && errno != EINTR)) {
             drop(link);
         }
     }
 
+    /// The speed of the device's end of a serial line; 0 where any will do: an arm's is set by jumpers.
+    int speedOfDevice(const Link& link) const {
+        switch (link.kind) {
+            case Link::Kind::Robot:
+                return lab_.controller(link.index).baud();
+            case Link::Kind::Laser:
+                return lab_.laser(link.index).baud();
+            case Link::Kind::Arm:
+                break;
+        }
+        return 0;
+    }
+    bool garbled(const Link& link) const {
+        const int speed = link.terminal ? speedOfDevice(link) : 0;
+        return speed != 0 && speedOf(*link.terminal) != speed;
+    }
+    /// What a byte looks like at another speed: not like this, but it is none that was sent either.
+    static std::uint8_t garbage(std::uint8_t byte) { return static_cast<std::uint8_t>(byte ^ 0x5AU); }
+
     void send(Link& link, std::span<const std::uint8_t> bytes) const {
         if (link.fd() < 0 || bytes.empty()) return;
         if (link.terminal) {
+            arcos::Bytes noise;
+            if (garbled(link)) {
+                noise.assign(bytes.begin(), bytes.end());
+                for (auto& byte : noise) byte = garbage(byte);
+                bytes = noise;
+            }
             // A serial line does not wait: what nobody reads is lost.
             [[maybe_unused]] const auto written = ::write(link.fd(), bytes.data(), bytes.size());
             return;
@@ -341,7 +392,7 @@ class LabServer::Loop final : Control::Operator {
         link.broken = false;
         if (!link.client) return;
         link.client.reset();
-        if (!link.arm) lab_.clientLost(link.index);
+        if (link.kind == Link::Kind::Robot) lab_.clientLost(link.index);
     }
 
     // ---- control
@@ -506,6 +557,7 @@ class LabServer::Loop final : Control::Operator {
     Control control_{lab_, world_, *this};
     std::vector<Link> robots_;
     std::vector<Link> arms_;
+    std::vector<Link> lasers_;
     Descriptor control_listener_;
     std::list<ControlClient> control_clients_;
     std::vector<pollfd> watched_;

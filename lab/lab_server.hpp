@@ -10,10 +10,10 @@
 
 namespace axon::lab {
 
-/// A Laboratory behind TCP, in real time: one port per robot (ARCOS) and one per arm (SSC-32), one client
-/// each (a second one is accepted and closed at once), pictures and colour blobs of each robot's camera
-/// (PictureServer), and a control port (Control). The world is stepped to keep pace with the monotonic clock
-/// times a speed, or only when the control port says so.
+/// A Laboratory behind TCP, in real time: one port per robot (ARCOS), arm (SSC-32) and laser (LMS-200), one
+/// client each (a second one is accepted and closed at once), pictures and colour blobs of each robot's
+/// camera (PictureServer), and a control port (Control). The world is stepped to keep pace with the monotonic
+/// clock times a speed, or only when the control port says so.
 ///
 /// Threads: run() is the loop of the calling thread; pictures have a thread that draws and one that sends.
 /// stop() may be called from any thread and from a signal handler. Owns its sockets. The constructor listens
@@ -27,6 +27,7 @@ class LabServer {
     static constexpr int kFirstArmPort = 8201;
     static constexpr int kFirstCameraPort = 8301;
     static constexpr int kFirstActsPort = 8401;
+    static constexpr int kFirstLaserPort = 8501;
     static constexpr int kControlPort = 8100;
     static constexpr int kOverviewPort = 8099;
 
@@ -41,7 +42,9 @@ class LabServer {
         std::uint64_t seed = 1;  ///< of the sensors' noise
         double noise = 0;        ///< 1: as much as the real sensors have
         bool overview = false;   ///< streams the room from above
-        bool pty = false;        ///< arms on pseudo-terminals instead of ports
+        bool pty = false;  ///< robots, arms and lasers on pseudo-terminals instead of ports, as serial lines:
+                           ///< they have speeds, and nobody notices there that a client is gone
+        bool lasers = false;     ///< each robot's laser is an LMS-200 on a line of its own (LmsServer)
         std::string clock_path;  ///< not empty: the laboratory's time for other programs (ClockFile)
     };
 
@@ -50,10 +53,11 @@ class LabServer {
     LabServer(const LabServer&) = delete;
     LabServer& operator=(const LabServer&) = delete;
 
-    /// The port of each robot, in the order of the description.
+    /// The port of each robot, in the order of the description; 0 with `pty`.
     std::vector<int> ports() const;
-    /// What can be reached where: "PeopleBot" and "127.0.0.1:8101", "PeopleBot.camera", "PeopleBot.acts",
-    /// "Cyton" (a path with --pty), "control", "overview". Robots first.
+    /// What can be reached where: "PeopleBot" and "127.0.0.1:8101", "PeopleBot.laser", "PeopleBot.camera",
+    /// "PeopleBot.acts", "Cyton", "control", "overview"; with `pty` paths for robots, lasers and arms. Robots
+    /// first.
     std::vector<std::pair<std::string, std::string>> addresses() const;
     /// Of one of them; throws std::out_of_range.
     std::string address(const std::string& name) const;

@@ -16,6 +16,7 @@
 #include "common/ids.hpp"
 #include "common/shared_clock.hpp"
 #include "robots/arcos/arcos_client.hpp"
+#include "robots/lms2xx/lms2xx_client.hpp"
 #include "tests/support/loopback.hpp"
 
 namespace axon::lab {
@@ -231,6 +232,56 @@ TEST_F(WholeLab, AnArmIsTalkedToOverATerminal) {
     const auto arm = open("Arm");
     say(*arm, "QP7\r");
     EXPECT_EQ(hear(*arm, 1), std::string(1, char(105)));
+}
+
+TEST_F(WholeLab, ARobotsSerialLineIsRaisedAndAKilledProgramsRobotIsFoundThere) {
+    serveAll({.speed = 1, .pty = true});
+    const auto connect = [this] {
+        auto client = std::make_unique<ArcosClient>(arcos::robotStreams(server_->address("Robot")),
+                                                    ArcosClient::Callbacks());
+        client->start();
+        return client;
+    };
+    auto client = connect();
+    ASSERT_TRUE(waitUntil([&] { return client->state().online; }));
+    EXPECT_EQ(client->state().baud, 38400);
+    ASSERT_TRUE(client->command(Command::Enable, 1));
+    EXPECT_TRUE(waitUntil([&] { return client->state().motors_on; }));
+    client.reset();  // the robot stays at its speed, and the line begins at 9600 baud again
+    client = connect();
+    ASSERT_TRUE(waitUntil([&] { return client->state().online; }));
+    EXPECT_EQ(client->state().baud, 38400);
+}
+
+TEST_F(WholeLab, ALaserOnALineOfItsOwnIsHeardOverBothKindsOfLinks) {
+    for (const bool pty : {false, true}) {
+        serveAll({.speed = 1, .pty = pty, .lasers = true});
+        std::mutex mutex;
+        std::vector<lms2xx::Scan> scans;
+        std::optional<lms2xx::Setting> setting;
+        lms2xx::Lms2xxClient laser(arcos::robotStreams(server_->address("Robot.laser")),
+                                   {.on_online =
+                                        [&](const lms2xx::Setting& now) {
+                                            const std::lock_guard lock(mutex);
+                                            setting = now;
+                                        },
+                                    .on_scan =
+                                        [&](const lms2xx::Scan& scan) {
+                                            const std::lock_guard lock(mutex);
+                                            scans.push_back(scan);
+                                        },
+                                    .on_lost = {}});
+        laser.start();
+        ASSERT_TRUE(waitUntil([&] {
+            const std::lock_guard lock(mutex);
+            return scans.size() >= 3;
+        }));
+        const std::lock_guard lock(mutex);
+        EXPECT_EQ(setting->baud, pty ? 38400 : 0);
+        ASSERT_EQ(scans.back().ranges_mm.size(), 181U);
+        EXPECT_NEAR(scans.back().ranges_mm[0], 3000, 20);
+        end();
+    }
 }
 
 TEST_F(WholeLab, TimePassesOnlyByStepsAndTheSameStepsGiveTheSameTruth) {

@@ -1,22 +1,32 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "lab/laboratory.hpp"
 
+#include <optional>
+
 namespace axon::lab {
 
 struct Laboratory::Controller final : ArcosServer::Port {
-    Controller(std::size_t number, const std::string& name, Send to)
-        : index(number), out(std::move(to)), arcos({.name = name}, *this) {}
+    Controller(std::size_t number, const std::string& name, Send to, const LaserLines& lasers)
+        : index(number),
+          out(std::move(to)),
+          laser_out(lasers.send),
+          arcos({.name = name}, *this, !lasers.send) {
+        if (lasers.send) laser.emplace(lasers.serial);
+    }
     void send(const arcos::Bytes& bytes) override { out(index, bytes); }
 
     std::size_t index;
     Send out;
+    Send laser_out;
     ArcosServer arcos;
+    std::optional<LmsServer> laser;
 };
 
-Laboratory::Laboratory(const WorldDescription& world, Send send, const Options& options)
+Laboratory::Laboratory(const WorldDescription& world, Send send, const Options& options,
+                       const LaserLines& lasers)
     : physics_((validate(world), world), options) {
     for (std::size_t i = 0; i < world.robots.size(); ++i) {
-        controllers_.push_back(std::make_unique<Controller>(i, world.robots[i].name, send));
+        controllers_.push_back(std::make_unique<Controller>(i, world.robots[i].name, send, lasers));
     }
     for (std::size_t i = 0; i < world.arms.size(); ++i) arms_.push_back(std::make_unique<Ssc32Server>());
 }
@@ -27,10 +37,15 @@ void Laboratory::step() {
     for (const auto& controller : controllers_) {
         const auto robot = controller->index;
         auto& arcos = controller->arcos;
-        physics_.setWheels(robot, arcos.step(Physics::kPeriod, physics_.sense(robot), now_));
+        const auto& readings = physics_.sense(robot);
+        if (auto& laser = controller->laser) {
+            if (const auto bytes = laser->step(Physics::kPeriod, readings); !bytes.empty())
+                controller->laser_out(robot, bytes);
+        }
+        physics_.setWheels(robot, arcos.step(Physics::kPeriod, readings, now_));
         physics_.setGripper(robot, arcos.gripper());
         physics_.setCamera(robot, arcos.camera());
-        physics_.setLaser(robot, arcos.laser());
+        physics_.setLaser(robot, controller->laser ? controller->laser->scanning() : arcos.laser());
     }
     for (std::size_t i = 0; i < arms_.size(); ++i) {
         arms_[i]->step(Physics::kPeriod);
@@ -60,6 +75,14 @@ void Laboratory::clientLost(std::size_t robot) {
 }
 void Laboratory::receive(std::size_t robot, std::span<const std::uint8_t> bytes) {
     controllers_[robot]->arcos.receive(bytes, now_);
+}
+void Laboratory::receiveLaser(std::size_t robot, std::span<const std::uint8_t> bytes) {
+    auto& controller = *controllers_.at(robot);
+    if (const auto answers = controller.laser.value().receive(bytes, now_); !answers.empty())
+        controller.laser_out(robot, answers);
+}
+const LmsServer& Laboratory::laser(std::size_t robot) const {
+    return controllers_.at(robot)->laser.value();
 }
 const ArcosServer& Laboratory::controller(std::size_t robot) const {
     return controllers_[robot]->arcos;

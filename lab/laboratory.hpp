@@ -4,6 +4,7 @@
 #include <memory>
 #include <vector>
 
+#include "lab/lms_server.hpp"
 #include "lab/physics.hpp"
 #include "lab/ssc32_server.hpp"
 
@@ -18,10 +19,17 @@ class Laboratory {
     /// What robot number k tells its client. Must not call back into the laboratory.
     using Send = std::function<void(std::size_t robot, const arcos::Bytes& bytes)>;
     using Options = Physics::Options;
+    /// The robots' lasers on lines of their own, as LMS-200s.
+    struct LaserLines {
+        Send send;  ///< what the laser of robot k tells its client; none: lasers speak through their robots
+        bool serial = false;  ///< and the lines have speeds
+    };
 
     /// Throws BadDescription.
     Laboratory(const WorldDescription& world, Send send) : Laboratory(world, std::move(send), Options()) {}
-    Laboratory(const WorldDescription& world, Send send, const Options& options);
+    Laboratory(const WorldDescription& world, Send send, const Options& options)
+        : Laboratory(world, std::move(send), options, LaserLines()) {}
+    Laboratory(const WorldDescription& world, Send send, const Options& options, const LaserLines& lasers);
     ~Laboratory();
     Laboratory(const Laboratory&) = delete;
     Laboratory& operator=(const Laboratory&) = delete;
@@ -37,6 +45,9 @@ class Laboratory {
     void clientLost(std::size_t robot);
     void receive(std::size_t robot, std::span<const std::uint8_t> bytes);
     const ArcosServer& controller(std::size_t robot) const;
+    /// With LaserLines only.
+    void receiveLaser(std::size_t robot, std::span<const std::uint8_t> bytes);
+    const LmsServer& laser(std::size_t robot) const;
     Truth truth(std::size_t robot) const { return physics_.truth(robot); }
 
     std::size_t arms() const { return arms_.size(); }

@@ -44,7 +44,8 @@ Places are metres and degrees, the room's lower left corner is the origin. What 
   axon-lab --empty --box x=4,y=3,dx=0.5,dy=1,height=0.6 --table x=6,y=2
   axon-lab --robot x=2,y=3 --arm x=1,y=5,z=0.74
 Robots are reached like real ones: a PeopleBot by ARCOS, a Cyton by SSC-32, one client at a time.
-Ports: PeopleBots 8101 and up, Cytons 8201, cameras 8301 (HTTP), colour blobs 8401 (ACTS), control 8100, --view 8099;
+Ports: PeopleBots 8101 and up, Cytons 8201, cameras 8301 (HTTP), colour blobs 8401 (ACTS), lasers with --laser 8501,
+control 8100, --view 8099;
 with a --port of your own the others are free ones. When all can be reached, one line tells where:
   ready PeopleBot=127.0.0.1:8101 PeopleBot.camera=127.0.0.1:8301 ... control=127.0.0.1:8100
 Ends on Ctrl-C. Exit status: 0 ended when told to, 2 something is wrong with the options.)";
@@ -91,7 +92,11 @@ int main(int argc, char** argv) {
         ->capture_default_str()
         ->check(CLI::Range(0.0, 10.0));
     app.add_flag("--view", options.overview, "Stream the room: http://127.0.0.1:8099/");
-    app.add_flag("--pty", options.pty, "Arms on pseudo-terminals, as on serial lines");
+    app.add_flag("--pty", options.pty,
+                 "Robots, arms and lasers on pseudo-terminals, as on serial lines with their speeds");
+    app.add_flag("--laser", options.lasers,
+                 "Each PeopleBot's laser is a SICK LMS-200 on a line of its own, as on the real robot, and "
+                 "not reached by ARCOS");
     app.add_option(
         "--clock", options.clock_path,
         "Tell the laboratory's time in this file; it becomes that of programs started with AXON_CLOCK=FILE");

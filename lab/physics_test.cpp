@@ -341,5 +341,28 @@ TEST(Physics, ObjectsStandWhereTheyArePut) {
     EXPECT_THROW(physics.placeObject("blue", 1, 1, 1, 0), std::invalid_argument);
 }
 
+TEST(SerialLineTest, ARobotFillsALineOf9600BaudAndAQuarterOfOneOf38400) {
+    WorldDescription world;
+    world.robots = {{.x = 2, .y = 3}};
+    std::size_t bytes = 0;
+    // The laser has a line of its own, as on the real robot.
+    Laboratory lab(world, [&bytes](std::size_t, const arcos::Bytes& said) { bytes += said.size(); }, {},
+                   {.send = [](std::size_t, const arcos::Bytes&) {}, .serial = true});
+    lab.clientConnected(0);
+    for (const int sync : {0, 1, 2}) lab.receive(0, arcos::encodeCommand(static_cast<Command>(sync)));
+    lab.receive(0, arcos::encodeCommand(Command::Open));
+    lab.receive(0, arcos::encodeCommand(Command::IoRequest, 2));
+    bytes = 0;
+    constexpr int kSeconds = 20;
+    for (int second = 0; second < kSeconds; ++second) {
+        lab.receive(0, arcos::encodeCommand(Command::Pulse));
+        for (int i = 0; i < 250; ++i) lab.step();
+    }
+    const double bits_per_second =
+        static_cast<double>(bytes) * 10 / kSeconds;  // a byte has ten bits on the line
+    EXPECT_NEAR(bits_per_second / 9600, 0.97, 0.03);
+    EXPECT_NEAR(bits_per_second / 38400, 0.24, 0.01);
+}
+
 }  // namespace
 }  // namespace axon::lab

@@ -76,4 +76,23 @@ Terminal openTerminal() {
     return terminal;
 }
 
+int speedOf(const Terminal& terminal) {
+    termios settings{};
+    if (::tcgetattr(terminal.slave.get(), &settings) != 0) return 0;
+    switch (::cfgetospeed(&settings)) {
+        case B9600:
+            return 9600;
+        case B19200:
+            return 19200;
+        case B38400:
+            return 38400;
+        case B57600:
+            return 57600;
+        case B115200:
+            return 115200;
+        default:
+            return 0;
+    }
+}
+
 }  // namespace axon::lab

@@ -43,6 +43,8 @@ struct Terminal {
     std::string path;
 };
 Terminal openTerminal();
+/// The speed in baud that a client has set on it; 0 for one that no serial line has.
+int speedOf(const Terminal& terminal);
 
 [[noreturn]] void failWithErrno(const std::string& what);
 
