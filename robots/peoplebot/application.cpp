@@ -148,6 +148,17 @@ Application::Application(const Settings& settings, std::shared_ptr<const Clock> 
             .on_lost = [this](const std::string& reason) { onRobotLost(reason); },
         },
         settings.robot_silence_limit, clock_);
+    if (!settings.laser.empty()) {
+        laser_ = std::make_unique<lms2xx::Lms2xxClient>(
+            arcos::robotStreams(settings.laser),
+            lms2xx::Lms2xxClient::Callbacks{
+                .on_online = [this](const lms2xx::Setting& setting) { onLaserOnline(setting); },
+                .on_scan = [this](const lms2xx::Scan& scan) { onLaserScan(scan); },
+                .on_lost = [this](const std::string& reason) { onLaserLost(reason); },
+            },
+            lms2xx::ClientSession::kSilenceLimit, clock_);
+        laser_->start();
+    }
     robot_->start();
 }
 
@@ -156,6 +167,7 @@ Application::~Application() {
     entity_.shutdown();
     // Before it goes: callbacks that are under way use it.
     robot_->finish();
+    laser_.reset();
     robot_.reset();
 }
 
@@ -386,7 +398,10 @@ void Application::onRobotOnline(const arcos::RobotIdentity& identity) {
     robot_->command(Command::SetV, static_cast<int>(Driving::kFastest_mm_s));
     robot_->command(Command::SetRv, static_cast<int>(Turning::kFastest_deg_s));
     setServicesActive(true, "");
-    entity_.sendInfoMsg(fmt::format("connected to the robot {} ({})", identity.name, identity.subtype));
+    watchdog_told_ = false;
+    const int baud = robot_->state().baud;
+    tell(fmt::format("connected to the robot {} ({}){}", identity.name, identity.subtype,
+                     baud != 0 ? fmt::format(" at {} baud", baud) : ""));
 }
 
 void Application::onRobotState(const RobotState& robot) {
@@ -395,9 +410,51 @@ void Application::onRobotState(const RobotState& robot) {
         standstill_after_.compare_exchange_strong(waiting, 0)) {
         entity_.standstill();
     }
+    if (robot.config && !std::exchange(watchdog_told_, true)) tellWatchdog(*robot.config);
     locate(robot);
     publish(robot);
     grasp_->onRobotState(robot);
+}
+
+void Application::tell(const std::string& text) {
+    entity_.sendInfoMsg(text);
+    fmt::print(stderr, "axon-peoplebot: {}\n", text);
+}
+
+void Application::tellWatchdog(const arcos::RobotConfig& config) {
+    if (config.watchdog_ms == 0) {
+        tell(
+            "the robot has no watchdog: when this program dies it drives on. Fix: set its parameter watchdog "
+            "in its FLASH");
+    } else {
+        // No command changes it: it lies in the robot's FLASH.
+        tell(fmt::format("the robot's own watchdog stops it {} ms after it last heard this program",
+                         config.watchdog_ms));
+    }
+}
+
+void Application::onLaserOnline(const lms2xx::Setting& setting) {
+    last_laser_loss_.clear();
+    pollution_told_ = false;
+    tell(fmt::format("connected to the laser{}: {} degrees, {}",
+                     setting.baud != 0 ? fmt::format(" at {} baud", setting.baud) : "",
+                     setting.variant.angle_deg,
+                     setting.measuring.millimetres ? "millimetres" : "centimetres"));
+}
+
+void Application::onLaserScan(const lms2xx::Scan& scan) {
+    if (scan.polluted && !std::exchange(pollution_told_, true))
+        tell("the laser's front screen is dirty: clean it");
+    robot_->newScan({.taken = scan.taken,
+                     .start_deg = scan.start_deg,
+                     .step_deg = scan.step_deg,
+                     .ranges_mm = scan.ranges_mm});
+}
+
+void Application::onLaserLost(const std::string& reason) {
+    if (reason == last_laser_loss_) return;  // each attempt to connect is reported; one line tells it
+    last_laser_loss_ = reason;
+    tell("the laser is lost: " + reason);
 }
 
 void Application::locate(const RobotState& robot) {

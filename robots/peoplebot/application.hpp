@@ -11,6 +11,7 @@
 
 #include "common/shared_clock.hpp"
 #include "robots/arcos/arcos_client.hpp"
+#include "robots/lms2xx/lms2xx_client.hpp"
 #include "robots/peoplebot/drive_gate.hpp"
 #include "robots/peoplebot/grasp_services.hpp"
 #include "robots/peoplebot/localisation.hpp"
@@ -20,17 +21,18 @@
 
 namespace axon::peoplebot {
 
-/// One PeopleBot as an entity: its services (thesis 4.1.2), the streams of what it senses and of where it takes
-/// itself to be, and a stop that reaches the motors at once. Entity Interfacer on one side, ARCOS on the other,
-/// nothing else of Axon.
+/// One PeopleBot as an entity: its services (thesis 4.1.2), the streams of what it senses and of where it
+/// takes itself to be, and a stop that reaches the motors at once. Entity Interfacer on one side, ARCOS on
+/// the other, nothing else of Axon.
 ///
-/// Once a map was used, the robot goes on finding itself on it, whatever it does, until the program ends; its pose is
-/// then that on the map, and the odometry's from `at` on before.
+/// Once a map was used, the robot goes on finding itself on it, whatever it does, until the program ends; its
+/// pose is then that on the map, and the odometry's from `at` on before.
 ///
 /// While the robot cannot be reached its services are inactive and a running task fails with ROBOT_LOST; both
 /// mend themselves when it is back. Threads: those of the Entity Interfacer (stop thread, data thread, one
-/// per task) and that of the ArcosClient. The constructor throws what is wrong with the settings (BadSetting,
-/// std::invalid_argument, axon::Misconfiguration, fuzzy::BadRules).
+/// per task), that of the ArcosClient, and that of the Lms2xxClient where the laser has a line of its own.
+/// The constructor throws what is wrong with the settings (BadSetting, std::invalid_argument,
+/// axon::Misconfiguration, fuzzy::BadRules).
 class Application {
   public:
     explicit Application(const Settings& settings,
@@ -77,6 +79,14 @@ class Application {
     void setServicesActive(bool active, const std::string& reason);
     void locate(const arcos::RobotState& robot);
     void publish(const arcos::RobotState& robot);
+    /// To whoever holds the entity, and at the terminal. Any thread.
+    void tell(const std::string& text);
+    void tellWatchdog(const arcos::RobotConfig& config);
+
+    // On the laser's thread, where it has a line of its own.
+    void onLaserOnline(const lms2xx::Setting& setting);
+    void onLaserScan(const lms2xx::Scan& scan);
+    void onLaserLost(const std::string& reason);
 
     // Constant after construction.
     const std::shared_ptr<const Clock> clock_;
@@ -94,6 +104,7 @@ class Application {
     std::shared_ptr<const fuzzy::Engine> wander_rules_;
     std::shared_ptr<const fuzzy::Engine> navigation_rules_;
     std::unique_ptr<arcos::ArcosClient> robot_;
+    std::unique_ptr<lms2xx::Lms2xxClient> laser_;  // none where the robot itself sends the scans; uses robot_
     std::unique_ptr<DriveGate> gate_;
     std::unique_ptr<GraspServices> grasp_;
 
@@ -120,6 +131,11 @@ class Application {
     std::optional<MapPose> told_position_;
     std::string last_loss_;
     bool was_online_ = false;
+    bool watchdog_told_ = false;
+
+    // Confined to the laser's thread.
+    std::string last_laser_loss_;
+    bool pollution_told_ = false;
 };
 
 }  // namespace axon::peoplebot

@@ -199,12 +199,21 @@ class Manager : public entity_manager::BackEndEvents {
     std::thread thread_;
 };
 
+// The default world's room and boxes, seen by a laser.
+constexpr auto kDefaultWorld =
+    "2D-Map\nCairn: GoalWithHeading 2600 2600 -90 \"\" ICON \"middle\"\nLINES\n0 0 8000 0\n8000 0 8000 "
+    "6000\n8000 6000 0 6000\n0 6000 0 0\n"
+    "4950 750 5450 750\n4950 1250 5450 1250\n4950 750 4950 1250\n5450 750 5450 1250\n6000 5000 6800 "
+    "5000\n6000 5000 6000 5400\n"
+    "3150 5150 3650 5150\n3150 5150 3150 5650\n3650 5150 3650 5650\n";
+
 class ApplicationTest : public ::testing::Test {
   protected:
     void SetUp() override {
         serve(0);
         Settings settings;
-        settings.robot = test::loopbackAddress() + ":" + std::to_string(port_);
+        settings.robot = lab_->address("PeopleBot");
+        if (serial_) settings.laser = lab_->address("PeopleBot.laser");
         // Pictures are tried where the laboratory is a program of its own: MRPT brings along a GL that is not OSMesa's.
         settings.camera.clear();
         settings.application = "peoplebot-test-" + std::to_string(::getpid());
@@ -230,6 +239,7 @@ class ApplicationTest : public ::testing::Test {
         if (world.robots.empty()) world.robots = {lab::parseRobot("", 0)};
         lab::LabServer::Options options{.listen = test::loopbackAddress(), .first_port = port, .speed = 2};
         options.truth_path = truth_path_;
+        options.pty = options.lasers = serial_;
         lab_ = std::make_unique<lab::LabServer>(world, options);
         port_ = lab_->ports().at(0);
         lab_thread_ = std::thread([this] { lab_->run(); });
@@ -261,6 +271,7 @@ class ApplicationTest : public ::testing::Test {
     const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
     int port_ = 0;
     std::optional<MapPose> at_ = MapPose{1500, 3000, 0};  // what the program is told
+    bool serial_ = false;  // robot and laser are each on a serial line, as on the real one
     lab::WorldDescription world_;
     std::unique_ptr<lab::LabServer> lab_;
     std::thread lab_thread_;
@@ -406,11 +417,7 @@ TEST_F(ApplicationTest, ANavigationThatCannotBeIsDeniedWithTheReason) {
 
 TEST_F(ApplicationTest, NavigationDrivesToAGoalOfTheMap) {
     for (const char* stream : {"laser", "localisation", "localisation quality", "particles"}) manager_->watch(stream);
-    // The default world's room and boxes, seen by a laser.
-    const TemporaryFile map(
-        "2D-Map\nCairn: GoalWithHeading 2600 2600 -90 \"\" ICON \"middle\"\nLINES\n0 0 8000 0\n8000 0 8000 6000\n8000 6000 0 6000\n0 6000 0 0\n"
-        "4950 750 5450 750\n4950 1250 5450 1250\n4950 750 4950 1250\n5450 750 5450 1250\n6000 5000 6800 5000\n6000 5000 6000 5400\n"
-        "3150 5150 3650 5150\n3150 5150 3150 5650\n3650 5150 3650 5650\n");
+    const TemporaryFile map(kDefaultWorld);
     const auto task = manager_->navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
     ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
     const auto end = *manager_->end(task);
@@ -465,6 +472,77 @@ TEST_F(HomeApplicationTest, ARobotThatIsNotAtTheMapsHomeIsDeniedAndStandsStill) 
     }
     EXPECT_TRUE(stands());
     EXPECT_NEAR(lastTrue("x_m"), 1.5, 0.01);
+}
+
+class SerialLinesTest : public ApplicationTest {
+  protected:
+    void SetUp() override {
+        serial_ = true;
+        ApplicationTest::SetUp();
+    }
+    /// The experimenter's hands: requests of lab/control.hpp, a line each.
+    void control(const std::vector<std::string>& requests) const {
+        auto line = std::move(arcos::tcpStreams(lab_->address("control"))(std::chrono::seconds{5})).value();
+        std::string all;
+        for (const auto& request : requests) all += request + "\n";
+        ASSERT_TRUE(line->write({reinterpret_cast<const std::uint8_t*>(all.data()), all.size()}));
+        std::size_t answers = 0;
+        EXPECT_TRUE(waitUntil([&] {
+            std::array<std::uint8_t, 4096> chunk{};
+            const int got = line->read(chunk);
+            answers +=
+                static_cast<std::size_t>(std::count(chunk.begin(), chunk.begin() + std::max(got, 0), '\n'));
+            return answers >= requests.size();
+        }));
+    }
+};
+
+TEST_F(SerialLinesTest, ScansOfTheLasersOwnLineFindTheWayToAGoal) {
+    manager_->watch("laser");
+    const TemporaryFile map(kDefaultWorld);
+    const auto task =
+        manager_->navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
+    const auto end = *manager_->end(task);
+    EXPECT_EQ(end.state(), proto::TASK_SUCCEEDED) << end.reason().message();
+    EXPECT_NEAR(lastTrue("x_m"), 2.6, 0.25);
+    EXPECT_NEAR(lastTrue("y_m"), 2.6, 0.25);
+    EXPECT_GT(manager_->samples("laser"), 0);
+}
+
+TEST_F(SerialLinesTest, WanderKeepsOffAWallThatOnlyTheLaserSees) {
+    manager_->watch("laser");
+    ASSERT_TRUE(waitUntil([&] { return manager_->samples("laser") > 0; }));
+    std::vector<std::string> faults;
+    for (int sonar = 0; sonar < 24; ++sonar)
+        faults.push_back(R"({"do":"fault","name":"PeopleBot","kind":"dead-sonar","which":)" +
+                         std::to_string(sonar) + "}");
+    faults.emplace_back(R"({"do":"move","name":"PeopleBot","x":6.5,"y":3,"theta":0})");
+    control(faults);
+    const auto task = manager_->dispatch("Wander", {{"Velocity", 300}, {"Duration", 10}});
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{30}));
+    const auto end = *manager_->end(task);
+    EXPECT_EQ(end.state(), proto::TASK_SUCCEEDED) << end.reason().message();
+    double travelled = 0;
+    std::int64_t recoveries = -1;
+    for (const auto& result : end.results()) {
+        if (result.name() == "Travelled") travelled = result.values(0).dbl();
+        if (result.name() == "Recoveries") recoveries = result.values(0).int_();
+    }
+    EXPECT_GT(travelled, 1500) << "further than the wall in front of it";
+    EXPECT_EQ(recoveries, 0) << "it touched something";
+}
+
+TEST_F(SerialLinesTest, AStopReachesTheMotorsAndTheEndOfTheProgramToo) {
+    drive(5000);
+    ASSERT_TRUE(waitUntil([&] { return moves(); }));
+    const auto generation = manager_->stop();
+    EXPECT_TRUE(waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::STANDSTILL); }));
+    EXPECT_TRUE(waitUntil([&] { return stands(); }));
+    drive(5000);
+    ASSERT_TRUE(waitUntil([&] { return moves(); }));
+    application_.reset();
+    EXPECT_TRUE(waitUntil([&] { return stands(); }));
 }
 
 TEST_F(ApplicationTest, StreamsCarryPoseSonarAndBattery) {

@@ -11,6 +11,8 @@ constexpr auto kFooter = R"(
 With the virtual laboratory, each line in a terminal of its own:
   axon-lab
   axon-peoplebot --at 2400,2000,180
+With a real robot, whose controller and laser are each on a serial line (docs/how-to/real-peoplebot.md):
+  axon-peoplebot --robot /dev/ttyS0 --laser /dev/ttyUSB0 --camera ''
 An Entity Manager that is configured with the same --application links to it. The robot may come and go: its services are
 inactive while it cannot be reached. Ends on Ctrl-C, after stopping the robot.
 Exit status: 0 ended when told to, 2 something is wrong with the options or the profiles.)";
@@ -25,6 +27,9 @@ int main(int argc, char** argv) {
     Settings settings;
     std::string at;
     app.add_option("--robot", settings.robot, "The robot: host:port, or a serial line such as /dev/ttyS0 or /dev/ttyUSB0:38400")->capture_default_str();
+    app.add_option("--laser", settings.laser,
+                   "The line of a SICK LMS-200 that is wired to this computer, such as /dev/ttyUSB0; without "
+                   "it the laser is asked for by the robot");
     app.add_option("--camera", settings.camera, "The robot's camera, host:port; an empty text: there is none")
         ->capture_default_str();
     app.add_option("--application", settings.application, "Name that the Entity Manager is configured with")

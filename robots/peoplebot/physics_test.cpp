@@ -9,6 +9,7 @@ namespace axon::peoplebot {
 namespace {
 
 using Outcome = MotionStep::Outcome;
+using std::chrono::milliseconds;
 using ::testing::HasSubstr;
 
 TEST_F(VirtualRobotTest, DrivesTwoMetresInTheDefaultWorld) {
@@ -127,6 +128,61 @@ TEST_F(StallTest, ATableSensorEndsATurnWithinOneSensorCycle) {
     };
     expectFailure(Turning({.angle_deg = 180, .velocity_deg_s = 40}, session_.robot(), lab_->now()), "table sensor",
                   kPacket);
+}
+
+/// A program on a serial line is killed while its robot drives at 400 mm/s: nobody tells the robot.
+class KilledProgramTest : public VirtualRobotTest {
+  protected:
+    void driveAndBeKilled() {
+        lab::WorldDescription world;
+        world.robots = {{.x = 2, .y = 3}};
+        start(world);
+        order(Command::Vel, 400);
+        run(2);
+        ASSERT_NEAR(lab_->truth(0).speed_m_s, 0.4, 0.02);
+        order(Command::Pulse, 0);  // the last that the robot hears
+        killed_at_m_ = lab_->truth(0).x_m;
+    }
+    void passWithoutProgram(milliseconds time) {
+        for (const auto end = lab_->age() + time; lab_->age() < end;) lab_->step();
+        inbox_.clear();  // whoever opens the line forgets what came before
+    }
+    double travelled_mm() const { return (lab_->truth(0).x_m - killed_at_m_) * 1000; }
+
+    double killed_at_m_ = 0;
+};
+
+TEST_F(KilledProgramTest, TheRobotsOwnWatchdogStopsItAlmostAMetreLater) {
+    driveAndBeKilled();
+    passWithoutProgram(milliseconds{1900});
+    EXPECT_NEAR(lab_->truth(0).speed_m_s, 0.4, 0.02);
+    passWithoutProgram(milliseconds{2000});
+    EXPECT_NEAR(lab_->truth(0).speed_m_s, 0, 0.01);
+    // Two seconds, and the braking: 0.4 m/s at 0.6 m/s2.
+    EXPECT_NEAR(travelled_mm(), 933, 25);
+}
+
+TEST_F(KilledProgramTest, AProgramThatIsThereAgainStopsItBeforeItShakesHands) {
+    driveAndBeKilled();
+    passWithoutProgram(milliseconds{300});
+    session_.begin(lab_->now(), {.baud = 38400, .asked = 38400});
+    run(1);
+    EXPECT_NEAR(lab_->truth(0).speed_m_s, 0, 0.01);
+    EXPECT_LT(travelled_mm(), 250);
+    EXPECT_EQ(session_.state(), arcos::ClientSession::State::Online);
+}
+
+TEST_F(KilledProgramTest, AProgramThatIsNotHeardDoesNotKeepItDriving) {
+    driveAndBeKilled();
+    // The wire from the robot is broken, the one to it is not. SYNC0 is PULSE to a robot whose session is
+    // open.
+    session_.begin(lab_->now(), {.baud = 38400, .asked = 38400});
+    for (const auto end = lab_->age() + milliseconds{3000}; lab_->age() < end;) {
+        inbox_.clear();
+        tick();
+    }
+    EXPECT_NEAR(lab_->truth(0).speed_m_s, 0, 0.01);
+    EXPECT_LT(travelled_mm(), 150);
 }
 
 }  // namespace

@@ -17,6 +17,8 @@ namespace axon::peoplebot {
 struct Settings {
     std::string robot = "127.0.0.1:8101";    ///< or a serial line: /dev/ttyS0, /dev/ttyUSB0:38400
     std::string camera = "127.0.0.1:8301";   ///< empty: none
+    std::string laser;  ///< the line of a SICK LMS-200 that is wired to this computer, as `robot`; empty: by
+                        ///< the robot
     std::string application = "peoplebot";
     std::string instance;
     std::string name;                ///< of the entity; empty: that of the basic profile
