@@ -332,14 +332,15 @@ class LabServer::Loop final : Control::Operator {
         const auto got = ::read(link.fd(), chunk.data(), chunk.size());
         if (got > 0) {
             const auto bytes = std::span(chunk).first(static_cast<std::size_t>(got));
-            if (garbled(link))
-                for (auto& byte : bytes) byte = garbage(byte);
+            const bool noise = garbled(link);
+            if (noise) garble(bytes);
             switch (link.kind) {
                 case Link::Kind::Arm:
                     send(link, lab_.receiveArm(link.index, bytes));
                     break;
                 case Link::Kind::Laser:
-                    lab_.receiveLaser(link.index, bytes);
+                    // As it was before the laser changed its speed.
+                    send(link, lab_.receiveLaser(link.index, bytes), noise);
                     break;
                 case Link::Kind::Robot:
                     lab_.receive(link.index, bytes);
@@ -368,19 +369,18 @@ class LabServer::Loop final : Control::Operator {
         return speed != 0 && speedOf(*link.terminal) != speed;
     }
     /// What a byte looks like at another speed: not like this, but it is none that was sent either.
-    static std::uint8_t garbage(std::uint8_t byte) { return static_cast<std::uint8_t>(byte ^ 0x5AU); }
+    static void garble(std::span<std::uint8_t> bytes) {
+        for (auto& byte : bytes) byte ^= 0x5AU;
+    }
 
-    void send(Link& link, std::span<const std::uint8_t> bytes) const {
+    void send(Link& link, std::span<const std::uint8_t> bytes) const { send(link, bytes, garbled(link)); }
+    void send(Link& link, std::span<const std::uint8_t> bytes, bool noise) const {
         if (link.fd() < 0 || bytes.empty()) return;
         if (link.terminal) {
-            arcos::Bytes noise;
-            if (garbled(link)) {
-                noise.assign(bytes.begin(), bytes.end());
-                for (auto& byte : noise) byte = garbage(byte);
-                bytes = noise;
-            }
+            arcos::Bytes said(bytes.begin(), bytes.end());
+            if (noise) garble(said);
             // A serial line does not wait: what nobody reads is lost.
-            [[maybe_unused]] const auto written = ::write(link.fd(), bytes.data(), bytes.size());
+            [[maybe_unused]] const auto written = ::write(link.fd(), said.data(), said.size());
             return;
         }
         const auto sent = ::send(link.fd(), bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);

@@ -76,10 +76,8 @@ void Laboratory::clientLost(std::size_t robot) {
 void Laboratory::receive(std::size_t robot, std::span<const std::uint8_t> bytes) {
     controllers_[robot]->arcos.receive(bytes, now_);
 }
-void Laboratory::receiveLaser(std::size_t robot, std::span<const std::uint8_t> bytes) {
-    auto& controller = *controllers_.at(robot);
-    if (const auto answers = controller.laser.value().receive(bytes, now_); !answers.empty())
-        controller.laser_out(robot, answers);
+std::vector<std::uint8_t> Laboratory::receiveLaser(std::size_t robot, std::span<const std::uint8_t> bytes) {
+    return controllers_.at(robot)->laser.value().receive(bytes, now_);
 }
 const LmsServer& Laboratory::laser(std::size_t robot) const {
     return controllers_.at(robot)->laser.value();

@@ -21,7 +21,7 @@ class Laboratory {
     using Options = Physics::Options;
     /// The robots' lasers on lines of their own, as LMS-200s.
     struct LaserLines {
-        Send send;  ///< what the laser of robot k tells its client; none: lasers speak through their robots
+        Send send;            ///< the scans of robot k's laser; none: lasers speak through their robots
         bool serial = false;  ///< and the lines have speeds
     };
 
@@ -45,8 +45,8 @@ class Laboratory {
     void clientLost(std::size_t robot);
     void receive(std::size_t robot, std::span<const std::uint8_t> bytes);
     const ArcosServer& controller(std::size_t robot) const;
-    /// With LaserLines only.
-    void receiveLaser(std::size_t robot, std::span<const std::uint8_t> bytes);
+    /// With LaserLines only: what the laser answers. An answer to a change of speed still has the old one.
+    std::vector<std::uint8_t> receiveLaser(std::size_t robot, std::span<const std::uint8_t> bytes);
     const LmsServer& laser(std::size_t robot) const;
     Truth truth(std::size_t robot) const { return physics_.truth(robot); }
 

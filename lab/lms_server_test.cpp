@@ -136,7 +136,7 @@ TEST_F(LmsServerTest, WhatItDoesNotKnowIsRefusedAndWhatIsDamagedIsNotAcknowledge
 /// there.
 class LmsInTheLaboratoryTest : public ::testing::Test, public lms2xx::ClientSession::Port {
   protected:
-    void send(const Bytes& bytes) override { lab_.receiveLaser(0, bytes); }
+    void send(const Bytes& bytes) override { newBytes(lab_.receiveLaser(0, bytes)); }
     void onOnline(const lms2xx::Setting& setting) override { setting_ = setting; }
     void onScan(const lms2xx::Scan& scan) override {
         scans_.push_back(scan);
@@ -147,6 +147,7 @@ class LmsInTheLaboratoryTest : public ::testing::Test, public lms2xx::ClientSess
         line_speed_ = baud;
         return true;
     }
+    void newBytes(const Bytes& bytes) { inbox_.insert(inbox_.end(), bytes.begin(), bytes.end()); }
     static WorldDescription world() {
         WorldDescription world;
         world.robots = {{.name = "PeopleBot", .x = 2, .y = 3, .theta = 0, .port = {}}};
@@ -166,13 +167,10 @@ class LmsInTheLaboratoryTest : public ::testing::Test, public lms2xx::ClientSess
     std::vector<lms2xx::Scan> scans_;
     Duration age_{};  // of the last scan, when it arrived
     int line_speed_ = 9600;
-    Laboratory lab_{
-        world(),
-        [](std::size_t, const arcos::Bytes&) {},
-        {},
-        {.send = [this](std::size_t,
-                        const Bytes& bytes) { inbox_.insert(inbox_.end(), bytes.begin(), bytes.end()); },
-         .serial = true}};
+    Laboratory lab_{world(),
+                    [](std::size_t, const arcos::Bytes&) {},
+                    {},
+                    {.send = [this](std::size_t, const Bytes& bytes) { newBytes(bytes); }, .serial = true}};
     lms2xx::ClientSession session_{*this};
 };
 
