@@ -76,7 +76,7 @@ void ClientSession::send(const Bytes& bytes, TimePoint now) {
 void ClientSession::sendSync(TimePoint now) {
     if (sync_ == 0 && !speeds_.empty()) {
         send(encodeCommand(Command::EStop), now);
-        // Not each time: who knows how long a robot is deaf after it.
+        // Not each time: a controller that closes its server lets nobody connect until it is done with that.
         if (attempts_ / static_cast<int>(speeds_.size()) % 2 == 0) send(encodeCommand(Command::Close), now);
     }
     send(encodeCommand(static_cast<Command>(sync_)), now);
@@ -292,6 +292,12 @@ void ClientSession::onServerInformation(const ServerInformation& sip, TimePoint 
     port_.onState(robot_);
 }
 
+Duration ClientSession::pulsePeriod() const {
+    if (!robot_.config || robot_.config->watchdog_ms == 0) return kPulsePeriod;
+    return std::clamp<Duration>(std::chrono::milliseconds{robot_.config->watchdog_ms} / 4,
+                                kShortestPulsePeriod, kPulsePeriod);
+}
+
 void ClientSession::tick(TimePoint now) {
     switch (state_) {
         case State::Closed:
@@ -334,7 +340,8 @@ void ClientSession::tick(TimePoint now) {
             }
             break;
     }
-    if (state_ != State::Closed && now - last_sent_ >= kPulsePeriod) send(encodeCommand(Command::Pulse), now);
+    if (state_ != State::Closed && now - last_sent_ >= pulsePeriod())
+        send(encodeCommand(Command::Pulse), now);
 }
 
 }  // namespace axon::arcos

@@ -146,8 +146,9 @@ class ClientSession {
     static constexpr Duration kOpenTimeout = std::chrono::seconds{2};
     static constexpr Duration kSilenceLimit = std::chrono::milliseconds{500};   // five packets missing
     static constexpr Duration kGripperRequestPeriod = std::chrono::seconds{1};  // until it is answered
-    static constexpr Duration kPulsePeriod =
-        std::chrono::milliseconds{500};  // a quarter of the robot's watchdog
+    /// A quarter of the robot's watchdog, between these two.
+    static constexpr Duration kShortestPulsePeriod = std::chrono::milliseconds{50};
+    static constexpr Duration kPulsePeriod = std::chrono::milliseconds{500};
 
     explicit ClientSession(Port& port, Duration silence_limit = kSilenceLimit)
         : port_(port), silence_limit_(silence_limit) {}
@@ -173,6 +174,7 @@ class ClientSession {
 
   private:
     void sendSync(TimePoint now);
+    Duration pulsePeriod() const;
     void send(const Bytes& bytes, TimePoint now);
     void onPacket(const Packet& packet, TimePoint now);
     void onSync(const Packet& packet, TimePoint now);

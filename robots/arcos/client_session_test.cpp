@@ -128,6 +128,18 @@ TEST_F(ClientSessionTest, SendsAPulseOnlyWhenNothingElseWasSent) {
     EXPECT_EQ(countSent(Command::Pulse), 0);
 }
 
+TEST_F(ClientSessionTest, AShorterWatchdogIsFedMoreOften) {
+    shakeHands();
+    answer(toPacket(GripperPacket{}));
+    answer(toPacket(RobotConfig{.name = "Ann", .watchdog_ms = 400}));
+    sent_.clear();
+    for (int i = 0; i < 10; ++i) {
+        tell({});
+        pass(milliseconds{100});
+    }
+    EXPECT_EQ(countSent(Command::Pulse), 10);
+}
+
 TEST_F(ClientSessionTest, TheRobotIsLostAfterExactly500MillisecondsOfSilence) {
     shakeHands();
     tell({});
