@@ -102,9 +102,8 @@ struct RobotState {
 /// robot is lost.
 ///
 /// - Closed: no link. begin() leads to Synchronising.
-/// - Synchronising: SYNCn was sent, its echo is awaited; after kSyncTimeout it begins with SYNC0 again. The
-/// third
-///   echo leads to Opening; kSyncAttempts used up to Closed, onLost.
+/// - Synchronising: SYNCn was sent, its echo is awaited; after kSyncTimeout it begins with SYNC0 again.
+///   The third echo leads to Opening; kSyncAttempts used up to Closed, onLost.
 /// - Opening: OPEN was sent, the first server information is awaited for kOpenTimeout. It leads to Online,
 ///   onOnline; its absence to Closed, onLost.
 /// - Online: no server information for the silence limit, and end(), lead to Closed, onLost.

@@ -32,13 +32,12 @@ struct Setting {
 ///
 /// - Closed: no link. begin() leads to Finding.
 /// - Finding: the laser is told to end its output, at each speed in turn; it may still be sending to a
-/// program
-///   that was killed. Its answer leads to Configuring; every speed tried kRounds times to Closed, onLost.
+///   program that was killed. Its answer leads to Configuring; every speed tried kRounds times to Closed,
+///   onLost.
 /// - Configuring: one request after the other, each given kTries times kAnswerTimeout. When its output has
 ///   started: Scanning, onOnline. A refusal or silence: Closed, onLost.
 /// - Scanning: scans arrive. silence_limit without one, a fault, a laser that was switched on again, and
-/// end()
-///   lead to Closed, onLost.
+///   end() lead to Closed, onLost.
 ///
 /// Two requests may fail: the faster speed, then the line stays as it is; and the 180 degrees, then the laser
 /// keeps its own. Threads: none, not thread-safe. I/O-free: time comes in with each call, bytes leave through
