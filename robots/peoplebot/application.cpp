@@ -359,16 +359,12 @@ void Application::perform(Task& task, Motion& motion, const std::function<void()
                 gate_->drive(step.forward_mm_s, step.left_deg_s);
             continue;
         }
-        if (step.outcome == MotionStep::Outcome::Failed) {
-            // Before the verdict travels: the robot is told first.
-            gate_->stop();
-            if (robot.online)
-                task.fail(step.reason);
-            else
-                task.robotLost(step.reason);
-        } else {
+        if (step.outcome == MotionStep::Outcome::Done)
             task.succeed();
-        }
+        else if (robot.online)
+            task.fail(step.reason);
+        else
+            task.robotLost(step.reason);
         return;
     }
 }

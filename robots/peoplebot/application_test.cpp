@@ -122,6 +122,8 @@ class Manager : public entity_manager::BackEndEvents {
     void onLinkUp() override {}
     void onLinkDown(const std::string& /*reason*/, entity_manager::LinkEnd /*end*/) override {}
     void onLinkMessage(const proto::EiToEm& message) override {
+        if (on_end && message.has_task() && message.task().event().state() >= proto::TASK_SUCCEEDED)
+            on_end(message.task().event());
         const std::lock_guard lock(mutex_);
         if (message.has_task()) events_.push_back(message.task().event());
         if (message.has_task_answer()) answers_.push_back(message.task_answer());
@@ -129,6 +131,9 @@ class Manager : public entity_manager::BackEndEvents {
         if (message.has_stop_done()) stops_.push_back(message.stop_done());
         if (message.has_sample()) ++samples_[message.sample().stream()];
     }
+
+    /// On the strand, as the Entity Manager dispatches what waits in its queue.
+    std::function<void(const proto::TaskEvent&)> on_end;
 
     std::optional<proto::TaskEvent> end(const std::string& id) {
         const std::lock_guard lock(mutex_);
@@ -298,6 +303,28 @@ TEST_F(ApplicationTest, TurningTurns) {
     ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }));
     EXPECT_EQ(manager_->end(task)->state(), proto::TASK_SUCCEEDED) << manager_->end(task)->reason().message();
     EXPECT_NEAR(lastTrue("theta_deg"), 90, 10);
+}
+
+TEST_F(ApplicationTest, ATaskThatBeginsAtTheEndOfAnotherFindsTheDriveFree) {
+    constexpr int kTurns = 20;
+    const auto turn = [&] { return manager_->dispatch("Turning", {{"Angle", 5}, {"Velocity", 60}}); };
+    std::mutex mutex;
+    std::vector<proto::TaskEvent> ends;
+    const auto count = [&] {
+        const std::lock_guard lock(mutex);
+        return ends.size();
+    };
+    manager_->on_end = [&](const proto::TaskEvent& event) {
+        {
+            const std::lock_guard lock(mutex);
+            ends.push_back(event);
+            if (ends.size() == kTurns) return;
+        }
+        turn();
+    };
+    turn();
+    ASSERT_TRUE(waitUntil([&] { return count() == kTurns; }, std::chrono::seconds{60}));
+    for (const auto& end : ends) EXPECT_EQ(end.state(), proto::TASK_SUCCEEDED) << end.reason().message();
 }
 
 TEST_F(ApplicationTest, AStopInMidDriveHaltsTheRobotAndIsAcknowledgedTwice) {

@@ -216,7 +216,6 @@ void GraspServices::track(Task& task) {
             parts_.drive.drive(step.forward_mm_s, step.left_deg_s);
             continue;
         }
-        parts_.drive.stop();
         if (step.outcome == Outcome::Done) {
             task.succeed();
         } else if (robot.online) {

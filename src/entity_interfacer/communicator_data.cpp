@@ -467,10 +467,10 @@ void Communicator::runTask(const std::shared_ptr<Task::Running>& running,
     } catch (const std::exception& error) {
         const std::string what = error.what();
         fault("an exception left the handler of '" + running->service + "' (" + what + ")",
-              [&] { running->end(RefusalCode::Failed, "an exception left the handler: " + what); });
+              [&] { running->handlerThrew("an exception left the handler: " + what); });
     } catch (...) {
         fault("an exception left the handler of '" + running->service + "'",
-              [&] { running->end(RefusalCode::Failed, "an exception left the handler"); });
+              [&] { running->handlerThrew("an exception left the handler"); });
     }
 }
 

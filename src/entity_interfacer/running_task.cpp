@@ -4,6 +4,7 @@
 #include <axon/link.pb.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "common/ids.hpp"
 #include "common/utf8.hpp"
@@ -61,6 +62,19 @@ const Parameter& required(const Task::Running& task, std::string_view name) {
     throw std::invalid_argument(
         "parameter '" + std::string(name) +
         "' was not given: mark it required in the services profile, or pass a fallback");
+}
+
+proto::TaskState finalState(RefusalCode code) {
+    switch (code) {
+        case RefusalCode::Ok:
+            return proto::TASK_SUCCEEDED;
+        case RefusalCode::Cancelled:
+            return proto::TASK_CANCELLED;
+        case RefusalCode::Stopped:
+            return proto::TASK_STOPPED;
+        default:
+            return proto::TASK_FAILED;
+    }
 }
 
 }  // namespace
@@ -230,38 +244,39 @@ void Task::Running::answer(const Refusal& refusal) {
 }
 
 void Task::Running::end(RefusalCode code, std::string_view reason) {
-    const bool succeeded = code == RefusalCode::Ok;
     const std::lock_guard lock(mutex_);
-    if (ended_) return;
-    ended_ = true;
-    proto::TaskEvent event;
-    event.set_state(succeeded ? proto::TASK_SUCCEEDED : proto::TASK_FAILED);
-    if (succeeded) {
-        progress_ = 1;
-    } else {
-        event.mutable_reason()->set_code(static_cast<proto::RefusalCode>(code));
-        event.mutable_reason()->set_message(shortText(reason));
-    }
-    reportLocked(event);
+    if (std::exchange(ended_, true)) return;
+    verdict_ = Verdict{code, std::string(reason)};
 }
 
 void Task::Running::handlerReturned() {
-    if (!stopRequested()) return end(RefusalCode::Ok, {});
-    const std::lock_guard lock(mutex_);
-    if (ended_) return;
-    ended_ = true;
+    if (!stopRequested()) return conclude({RefusalCode::Ok, {}});
     const auto cause = stopCause();
-    const bool cancelled = cause == StopSignal::Cause::Cancel;
-    proto::TaskEvent event;
-    event.set_state(cancelled ? proto::TASK_CANCELLED : proto::TASK_STOPPED);
-    event.mutable_reason()->set_code(cancelled ? proto::CANCELLED : proto::STOPPED);
-    event.mutable_reason()->set_message(std::string("the handler ended after a stop: ") + toString(cause));
-    reportLocked(event);
+    conclude({cause == StopSignal::Cause::Cancel ? RefusalCode::Cancelled : RefusalCode::Stopped,
+              std::string("the handler ended after a stop: ") + toString(cause)});
 }
 
-bool Task::Running::ended() const {
+void Task::Running::handlerThrew(std::string_view what) {
+    {
+        const std::lock_guard lock(mutex_);
+        if (verdict_ && verdict_->code == RefusalCode::Ok) verdict_.reset();
+    }
+    conclude({RefusalCode::Failed, std::string(what)});
+}
+
+void Task::Running::conclude(Verdict otherwise) {
     const std::lock_guard lock(mutex_);
-    return ended_;
+    ended_ = true;
+    const auto verdict = verdict_.value_or(std::move(otherwise));
+    proto::TaskEvent event;
+    event.set_state(finalState(verdict.code));
+    if (verdict.code == RefusalCode::Ok) {
+        progress_ = 1;
+    } else {
+        event.mutable_reason()->set_code(static_cast<proto::RefusalCode>(verdict.code));
+        event.mutable_reason()->set_message(shortText(verdict.reason));
+    }
+    reportLocked(event);
 }
 
 void Task::Running::reportLocked(proto::TaskEvent& event) {

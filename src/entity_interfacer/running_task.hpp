@@ -53,22 +53,30 @@ class Task::Running {
     void feedback(std::string_view text);
     void result(std::string_view name, std::vector<Value> values, std::string_view units);
     void answer(const Refusal& refusal);
-    /// The verdict, sent once.
-    /// `code` is Ok for a success.
+    /// The application's verdict, the first of which counts; `code` is Ok for a success. handlerReturned() or
+    /// handlerThrew() sends it: until then the handler has the device.
     void end(RefusalCode code, std::string_view reason);
-    /// The handler has returned without throwing.
+    /// The handler has returned: sends the verdict, or what its return means without one.
     void handlerReturned();
-    bool ended() const;
+    /// An exception has left the handler: sends the failure that it had reported, or else this one.
+    void handlerThrew(std::string_view what);
 
   private:
+    struct Verdict {
+        RefusalCode code;
+        std::string reason;
+    };
+    /// Sends the verdict that was given, or else this one.
+    void conclude(Verdict otherwise);
     void reportLocked(proto::TaskEvent& event);
 
     const std::shared_ptr<Link> link_;
     StopLevel& level_;
     std::atomic<bool> cancelled_{false};
     std::atomic<bool> paused_{false};
-    mutable std::mutex mutex_;
-    bool ended_ = false;  // these five guarded by mutex_
+    std::mutex mutex_;
+    bool ended_ = false;  // a verdict was given, or the task was refused; these six guarded by mutex_
+    std::optional<Verdict> verdict_;  // waits for the handler's return
     bool answered_ = false;
     double progress_ = -1;
     std::string feedback_;

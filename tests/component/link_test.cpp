@@ -563,6 +563,145 @@ TEST(Link, ATaskRunsWithProgressFeedbackAndResults) {
     EXPECT_EQ(manager.answerOf(unknown), proto::UNKNOWN_SERVICE);
 }
 
+TEST(Link, ATaskEndsForTheManagerOnlyOnceItsHandlerHasReturned) {
+    std::promise<void> go;
+    const auto released = go.get_future().share();
+    std::atomic<int> given_back{0};
+    EntityInterfacer interfacer(options("Device"));
+    const auto keep = [&](Task& task, const auto& verdict) {
+        const std::shared_ptr<void> device(nullptr, [&](void*) {
+            released.wait();
+            given_back++;
+        });
+        verdict(task);
+        task.progress(0.1);                      // after the verdict: ignored
+        interfacer.sendInfoMsg(task.service());  // what is sent now overtakes nothing on the data lane
+    };
+    interfacer.onTask("Succeed", [&](Task& task) { keep(task, [](Task& t) { t.succeed(); }); });
+    interfacer.onTask("Fail", [&](Task& task) { keep(task, [](Task& t) { t.fail("no wheels"); }); });
+    interfacer.onTask("Lose", [&](Task& task) { keep(task, [](Task& t) { t.robotLost("no robot"); }); });
+    interfacer.start();
+    Manager manager("Device");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    std::vector<int> given_back_at_end;
+    manager.on_message = [&](const proto::EiToEm& message) {
+        if (message.has_task() && message.task().event().state() >= proto::TASK_SUCCEEDED)
+            given_back_at_end.push_back(given_back);
+    };
+    const auto said = [&](const std::string& text) {
+        const auto all = manager.messages();
+        return std::any_of(all.begin(), all.end(),
+                           [&](const auto& m) { return m.has_text() && m.text().text() == text; });
+    };
+    const auto succeed = manager.dispatch("Succeed", 0);
+    const auto fail = manager.dispatch("Fail", 0);
+    const auto lose = manager.dispatch("Lose", 0);
+    ASSERT_TRUE(waitUntil([&] { return said("Succeed") && said("Fail") && said("Lose"); }));
+    for (const auto& id : {succeed, fail, lose}) EXPECT_FALSE(manager.finalOf(id));
+    go.set_value();
+    ASSERT_TRUE(waitUntil(
+        [&] { return manager.finalOf(succeed) && manager.finalOf(fail) && manager.finalOf(lose); }));
+    EXPECT_EQ(manager.finalOf(succeed)->state(), proto::TASK_SUCCEEDED);
+    EXPECT_EQ(manager.finalOf(succeed)->progress(), 1);
+    EXPECT_EQ(manager.finalOf(fail)->state(), proto::TASK_FAILED);
+    EXPECT_EQ(manager.finalOf(fail)->reason().message(), "no wheels");
+    EXPECT_EQ(manager.finalOf(lose)->reason().code(), proto::ROBOT_LOST);
+    manager.die();
+    ASSERT_EQ(given_back_at_end.size(), 3U);
+    for (int i = 0; i < 3; ++i) EXPECT_GT(given_back_at_end[static_cast<std::size_t>(i)], i);
+}
+
+TEST(Link, AVerdictOfAnotherThreadIsToldOnceTheHandlerHasReturnedAndNoneAfterThat) {
+    std::optional<Task> kept;
+    std::promise<void> in_other_hands;
+    EntityInterfacer interfacer(options("Hands"));
+    interfacer.onTask("Wait", [&](Task& task) {
+        std::thread other([task]() mutable { task.fail("the other thread says so"); });
+        other.join();
+        interfacer.sendInfoMsg("verdict given");
+        in_other_hands.get_future().wait();
+    });
+    interfacer.onTask("Leave", [&](Task& task) { kept = task; });
+    interfacer.start();
+    Manager manager("Hands");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    const auto wait = manager.dispatch("Wait", 0);
+    ASSERT_TRUE(waitUntil([&] {
+        const auto all = manager.messages();
+        return std::any_of(all.begin(), all.end(), [](const auto& m) { return m.has_text(); });
+    }));
+    EXPECT_FALSE(manager.finalOf(wait));
+    in_other_hands.set_value();
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(wait).has_value(); }));
+    EXPECT_EQ(manager.finalOf(wait)->state(), proto::TASK_FAILED);
+    EXPECT_EQ(manager.finalOf(wait)->reason().message(), "the other thread says so");
+
+    // A handler that returns without a verdict has succeeded, whoever still has the task.
+    const auto leave = manager.dispatch("Leave", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(leave).has_value(); }));
+    EXPECT_EQ(manager.finalOf(leave)->state(), proto::TASK_SUCCEEDED);
+    kept->fail("too late");
+    const auto last = manager.dispatch("Leave", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(last).has_value(); }));
+    const auto all = manager.messages();
+    EXPECT_EQ(
+        std::count_if(all.begin(), all.end(),
+                      [&](const auto& m) { return m.has_task() && m.task().event().task_id() == leave; }),
+        1);
+}
+
+TEST(Link, AStopIsConfirmedWhileAHandlerThatHasGivenItsVerdictDoesNotReturn) {
+    std::promise<void> go;
+    Stops stops;
+    EntityInterfacer interfacer(options("Linger"));
+    stops.attach(interfacer);
+    interfacer.onTask("Linger", [&](Task& task) {
+        task.succeed();
+        interfacer.sendInfoMsg("verdict given");
+        go.get_future().wait();
+    });
+    interfacer.start();
+    Manager manager("Linger");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    const auto id = manager.dispatch("Linger", 0);
+    ASSERT_TRUE(waitUntil([&] {
+        const auto all = manager.messages();
+        return std::any_of(all.begin(), all.end(), [](const auto& m) { return m.has_text(); });
+    }));
+    const auto generation = manager.stop();
+    EXPECT_TRUE(waitUntil([&] { return manager.acknowledged(generation); }));
+    EXPECT_FALSE(manager.finalOf(id));
+    go.set_value();
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(id).has_value(); }));
+    EXPECT_EQ(manager.finalOf(id)->state(), proto::TASK_SUCCEEDED);  // before the stop came
+}
+
+TEST(Link, AnExceptionAfterTheVerdictTurnsASuccessIntoAFailureAndKeepsAReason) {
+    Stops stops;
+    EntityInterfacer interfacer(options("ThrowLate"));
+    stops.attach(interfacer);
+    interfacer.onTask("Succeed", [](Task& task) {
+        task.succeed();
+        throw std::runtime_error("the brake did not take");
+    });
+    interfacer.onTask("Fail", [](Task& task) {
+        task.fail("no wheels");
+        throw 7;
+    });
+    interfacer.start();
+    Manager manager("ThrowLate");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    const auto succeed = manager.dispatch("Succeed", 0);
+    ASSERT_TRUE(
+        waitUntil([&] { return manager.finalOf(succeed) && manager.ups == 2 && interfacer.linked(); }));
+    EXPECT_EQ(manager.finalOf(succeed)->state(), proto::TASK_FAILED);
+    EXPECT_NE(manager.finalOf(succeed)->reason().message().find("the brake did not take"), std::string::npos);
+    const auto fail = manager.dispatch("Fail", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.finalOf(fail) && stops.count(Cause::Fault) == 2; }));
+    EXPECT_EQ(manager.finalOf(fail)->state(), proto::TASK_FAILED);
+    EXPECT_EQ(manager.finalOf(fail)->reason().message(), "no wheels");
+}
+
 TEST(Link, ATaskRequestCanBeVetoedAndAnIdRunsOnce) {
     std::atomic<int> runs{0};
     EntityInterfacer interfacer(options("Veto"));

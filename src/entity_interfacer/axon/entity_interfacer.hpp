@@ -128,10 +128,13 @@ class AXON_EI_API Stream {
 
 /// One requested execution of a service, in the hands of its handler. Copies refer to the same task.
 ///
-/// States: running, paused (the client paused it), stop requested, ended (a verdict was given or the handler
-/// returned). A handler may block; it should return soon after stopRequested() becomes true, and use
-/// waitFor() instead of sleeping. Threads: every member may be called from any thread; what is said after the
-/// end is ignored.
+/// States: running, paused (the client paused it), stop requested, decided (a verdict was given), ended (the
+/// handler has returned). The client is told of the end when the handler has returned, never earlier:
+/// whatever the handler gives back on its return, such as the drive, is free for the task that the client
+/// begins then. A handler may block; it should return soon after stopRequested() becomes true, and use
+/// waitFor() instead of sleeping. One that passes the task on to another thread waits for that thread, for
+/// its return is the end. A stop is acknowledged whether or not the handler returns. Threads: every member
+/// may be called from any thread; what is said after the verdict or the end is ignored.
 class AXON_EI_API Task {
   public:
     const std::string& id() const;  ///< UUID text
@@ -172,8 +175,9 @@ class AXON_EI_API Task {
     /// Instead of sleeping: true when the time is up, false at once when a stop is requested.
     bool waitFor(std::chrono::duration<double> time) const;
 
-    // The verdict; the first one counts. A handler that returns without one has succeeded, unless a stop was
-    // requested: then the task was stopped (or cancelled).
+    // The verdict; the first one counts, and travels when the handler returns. A handler that returns without
+    // one has succeeded, unless a stop was requested: then the task was stopped (or cancelled). An exception
+    // that leaves the handler fails the task even after succeed().
     void succeed();
     void fail(std::string_view reason);
     /// Failed because the robot itself does not answer (any more): the client is told ROBOT_LOST.
