@@ -273,6 +273,27 @@ TEST_F(ArcosServerTest, MoveHeadAndVel2DriveAsTheirNamesSay) {
     EXPECT_NEAR(wheels_.right_mm_s, 100, 2);
 }
 
+TEST_F(ArcosServerTest, Vel2AndDigOutTakeTheirTwoBytesAlsoFromNegativeArguments) {
+    open();
+    const auto two = [](int high, int low) {
+        return static_cast<std::int16_t>(static_cast<std::uint16_t>((high & 0xFF) << 8 | (low & 0xFF)));
+    };
+    order(Command::Vel2, two(-10, 5));
+    passPulsing(milliseconds{2000});
+    EXPECT_NEAR(wheels_.left_mm_s, -200, 2);
+    EXPECT_NEAR(wheels_.right_mm_s, 100, 2);
+    order(Command::Vel2, two(-10, -5));
+    passPulsing(milliseconds{2000});
+    EXPECT_NEAR(wheels_.left_mm_s, -200, 2);
+    EXPECT_NEAR(wheels_.right_mm_s, -100, 2);
+    order(Command::DigOut, two(0x81, 0x80));
+    passPulsing(milliseconds{100});
+    EXPECT_EQ(sip_.digital_out, 0x80);
+    order(Command::DigOut, two(0x80, 0));
+    passPulsing(milliseconds{100});
+    EXPECT_EQ(sip_.digital_out, 0);
+}
+
 TEST_F(ArcosServerTest, SetOMakesHereTheOrigin) {
     open();
     order(Command::Move, 500);

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <cstdlib>
 
 namespace axon::arcos {
 namespace {
@@ -12,6 +13,8 @@ constexpr std::uint8_t kSecondSync = 0xFB;
 constexpr std::uint8_t kPositiveInteger = 0x3B;
 constexpr std::uint8_t kNegativeInteger = 0x1B;
 constexpr std::uint8_t kText = 0x2B;
+constexpr int kLeastInteger = -0x8000;
+constexpr int kGreatestInteger = 0x7FFF;
 
 }  // namespace
 
@@ -44,9 +47,9 @@ Bytes encodeCommand(Command command) {
 }
 
 Bytes encodeCommand(Command command, int argument) {
-    const int magnitude = std::clamp(argument < 0 ? -argument : argument, 0, 0x7FFF);
+    argument = std::clamp(argument, kLeastInteger, kGreatestInteger);
     FieldWriter fields;
-    fields.u8(argument < 0 ? kNegativeInteger : kPositiveInteger).u16(magnitude);
+    fields.u8(argument < 0 ? kNegativeInteger : kPositiveInteger).u16(std::abs(argument));
     return encode({static_cast<std::uint8_t>(command), fields.take()});
 }
 
@@ -71,12 +74,15 @@ Argument parseArgument(const Packet& command) {
                              command.data.begin() + 2 + static_cast<std::ptrdiff_t>(length));
         return argument;
     }
-    argument.raw = fields.u16();
+    const int sent = fields.u16();
     if ((type != kPositiveInteger && type != kNegativeInteger) || fields.truncated())
         return {Argument::Kind::Malformed};
+    // Sign and magnitude; but a client that packs two bytes may send 16 bits without a sign.
+    const int value = type == kNegativeInteger ? -sent : static_cast<std::int16_t>(sent);
+    if (value < kLeastInteger) return {Argument::Kind::Malformed};
     argument.kind = Argument::Kind::Integer;
-    argument.value =
-        type == kNegativeInteger ? -static_cast<int>(argument.raw) : static_cast<std::int16_t>(argument.raw);
+    argument.value = value;
+    argument.raw = static_cast<std::uint16_t>(value);
     return argument;
 }
 

@@ -92,7 +92,7 @@ inline constexpr std::uint8_t kAuxPacket = 0xB0;            // bytes from the ca
 inline constexpr std::uint8_t kGripperPacket = 0xE0;        // gripper.hpp
 
 /// A command without, with an integer, with a text argument. Integers are sent as sign and magnitude, clamped
-/// to 16 bits.
+/// to -0x8000 to 0x7FFF.
 Bytes encodeCommand(Command command);
 Bytes encodeCommand(Command command, int argument);
 Bytes encodeCommand(Command command, std::string_view argument);
@@ -101,8 +101,8 @@ Bytes encodeCommand(Command command, std::string_view argument);
 struct Argument {
     enum class Kind { None, Integer, Text, Malformed };
     Kind kind = Kind::None;
-    int value = 0;          ///< Integer: with its sign
-    std::uint16_t raw = 0;  ///< Integer: the two bytes as sent, for commands that pack two values
+    int value = 0;          ///< Integer: with its sign, -0x8000 to 0x7FFF
+    std::uint16_t raw = 0;  ///< Integer: its 16 bits in two's complement, for commands that pack two bytes
     std::string text;       ///< Text
 };
 Argument parseArgument(const Packet& command);

@@ -46,6 +46,24 @@ TEST(ArcosPacket, NegativeArgumentsTravelAsMagnitudeAndComeBack) {
     EXPECT_EQ(parseArgument(text.at(0)).text, "on");
 }
 
+TEST(ArcosPacket, TheTwoBytesOfAnArgumentComeBackFromSignAndMagnitude) {
+    // Two bytes in one argument are sent as what they are as an integer: from 0x8000 on a negative one.
+    const auto arrived = [](std::uint8_t type, int magnitude) {
+        return parseArgument({30, FieldWriter().u8(type).u16(magnitude).take()});
+    };
+    EXPECT_EQ(arrived(0x3B, 0x0A05).raw, 0x0A05);
+    EXPECT_EQ(arrived(0x1B, 0x7FFF).raw, 0x8001);
+    EXPECT_EQ(arrived(0x1B, 0x0100).raw, 0xFF00);
+    EXPECT_EQ(arrived(0x1B, 1).raw, 0xFFFF);
+    EXPECT_EQ(arrived(0x1B, 0x8000).raw, 0x8000);
+    EXPECT_EQ(arrived(0x1B, 0x8000).value, -0x8000);
+    // Of a client that does not know the sign.
+    EXPECT_EQ(arrived(0x3B, 0xF605).raw, 0xF605);
+    PacketReader reader;
+    const auto lowest = reader.feed(encodeCommand(Command::Vel2, -0x8000), kStart);
+    EXPECT_EQ(parseArgument(lowest.at(0)).raw, 0x8000);
+}
+
 TEST(ArcosPacket, ShortOrForeignArgumentsAreMalformed) {
     EXPECT_EQ(parseArgument({11, {}}).kind, Argument::Kind::None);
     EXPECT_EQ(parseArgument({11, {0x3B}}).kind, Argument::Kind::Malformed);
