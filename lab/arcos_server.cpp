@@ -363,6 +363,7 @@ void ArcosServer::onSonar(int argument) {
 }
 
 ArcosServer::WheelSpeeds ArcosServer::step(Duration period, const BodyReadings& readings, TimePoint now) {
+    receive({}, now);  // what stands behind a false start
     updateOdometry(readings);
     for (int array = 0; array < 3; ++array) {
         if (sonarOn(array))

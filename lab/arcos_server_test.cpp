@@ -294,6 +294,16 @@ TEST_F(ArcosServerTest, Vel2AndDigOutTakeTheirTwoBytesAlsoFromNegativeArguments)
     EXPECT_EQ(sip_.digital_out, 0);
 }
 
+TEST_F(ArcosServerTest, AStopBehindADamagedHeaderIsObeyedWithoutFurtherBytes) {
+    open();
+    order(Command::Vel, 300);
+    passPulsing(milliseconds{2000});
+    give({0xFA, 0xFB, 200});
+    order(Command::EStop);
+    pass(std::chrono::ceil<milliseconds>(arcos::PacketReader::kPartialTimeout) + milliseconds{500});
+    EXPECT_NEAR(wheels_.left_mm_s, 0, 1);
+}
+
 TEST_F(ArcosServerTest, SetOMakesHereTheOrigin) {
     open();
     order(Command::Move, 500);

@@ -299,6 +299,7 @@ Duration ClientSession::pulsePeriod() const {
 }
 
 void ClientSession::tick(TimePoint now) {
+    receive({}, now);  // what stands behind a false start
     switch (state_) {
         case State::Closed:
             return;

@@ -136,24 +136,27 @@ FieldWriter& FieldWriter::text(std::string_view value) {
 }
 
 std::vector<Packet> PacketReader::feed(std::span<const std::uint8_t> bytes, TimePoint now) {
-    if (!buffer_.empty() && now - last_feed_ > kPartialTimeout) {
-        garbage_bytes_ += buffer_.size();
-        buffer_.clear();
-    }
-    last_feed_ = now;
     buffer_.insert(buffer_.end(), bytes.begin(), bytes.end());
+    arrived_.resize(buffer_.size(), now);
 
     std::vector<Packet> packets;
     std::size_t at = 0;
+    const auto skip = [&] {
+        ++at;
+        ++garbage_bytes_;
+    };
     while (at < buffer_.size()) {
         const std::span rest(buffer_.data() + at, buffer_.size() - at);
         if (rest[0] != kFirstSync || (rest.size() > 1 && rest[1] != kSecondSync) ||
-            (rest.size() > 2 && rest[2] < 3)) {
-            ++at;
-            ++garbage_bytes_;
+            (rest.size() > 2 && (rest[2] < 3 || rest[2] > kMaximumCount))) {
+            skip();
             continue;
         }
-        if (rest.size() < 3 || rest.size() < 3U + rest[2]) break;  // the packet is not complete yet
+        if (rest.size() < 3 || rest.size() < 3U + rest[2]) {  // the packet is not complete yet
+            if (now - arrived_[at] <= kPartialTimeout) break;
+            skip();
+            continue;
+        }
         const std::size_t count = rest[2];
         const auto id_and_data = rest.subspan(3, count - 2);
         const auto sum = static_cast<std::uint16_t>((rest[count + 1] << 8U) | rest[count + 2]);
@@ -166,6 +169,7 @@ std::vector<Packet> PacketReader::feed(std::span<const std::uint8_t> bytes, Time
         at += 3 + count;
     }
     buffer_.erase(buffer_.begin(), buffer_.begin() + static_cast<std::ptrdiff_t>(at));
+    arrived_.erase(arrived_.begin(), arrived_.begin() + static_cast<std::ptrdiff_t>(at));
     return packets;
 }
 

@@ -17,7 +17,8 @@ using Bytes = std::vector<std::uint8_t>;
 
 /// What travels between client and robot: an id and at most kMaximumData bytes. On the wire
 ///     FA FB | count | id | data ... | checksum, high byte first
-/// where count is everything after itself. All integers inside the data are little-endian.
+/// where count is everything after itself, 3 to kMaximumCount. All integers inside the data are
+/// little-endian.
 struct Packet {
     std::uint8_t id = 0;
     Bytes data;
@@ -25,7 +26,8 @@ struct Packet {
     bool operator==(const Packet&) const = default;
 };
 
-inline constexpr std::size_t kMaximumData = 255 - 3;  // count is one byte and includes id and checksum
+inline constexpr std::size_t kMaximumCount = 200;               // ARCOS's
+inline constexpr std::size_t kMaximumData = kMaximumCount - 3;  // count includes id and checksum
 
 /// The sum over id and data of big-endian byte pairs modulo 2^16; an odd last byte is combined by exclusive
 /// or.
@@ -140,23 +142,29 @@ class FieldWriter {
 
 /// Finds packets in a stream of bytes: skips garbage, ignores and counts packets with a wrong checksum, and
 /// looks for the next packet right after the false start, so one damaged byte never costs more than the
-/// packet it is in. The rest of a packet that does not follow within kPartialTimeout is given up. Holds at
-/// most one packet's bytes. I/O-free, not thread-safe.
+/// packet it is in. What looks like a packet's beginning is given up kPartialTimeout after it arrived if the
+/// rest has not come by then; what came after it is kept, and is searched at once. Holds at most one packet's
+/// bytes. I/O-free, not thread-safe.
 class PacketReader {
   public:
-    static constexpr Duration kPartialTimeout = std::chrono::milliseconds{200};
+    /// The longest packet takes 211 ms on a serial line of 9600 baud.
+    static constexpr Duration kPartialTimeout = std::chrono::milliseconds{300};
 
-    /// All packets completed by these bytes, in order.
+    /// All packets completed by these bytes, in order. To be called without bytes as well, every 50 ms or so,
+    /// lest a packet behind a false start waits for whatever comes next.
     std::vector<Packet> feed(std::span<const std::uint8_t> bytes, TimePoint now);
     /// Forgets a partial packet: for a new connection.
-    void reset() { buffer_.clear(); }
+    void reset() {
+        buffer_.clear();
+        arrived_.clear();
+    }
 
     std::uint64_t badChecksums() const { return bad_checksums_; }
     std::uint64_t garbageBytes() const { return garbage_bytes_; }
 
   private:
     Bytes buffer_;
-    TimePoint last_feed_{};
+    std::vector<TimePoint> arrived_;  // of each byte
     std::uint64_t bad_checksums_ = 0;
     std::uint64_t garbage_bytes_ = 0;
 };

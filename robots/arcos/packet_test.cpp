@@ -115,6 +115,55 @@ TEST(ArcosPacketReader, ADamagedLengthHidesNothingForLongerThanItsBytes) {
     EXPECT_EQ(packets.size(), 3U);
 }
 
+TEST(ArcosPacketReader, ACountThatNoPacketHasIsAFalseStartAndHidesNothing) {
+    PacketReader reader;
+    EXPECT_TRUE(reader.feed(Bytes{0xFA, 0xFB, 0xFF}, kStart).empty());
+    const auto packets = reader.feed(encodeCommand(Command::EStop), kStart);
+    ASSERT_EQ(packets.size(), 1U);
+    EXPECT_EQ(packets[0].id, static_cast<std::uint8_t>(Command::EStop));
+    EXPECT_EQ(
+        reader.feed(concatenate({{0xFA, 0xFB, kMaximumCount + 1}, encodeCommand(Command::Stop)}), kStart)
+            .size(),
+        1U);
+}
+
+TEST(ArcosPacketReader, TheLongestPacketIsRead) {
+    PacketReader reader;
+    const Packet longest{kConfigPacket, Bytes(kMaximumData, 7)};
+    const auto wire = encode(longest);
+    EXPECT_EQ(wire[2], kMaximumCount);
+    EXPECT_EQ(reader.feed(wire, kStart), std::vector{longest});
+}
+
+TEST(ArcosPacketReader, WhatFollowsAFalseStartIsReadWhenItsTimeIsUp) {
+    PacketReader reader;
+    Bytes wire{0xFA, 0xFB, 0xC8};  // claims 200 bytes
+    const auto e_stop = encodeCommand(Command::EStop);
+    wire.insert(wire.end(), e_stop.begin(), e_stop.end());
+    EXPECT_TRUE(reader.feed(wire, kStart).empty());
+    // Others keep coming: the time counts from the false start, not from the newest byte.
+    auto now = kStart;
+    std::size_t pulses = 0;
+    std::vector<Packet> packets;
+    while (packets.empty() && now < kStart + 2 * PacketReader::kPartialTimeout) {
+        packets = reader.feed(encodeCommand(Command::Pulse), now += milliseconds{60});
+        ++pulses;
+    }
+    EXPECT_LE(now, kStart + PacketReader::kPartialTimeout + milliseconds{60});
+    ASSERT_EQ(packets.size(), 1 + pulses);
+    EXPECT_EQ(packets[0].id, static_cast<std::uint8_t>(Command::EStop));
+}
+
+TEST(ArcosPacketReader, WhatFollowsAFalseStartIsReadWithoutFurtherBytes) {
+    PacketReader reader;
+    Bytes wire{0xFA, 0xFB, 0xC8};
+    const auto e_stop = encodeCommand(Command::EStop);
+    wire.insert(wire.end(), e_stop.begin(), e_stop.end());
+    EXPECT_TRUE(reader.feed(wire, kStart).empty());
+    EXPECT_TRUE(reader.feed({}, kStart + PacketReader::kPartialTimeout).empty());
+    EXPECT_EQ(reader.feed({}, kStart + PacketReader::kPartialTimeout + milliseconds{1}).size(), 1U);
+}
+
 TEST(ArcosPacketReader, GivesUpAPacketWhoseRestDoesNotCome) {
     PacketReader reader;
     EXPECT_TRUE(reader.feed(Bytes{0xFA, 0xFB, 0xC8, 1, 2}, kStart).empty());
