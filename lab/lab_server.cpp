@@ -37,6 +37,7 @@ constexpr Duration kLongestSilentLoss = std::chrono::seconds{1};  // and a tenth
 constexpr double kStepRate = 100;  // told while a step is carried out as fast as the physics can
 constexpr std::size_t kLongestRequest = 64 * 1024;
 constexpr std::size_t kMostControlClients = 16;
+constexpr int kMostReads = 64;  // of a client that another one wants to follow
 constexpr double kTrackStep_m = 0.05;
 constexpr std::size_t kLongestTrack = 20000;
 
@@ -299,8 +300,8 @@ class LabServer::Loop final : Control::Operator {
             for (auto& link : *links) {
                 const auto knocked = watched_[at++].revents;
                 const auto spoke = watched_[at++].revents;
-                if (knocked != 0) accept(link);
                 if (spoke != 0) read(link);
+                if (knocked != 0) accept(link);
             }
         }
         const auto knocked = watched_[at++].revents;
@@ -319,6 +320,9 @@ class LabServer::Loop final : Control::Operator {
     }
 
     void accept(Link& link) {
+        // Whoever closes and connects again within a tick has closed first.
+        for (int i = 0; link.client && i < kMostReads && read(link); ++i) {
+        }
         auto client = acceptFrom(link.listener);
         if (!client || link.client) return;  // busy: closing the connection is the refusal
         link.client = std::move(client);
@@ -327,7 +331,8 @@ class LabServer::Loop final : Control::Operator {
         if (link.kind == Link::Kind::Robot) lab_.clientConnected(link.index);
     }
 
-    void read(Link& link) {
+    /// False when there was nothing, or the client is gone.
+    bool read(Link& link) {
         std::array<std::uint8_t, 4096> chunk;
         const auto got = ::read(link.fd(), chunk.data(), chunk.size());
         if (got > 0) {
@@ -344,12 +349,13 @@ class LabServer::Loop final : Control::Operator {
                     break;
                 case Link::Kind::Robot:
                     lab_.receive(link.index, bytes);
-                    return;  // answers from within a step: what is broken is dropped after it
+                    return true;  // answers from within a step: what is broken is dropped after it
             }
             if (link.broken) drop(link);
         } else if (got == 0 || (errno != EAGAIN && errno != EINTR)) {
             drop(link);
         }
+        return got > 0;
     }
 
     /// The speed of the device's end of a serial line; 0 where any will do: an arm's is set by jumpers.

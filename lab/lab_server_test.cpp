@@ -107,6 +107,25 @@ TEST_F(LabServerTest, ASecondClientIsRefusedAndTheFirstNotesNothing) {
     EXPECT_TRUE(first->state().online);
 }
 
+TEST_F(LabServerTest, AClientThatClosesAndConnectsAgainWithinATickIsNotRefused) {
+    serve(1, 1);
+    const auto open = arcos::tcpStreams(address());
+    const auto sync = arcos::encodeCommand(Command::Pulse);  // shares its number with SYNC0
+    std::unique_ptr<arcos::ByteStream> stream;
+    for (int i = 0; i < 20; ++i) {
+        stream.reset();
+        auto opened = open(std::chrono::seconds{5});
+        ASSERT_TRUE(opened) << opened.refusal().message;
+        stream = std::move(opened).value();
+        ASSERT_TRUE(stream->write(sync));
+        std::array<std::uint8_t, 64> echo{};
+        int got = 0;
+        ASSERT_TRUE(waitUntil([&] { return (got = stream->read(echo)) != 0; }));
+        ASSERT_GT(got, 0) << "refused in round " << i;
+        ASSERT_TRUE(stream->write(sync));  // and something unread is on its way when it closes
+    }
+}
+
 TEST_F(LabServerTest, TheRobotStopsWhenItsClientIsLostAndTheNextOneFindsItStanding) {
     serve();
     auto client = connect();

@@ -59,6 +59,7 @@ int main(int argc, char** argv) {
         "axon-lab"};
     app.footer(kFooter);
     LabServer::Options options;
+    options.noise = 1;
     std::string file;
     std::string name = "transport";
     std::vector<std::string> robots, arms, boxes, tables, objects;
@@ -102,7 +103,6 @@ int main(int argc, char** argv) {
         "Tell the laboratory's time in this file; it becomes that of programs started with AXON_CLOCK=FILE");
     app.add_option("--truth", options.truth_path,
                    "Append where everything really is to this file, as JSON lines, every 100 ms");
-    options.noise = 1;
     try {
         app.parse(argc, argv);
     } catch (const CLI::ParseError& error) {
