@@ -387,10 +387,10 @@ void Application::onRobotOnline(const arcos::RobotIdentity& identity) {
         origin_ = pose_;
         odometry_began_anew_ = true;
     }
-    robot_->command(Command::SetA, 300);
-    robot_->command(Command::SetA, -600);
-    robot_->command(Command::SetRa, 100);
-    robot_->command(Command::SetRa, -100);
+    robot_->command(Command::SetA, kAcceleration_mm_s2);
+    robot_->command(Command::SetA, -kDeceleration_mm_s2);
+    robot_->command(Command::SetRa, kTurnAcceleration_deg_s2);
+    robot_->command(Command::SetRa, -kTurnAcceleration_deg_s2);
     robot_->command(Command::SetV, static_cast<int>(Driving::kFastest_mm_s));
     robot_->command(Command::SetRv, static_cast<int>(Turning::kFastest_deg_s));
     setServicesActive(true, "");

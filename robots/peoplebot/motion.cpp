@@ -19,10 +19,10 @@ constexpr Duration kSonarSilence = std::chrono::seconds{1};  // three rounds of 
 constexpr Duration kSettlingPatience = std::chrono::seconds{3};
 
 // Braking follows v^2 = 2 a s with less than the robot's own deceleration, so that it can keep up. What the
-// robot says is up to kBlindTime old when the answer reaches the motors.
+// robot says is as old as the latency when the answer reaches the motors, and that answer holds for a cycle.
 constexpr double kBraking_mm_s2 = 250;
 constexpr double kTurnBraking_deg_s2 = 60;
-constexpr double kBlindTime_s = 0.12;
+constexpr double kCycle_s = 0.1;
 constexpr double kCrawl_mm_s = 40;
 constexpr double kTurnCrawl_deg_s = 5;
 constexpr double kArrived_mm = 4;
@@ -30,9 +30,15 @@ constexpr double kArrived_deg = 0.6;
 constexpr double kResting_mm_s = 5;
 
 /// The speed from which the rest of the way is enough to brake, within [crawl, wished].
-double brakingSpeed(double rest, double speed_now, double wished, double braking, double crawl) {
-    const double usable = std::max(0.0, rest - speed_now * kBlindTime_s);
+double brakingSpeed(double rest, double speed_now, double latency_s, double wished, double braking,
+                    double crawl) {
+    const double usable = std::max(0.0, rest - speed_now * (latency_s + kCycle_s));
     return std::clamp(std::sqrt(2 * braking * usable), std::min(crawl, wished), wished);
+}
+
+/// What a robot that said this speed has reached meanwhile, on its way to the speed that was ordered.
+double speedByNow(double said, double ordered, double acceleration, double latency_s) {
+    return std::max(said, std::min(said + acceleration * latency_s, ordered));
 }
 
 std::string bumperName(unsigned bumpers) {
@@ -75,6 +81,17 @@ bool StandstillWatch::stuck(double way, TimePoint now) {
     return now - since_ >= kPatience;
 }
 
+void LatencyWatch::seen(double speed, TimePoint now) {
+    if (!measures_) return;
+    if (!ordered_) {
+        ordered_ = now;
+    } else if (speed > 0) {
+        // Longer than the latency where the robot has its speed already or friction held it; never shorter.
+        const double passed = std::chrono::duration<double>(now - *ordered_).count();
+        seconds_ = std::clamp(passed - speed / acceleration_, 0.0, seconds_.value_or(kMost_s));
+    }
+}
+
 std::string Driving::objection(const Request& r) {
     if (!(r.distance_mm > 0) || !std::isfinite(r.distance_mm)) {
         return fmt::format(
@@ -100,7 +117,8 @@ Driving::Driving(const Request& request, const RobotState& start, TimePoint now)
       start_heading_rad_(start.heading_deg * kDegree),
       front_bumpers_at_start_(start.front_bumpers),
       rear_bumpers_at_start_(start.rear_bumpers),
-      standstill_(10, now) {}
+      standstill_(10, now),
+      latency_(kAcceleration_mm_s2, !start.moving) {}
 
 double Driving::progress() const {
     return std::clamp(travelled_ / request_.distance_mm, 0.0, 1.0);
@@ -162,8 +180,9 @@ MotionStep Driving::step(const RobotState& robot, TimePoint now) {
     }
     if (auto reason = stall(robot)) return fail(std::move(*reason));
 
+    latency_.seen(speed, now);
     const double rest = request_.distance_mm - travelled_;
-    if (!settling_ && rest <= kArrived_mm) {
+    if (!settling_ && rest - speed * latency_.seconds() <= kArrived_mm) {
         settling_ = true;
         settling_since_ = now;
     }
@@ -175,9 +194,10 @@ MotionStep Driving::step(const RobotState& robot, TimePoint now) {
     }
     if (standstill_.stuck(travelled_, now))
         return fail("the robot does not move: are its motors enabled, is it free?");
-    const double wished = std::abs(request_.velocity_mm_s);
-    return {.forward_mm_s = direction_ * brakingSpeed(rest, speed, wished, kBraking_mm_s2, kCrawl_mm_s),
-            .progress = progress()};
+    ordered_ =
+        brakingSpeed(rest, speedByNow(speed, ordered_, kAcceleration_mm_s2, latency_.seconds()),
+                     latency_.seconds(), std::abs(request_.velocity_mm_s), kBraking_mm_s2, kCrawl_mm_s);
+    return {.forward_mm_s = direction_ * ordered_, .progress = progress()};
 }
 
 std::string Turning::objection(const Request& r) {
@@ -196,7 +216,8 @@ Turning::Turning(const Request& request, const RobotState& start, TimePoint now)
     : request_(request),
       start_heading_deg_(start.heading_deg),
       bumpers_at_start_(start.front_bumpers | start.rear_bumpers << 8U),
-      standstill_(1, now) {}
+      standstill_(1, now),
+      latency_(kTurnAcceleration_deg_s2, !start.moving) {}
 
 double Turning::progress() const {
     return std::clamp(turned_ / request_.angle_deg, 0.0, 1.0);
@@ -221,7 +242,9 @@ MotionStep Turning::step(const RobotState& robot, TimePoint now) {
 
     const double direction = request_.angle_deg < 0 ? -1 : 1;
     const double rest = direction * (request_.angle_deg - turned_);
-    if (!settling_ && rest <= kArrived_deg) {
+    const double speed = direction * robot.rotation_deg_s;
+    latency_.seen(speed, now);
+    if (!settling_ && rest - speed * latency_.seconds() <= kArrived_deg) {
         settling_ = true;
         settling_since_ = now;
     }
@@ -233,10 +256,10 @@ MotionStep Turning::step(const RobotState& robot, TimePoint now) {
     }
     if (standstill_.stuck(turned_, now))
         return fail("the robot does not turn: are its motors enabled, is it free?");
-    const double speed = direction * robot.rotation_deg_s;
-    const double rate =
-        brakingSpeed(rest, speed, request_.velocity_deg_s, kTurnBraking_deg_s2, kTurnCrawl_deg_s);
-    return {.left_deg_s = direction * rate, .progress = progress()};
+    ordered_ =
+        brakingSpeed(rest, speedByNow(speed, ordered_, kTurnAcceleration_deg_s2, latency_.seconds()),
+                     latency_.seconds(), request_.velocity_deg_s, kTurnBraking_deg_s2, kTurnCrawl_deg_s);
+    return {.left_deg_s = direction * ordered_, .progress = progress()};
 }
 
 }  // namespace axon::peoplebot

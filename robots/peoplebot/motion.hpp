@@ -36,6 +36,34 @@ class StandstillWatch {
     TimePoint since_;
 };
 
+/// What the application sets in the robot when it connects.
+inline constexpr int kAcceleration_mm_s2 = 300;
+inline constexpr int kDeceleration_mm_s2 = 600;
+inline constexpr int kTurnAcceleration_deg_s2 = 100;
+
+/// Measures how long it takes from an order until the robot's answer shows what it did, while the robot
+/// speeds up from rest: an answer with a speed was made no earlier than that speed is reached. I/O-free.
+class LatencyWatch {
+  public:
+    /// Of the virtual robot on the same machine; what it is taken to be before anything is seen.
+    static constexpr double kUsual_s = 0.02;
+    static constexpr double kMost_s = 0.5;
+
+    /// `acceleration`: the robot's, in the unit of the speeds per second. Nothing is measured of a robot that
+    /// moves already.
+    LatencyWatch(double acceleration, bool resting) : acceleration_(acceleration), measures_(resting) {}
+    /// Of each answer: its speed in the direction that was ordered, and when it arrived. The first call is
+    /// when the first order goes out.
+    void seen(double speed, TimePoint now);
+    double seconds() const { return seconds_.value_or(kUsual_s); }
+
+  private:
+    double acceleration_;
+    bool measures_;
+    std::optional<TimePoint> ordered_;
+    std::optional<double> seconds_;
+};
+
 /// The service Driving: straight for a distance, at a velocity whose sign is the direction, while every sonar
 /// that looks within 45 degrees of the direction of travel, and the laser there, reads at least the range
 /// threshold.
@@ -79,6 +107,8 @@ class Driving {
     const unsigned front_bumpers_at_start_;
     const unsigned rear_bumpers_at_start_;
     StandstillWatch standstill_;
+    LatencyWatch latency_;
+    double ordered_ = 0;
     double travelled_ = 0;
     bool settling_ = false;
     TimePoint settling_since_{};
@@ -113,6 +143,8 @@ class Turning {
     const double start_heading_deg_;
     const unsigned bumpers_at_start_;
     StandstillWatch standstill_;
+    LatencyWatch latency_;
+    double ordered_ = 0;
     double turned_ = 0;
     bool settling_ = false;
     TimePoint settling_since_{};

@@ -75,6 +75,50 @@ class DrivingTest : public ::testing::Test {
     SimulatedRobot robot_;
 };
 
+class LatencyTest : public ::testing::Test {
+  protected:
+    static constexpr double kAcceleration = 100;
+    void seen(double speed, int ms) { latency_.seen(speed, start_ + milliseconds{ms}); }
+    const TimePoint start_{std::chrono::seconds{1000}};
+    LatencyWatch latency_{kAcceleration, true};
+};
+
+TEST_F(LatencyTest, IsWhatTheSpeedDoesNotExplain) {
+    seen(0, 0);
+    seen(0, 100);
+    EXPECT_DOUBLE_EQ(latency_.seconds(), LatencyWatch::kUsual_s);
+    seen(5, 200);
+    EXPECT_NEAR(latency_.seconds(), 0.15, 1e-9);
+    seen(15, 300);
+    EXPECT_NEAR(latency_.seconds(), 0.15, 1e-9);
+}
+
+TEST_F(LatencyTest, DoesNotGrowWhileTheRobotKeepsItsSpeed) {
+    seen(0, 0);
+    seen(20, 250);
+    for (int ms = 350; ms < 2000; ms += 100) seen(30, ms);
+    EXPECT_NEAR(latency_.seconds(), 0.05, 1e-9);
+}
+
+TEST_F(LatencyTest, IsNeitherNegativeNorLongerThanItsBound) {
+    seen(0, 0);
+    seen(1, 5000);
+    EXPECT_DOUBLE_EQ(latency_.seconds(), LatencyWatch::kMost_s);
+    seen(90, 5100);
+    EXPECT_DOUBLE_EQ(latency_.seconds(), LatencyWatch::kMost_s);
+    LatencyWatch quick(kAcceleration, true);
+    quick.seen(0, start_);
+    quick.seen(60, start_ + milliseconds{100});
+    EXPECT_DOUBLE_EQ(quick.seconds(), 0);
+}
+
+TEST_F(LatencyTest, OfARobotThatMovesAlreadyNothingIsMeasured) {
+    LatencyWatch moving(kAcceleration, false);
+    moving.seen(10, start_);
+    moving.seen(20, start_ + milliseconds{400});
+    EXPECT_DOUBLE_EQ(moving.seconds(), LatencyWatch::kUsual_s);
+}
+
 TEST_F(DrivingTest, EndsAtItsDistanceWhateverTheVelocity) {
     for (const double velocity : {20.0, 100.0, 200.0, 500.0, 800.0, -200.0, -800.0}) {
         SimulatedRobot robot;

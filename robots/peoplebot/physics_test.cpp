@@ -60,6 +60,33 @@ TEST_F(VirtualRobotTest, TurnsByItsWheels) {
     EXPECT_NEAR(lab_->truth(0).theta_deg, -90, 10);
 }
 
+class LateAnswersTest : public VirtualRobotTest, public ::testing::WithParamInterface<int> {};
+INSTANTIATE_TEST_SUITE_P(Milliseconds, LateAnswersTest, ::testing::Values(0, 60, 150));
+
+TEST_P(LateAnswersTest, DoNotMakeATurnOrADriveOvershoot) {
+    lab::WorldDescription world;
+    world.robots = {{.x = 3, .y = 3}};
+    start(world);
+    late_ = std::chrono::milliseconds{GetParam()};
+    run(1);
+    const auto odometry = [&] {
+        run(1);
+        return session_.robot();
+    };
+    for (const double angle : {90.0, -90.0, 30.0}) {
+        const double begin = odometry().heading_deg;
+        Turning turn({.angle_deg = angle, .velocity_deg_s = 60}, session_.robot(), lab_->now());
+        ASSERT_EQ(perform(turn).outcome, Outcome::Done);
+        EXPECT_NEAR(odometry().heading_deg - begin, angle, 1.0) << angle << " deg";
+    }
+    // Turned by 30 degrees in the end.
+    const auto from = odometry();
+    Driving drive({.distance_mm = 1000, .velocity_mm_s = 500}, from, lab_->now());
+    ASSERT_EQ(perform(drive).outcome, Outcome::Done);
+    const auto to = odometry();
+    EXPECT_NEAR(std::hypot(to.x_mm - from.x_mm, to.y_mm - from.y_mm), 1000, 10);
+}
+
 TEST_F(VirtualRobotTest, ATableOverheadCancelsATurn) {
     lab::WorldDescription world;
     world.robots = {{.x = 3, .y = 3}};

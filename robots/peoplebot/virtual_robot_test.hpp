@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
 #include <functional>
 #include <numbers>
 #include <optional>
@@ -28,7 +29,7 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
         lab_ = std::make_unique<lab::Laboratory>(
             world,
             [this](std::size_t robot, const arcos::Bytes& bytes) {
-                if (robot == 0) inbox_.insert(inbox_.end(), bytes.begin(), bytes.end());
+                if (robot == 0) inbox_.push_back({lab_->now() + late_, bytes});
             },
             options);
         lab_->clientConnected(0);
@@ -51,7 +52,8 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
         while (lab_->age() < end) tick();
     }
     void tick() {
-        session_.receive(std::exchange(inbox_, {}), lab_->now());
+        for (; !inbox_.empty() && inbox_.front().at <= lab_->now(); inbox_.pop_front())
+            session_.receive(inbox_.front().bytes, lab_->now());
         session_.tick(lab_->now());
         lab_->step();
         if (!seen_at_ && !failed_at_ && must_end_ && must_end_(lab_->truth(0))) seen_at_ = lab_->age();
@@ -121,7 +123,12 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
 
     std::unique_ptr<lab::Laboratory> lab_;
     lab::WorldDescription world_;
-    arcos::Bytes inbox_;
+    struct Answer {
+        TimePoint at;
+        arcos::Bytes bytes;
+    };
+    std::deque<Answer> inbox_;
+    Duration late_{};  ///< the robot's answers, as over a radio link
     bool fresh_ = false;
     bool has_laser_ = true;
     double nearest_mm_ = 1e9;
