@@ -74,8 +74,12 @@ void MotionControl::turnTo(double heading_deg) {
 }
 
 void MotionControl::stop() {
+    const bool translation = translation_.emergency;
+    const bool rotation = rotation_.emergency;
     setVelocity(0);
     setRotation(0);
+    translation_.emergency = translation;
+    rotation_.emergency = rotation;
 }
 
 void MotionControl::emergencyStop() {

@@ -43,7 +43,7 @@ class MotionControl {
     void turnBy(double left_deg);
     /// Absolute heading in the odometry's frame, by the shorter way.
     void turnTo(double heading_deg);
-    /// Ramps both to zero with the set decelerations.
+    /// Ramps both to zero with the set decelerations; an emergency stop that is under way goes on as one.
     void stop();
     /// Ramps both to zero as fast as the drive can.
     void emergencyStop();

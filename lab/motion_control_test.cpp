@@ -57,6 +57,16 @@ TEST_F(MotionControlTest, EmergencyStopBrakesHarderThanStop) {
     EXPECT_GT(speed_.forward_mm_s, 200);
 }
 
+TEST_F(MotionControlTest, AStopDoesNotSoftenAnEmergencyStop) {
+    motion_.setVelocity(600);
+    motion_.setRotation(80);
+    run(4);
+    motion_.emergencyStop();
+    motion_.stop();
+    run(0.3);
+    EXPECT_TRUE(motion_.resting());
+}
+
 TEST_F(MotionControlTest, MoveEndsAtItsDistance) {
     motion_.move(-800);
     run(10);
