@@ -12,11 +12,14 @@
 #include <variant>
 #include <vector>
 
+#ifndef AXON_EI_API
 #define AXON_EI_API __attribute__((visibility("default")))
+#endif
 
 /// The Entity Interfacer: what a robot application links in order to appear in an Axon environment. This
-/// header is all of it; it needs the C++ standard library and nothing else. docs/reference/ei-link.md
-/// describes what goes over the wire, for those who write an interfacer in another language.
+/// header is all of it; it needs the C++ standard library and nothing else. axon/device_guard.hpp adds a
+/// process that stops the robot when the application freezes or dies. docs/reference/ei-link.md describes
+/// what goes over the wire, for those who write an interfacer in another language.
 namespace axon {
 
 /// Something that must be mended before the application can run: a profile that cannot be read, a port

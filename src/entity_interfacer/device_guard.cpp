@@ -1,0 +1,369 @@
+// SPDX-License-Identifier: MIT
+#include "entity_interfacer/axon/device_guard.hpp"
+
+#include <fcntl.h>
+#include <poll.h>
+#include <sched.h>
+#include <signal.h>
+#include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+extern "C" {  // which glibc 2.36 leaves out
+#include <sys/pidfd.h>
+}
+
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <cstring>
+#include <iostream>
+#include <mutex>
+#include <new>
+#include <optional>
+#include <stdexcept>
+#include <system_error>
+
+#include "common/clock.hpp"
+#include "common/descriptor.hpp"
+#include "entity_interfacer/silence_count.hpp"
+
+namespace axon {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr auto kLook = 10ms;
+constexpr auto kRepeat = 50ms;
+constexpr auto kHold = 300ms;
+constexpr std::size_t kStopMax = 1024;
+constexpr int kPriority = 31;  // above the threads that it watches
+
+/// What both processes see.
+struct Page {
+    std::atomic<std::uint64_t> beats{0};    // of the application
+    std::atomic<std::uint64_t> looks{0};    // of the guard
+    std::atomic<std::uint32_t> stopped{0};  // the watch whose device the guard has stopped
+};
+static_assert(std::atomic<std::uint64_t>::is_always_lock_free &&
+              std::atomic<std::uint32_t>::is_always_lock_free);
+
+/// Application → guard. A Watch carries the descriptor.
+struct Message {
+    enum class Kind : std::uint32_t { Watch, Release };
+    Kind kind = Kind::Release;
+    std::uint32_t watch = 0;
+};
+
+struct Control {
+    alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(int))> bytes{};
+};
+
+bool sendMessage(int control, Message message, int descriptor) {
+    iovec data{&message, sizeof message};
+    msghdr header{};
+    header.msg_iov = &data;
+    header.msg_iovlen = 1;
+    Control extra;
+    if (descriptor >= 0) {
+        header.msg_control = extra.bytes.data();
+        header.msg_controllen = extra.bytes.size();
+        auto* rights = CMSG_FIRSTHDR(&header);
+        rights->cmsg_level = SOL_SOCKET;
+        rights->cmsg_type = SCM_RIGHTS;
+        rights->cmsg_len = CMSG_LEN(sizeof descriptor);
+        std::memcpy(CMSG_DATA(rights), &descriptor, sizeof descriptor);
+    }
+    return ::sendmsg(control, &header, MSG_NOSIGNAL | MSG_DONTWAIT) == static_cast<ssize_t>(sizeof message);
+}
+
+// ---- The guard's process. It may be the fork of a program with many threads, of which any may have held any
+// lock: from here on only what is safe in a signal handler is called, and no memory is allocated.
+
+class Guard {
+  public:
+    Guard(Page& page, int control, const std::string& stop, Duration silence, const std::string& when_silent,
+          const std::string& when_gone)
+        : page_(page),
+          control_(control),
+          stop_(stop),
+          silence_(silence),
+          when_silent_(when_silent),
+          when_gone_(when_gone) {}
+
+    [[noreturn]] void run() {
+        pollfd wait{control_, POLLIN, 0};
+        while (true) {
+            const timespec look{0, Duration{kLook}.count()};
+            ::ppoll(&wait, 1, device_ < 0 ? nullptr : &look, nullptr);
+            page_.looks.fetch_add(1, std::memory_order_release);
+            const auto now = clock_.now();
+            if (wait.revents != 0 && !hear(now)) {
+                wait.fd = -1;  // the application has ended
+                gone_ = true;
+                if (device_ < 0) ::_exit(0);
+                if (!holding_) hold(when_gone_, now);
+            }
+            if (device_ >= 0 && !holding_ && silence_.look(page_.beats.load(std::memory_order_acquire), now))
+                hold(when_silent_, now);
+            if (holding_) goOnHolding(now);
+        }
+    }
+
+  private:
+    /// False at the end.
+    bool hear(TimePoint now) {
+        Message message;
+        iovec data{&message, sizeof message};
+        Control extra;
+        msghdr header{};
+        header.msg_iov = &data;
+        header.msg_iovlen = 1;
+        header.msg_control = extra.bytes.data();
+        header.msg_controllen = extra.bytes.size();
+        const auto got = ::recvmsg(control_, &header, MSG_DONTWAIT | MSG_CMSG_CLOEXEC);
+        if (got < 0 && (errno == EAGAIN || errno == EINTR)) return true;
+        if (got != static_cast<ssize_t>(sizeof message)) return false;
+        letGo();
+        const auto* rights = CMSG_FIRSTHDR(&header);
+        if (message.kind != Message::Kind::Watch || rights == nullptr) return true;
+        std::memcpy(&device_, CMSG_DATA(rights), sizeof device_);
+        watch_ = message.watch;
+        int type = 0;
+        socklen_t size = sizeof type;
+        is_socket_ = ::getsockopt(device_, SOL_SOCKET, SO_TYPE, &type, &size) == 0;
+        silence_.restart(page_.beats.load(std::memory_order_acquire), now);
+        return true;
+    }
+    void letGo() {
+        if (device_ >= 0) ::close(device_);
+        device_ = -1;
+        holding_ = false;
+    }
+    void hold(const std::string& why, TimePoint now) {
+        // First of all: an application that wakes up in this moment sends nothing more.
+        page_.stopped.store(watch_, std::memory_order_release);
+        holding_ = true;
+        since_ = again_ = now;
+        goOnHolding(now);
+        [[maybe_unused]] const auto written = ::write(STDERR_FILENO, why.data(), why.size());
+    }
+    void goOnHolding(TimePoint now) {
+        if (now >= again_) {
+            writeStop();
+            again_ = now + kRepeat;
+        }
+        if (now < since_ + kHold) return;
+        if (gone_) ::_exit(0);
+        if (!is_socket_) return;  // it cannot be shut for the application
+        ::shutdown(device_, SHUT_RDWR);
+        letGo();
+    }
+    void writeStop() const {
+        if (is_socket_) {
+            [[maybe_unused]] const auto sent =
+                ::send(device_, stop_.data(), stop_.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+            return;
+        }
+        pollfd room{device_, POLLOUT, 0};
+        if (::poll(&room, 1, 0) != 1) return;
+        [[maybe_unused]] const auto written = ::write(device_, stop_.data(), stop_.size());
+    }
+
+    const SteadyClock clock_;
+    Page& page_;
+    const int control_;
+    const std::string& stop_;
+    SilenceCount silence_;
+    const std::string& when_silent_;
+    const std::string& when_gone_;
+    int device_ = -1;
+    bool is_socket_ = false;
+    std::uint32_t watch_ = 0;
+    bool holding_ = false;
+    bool gone_ = false;
+    TimePoint since_{};
+    TimePoint again_{};
+};
+
+/// Leaves nothing of the application in the guard's process: no handlers, no terminal, no descriptors but
+/// that of the control connection, which it returns, and standard error.
+int becomeGuard(int control) {
+    for (int signal = 1; signal < NSIG; ++signal) ::signal(signal, SIG_DFL);
+    for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGTSTP, SIGTTIN, SIGTTOU, SIGPIPE})
+        ::signal(signal, SIG_IGN);
+    sigset_t none;
+    sigemptyset(&none);
+    ::sigprocmask(SIG_SETMASK, &none, nullptr);
+    ::setsid();
+    ::prctl(PR_SET_NAME, "axon-guard");
+    sched_param param{};
+    param.sched_priority = kPriority;
+    ::sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &param);  // where that is permitted
+    constexpr int kControl = STDERR_FILENO + 1;
+    if (control != kControl) ::dup2(control, kControl);
+    const int nothing = ::open("/dev/null", O_RDWR);
+    ::dup2(nothing, STDIN_FILENO);
+    ::dup2(nothing, STDOUT_FILENO);
+    ::close_range(kControl + 1, ~0U, 0);
+    return kControl;
+}
+
+}  // namespace
+
+// ---- The application's side.
+
+class DeviceGuard::Desk {
+  public:
+    explicit Desk(Options options) : options_(std::move(options)), looks_silence_(options_.silence) {
+        if (options_.stop.empty() || options_.stop.size() > kStopMax)
+            throw std::invalid_argument("DeviceGuard: Options::stop has " +
+                                        std::to_string(options_.stop.size()) +
+                                        " bytes: expected 1 to 1024: give what stops the device");
+        if (options_.silence < 50ms || options_.silence > 10s)
+            throw std::invalid_argument("DeviceGuard: Options::silence is " +
+                                        std::to_string(options_.silence.count()) +
+                                        " ms: expected 50 to 10000 ms");
+        void* memory =
+            ::mmap(nullptr, sizeof(Page), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+        if (memory == MAP_FAILED)
+            throw std::system_error(errno, std::generic_category(), "DeviceGuard: shared memory");
+        page_ = new (memory) Page;
+        const auto line = [this](const std::string& why) {
+            return "axon: the guard of " + options_.device + " stops it: its application " + why + "\n";
+        };
+        when_silent_ = line("has been silent for " + std::to_string(options_.silence.count()) + " ms");
+        when_gone_ = line("has ended without stopping it");
+        const std::lock_guard lock(mutex_);
+        start();
+    }
+    ~Desk() {
+        const std::lock_guard lock(mutex_);
+        if (process_.open()) {
+            ::shutdown(control_.get(), SHUT_WR);
+            pollfd ended{process_.get(), POLLIN, 0};
+            ::poll(&ended, 1, std::chrono::milliseconds(kHold + 2 * kRepeat).count());
+        }
+        giveUp();
+        ::munmap(page_, sizeof(Page));
+    }
+
+    bool watch(int descriptor) {
+        const std::lock_guard lock(mutex_);
+        // A guard that died while nothing was watched is noticed here.
+        for (int attempt = 0; attempt < 2; ++attempt) {
+            if (!process_.open() && !start()) break;
+            const auto next = watch_.load() + 1;
+            if (sendMessage(control_.get(), {Message::Kind::Watch, next}, descriptor)) {
+                looks_silence_.restart(page_->looks, clock_.now());
+                watch_ = next;
+                watching_ = true;
+                return true;
+            }
+            giveUp();
+        }
+        log("the guard of " + options_.device + " cannot be started: " + std::strerror(errno));
+        return false;
+    }
+    bool beat() {
+        page_->beats.fetch_add(1, std::memory_order_release);
+        if (!watching_ || stopped()) return false;
+        const std::lock_guard lock(mutex_);
+        if (!looks_silence_.look(page_->looks.load(std::memory_order_acquire), clock_.now()))
+            return watching_;
+        giveUp();
+        log("the guard of " + options_.device +
+            " is gone or frozen: the device is stopped, and guarded again once it is connected again");
+        return false;
+    }
+    bool stopped() const { return watch_ != 0 && page_->stopped.load(std::memory_order_acquire) == watch_; }
+    void release() {
+        const std::lock_guard lock(mutex_);
+        if (!watching_.exchange(false)) return;
+        if (!sendMessage(control_.get(), {Message::Kind::Release, watch_}, -1)) giveUp();
+    }
+    int pid() const { return pid_; }
+
+  private:
+    bool start() {
+        std::array<int, 2> ends{};
+        if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0) return false;
+        Descriptor own(ends[0]);
+        const Descriptor guards(ends[1]);
+        // None of the program's handlers may run in the guard.
+        sigset_t all, former;
+        sigfillset(&all);
+        ::pthread_sigmask(SIG_SETMASK, &all, &former);
+        const int pid = ::fork();
+        if (pid == 0)
+            Guard(*page_, becomeGuard(guards.get()), options_.stop, options_.silence, when_silent_,
+                  when_gone_)
+                .run();
+        const int error = errno;
+        ::pthread_sigmask(SIG_SETMASK, &former, nullptr);
+        errno = error;
+        if (pid < 0) return false;
+        process_ = Descriptor(::pidfd_open(pid, 0));
+        control_ = std::move(own);
+        pid_ = pid;
+        if (process_.open()) return true;
+        ::kill(pid, SIGKILL);  // of a kernel before 5.3
+        ::waitpid(pid, nullptr, 0);
+        pid_ = 0;
+        return false;
+    }
+    /// Of a guard that does not work any more. Killed before its connection is closed, which would wake it
+    /// up. By a descriptor: should the application have reaped it, its number may be another process's.
+    void giveUp() {
+        watching_ = false;
+        pid_ = 0;
+        if (!process_.open()) return;
+        ::pidfd_send_signal(process_.get(), SIGKILL, nullptr, 0);
+        siginfo_t ended{};
+        ::waitid(static_cast<idtype_t>(P_PIDFD), static_cast<id_t>(process_.get()), &ended, WEXITED);
+        process_.reset();
+        control_.reset();
+    }
+    void log(const std::string& text) const {
+        if (options_.logger)
+            options_.logger(text);
+        else
+            std::cerr << "axon: " + text + "\n";
+    }
+
+    // Constant after construction.
+    const Options options_;
+    const SteadyClock clock_;
+    Page* page_ = nullptr;
+    std::string when_silent_, when_gone_;
+
+    std::atomic<std::uint32_t> watch_{0};
+    std::atomic<bool> watching_{false};
+    std::atomic<int> pid_{0};
+
+    std::mutex mutex_;
+    SilenceCount looks_silence_;  // these three guarded by mutex_
+    Descriptor process_, control_;
+};
+
+DeviceGuard::DeviceGuard(Options options) : desk_(std::make_unique<Desk>(std::move(options))) {}
+DeviceGuard::~DeviceGuard() = default;
+bool DeviceGuard::watch(int descriptor) {
+    return desk_->watch(descriptor);
+}
+bool DeviceGuard::beat() {
+    return desk_->beat();
+}
+bool DeviceGuard::stopped() const {
+    return desk_->stopped();
+}
+void DeviceGuard::release() {
+    desk_->release();
+}
+int DeviceGuard::pid() const {
+    return desk_->pid();
+}
+
+}  // namespace axon

@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+#include <algorithm>
+#include <cstdint>
+
+#include "common/clock.hpp"
+
+namespace axon {
+
+/// Notices that a peer's counter no longer grows. Of the time between two looks at most kMostPerLook counts:
+/// while the whole machine stands still, the peer could not count and this side did not look. I/O-free,
+/// without allocation, not thread-safe.
+class SilenceCount {
+  public:
+    static constexpr Duration kMostPerLook = std::chrono::milliseconds{50};
+
+    explicit SilenceCount(Duration limit) : limit_(limit) {}
+
+    void restart(std::uint64_t count, TimePoint now) {
+        count_ = count;
+        looked_ = now;
+        silent_ = Duration::zero();
+    }
+    /// True once the counter has stood for the limit. To be called several times within it.
+    bool look(std::uint64_t count, TimePoint now) {
+        if (count != count_) {
+            restart(count, now);
+            return false;
+        }
+        silent_ += std::min(now - looked_, kMostPerLook);
+        looked_ = now;
+        return silent_ >= limit_;
+    }
+
+  private:
+    Duration limit_;
+    std::uint64_t count_ = 0;
+    TimePoint looked_{};
+    Duration silent_{};
+};
+
+}  // namespace axon
