@@ -9,7 +9,9 @@
 #include <numeric>
 #include <sstream>
 
+#include "robots/common/guarded_streams.hpp"
 #include "robots/cyton/reach_demo.hpp"
+#include "robots/ssc32/protocol.hpp"
 
 namespace axon::cyton {
 namespace {
@@ -40,6 +42,16 @@ EntityInterfacer::Options interfacerOptions(const Settings& settings, std::share
         std::tie(options.first_port, options.last_port) = parsePortRange(settings.ports);
     }
     return options;
+}
+
+/// The controller's connection, and the guard that ends the arm's move if this process cannot.
+arcos::StreamOpener openArm(const Settings& settings) {
+    const auto address = withSpeed(settings.arm);
+    auto open = arcos::robotStreams(address);
+    if (settings.guard_silence == Duration::zero()) return open;
+    return robots::guardedStreams(
+        std::move(open),
+        {.device = address, .stop = std::string(1, ssc32::kEscape), .silence = settings.guard_silence});
 }
 
 std::string contentOf(const std::filesystem::path& file) {
@@ -104,7 +116,7 @@ Application::Application(const Settings& settings, std::shared_ptr<const Clock> 
     entity_.setPosition(settings.at_mm[0], settings.at_mm[1], settings.at_mm[2]);
     setServicesActive(false, "the arm is not connected yet");
 
-    auto open = arcos::robotStreams(withSpeed(settings.arm));
+    auto open = openArm(settings);
     gate_ = std::make_unique<ServoGate>([this](const std::string& lines) { return arm_->send(lines); });
     offerServices();
     std::vector<std::size_t> channels(kChannels);

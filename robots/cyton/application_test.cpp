@@ -272,6 +272,7 @@ class CytonApplication : public ::testing::Test {
     void SetUp() override {
         board_ = std::make_unique<Board>();
         Settings settings;
+        settings.guard_silence = std::chrono::seconds{2};  // this machine may stand still for a while
         settings.arm = test::loopbackAddress() + ":" + std::to_string(board_->port());
         settings.application = "cyton-test-" + std::to_string(::getpid());
         settings.ports = ports_.path();

@@ -27,6 +27,7 @@ int main(int argc, char** argv) {
     app.footer(kFooter);
     Settings settings;
     std::string at;
+    auto guard_ms = settings.guard_silence.count();
     app.add_option("--arm", settings.arm, "The arm's SSC-32: host:port, or a serial device with its speed")
         ->capture_default_str();
     app.add_option("--application", settings.application, "Name that the Entity Manager is configured with")
@@ -35,6 +36,11 @@ int main(int argc, char** argv) {
     app.add_option("--name", settings.name, "Name of the entity, instead of the basic profile's");
     app.add_option("--ports", settings.ports, "A ports.cfg, or the range to listen in, such as 5500-5600");
     app.add_option("--at", at, "Where the arm's base stands: X,Y,Z in mm");
+    app.add_option("--guard", guard_ms,
+                   "Milliseconds without a sign of life of this program after which its guard, a process of "
+                   "its own, stops the arm; 0: no guard")
+        ->capture_default_str()
+        ->check(CLI::Range(0, 10000));
     app.add_option("--profiles", settings.profiles, "Folder with basic_profile.xml and services_profile.xml");
     app.add_option("--resources", settings.resources,
                    "Folders in which the absolute urls of resources in the services profile may lead; none by default");
@@ -44,6 +50,7 @@ int main(int argc, char** argv) {
         return app.exit(error) == 0 ? 0 : 2;
     }
     try {
+        settings.guard_silence = std::chrono::milliseconds{guard_ms};
         if (!at.empty()) settings.at_mm = parsePlace(at);
         Application(settings).run();
     } catch (const std::exception& error) {

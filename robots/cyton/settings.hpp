@@ -21,6 +21,8 @@ struct Settings {
     std::string ports;  ///< a ports.cfg, or "first-last"; empty: the Entity Interfacer's range
     /// Without an answer for so long the controller is lost.
     std::chrono::steady_clock::duration silence_limit = std::chrono::milliseconds{1000};
+    /// Without a sign of life of this process for so long its guard stops the arm; zero: there is no guard.
+    std::chrono::milliseconds guard_silence{200};
     std::array<double, 3> at_mm{};  ///< where the arm's base stands, told to clients as the entity's position
     std::filesystem::path profiles;  ///< the folder of the two profiles; empty: found beside the program
     std::vector<std::filesystem::path> resources;  ///< folders in which absolute urls of resources may lead

@@ -8,6 +8,7 @@
 #include <random>
 #include <sstream>
 
+#include "robots/common/guarded_streams.hpp"
 #include "robots/peoplebot/home.hpp"
 #include "robots/peoplebot/navigation.hpp"
 #include "robots/peoplebot/table_approach.hpp"
@@ -96,6 +97,20 @@ Pose toPose(const MapPose& place, const std::string& frame) {
     return pose;
 }
 
+/// The robot's connection, and the guard that stops the robot if this process cannot.
+arcos::StreamOpener openRobot(const Settings& settings) {
+    auto open = arcos::robotStreams(settings.robot);
+    if (settings.guard_silence == Duration::zero()) return open;
+    std::string stop;
+    for (const auto& command :
+         {arcos::encodeCommand(Command::EStop),
+          arcos::encodeCommand(Command::Gripper, static_cast<int>(arcos::GripperOrder::Halt))})
+        stop.append(command.begin(), command.end());
+    return robots::guardedStreams(
+        std::move(open),
+        {.device = settings.robot, .stop = std::move(stop), .silence = settings.guard_silence});
+}
+
 std::string contentOf(const std::filesystem::path& file) {
     std::ostringstream content;
     content << std::ifstream(file).rdbuf();
@@ -130,7 +145,7 @@ Application::Application(const Settings& settings, std::shared_ptr<const Clock> 
     entity_.uploadServiceProfile(folder / "services_profile.xml");
     entity_.setPosition(settings.at.x_mm, settings.at.y_mm, 0);
 
-    auto open = arcos::robotStreams(settings.robot);
+    auto open = openRobot(settings);
     gate_ = std::make_unique<DriveGate>(DriveGate::Robot{
         .drive = [this](double forward, double left) { return robot_->drive(forward, left); },
         .stop = [this] { return robot_->stop(); },

@@ -228,6 +228,7 @@ class ApplicationTest : public ::testing::Test {
         settings.at_given = at_.has_value();
         // This machine may stand still for a while; loss of the robot has its own tests, which close the connection.
         settings.robot_silence_limit = std::chrono::seconds{10};
+        settings.guard_silence = milliseconds{2000};
         application_ = std::make_unique<Application>(settings);
         application_->start();
         manager_ = std::make_unique<Manager>(settings.application);

@@ -26,6 +26,7 @@ int main(int argc, char** argv) {
     app.footer(kFooter);
     Settings settings;
     std::string at;
+    auto guard_ms = settings.guard_silence.count();
     app.add_option("--robot", settings.robot, "The robot: host:port, or a serial line such as /dev/ttyS0 or /dev/ttyUSB0:38400")->capture_default_str();
     app.add_option("--laser", settings.laser,
                    "The line of a SICK LMS-200 that is wired to this computer, such as /dev/ttyUSB0; without "
@@ -38,6 +39,11 @@ int main(int argc, char** argv) {
     app.add_option("--name", settings.name, "Name of the entity, instead of the basic profile's");
     app.add_option("--ports", settings.ports, "A ports.cfg, or the range to listen in, such as 5500-5600");
     app.add_option("--at", at, "Where the robot stands: X,Y,HEADING in mm, mm, degrees");
+    app.add_option("--guard", guard_ms,
+                   "Milliseconds without a sign of life of this program after which its guard, a process of "
+                   "its own, stops the robot; 0: no guard")
+        ->capture_default_str()
+        ->check(CLI::Range(0, 10000));
     app.add_option("--profiles", settings.profiles, "Folder with basic_profile.xml and services_profile.xml, and wander.rules and navigation.rules if others are wanted");
     app.add_option("--resources", settings.resources,
                    "Folders in which the absolute urls of resources in the services profile may lead; none by default");
@@ -47,6 +53,7 @@ int main(int argc, char** argv) {
         return app.exit(error) == 0 ? 0 : 2;
     }
     try {
+        settings.guard_silence = std::chrono::milliseconds{guard_ms};
         settings.at_given = !at.empty();
         if (settings.at_given) settings.at = parsePose(at);
         Application(settings).run();

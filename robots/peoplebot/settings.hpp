@@ -25,6 +25,8 @@ struct Settings {
     std::string ports;               ///< a ports.cfg, or "first-last"; empty: the Entity Interfacer's range
     /// Without a packet for so long the robot is lost; five are missing then.
     std::chrono::steady_clock::duration robot_silence_limit = std::chrono::milliseconds{500};
+    /// Without a sign of life of this process for so long its guard stops the robot; zero: there is no guard.
+    std::chrono::milliseconds guard_silence{200};
     MapPose at;                      ///< where the robot stands when the program starts
     bool at_given = false;           ///< somebody said so; else a map's homes tell (home.hpp)
     std::filesystem::path profiles;  ///< the folder of the two profiles; empty: found beside the program

@@ -1,0 +1,351 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+// How soon a robot stands when a process freezes or dies while it moves: the robots' own programs as
+// processes, judged by the laboratory's ground truth. AXON_FREEZES=N does N of each kind instead of one, and
+// the figures are printed.
+#include <arpa/inet.h>
+#include <axon/link.pb.h>
+#include <fcntl.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+
+#include <algorithm>
+#include <asio/executor_work_guard.hpp>
+#include <asio/io_context.hpp>
+#include <asio/post.hpp>
+#include <asio/strand.hpp>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <fstream>
+#include <future>
+#include <nlohmann/json.hpp>
+#include <set>
+#include <thread>
+
+#include "common/descriptor.hpp"
+#include "common/ids.hpp"
+#include "entity_manager/back_end_interface.hpp"
+#include "lab/lab_server.hpp"
+#include "robots/peoplebot/settings.hpp"
+#include "tests/support/loopback.hpp"
+
+extern char** environ;
+
+namespace axon::robots {
+namespace {
+
+using entity_manager::BackEndInterface;
+using nlohmann::json;
+using std::chrono::milliseconds;
+using test::waitUntil;
+
+/// The Entity Manager's end of the link, with the product's watchdogs, busy all the time.
+class Manager : public entity_manager::BackEndEvents {
+  public:
+    explicit Manager(const std::string& application) : strand_(asio::make_strand(context_)) {
+        entity_manager::BackEndSettings settings;
+        settings.application = application;
+        settings.where.address = test::loopbackAddress();
+        settings.manager = "test";
+        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate_, clock_, random_, *this);
+        thread_ = std::thread([this] { context_.run(); });
+        asio::post(strand_, [this] {
+            link_->start();
+            link_->setBusy(true);
+        });
+    }
+    ~Manager() override { die(); }
+    void die() {
+        if (!thread_.joinable()) return;
+        thaw();
+        asio::post(strand_, [this] { link_->close(); });
+        work_.reset();
+        thread_.join();
+    }
+    /// Its sockets stay open, and it says nothing.
+    void freeze() {
+        asio::post(strand_, [frozen = frozen_.get_future().share()] { frozen.wait(); });
+        is_frozen_ = true;
+    }
+    void run(const std::string& service, const std::vector<std::pair<std::string, double>>& params) {
+        proto::EmToEi message;
+        auto& task = *message.mutable_task();
+        task.set_task_id(Id128::random(random_).bytes());
+        task.set_service(service);
+        task.set_stop_generation(gate_.generation());
+        for (const auto& [name, value] : params) {
+            auto& param = *task.add_params();
+            param.set_name(name);
+            param.add_values()->set_dbl(value);
+        }
+        asio::post(strand_, [this, message] { link_->send(message); });
+    }
+    bool active(const std::string& service) {
+        const std::lock_guard lock(mutex_);
+        return active_.contains(service);
+    }
+    std::string lastWords() {
+        const std::lock_guard lock(mutex_);
+        return last_words_;
+    }
+
+    void onLinkUp() override {}
+    void onLinkDown(const std::string& /*reason*/, entity_manager::LinkEnd /*end*/) override {}
+    void onLinkMessage(const proto::EiToEm& message) override {
+        const std::lock_guard lock(mutex_);
+        if (message.has_active() && message.active().active()) active_.insert(message.active().service());
+        if (message.has_task_answer()) last_words_ = message.task_answer().refusal().message();
+        if (message.has_task()) last_words_ = message.task().event().reason().message();
+    }
+
+  private:
+    void thaw() {
+        if (is_frozen_) frozen_.set_value();
+        is_frozen_ = false;
+    }
+
+    entity_manager::StopGate gate_;
+    SteadyClock clock_;
+    SystemRandom random_;
+    asio::io_context context_;
+    asio::executor_work_guard<asio::io_context::executor_type> work_{context_.get_executor()};
+    asio::strand<asio::io_context::executor_type> strand_;
+    std::unique_ptr<BackEndInterface> link_;
+    std::promise<void> frozen_;
+    bool is_frozen_ = false;
+    std::mutex mutex_;
+    std::set<std::string> active_;  // these two guarded by mutex_
+    std::string last_words_;
+    std::thread thread_;
+};
+
+/// One program of a robot, ended at the latest with this object.
+class Program {
+  public:
+    explicit Program(const std::vector<std::string>& words) {
+        std::vector<char*> arguments;
+        for (const auto& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
+        arguments.push_back(nullptr);
+        if (::posix_spawn(&pid_, words.front().c_str(), nullptr, nullptr, arguments.data(), environ) != 0)
+            pid_ = 0;
+    }
+    ~Program() {
+        if (pid_ == 0) return;
+        ::kill(pid_, SIGKILL);
+        ::waitpid(pid_, nullptr, 0);
+    }
+    Program(const Program&) = delete;
+    Program& operator=(const Program&) = delete;
+    int pid() const { return pid_; }
+    /// Of the guard: its only child.
+    int guard() const {
+        const auto pid = std::to_string(pid_);
+        int child = 0;
+        std::ifstream("/proc/" + pid + "/task/" + pid + "/children") >> child;
+        return child;
+    }
+
+  private:
+    pid_t pid_ = 0;
+};
+
+/// Ground truth, by the laboratory's control port.
+class Truth {
+  public:
+    explicit Truth(const std::string& address) : socket_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+        const auto colon = address.find(':');
+        sockaddr_in to{};
+        to.sin_family = AF_INET;
+        to.sin_port = htons(static_cast<std::uint16_t>(std::stoi(address.substr(colon + 1))));
+        ::inet_pton(AF_INET, address.substr(0, colon).c_str(), &to.sin_addr);
+        if (::connect(socket_.get(), reinterpret_cast<sockaddr*>(&to), sizeof to) != 0) socket_.reset();
+    }
+    json ask(const json& request) const {
+        const auto line = request.dump() + "\n";
+        if (::send(socket_.get(), line.data(), line.size(), MSG_NOSIGNAL) < 0) return {};
+        std::string answer;
+        char byte = 0;
+        while (::recv(socket_.get(), &byte, 1, 0) == 1 && byte != '\n') answer += byte;
+        return json::parse(answer, nullptr, false);
+    }
+    json now() const { return ask({{"do", "truth"}}); }
+
+  private:
+    Descriptor socket_;
+};
+
+struct Robot {
+    std::string kind;
+    std::string program;
+    std::string place;  // in the laboratory
+    std::string link;   // the option with its address
+    std::string service;
+    std::vector<std::pair<std::string, double>> parameters;
+};
+
+const Robot kPeopleBot{"peoplebot", AXON_PEOPLEBOT, "PeopleBot",
+                       "--robot",   "Driving",      {{"Distance", 5000}, {"Velocity", 300}}};
+const Robot kCyton{"cyton", AXON_CYTON, "Cyton", "--arm", "Reach Demo", {{"Speed", 60}}};
+
+enum class Victim { Application, Guard, Manager };
+struct Strike {
+    Robot robot;
+    Victim victim;
+    bool freeze;  // else killed
+
+    friend void PrintTo(const Strike& strike, std::ostream* out) { *out << strike.name(); }
+    std::string name() const {
+        static constexpr std::array kVictims{"Application", "Guard", "Manager"};
+        return robot.kind + kVictims[static_cast<std::size_t>(victim)] + (freeze ? "Frozen" : "Killed");
+    }
+};
+
+class FreezeTest : public ::testing::TestWithParam<Strike> {
+  protected:
+    struct Rest {
+        double ms = 0;
+        double way = 0;  // mm, or degrees of the joint that goes farthest
+    };
+    // As the trials of stops judge: below this the tall body rocks on its casters; half a degree of an arm.
+    static constexpr double kRocking_m_s = 0.03;
+    static constexpr double kJoint_deg = 0.5;
+    static constexpr double kWatched_s = 1.2;
+
+    void SetUp() override {
+        lab::WorldDescription world;
+        world.robots = {{.name = "PeopleBot", .x = 1.5, .y = 3}};
+        world.arms = {{.name = "Cyton", .x = 1, .y = 5.4, .z = 0}};
+        lab_ = std::make_unique<lab::LabServer>(
+            world, lab::LabServer::Options{.listen = test::loopbackAddress(), .first_port = 0});
+        lab_thread_ = std::thread([this] { lab_->run(); });
+        truth_ = std::make_unique<Truth>(lab_->address("control"));
+    }
+    void TearDown() override {
+        truth_.reset();
+        lab_->stop();
+        lab_thread_.join();
+    }
+    bool isArm() const { return GetParam().robot.kind == "cyton"; }
+    static double farthest(const json& a, const json& b) {
+        double most = 0;
+        for (std::size_t i = 0; i < a.size(); ++i)
+            most = std::max(most, std::abs(a[i].get<double>() - b[i].get<double>()));
+        return most;
+    }
+    bool moves(const json& truth) {
+        if (!isArm()) return truth["robots"][0]["speed_m_s"].get<double>() > 0.295;
+        const auto joints = truth["arms"][0]["joints_deg"];
+        const bool moved = !last_joints_.is_null() && farthest(joints, last_joints_) > kJoint_deg;
+        last_joints_ = joints;
+        return moved;
+    }
+    void strike(Manager& manager, const Program& program) const {
+        const int signal = GetParam().freeze ? SIGSTOP : SIGKILL;
+        switch (GetParam().victim) {
+            case Victim::Application:
+                ASSERT_EQ(::kill(program.pid(), signal), 0);
+                break;
+            case Victim::Guard:
+                ASSERT_GT(program.guard(), 0);
+                ASSERT_EQ(::kill(program.guard(), signal), 0);
+                break;
+            case Victim::Manager:
+                if (GetParam().freeze)
+                    manager.freeze();
+                else
+                    manager.die();
+        }
+    }
+    Rest judge(const json& before, const std::vector<json>& after) const {
+        const auto& end = after.back();
+        const double since = before["time_s"];
+        Rest rest;
+        for (const auto& now : after) {
+            const bool moving =
+                isArm() ? farthest(now["arms"][0]["joints_deg"], end["arms"][0]["joints_deg"]) > kJoint_deg
+                        : std::abs(now["robots"][0]["speed_m_s"].get<double>()) > kRocking_m_s;
+            if (moving) rest.ms = (now["time_s"].get<double>() - since) * 1000;
+        }
+        if (isArm()) {
+            rest.way = farthest(before["arms"][0]["joints_deg"], end["arms"][0]["joints_deg"]);
+        } else {
+            const auto& a = before["robots"][0];
+            const auto& b = end["robots"][0];
+            rest.way = std::hypot(a["x_m"].get<double>() - b["x_m"].get<double>(),
+                                  a["y_m"].get<double>() - b["y_m"].get<double>()) *
+                       1000;
+        }
+        return rest;
+    }
+    void once(int round, Rest& rest) {
+        const auto& robot = GetParam().robot;
+        const auto application =
+            robot.kind + "-freeze-" + std::to_string(::getpid()) + "-" + std::to_string(round);
+        truth_->ask({{"do", "move"}, {"name", "PeopleBot"}, {"x", 1.5}, {"y", 3}, {"theta", 0}});
+        std::vector<std::string> words{robot.program,   robot.link,   lab_->address(robot.place),
+                                       "--application", application,  "--ports",
+                                       ports_.path(),   "--profiles", "robots/" + robot.kind};
+        if (!isArm()) words.insert(words.end(), {"--camera", ""});
+        Program program(words);
+        ASSERT_GT(program.pid(), 0);
+        Manager manager(application);
+        ASSERT_TRUE(waitUntil([&] { return manager.active(robot.service); }, std::chrono::seconds{20}));
+        last_joints_ = nullptr;
+        manager.run(robot.service, robot.parameters);
+        ASSERT_TRUE(waitUntil([&] { return moves(truth_->now()); }, std::chrono::seconds{20}))
+            << manager.lastWords();
+        const auto before = truth_->now();
+        strike(manager, program);
+        std::vector<json> after;
+        ASSERT_TRUE(waitUntil(
+            [&] {
+                after.push_back(truth_->now());
+                return after.back()["time_s"].get<double>() > before["time_s"].get<double>() + kWatched_s;
+            },
+            std::chrono::seconds{20}));
+        rest = judge(before, after);
+    }
+
+    const peoplebot::TemporaryFile ports_{
+        "Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
+    std::unique_ptr<lab::LabServer> lab_;
+    std::thread lab_thread_;
+    std::unique_ptr<Truth> truth_;
+    json last_joints_;
+};
+
+INSTANTIATE_TEST_SUITE_P(
+    Each, FreezeTest, ::testing::ValuesIn([] {
+        std::vector<Strike> strikes;
+        for (const auto& robot : {kPeopleBot, kCyton})
+            for (const auto victim : {Victim::Application, Victim::Guard, Victim::Manager})
+                for (const bool freeze : {true, false}) strikes.push_back({robot, victim, freeze});
+        return strikes;
+    }()),
+    [](const auto& strike) { return strike.param.name(); });
+
+TEST_P(FreezeTest, TheRobotStandsWithinHalfASecond) {
+    const char* many = std::getenv("AXON_FREEZES");
+    const int rounds = many == nullptr ? 1 : std::max(1, std::atoi(many));
+    std::vector<double> times, ways;
+    for (int round = 0; round < rounds; ++round) {
+        Rest rest;
+        once(round, rest);
+        if (HasFatalFailure()) return;
+        EXPECT_LE(rest.ms, 500) << "and went on for " << rest.way << (isArm() ? " deg" : " mm");
+        times.push_back(rest.ms);
+        ways.push_back(rest.way);
+    }
+    std::sort(times.begin(), times.end());
+    std::sort(ways.begin(), ways.end());
+    std::printf("figures %s: n %d, to rest median %.0f max %.0f ms, way median %.1f max %.1f %s\n",
+                GetParam().name().c_str(), rounds, times[times.size() / 2], times.back(),
+                ways[ways.size() / 2], ways.back(), isArm() ? "deg" : "mm");
+}
+
+}  // namespace
+}  // namespace axon::robots

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#include "robots/common/guarded_streams.hpp"
+
+#include <mutex>
+#include <utility>
+#include <vector>
+
+namespace axon::robots {
+namespace {
+
+class GuardedStream final : public arcos::ByteStream {
+  public:
+    GuardedStream(std::unique_ptr<arcos::ByteStream> stream, std::shared_ptr<DeviceGuard> guard,
+                  const std::string& stop)
+        : stream_(std::move(stream)), guard_(std::move(guard)), stop_(stop.begin(), stop.end()) {}
+    ~GuardedStream() override { guard_->release(); }
+    GuardedStream(const GuardedStream&) = delete;
+    GuardedStream& operator=(const GuardedStream&) = delete;
+
+    int descriptor() const override { return stream_->descriptor(); }
+    int read(std::span<std::uint8_t> into) override {
+        if (guard_->beat()) return stream_->read(into);
+        // A guard that is gone has stopped nothing; one that is there may have met half an order of this
+        // process.
+        const std::lock_guard lock(writing_);
+        if (!std::exchange(given_up_, true)) {
+            stream_->write(stop_);
+            // A connection that is closed with something unread is reset, and may lose what was written last.
+            while (stream_->read(into) > 0) continue;
+        }
+        return -1;
+    }
+    bool write(std::span<const std::uint8_t> bytes) override {
+        const std::lock_guard lock(writing_);
+        return !given_up_ && !guard_->stopped() && stream_->write(bytes);
+    }
+    arcos::LineSpeed speed() const override { return stream_->speed(); }
+    bool setSpeed(int baud) override { return stream_->setSpeed(baud); }
+
+  private:
+    const std::unique_ptr<arcos::ByteStream> stream_;
+    const std::shared_ptr<DeviceGuard> guard_;
+    const std::vector<std::uint8_t> stop_;
+    std::mutex writing_;     // read() writes as well; held for one write, which does not wait
+    bool given_up_ = false;  // guarded by writing_; no order of another thread may follow the stop
+};
+
+}  // namespace
+
+arcos::StreamOpener guardedStreams(arcos::StreamOpener open, DeviceGuard::Options options) {
+    auto stop = options.stop;
+    auto guard = std::make_shared<DeviceGuard>(std::move(options));
+    return [open = std::move(open), guard = std::move(guard),
+            stop = std::move(stop)](Duration timeout) -> Result<std::unique_ptr<arcos::ByteStream>> {
+        auto opened = open(timeout);
+        if (!opened) return opened;
+        auto stream = std::move(opened).value();
+        if (!guard->watch(stream->descriptor()))
+            return Refusal{RefusalCode::Overloaded,
+                           "the robot is not driven without its guard, and that cannot be started",
+                           {}};
+        return std::unique_ptr<arcos::ByteStream>(
+            std::make_unique<GuardedStream>(std::move(stream), guard, stop));
+    };
+}
+
+}  // namespace axon::robots
