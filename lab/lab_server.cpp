@@ -37,7 +37,7 @@ constexpr Duration kLongestSilentLoss = std::chrono::seconds{1};  // and a tenth
 constexpr double kStepRate = 100;  // told while a step is carried out as fast as the physics can
 constexpr std::size_t kLongestRequest = 64 * 1024;
 constexpr std::size_t kMostControlClients = 16;
-constexpr int kMostReads = 64;  // of a client that another one wants to follow
+constexpr int kMostReads = 64;  // of a client that is heard out
 constexpr double kTrackStep_m = 0.05;
 constexpr std::size_t kLongestTrack = 20000;
 
@@ -263,7 +263,9 @@ class LabServer::Loop final : Control::Operator {
         }
         for (auto* links : {&robots_, &lasers_}) {
             for (auto& link : *links) {
-                if (link.broken) drop(link);
+                if (!link.broken) continue;
+                hearOut(link);  // its last order may be to stop
+                drop(link);
             }
         }
     }
@@ -321,14 +323,18 @@ class LabServer::Loop final : Control::Operator {
 
     void accept(Link& link) {
         // Whoever closes and connects again within a tick has closed first.
-        for (int i = 0; link.client && i < kMostReads && read(link); ++i) {
-        }
+        hearOut(link);
         auto client = acceptFrom(link.listener);
         if (!client || link.client) return;  // busy: closing the connection is the refusal
         link.client = std::move(client);
         link.broken = false;
         if (link.kind == Link::Kind::Arm) lab_.armClientConnected(link.index);
         if (link.kind == Link::Kind::Robot) lab_.clientConnected(link.index);
+    }
+
+    /// What a client has said already, before something happens to its connection.
+    void hearOut(Link& link) {
+        for (int i = 0; link.client && i < kMostReads && read(link); ++i) continue;
     }
 
     /// False when there was nothing, or the client is gone.
