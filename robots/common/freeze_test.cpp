@@ -185,11 +185,17 @@ struct Robot {
     std::string link;   // the option with its address
     std::string service;
     std::vector<std::pair<std::string, double>> parameters;
+    bool serial = false;  // on a line that tells the robot of no end, instead of a connection
 };
 
 const Robot kPeopleBot{"peoplebot", AXON_PEOPLEBOT, "PeopleBot",
                        "--robot",   "Driving",      {{"Distance", 5000}, {"Velocity", 300}}};
 const Robot kCyton{"cyton", AXON_CYTON, "Cyton", "--arm", "Reach Demo", {{"Speed", 60}}};
+
+Robot onALine(Robot robot) {
+    robot.serial = true;
+    return robot;
+}
 
 enum class Victim { Application, Guard, Manager };
 struct Strike {
@@ -200,7 +206,8 @@ struct Strike {
     friend void PrintTo(const Strike& strike, std::ostream* out) { *out << strike.name(); }
     std::string name() const {
         static constexpr std::array kVictims{"Application", "Guard", "Manager"};
-        return robot.kind + kVictims[static_cast<std::size_t>(victim)] + (freeze ? "Frozen" : "Killed");
+        return robot.kind + (robot.serial ? "OnALine" : "") + kVictims[static_cast<std::size_t>(victim)] +
+               (freeze ? "Frozen" : "Killed");
     }
 };
 
@@ -220,7 +227,8 @@ class FreezeTest : public ::testing::TestWithParam<Strike> {
         world.robots = {{.name = "PeopleBot", .x = 1.5, .y = 3}};
         world.arms = {{.name = "Cyton", .x = 1, .y = 5.4, .z = 0}};
         lab_ = std::make_unique<lab::LabServer>(
-            world, lab::LabServer::Options{.listen = test::loopbackAddress(), .first_port = 0});
+            world, lab::LabServer::Options{
+                       .listen = test::loopbackAddress(), .first_port = 0, .pty = GetParam().robot.serial});
         lab_thread_ = std::thread([this] { lab_->run(); });
         truth_ = std::make_unique<Truth>(lab_->address("control"));
     }
@@ -321,7 +329,7 @@ class FreezeTest : public ::testing::TestWithParam<Strike> {
 INSTANTIATE_TEST_SUITE_P(
     Each, FreezeTest, ::testing::ValuesIn([] {
         std::vector<Strike> strikes;
-        for (const auto& robot : {kPeopleBot, kCyton})
+        for (const auto& robot : {kPeopleBot, kCyton, onALine(kPeopleBot), onALine(kCyton)})
             for (const auto victim : {Victim::Application, Victim::Guard, Victim::Manager})
                 for (const bool freeze : {true, false}) strikes.push_back({robot, victim, freeze});
         return strikes;

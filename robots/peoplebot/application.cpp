@@ -435,8 +435,8 @@ void Application::tell(const std::string& text) {
 void Application::tellWatchdog(const arcos::RobotConfig& config) {
     if (config.watchdog_ms == 0) {
         tell(
-            "the robot has no watchdog: when this program dies it drives on. Fix: set its parameter watchdog "
-            "in its FLASH");
+            "the robot has no watchdog: when its line is cut, or this program and its guard die together, it "
+            "drives on. Fix: set its parameter watchdog in its FLASH");
     } else {
         // No command changes it: it lies in the robot's FLASH.
         tell(fmt::format("the robot's own watchdog stops it {} ms after it last heard this program",
