@@ -8,12 +8,18 @@
 namespace axon::robots {
 namespace {
 
+constexpr int kDrain = 64;  // reads, of a device that does not stop sending
+
 class GuardedStream final : public arcos::ByteStream {
   public:
     GuardedStream(std::unique_ptr<arcos::ByteStream> stream, std::shared_ptr<DeviceGuard> guard,
                   const std::string& stop)
         : stream_(std::move(stream)), guard_(std::move(guard)), stop_(stop.begin(), stop.end()) {}
-    ~GuardedStream() override { guard_->release(); }
+    ~GuardedStream() override {
+        // What was to be the last order may have found no room.
+        if (failed_ && !given_up_) stream_->write(stop_);
+        guard_->release();
+    }
     GuardedStream(const GuardedStream&) = delete;
     GuardedStream& operator=(const GuardedStream&) = delete;
 
@@ -26,13 +32,15 @@ class GuardedStream final : public arcos::ByteStream {
         if (!std::exchange(given_up_, true)) {
             stream_->write(stop_);
             // A connection that is closed with something unread is reset, and may lose what was written last.
-            while (stream_->read(into) > 0) continue;
+            for (int i = 0; i < kDrain && stream_->read(into) > 0; ++i) continue;
         }
         return -1;
     }
     bool write(std::span<const std::uint8_t> bytes) override {
         const std::lock_guard lock(writing_);
-        return !given_up_ && !guard_->stopped() && stream_->write(bytes);
+        if (given_up_ || guard_->stopped()) return false;
+        failed_ = !stream_->write(bytes);
+        return !failed_;
     }
     arcos::LineSpeed speed() const override { return stream_->speed(); }
     bool setSpeed(int baud) override { return stream_->setSpeed(baud); }
@@ -42,6 +50,7 @@ class GuardedStream final : public arcos::ByteStream {
     const std::shared_ptr<DeviceGuard> guard_;
     const std::vector<std::uint8_t> stop_;
     std::mutex writing_;     // read() writes as well; held for one write, which does not wait
+    bool failed_ = false;    // guarded by writing_; the last order was not taken
     bool given_up_ = false;  // guarded by writing_; no order of another thread may follow the stop
 };
 

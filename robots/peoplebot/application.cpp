@@ -530,6 +530,7 @@ void Application::publish(const RobotState& robot) {
 }
 
 void Application::onRobotLost(const std::string& reason) {
+    gate_->lost();
     if (reason == last_loss_) return;  // each attempt to connect is reported; one line tells it
     last_loss_ = reason;
     standstill_after_ = 0;

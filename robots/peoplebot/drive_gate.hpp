@@ -51,6 +51,12 @@ class DriveGate {
         return robot_.stop();
     }
 
+    /// The robot is lost: the motion under way gives no orders over the next connection.
+    void lost() {
+        const std::lock_guard lock(mutex_);
+        open_ = false;
+    }
+
     /// Ends the motion: halts the robot, and the drive is free for the next task.
     void giveBack() {
         const std::lock_guard lock(mutex_);

@@ -314,6 +314,17 @@ TEST_F(GateTest, AStopBeforeTheFirstVelocityIsNotForgotten) {
     EXPECT_EQ(driven, 0);
 }
 
+TEST_F(GateTest, AMotionThatMissedTheLossOfItsRobotGivesNoOrdersToItOnceItIsBack) {
+    ASSERT_TRUE(gate.take([] { return false; }));
+    EXPECT_TRUE(gate.drive(100, 0));
+    gate.lost();
+    EXPECT_FALSE(gate.drive(100, 0));
+    EXPECT_FALSE(gate.halt());
+    EXPECT_EQ(driven, 1);
+    gate.giveBack();
+    EXPECT_TRUE(gate.take([] { return false; }));
+}
+
 TEST_F(GateTest, OneMotionAtATimeAndTheRobotRestsBetweenThem) {
     ASSERT_TRUE(gate.take([] { return false; }));
     EXPECT_FALSE(gate.take([] { return false; }));

@@ -7,6 +7,7 @@
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -15,6 +16,7 @@ extern "C" {  // which glibc 2.36 leaves out
 #include <sys/pidfd.h>
 }
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cerrno>
@@ -148,6 +150,9 @@ class Guard {
         holding_ = true;
         since_ = again_ = now;
         goOnHolding(now);
+        // It is the application's too, and may be what the application hangs on.
+        pollfd terminal{STDERR_FILENO, POLLOUT, 0};
+        if (::poll(&terminal, 1, 0) != 1 || (terminal.revents & POLLOUT) == 0) return;
         [[maybe_unused]] const auto written = ::write(STDERR_FILENO, why.data(), why.size());
     }
     void goOnHolding(TimePoint now) {
@@ -156,8 +161,9 @@ class Guard {
             again_ = now + kRepeat;
         }
         if (now < since_ + kHold) return;
+        if (!gone_ && !is_socket_) return;  // it cannot be shut for the application
+        writeStop();  // the last thing that the device hears
         if (gone_) ::_exit(0);
-        if (!is_socket_) return;  // it cannot be shut for the application
         ::shutdown(device_, SHUT_RDWR);
         letGo();
     }
@@ -207,7 +213,11 @@ int becomeGuard(int control) {
     const int nothing = ::open("/dev/null", O_RDWR);
     ::dup2(nothing, STDIN_FILENO);
     ::dup2(nothing, STDOUT_FILENO);
-    ::close_range(kControl + 1, ~0U, 0);
+    if (::close_range(kControl + 1, ~0U, 0) != 0) {  // of a kernel before 5.9
+        rlimit most{};
+        ::getrlimit(RLIMIT_NOFILE, &most);
+        for (int fd = kControl + 1; fd < static_cast<int>(std::min<rlim_t>(most.rlim_cur, 1U << 20U)); ++fd) ::close(fd);
+    }
     return kControl;
 }
 
@@ -244,13 +254,45 @@ class DeviceGuard::Desk {
         if (process_.open()) {
             ::shutdown(control_.get(), SHUT_WR);
             pollfd ended{process_.get(), POLLIN, 0};
-            ::poll(&ended, 1, std::chrono::milliseconds(kHold + 2 * kRepeat).count());
+            const auto until = clock_.now() + kHold + 2 * kRepeat;
+            int left = 1;
+            do {
+                left = static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(until - clock_.now()).count());
+            } while (left > 0 && ::poll(&ended, 1, left) < 0 && errno == EINTR);
         }
         giveUp();
         ::munmap(page_, sizeof(Page));
     }
 
     bool watch(int descriptor) {
+        if (descriptor < 0) return false;
+        tellOfLoss();
+        int error = 0;
+        if (start(descriptor, error)) return true;
+        log("the guard of " + options_.device + " cannot be started: " + std::strerror(error));
+        return false;
+    }
+    bool beat() {
+        page_->beats.fetch_add(1, std::memory_order_release);
+        if (!watching_ || stopped()) return false;
+        const std::lock_guard lock(mutex_);
+        if (!looks_silence_.look(page_->looks.load(std::memory_order_acquire), clock_.now())) return watching_;
+        // First the caller stops the device: whatever takes time comes with its release() or watch().
+        watching_ = false;
+        lost_ = true;
+        return false;
+    }
+    bool stopped() const { return watch_ != 0 && page_->stopped.load(std::memory_order_acquire) == watch_; }
+    void release() {
+        tellOfLoss();
+        const std::lock_guard lock(mutex_);
+        if (!watching_.exchange(false)) return;
+        if (!sendMessage(control_.get(), {Message::Kind::Release, watch_}, -1)) giveUp();
+    }
+    int pid() const { return pid_; }
+
+  private:
+    bool start(int descriptor, int& error) {
         const std::lock_guard lock(mutex_);
         // A guard that died while nothing was watched is noticed here.
         for (int attempt = 0; attempt < 2; ++attempt) {
@@ -262,31 +304,20 @@ class DeviceGuard::Desk {
                 watching_ = true;
                 return true;
             }
+            error = errno;
             giveUp();
         }
-        log("the guard of " + options_.device + " cannot be started: " + std::strerror(errno));
+        if (error == 0) error = errno;
         return false;
     }
-    bool beat() {
-        page_->beats.fetch_add(1, std::memory_order_release);
-        if (!watching_ || stopped()) return false;
-        const std::lock_guard lock(mutex_);
-        if (!looks_silence_.look(page_->looks.load(std::memory_order_acquire), clock_.now()))
-            return watching_;
-        giveUp();
-        log("the guard of " + options_.device +
-            " is gone or frozen: the device is stopped, and guarded again once it is connected again");
-        return false;
+    void tellOfLoss() {
+        {
+            const std::lock_guard lock(mutex_);
+            if (!std::exchange(lost_, false)) return;
+            giveUp();
+        }
+        log("the guard of " + options_.device + " was gone or frozen: the device was stopped, and is guarded again once it is connected again");
     }
-    bool stopped() const { return watch_ != 0 && page_->stopped.load(std::memory_order_acquire) == watch_; }
-    void release() {
-        const std::lock_guard lock(mutex_);
-        if (!watching_.exchange(false)) return;
-        if (!sendMessage(control_.get(), {Message::Kind::Release, watch_}, -1)) giveUp();
-    }
-    int pid() const { return pid_; }
-
-  private:
     bool start() {
         std::array<int, 2> ends{};
         if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0) return false;
@@ -344,8 +375,9 @@ class DeviceGuard::Desk {
     std::atomic<int> pid_{0};
 
     std::mutex mutex_;
-    SilenceCount looks_silence_;  // these three guarded by mutex_
+    SilenceCount looks_silence_;  // these four guarded by mutex_
     Descriptor process_, control_;
+    bool lost_ = false;  // the guard was, and has not been given up yet
 };
 
 DeviceGuard::DeviceGuard(Options options) : desk_(std::make_unique<Desk>(std::move(options))) {}

@@ -7,13 +7,11 @@
 
 namespace axon {
 
-/// Notices that a peer's counter no longer grows. Of the time between two looks at most kMostPerLook counts:
+/// Notices that a peer's counter no longer grows. Of the time between two looks at most a quarter of the limit counts:
 /// while the whole machine stands still, the peer could not count and this side did not look. I/O-free,
 /// without allocation, not thread-safe.
 class SilenceCount {
   public:
-    static constexpr Duration kMostPerLook = std::chrono::milliseconds{50};
-
     explicit SilenceCount(Duration limit) : limit_(limit) {}
 
     void restart(std::uint64_t count, TimePoint now) {
@@ -27,7 +25,7 @@ class SilenceCount {
             restart(count, now);
             return false;
         }
-        silent_ += std::min(now - looked_, kMostPerLook);
+        silent_ += std::min(now - looked_, limit_ / 4);
         looked_ = now;
         return silent_ >= limit_;
     }

@@ -43,6 +43,17 @@ TEST_F(SilenceCountTest, TimeInWhichNobodyLookedCountsLittle) {
     EXPECT_FALSE(lookAfter(10s, 8));
 }
 
+TEST_F(SilenceCountTest, ALongLimitIsNoticedAfterThatLimit) {
+    SilenceCount silence(10s);
+    silence.restart(7, clock_.now());
+    for (int i = 0; i < 4; ++i) {
+        clock_.advance(2s);
+        EXPECT_FALSE(silence.look(7, clock_.now()));
+    }
+    clock_.advance(2s);
+    EXPECT_TRUE(silence.look(7, clock_.now()));
+}
+
 TEST_F(SilenceCountTest, WhoeverLooksRarelyNoticesLaterAndNotNever) {
     for (int i = 0; i < 3; ++i) EXPECT_FALSE(lookAfter(100ms, 7));
     EXPECT_TRUE(lookAfter(100ms, 7));

@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include <array>
+#include <atomic>
 #include <axon/device_guard.hpp>
 #include <optional>
 #include <string>
@@ -48,7 +49,7 @@ class DeviceGuardTest : public ::testing::Test {
         }
     }
     /// An application that beats, and obeys the test. `ours` is the device's end.
-    void start(Descriptor ours, Descriptor its) {
+    void start(Descriptor ours, Descriptor its, int errors = STDERR_FILENO) {
         device_ = std::move(ours);
         ::fcntl(device_.get(), F_SETFL, O_NONBLOCK);
         std::array<int, 2> ends{};
@@ -58,6 +59,7 @@ class DeviceGuardTest : public ::testing::Test {
         if (application_ == 0) {
             device_.reset();
             talk_.reset();
+            ::dup2(errors, STDERR_FILENO);
             serve(ends[1], its.get());
         }
         ::close(ends[1]);
@@ -244,10 +246,42 @@ TEST_F(DeviceGuardTest, AGuardThatIsFrozenIsNoticedAndReplaced) {
     start();
     strike(guard_, SIGSTOP);
     EXPECT_TRUE(waitUntil([&] { return !ask(Order::Beat); }));
-    EXPECT_TRUE(waitUntil([&] { return ::kill(guard_, 0) != 0; }));
     EXPECT_TRUE(ask(Order::Watch));
+    EXPECT_NE(::kill(guard_, 0), 0) << "the frozen one stops nothing once it goes on";
     strike(application_, SIGSTOP);
     EXPECT_TRUE(stopped());
+}
+
+TEST_F(DeviceGuardTest, AFullPipeBehindStandardErrorHoldsNoStopUp) {
+    std::array<int, 2> pipe{};
+    ASSERT_EQ(::pipe2(pipe.data(), O_CLOEXEC), 0);
+    const Descriptor unread(pipe[0]), full(pipe[1]);
+    ::fcntl(full.get(), F_SETFL, O_NONBLOCK);
+    while (::write(full.get(), "................................", 32) > 0) continue;
+    ::fcntl(full.get(), F_SETFL, 0);  // as a terminal's, whoever writes there waits
+    std::array<int, 2> ends{};
+    ASSERT_EQ(::socketpair(AF_UNIX, SOCK_STREAM, 0, ends.data()), 0);
+    start(Descriptor(ends[0]), Descriptor(ends[1]), full.get());
+    strike(application_, SIGSTOP);
+    std::string all;
+    EXPECT_TRUE(waitUntil([&] { return (all += heard()).size() >= 3 * kStop.size(); })) << "it repeats it";
+    EXPECT_TRUE(waitUntil([&] { return heard().empty() && closed_; })) << "and shuts the connection";
+}
+
+TEST(DeviceGuard, WhoeverBeatsIsToldOfALostGuardBeforeTheLogIs) {
+    std::atomic<int> lines{0};
+    std::array<int, 2> ends{};
+    ASSERT_EQ(::socketpair(AF_UNIX, SOCK_STREAM, 0, ends.data()), 0);
+    const Descriptor ours(ends[0]), its(ends[1]);
+    DeviceGuard guard({.device = "the test's device", .stop = "stop", .silence = std::chrono::milliseconds{200},
+                       .logger = [&](const std::string&) { ++lines; }});
+    ASSERT_TRUE(guard.watch(its.get()));
+    ASSERT_EQ(::kill(guard.pid(), SIGKILL), 0);
+    ASSERT_TRUE(waitUntil([&] { return !guard.beat(); }));
+    EXPECT_EQ(lines, 0) << "a log that blocks does not keep the device from being stopped";
+    guard.release();
+    EXPECT_EQ(lines, 1);
+    EXPECT_FALSE(guard.watch(-1)) << "no descriptor";
 }
 
 TEST_F(DeviceGuardTest, SignalsOfATerminalDoNotReachTheGuard) {
