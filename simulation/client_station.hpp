@@ -139,7 +139,6 @@ class ClientStation final : public client::ServerLink,
     void put(client::Operation kind, const Header& head, std::string bytes);
     void relay(client::Operation kind, const Header& head, std::string bytes);
     void relayForPaths(client::Operation kind, const Header& head, std::string bytes);
-    void hear(const Header& head, const std::string& bytes, bool of_server);
     void directTurn();
     void wakeBeat();
     void close(const client::DirectLinks::Closing& closing, const char* why);

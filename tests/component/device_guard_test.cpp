@@ -292,7 +292,7 @@ TEST_F(DeviceGuardTest, SignalsOfATerminalDoNotReachTheGuard) {
     EXPECT_TRUE(stopped());
 }
 
-TEST(DeviceGuard, OptionsThatCannotBeAreNamedWithTheMend) {
+TEST(DeviceGuard, OptionsThatCannotBeAreNamedWithTheRemedy) {
     const auto refused = [](DeviceGuard::Options options) {
         try {
             const DeviceGuard guard(std::move(options));

@@ -132,9 +132,10 @@ class AXON_EI_API Stream {
 /// One requested execution of a service, in the hands of its handler. Copies refer to the same task.
 ///
 /// States: running, paused (the client paused it), stop requested, decided (a verdict was given), ended (the
-/// handler has returned). The client is told of the end when the handler has returned, never earlier:
-/// whatever the handler gives back on its return, such as the drive, is free for the task that the client
-/// begins then. A handler may block; it should return soon after stopRequested() becomes true, and use
+/// handler has returned). The client is told of a verdict when the handler has returned: whatever the handler
+/// gives back on its return, such as the drive, is free for the task that the client begins then. After a stop,
+/// or the loss of the link, the client is told of the end at once, and a handler of another service may begin
+/// before this one has returned: a device that several services use needs a lock. A handler may block; it should return soon after stopRequested() becomes true, and use
 /// waitFor() instead of sleeping. One that passes the task on to another thread waits for that thread, for
 /// its return is the end. A stop is acknowledged whether or not the handler returns. Threads: every member
 /// may be called from any thread; what is said after the verdict or the end is ignored.
