@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <cstdlib>
+#include <string>
 
 #include "robots/peoplebot/virtual_robot_test.hpp"
 #include "robots/peoplebot/wander.hpp"
@@ -58,15 +59,16 @@ TEST_F(WanderPhysicsTest, AmongTablesWhichOnlyTheirSensorsSee) {
     wander("a room of tables", world, 3);
 }
 
-TEST_F(WanderPhysicsTest, InTheWorldsOfTheLaboratory) {
+class WanderInWorldsTest : public WanderPhysicsTest, public testing::WithParamInterface<const char*> {};
+
+TEST_P(WanderInWorldsTest, NothingIsTouched) {
     if (std::getenv("AXON_LONG_TRIALS") == nullptr)
-        GTEST_SKIP() << "takes a minute; AXON_LONG_TRIALS=1 runs it";
-    for (const char* name :
-         {"room", "corridors", "transport", "offices", "openplan", "ward", "workshop", "villa"}) {
-        nearest_mm_ = 1e9;
-        wander(name, lab::loadWorld(std::string("lab/worlds/") + name + ".lab"), 4);
-    }
+        GTEST_SKIP() << "all worlds take a minute; AXON_LONG_TRIALS=1 runs them";
+    wander(GetParam(), lab::loadWorld(std::string("lab/worlds/") + GetParam() + ".lab"), 4);
 }
+
+INSTANTIATE_TEST_SUITE_P(Laboratory, WanderInWorldsTest,
+                         testing::Values("room", "corridors", "transport", "offices", "openplan", "ward", "workshop", "villa"));
 
 }  // namespace
 }  // namespace axon::peoplebot
