@@ -579,6 +579,7 @@ void EntityManagerStation::linkLost(std::uint64_t link, const char* reason, enti
     auto& life = *life_;
     if (life.link != link || link == 0) return;
     life.link = 0;
+    life.link_attempt = 0;  // or the end of its hello's time gives up a second search
     life.link_signal->close(process_);
     life.link_data->close(process_);
     lookIn(kLinkBackoff);

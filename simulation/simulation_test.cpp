@@ -480,6 +480,14 @@ TEST(Simulation, ASeedReplaysToTheLastEvent) {
     }
 }
 
+/// An application that froze within a second of its handshake was sought twice at once, and never linked again.
+TEST(Simulation, AnApplicationThatFreezesSoonAfterItsHandshakeComesBack) {
+    for (const std::uint64_t seed : {8392U, 16345U}) {
+        const auto outcome = World(seed, Faults::Pause).run();
+        EXPECT_FALSE(outcome.violation) << seed << ": " << outcome.violation->what;
+    }
+}
+
 TEST(Simulation, NoPromiseIsBroken) {
     const auto seeds = setting("AXON_SEEDS", 300);
     Counts counts;
