@@ -22,6 +22,19 @@ TEST_F(VirtualRobotTest, DrivesTwoMetresInTheDefaultWorld) {
     EXPECT_NEAR(lab_->truth(0).x_m, 3.5, 0.06);
 }
 
+/// Of a laboratory that is gone nothing may arrive any more, or its times, which are later, hold up the next one's answers.
+TEST_F(VirtualRobotTest, DrivesInASecondLaboratoryToo) {
+    auto world = lab::defaultWorld();
+    world.robots = {lab::parseRobot("", 0)};
+    start(world);
+    run(60);
+    while (inbox_.empty()) tick();
+    start(world);
+    Driving motion({.distance_mm = 500, .velocity_mm_s = 400}, session_.robot(), lab_->now());
+    const auto end = perform(motion);
+    EXPECT_EQ(end.outcome, Outcome::Done) << end.reason;
+}
+
 TEST_F(VirtualRobotTest, StopsInFrontOfAWallWithoutTouchingIt) {
     lab::WorldDescription world;
     world.robots = {{.x = 5, .y = 3}};

@@ -26,6 +26,8 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
   protected:
     void start(const lab::WorldDescription& world, const lab::Physics::Options& options = {}) {
         world_ = world;
+        inbox_.clear();  // of a laboratory before this one
+        fresh_ = false;
         lab_ = std::make_unique<lab::Laboratory>(
             world,
             [this](std::size_t robot, const arcos::Bytes& bytes) {
