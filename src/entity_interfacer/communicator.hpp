@@ -24,6 +24,7 @@
 #include "entity_interfacer/stop_level.hpp"
 
 namespace axon::proto {
+class Configuration;
 class EiToEm;
 class EmToEi;
 class Hello;
@@ -54,6 +55,7 @@ class Communicator {
   public:
     struct Callbacks {
         std::function<Decision(const std::string&, const Parameter&)> parameter;
+        std::function<void(const std::string&, const Parameter&)> config;
         std::function<Decision(const std::string&, const std::string&, const std::filesystem::path&)>
             resource;
         std::function<Decision(const Task&)> task_request;
@@ -144,6 +146,7 @@ class Communicator {
     void onData(const std::shared_ptr<Link>& link, const proto::EmToEi& message);
     /// Of every value that a client gives, by itself or with a task.
     Decision decideParameter(const std::string& service, const Parameter& parameter) const;
+    void onConfiguration(const proto::Configuration& configuration);
     void onNotSent(const proto::NotSent& refused);
     void onTask(const std::shared_ptr<Link>& link, const proto::TaskDispatch& dispatch);
     void runTask(const std::shared_ptr<Task::Running>& task, const EntityInterfacer::TaskHandler& handler);

@@ -282,6 +282,17 @@ void Communicator::readData(const std::shared_ptr<Link>& link) {
     if (link->data_reader.failed()) link->cut("data connection: " + link->data_reader.error());
 }
 
+/// The handler first: what it reads from then on is what the application is told of.
+void Communicator::onConfiguration(const proto::Configuration& configuration) {
+    const auto task = findTask(configuration.task_id());
+    for (const auto& one : configuration.params()) {
+        const auto parameter = fromProto(one.param());
+        if (task) task->configure(parameter);
+        if (callbacks_.config && !guarded("onConfig", [&] { callbacks_.config(one.service(), parameter); }))
+            return;
+    }
+}
+
 /// A stream of refusals is one line.
 void Communicator::onNotSent(const proto::NotSent& refused) {
     const auto what = refused.to() + ": " + refused.reason().message();
@@ -321,6 +332,8 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
             return answer(message.param().request(), "onParameter", [&] {
                 return decideParameter(message.param().service(), fromProto(message.param().param()));
             });
+        case proto::EmToEi::kConfiguration:
+            return onConfiguration(message.configuration());
         case proto::EmToEi::kResource:
             return answer(message.resource().request(), "onResource", [&] {
                 const auto& request = message.resource();
@@ -414,8 +427,9 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
                                                        task->service + "': add onTask(\"" + task->service +
                                                        "\", …) or take the service out of its profile");
     for (const auto& given : dispatch.given()) {
-        const auto* param = given.param().values_size() > 0 ? nullptr : task->find(given.param().name());
-        const auto parameter = param != nullptr ? *param : fromProto(given.param());
+        const auto of_task =
+            given.param().values_size() > 0 ? std::nullopt : task->find(given.param().name());
+        const auto parameter = of_task ? *of_task : fromProto(given.param());
         const auto which = "parameter '" + parameter.name + "' of '" + given.service() + "': ";
         auto decision = Decision::deny("onParameter threw an exception: the robot application has stopped");
         const auto deny = [&] { refuse(codeOf(decision), which + decision.reason()); };

@@ -122,6 +122,9 @@ void EntityInterfacer::uploadServiceProfile(const std::filesystem::path& file) {
 void EntityInterfacer::onParameter(std::function<Decision(const std::string&, const Parameter&)> callback) {
     communicator_->settableCallbacks().parameter = std::move(callback);
 }
+void EntityInterfacer::onConfig(std::function<void(const std::string&, const Parameter&)> callback) {
+    communicator_->settableCallbacks().config = std::move(callback);
+}
 void EntityInterfacer::onResource(
     std::function<Decision(const std::string&, const std::string&, const std::filesystem::path&)> callback) {
     communicator_->settableCallbacks().resource = std::move(callback);

@@ -43,9 +43,9 @@ double asNumber(const Value& value, const std::string& name) {
 }
 
 template <class Wanted>
-std::vector<Wanted> valuesAs(const Parameter* parameter) {
+std::vector<Wanted> valuesAs(const std::optional<Parameter>& parameter) {
     std::vector<Wanted> values;
-    if (parameter == nullptr) return values;
+    if (!parameter) return values;
     for (const auto& value : parameter->values) {
         const auto* wanted = std::get_if<Wanted>(&value);
         if (wanted == nullptr)
@@ -56,9 +56,9 @@ std::vector<Wanted> valuesAs(const Parameter* parameter) {
     return values;
 }
 
-const Parameter& required(const Task::Running& task, std::string_view name) {
-    const auto* parameter = task.find(name);
-    if (parameter != nullptr) return *parameter;
+Parameter required(const Task::Running& task, std::string_view name) {
+    auto parameter = task.find(name);
+    if (parameter) return *std::move(parameter);
     throw std::invalid_argument(
         "parameter '" + std::string(name) +
         "' was not given: mark it required in the services profile, or pass a fallback");
@@ -137,10 +137,25 @@ Task::Running::Running(const proto::TaskDispatch& dispatch, std::shared_ptr<Link
     for (const auto& resource : dispatch.resources()) resources.emplace_back(resource.name(), resource.url());
 }
 
-const Parameter* Task::Running::find(std::string_view name) const {
-    const auto found = std::find_if(parameters.begin(), parameters.end(),
-                                    [&](const Parameter& p) { return p.name == name && !p.values.empty(); });
-    return found == parameters.end() ? nullptr : &*found;
+std::optional<Parameter> Task::Running::find(std::string_view name) const {
+    const auto in = [name](const std::vector<Parameter>& some) -> std::optional<Parameter> {
+        const auto found = std::find_if(some.begin(), some.end(), [name](const Parameter& p) {
+            return p.name == name && !p.values.empty();
+        });
+        return found == some.end() ? std::nullopt : std::optional(*found);
+    };
+    {
+        const std::lock_guard lock(configured_mutex_);
+        if (auto newest = in(configured_)) return newest;
+    }
+    return in(parameters);
+}
+
+void Task::Running::configure(const Parameter& parameter) {
+    const std::lock_guard lock(configured_mutex_);
+    const auto known = std::find_if(configured_.begin(), configured_.end(),
+                                    [&](const Parameter& p) { return p.name == parameter.name; });
+    (known == configured_.end() ? configured_.emplace_back() : *known) = parameter;
 }
 
 bool Task::Running::stopRequested() const {
@@ -308,7 +323,7 @@ const std::string& Task::service() const {
     return running_->service;
 }
 bool Task::has(std::string_view name) const {
-    return running_->find(name) != nullptr;
+    return running_->find(name).has_value();
 }
 double Task::number(std::string_view name) const {
     return required(*running_, name).number();
@@ -323,21 +338,25 @@ bool Task::flag(std::string_view name) const {
     return required(*running_, name).flag();
 }
 double Task::number(std::string_view name, double fallback) const {
-    return has(name) ? number(name) : fallback;
+    const auto parameter = running_->find(name);
+    return parameter ? parameter->number() : fallback;
 }
 std::int64_t Task::integer(std::string_view name, std::int64_t fallback) const {
-    return has(name) ? integer(name) : fallback;
+    const auto parameter = running_->find(name);
+    return parameter ? parameter->integer() : fallback;
 }
 std::string Task::text(std::string_view name, std::string_view fallback) const {
-    return has(name) ? text(name) : std::string(fallback);
+    const auto parameter = running_->find(name);
+    return parameter ? parameter->text() : std::string(fallback);
 }
 bool Task::flag(std::string_view name, bool fallback) const {
-    return has(name) ? flag(name) : fallback;
+    const auto parameter = running_->find(name);
+    return parameter ? parameter->flag() : fallback;
 }
 
 std::vector<double> Task::numbers(std::string_view name) const {
     std::vector<double> values;
-    if (const auto* parameter = running_->find(name))
+    if (const auto parameter = running_->find(name))
         for (const auto& value : parameter->values) values.push_back(asNumber(value, parameter->name));
     return values;
 }
@@ -352,8 +371,8 @@ std::vector<bool> Task::flags(std::string_view name) const {
 }
 
 std::string Task::units(std::string_view name) const {
-    const auto* parameter = running_->find(name);
-    return parameter == nullptr ? std::string{} : parameter->units;
+    const auto parameter = running_->find(name);
+    return parameter ? parameter->units : std::string{};
 }
 const std::vector<Parameter>& Task::parameters() const {
     return running_->parameters;

@@ -22,7 +22,8 @@ class TaskEvent;
 namespace axon {
 
 /// What the copies of a Task share. States: waiting for the stop level to settle, running, paused, ended.
-/// Threads: any; values and identity are constant after construction, the rest is atomic or under mutex_.
+/// Threads: any; identity, parameters and resources are constant after construction, the rest is atomic or
+/// under a mutex.
 class Task::Running {
   public:
     Running(const proto::TaskDispatch& dispatch, std::shared_ptr<Link> link, StopLevel& level);
@@ -36,7 +37,10 @@ class Task::Running {
     std::vector<Parameter> parameters;
     std::vector<std::pair<std::string, std::string>> resources;  // name, path
 
-    const Parameter* find(std::string_view name) const;
+    /// As it is now; nothing where it has no value.
+    std::optional<Parameter> find(std::string_view name) const;
+    /// Of a CONFIG parameter, from now on.
+    void configure(const Parameter& parameter);
 
     bool stopRequested() const;
     StopSignal::Cause stopCause() const;
@@ -74,6 +78,8 @@ class Task::Running {
     StopLevel& level_;
     std::atomic<bool> cancelled_{false};
     std::atomic<bool> paused_{false};
+    mutable std::mutex configured_mutex_;  // held to copy a parameter
+    std::vector<Parameter> configured_;    // since the task began; guarded by configured_mutex_
     std::mutex mutex_;
     bool ended_ = false;  // a verdict was given, or the task was refused; these six guarded by mutex_
     std::optional<Verdict> verdict_;  // waits for the handler's return

@@ -52,6 +52,13 @@ constexpr const char* kServices = R"(<ServiceProfile>
   <Service name="Mixed" type="CMPLX" blocking="false" pausable="true" on_client_loss="finish" max_duration="15">
     <Services><ServiceRef name="Turn"/><ServiceRef name="Halt"/></Services>
   </Service>
+  <Service name="Route" type="CMPLX">
+    <Parameters>
+      <Param name="Speed" type="CONFIG" data_type="INT"/>
+      <Param name="Distance" type="CONFIG" data_type="INT" value="10"/>
+    </Parameters>
+    <Services><ServiceRef name="Drive"/><ServiceRef name="Drive"/></Services>
+  </Service>
 </ServiceProfile>
 )";
 
@@ -109,6 +116,19 @@ struct CompositeTasks : testing::Test {
             all.push_back(text);
         }
         return all;
+    }
+    /// "Service.Name=value", and the task that takes it too.
+    std::string lastConfigured() const {
+        for (auto at = rig.to_application.rbegin(); at != rig.to_application.rend(); ++at) {
+            if (!at->has_configuration()) continue;
+            const auto& one = at->configuration().params(0);
+            return one.service() + '.' + one.param().name() + '=' +
+                   std::to_string(one.param().values(0).int_()) +
+                   (at->configuration().task_id().empty()
+                        ? ""
+                        : " for " + rig.nameOfSent(at->configuration().task_id()));
+        }
+        return "nothing";
     }
     proto::TaskEvent lastOf(const std::string& task) const {
         for (auto at = rig.to_clients.rbegin(); at != rig.to_clients.rend(); ++at)
@@ -179,6 +199,50 @@ TEST_F(CompositeTasks, AParameterOfAPartIsAskedOfThePart) {
     EXPECT_EQ(lastReply(), proto::WRONG_TYPE);
     rig.setParam("client1", "p", "Leg", "Distance=501");
     EXPECT_EQ(lastReply(), proto::OUT_OF_RANGE) << "its part does not take it";
+}
+
+TEST_F(CompositeTasks, ACONFIGIsTakenByTheRunningPartAndTheNextUnlessACompositeAroundHasItsOwn) {
+    uploadMap("Drive");
+    rig.task("client1", "t1", "Route");
+    rig.grant("part1");
+    set("Drive", "Speed=100");
+    EXPECT_EQ(lastConfigured(), "Drive.Speed=100 for part1");
+    set("Route", "Speed=50");
+    EXPECT_EQ(lastConfigured(), "Route.Speed=50 for part1");
+    set("Drive", "Speed=120");
+    EXPECT_EQ(lastConfigured(), "Drive.Speed=120") << "the composite's counts";
+    rig.update("part1", proto::TASK_SUCCEEDED);
+    EXPECT_THAT(dispatched(), ElementsAre("Drive Distance=10 Speed=200", "Drive Distance=10 Speed=50"));
+    rig.update("part2", proto::TASK_SUCCEEDED);
+    EXPECT_EQ(record("Route").params(0).initial(0).int_(), 50);
+    EXPECT_EQ(record("Drive").params(1).initial(0).int_(), 120);
+}
+
+TEST_F(CompositeTasks, ACONFIGThatIsAnINPUTOfThePartIsTakenByTheNextTask) {
+    uploadMap("Drive");
+    rig.task("client1", "t1", "Route");
+    rig.grant("part1");
+    set("Route", "Distance=20");
+    EXPECT_EQ(lastConfigured(), "Route.Distance=20");
+    rig.update("part1", proto::TASK_SUCCEEDED);
+    EXPECT_EQ(dispatched().back(), "Drive Distance=10 Speed=200");
+    rig.update("part2", proto::TASK_SUCCEEDED);
+    uploadMap("Drive");
+    rig.task("client1", "t2", "Route");
+    EXPECT_EQ(dispatched().back(), "Drive Distance=20 Speed=200");
+}
+
+TEST_F(CompositeTasks, OfWhatWasGivenAndHasBeenSetSinceTheApplicationIsAskedTheNewValue) {
+    uploadMap("Drive");
+    rig.task("client1", "t1", "Halt");
+    rig.task("client1", "t2", "Leg", {"Distance=1", "Drive.Speed=50"});
+    set("Drive", "Speed=60");
+    rig.grant("t1");
+    rig.update("t1", proto::TASK_SUCCEEDED);
+    EXPECT_EQ(dispatched().back(), "Drive Distance=1 Speed=60");
+    ASSERT_EQ(rig.to_application.back().task().given_size(), 2);
+    EXPECT_EQ(rig.to_application.back().task().given(0).param().values(0).int_(), 1);
+    EXPECT_EQ(rig.to_application.back().task().given(1).param().values(0).int_(), 60);
 }
 
 TEST_F(CompositeTasks, TheValueOfTheOutermostCompositeCounts) {

@@ -233,7 +233,8 @@ TEST_F(Held, AProfileThatChangesMeanwhileIsKeptAndUploadedAtTheRelease) {
     release.mutable_release();
     rig.send("client1", release);
     EXPECT_EQ(rig.core().state(), EntityState::IDLE);
-    ASSERT_EQ(rig.to_application.size(), 1U);
+    ASSERT_EQ(rig.to_application.size(), 2U);
+    EXPECT_TRUE(rig.to_application[1].has_configuration());
     EXPECT_EQ(rig.to_application[0].profile_error().code(), proto::OK);
     EXPECT_NE(rig.to_application[0].profile_error().message().find("uploaded now"), std::string::npos);
     EXPECT_NE(rig.core().takeNews().find("uploaded now"), std::string::npos);
@@ -1057,6 +1058,7 @@ struct SlowStore : Held {
 
 TEST_F(SlowStore, AnUploadGoesOnAsTheDiskAnswersAndItsClientIsNotForgotten) {
     const std::string content = "a map";
+    rig.to_application.clear();
     rig.send("client1", mapOffer(content));
     const auto messages = rig.to_clients.size();
     rig.advance(std::chrono::seconds{3});

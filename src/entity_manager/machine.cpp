@@ -806,6 +806,7 @@ void EntityManagerCore::Machine::takeProfiles() {
         [[maybe_unused]] const auto known =
             profiler_.setActive(service, told.first, told.second);  // not all are in this profile
     }
+    tellConfiguration();
     registration_.name = basic_profile_.name();
     registration_.category = proto::Category_Name(basic_profile_.category());
     registration_.type = proto::Mobility_Name(basic_profile_.type());

@@ -402,6 +402,14 @@ class EntityManagerCore::Machine {
     void tellCredit(const UploadDesk::Upload& upload, std::uint64_t offset, std::uint64_t window);
     void signUploads();
     void answer(const proto::RequestAnswer& answer);
+    /// A value that the application has granted; TOO_LARGE where it does not fit.
+    Refusal keepParameter(const Question& question);
+    /// All of it, to an application that has just been linked or has new profiles.
+    void tellConfiguration();
+    /// A new value of a CONFIG parameter, to the application and to all that has been accepted.
+    void reconfigure(int service, const proto::Param& param);
+    Refusal leavesRoom(int service, const proto::Param& param) const;
+    std::size_t dispatchBytes(const ServiceProfiler::Plan& plan) const;
     void conclude(const Question& question, const Refusal& refusal);
     void abandonRequests(const Refusal& reason);
     void suspendUploads(const Refusal& reason);

@@ -33,7 +33,7 @@ proto::EmToEi dispatchOf(const ServiceProfiler::Order& part, const std::string& 
     order.set_task_id(id.bytes());
     order.set_service(service);
     order.set_stop_generation(generation);
-    for (const auto& param : part.params) *order.add_params() = param;
+    for (const auto& [param, level] : part.params) *order.add_params() = param;
     for (const auto& resource : part.resources) *order.add_resources() = resource;
     return message;
 }
@@ -98,13 +98,7 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
         task.not_after = (AXON_PLANTED(ExpiryByTheSendersClock) ? TimePoint{std::chrono::microseconds{sent_at_us}}
                                                                 : clock_.now()) +
                          std::chrono::duration_cast<Duration>(std::chrono::duration<double>(request.not_after_s()));
-    std::size_t bytes = 0;  // of all parts: a composite takes no more memory than another task
-    for (const auto& part : task.plan.parts) {
-        auto message = dispatchOf(part, profiler_.record(part.service).name(), task.id, generation_);
-        if (&part == &task.plan.parts.front()) addGiven(message, task.plan, profiler_);
-        bytes += message.ByteSizeLong();
-    }
-    if (const auto refusal = checkSize(bytes); !refusal.ok()) return refusal;
+    if (const auto refusal = checkSize(dispatchBytes(task.plan)); !refusal.ok()) return refusal;
     memory_.accept(task.id);
     queue_.push(std::move(task));
     dispatchNext();
@@ -115,6 +109,17 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
     else
         sendTask(queue_.waiting().back(), proto::TASK_QUEUED, {});
     return {};
+}
+
+/// Of all parts: a composite takes no more memory than another task.
+std::size_t EntityManagerCore::Machine::dispatchBytes(const ServiceProfiler::Plan& plan) const {
+    std::size_t bytes = 0;
+    for (const auto& part : plan.parts) {
+        auto message = dispatchOf(part, profiler_.record(part.service).name(), {}, generation_);
+        if (&part == &plan.parts.front()) addGiven(message, plan, profiler_);
+        bytes += message.ByteSizeLong();
+    }
+    return bytes;
 }
 
 bool EntityManagerCore::Machine::admissible(const Task& task) const {
@@ -667,14 +672,71 @@ void EntityManagerCore::Machine::answer(const proto::RequestAnswer& answer) {
     if (refusal.ok() && !present)
         refusal = {
             RefusalCode::RevokedLease, "The lease ended before the robot application had answered.", {}};
-    if (refusal.ok()) {
-        profiler_.storeParam(question.service, question.param);
-        const auto& record = profiler_.record(question.service);
-        if (const auto param = findParamIndex(record, question.param.name()))
-            saved_.set(record.name(), record.params(param.value()), question.param);
-    }
+    if (refusal.ok()) refusal = keepParameter(question);
     conclude(question, refusal);
     if (refusal.ok()) sendServices({question.service});
+}
+
+Refusal EntityManagerCore::Machine::keepParameter(const Question& question) {
+    const auto& record = profiler_.record(question.service);
+    const bool config = profiler_.isConfig(question.service, question.param.name());
+    if (config) {
+        if (auto refusal = saved_.mayKeep(record.name(), question.param); !refusal.ok()) return refusal;
+        if (auto refusal = leavesRoom(question.service, question.param); !refusal.ok()) return refusal;
+    }
+    profiler_.storeParam(question.service, question.param);
+    if (const auto param = findParamIndex(record, question.param.name()))
+        saved_.set(record.name(), record.params(param.value()), question.param);
+    if (config) reconfigure(question.service, question.param);
+    return {};
+}
+
+/// What has been accepted can still be sent with it.
+Refusal EntityManagerCore::Machine::leavesRoom(int service, const proto::Param& param) const {
+    const auto fits = [&](const ServiceProfiler::Plan& plan) {
+        std::size_t parts = 0;
+        for (const auto& part : plan.parts)
+            if (std::find(part.way.begin(), part.way.end(), service) != part.way.end()) ++parts;
+        return parts == 0 || checkSize(dispatchBytes(plan) + (parts + 1) * param.ByteSizeLong()).ok();
+    };
+    bool all = true;
+    for (const auto& task : queue_.waiting()) all = all && fits(task.plan);
+    for (const auto& active : active_) all = all && (active.lastPart() || fits(active.task.plan));
+    if (all) return {};
+    return {RefusalCode::TooLarge,
+            "A task that has been accepted would become larger with it than the robot application takes at "
+            "once. Wait for its end, or set a shorter value.",
+            {}};
+}
+
+void EntityManagerCore::Machine::reconfigure(int service, const proto::Param& param) {
+    for (auto& task : queue_.waiting())
+        static_cast<void>(profiler_.reconfigure(task.plan, 0, service, param));
+    proto::EmToEi message;
+    auto& one = *message.mutable_configuration()->add_params();
+    one.set_service(profiler_.record(service).name());
+    *one.mutable_param() = param;
+    // Two tasks that share a service do not run side by side, so that one at most takes it.
+    for (auto& active : active_)
+        if (profiler_.reconfigure(active.task.plan, active.part, service, param) && active.sent)
+            message.mutable_configuration()->set_task_id(active.sent->bytes());
+    back_end_.send(message);
+}
+
+void EntityManagerCore::Machine::tellConfiguration() {
+    proto::EmToEi message;
+    std::size_t bytes = 0;
+    for (auto& one : profiler_.configuration()) {
+        const auto more = one.ByteSizeLong() + 8;  // with its tag and length
+        if (bytes > 0 && bytes + more > kMessageMax) {
+            back_end_.send(message);
+            message.Clear();
+            bytes = 0;
+        }
+        message.mutable_configuration()->add_params()->Swap(&one);
+        bytes += more;
+    }
+    if (bytes > 0) back_end_.send(message);
 }
 
 void EntityManagerCore::Machine::conclude(const Question& question, const Refusal& refusal) {

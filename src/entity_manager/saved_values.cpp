@@ -13,6 +13,7 @@ namespace {
 
 constexpr const char* kKey = "values";
 constexpr std::size_t kShown = 100;
+constexpr std::size_t kOverhead = 16;  ///< of an entry, at most: tags and lengths
 
 /// `5000 mm`, `left, right`; the beginning of a long one.
 std::string shown(const proto::Param& param) {
@@ -49,6 +50,18 @@ void SavedValues::set(const std::string& service, const proto::CtrlParam& meta, 
     value.set_name(meta.name());
     value.set_units(meta.units());  // a profile with other units must not take the number for its own
     keep();
+}
+
+Refusal SavedValues::mayKeep(const std::string& service, const proto::Param& param) const {
+    auto bytes = service.size() + param.ByteSizeLong();
+    for (const auto& [name, value] : values_)
+        if (name != Name{service, param.name()})
+            bytes += name.first.size() + value.ByteSizeLong() + kOverhead;
+    if (bytes + kOverhead <= kBytesMax) return {};
+    return {RefusalCode::TooLarge,
+            "All saved values of the entity together have at most 1 MiB, and with this one they would have " +
+                std::to_string(bytes) + " bytes. Set a shorter one, or upload a file as a resource.",
+            {}};
 }
 
 std::string SavedValues::restore(ServiceProfiler& profiler) {

@@ -8,6 +8,8 @@
 #include <utility>
 #include <vector>
 
+#include "common/refusal.hpp"
+
 namespace axon::entity_manager {
 
 class ServiceProfiler;
@@ -31,6 +33,8 @@ class SavedValues {
 
     /// A parameter's own record, and what has been granted for it. Nothing where it is not savable.
     void set(const std::string& service, const proto::CtrlParam& meta, const proto::Param& param);
+    /// TOO_LARGE where it would not be kept for lack of room: for what must be.
+    Refusal mayKeep(const std::string& service, const proto::Param& param) const;
     /// Into a profile that has just been loaded. What was dropped, for the log; empty = nothing.
     std::string restore(ServiceProfiler& profiler);
     std::vector<proto::EntityFinding> findings() const;

@@ -227,6 +227,7 @@ Result<ServiceProfiler::Accepted> ServiceProfiler::accept(int service, const pro
     Accepted accepted{ownerOf(service, at.value()), std::move(value).value()};
     const auto& name = declared_.services(accepted.of.service).params(accepted.of.item).name();
     accepted.param.set_name(name);
+    accepted.param.set_units(meta.units());
     for (const auto& way : composites_.parts[place(accepted.of.service)])
         for (std::size_t level = 1; level < way.size(); ++level) {
             const auto fed = ownSettable(way[level], name);
@@ -256,6 +257,53 @@ void ServiceProfiler::storeParam(int service, const proto::Param& param) {
     meta.set_ready(true);
     stamps_[place(service)].params[place(at.value())] = ++clock_;
     refresh(service);
+}
+
+bool ServiceProfiler::isConfig(int service, std::string_view param) const {
+    const auto own = ownSettable(service, param);
+    return own && declared_.services(service).params(*own).type() == proto::CONFIG;
+}
+
+std::vector<proto::ServiceParam> ServiceProfiler::configuration() const {
+    std::vector<proto::ServiceParam> all;
+    for (int i = 0; i < declared_.services_size(); ++i)
+        for (int p = 0; p < ownParams(i); ++p) {
+            const auto& meta = record(i).params(p);
+            if (meta.type() != proto::CONFIG || !meta.ready()) continue;
+            auto& one = all.emplace_back();
+            one.set_service(record(i).name());
+            one.mutable_param()->set_name(meta.name());
+            one.mutable_param()->set_units(meta.units());
+            *one.mutable_param()->mutable_values() = meta.initial();
+        }
+    return all;
+}
+
+bool ServiceProfiler::reconfigure(Plan& plan, std::size_t from, int service,
+                                  const proto::Param& param) const {
+    bool taken = false;
+    for (auto part = from; part < plan.parts.size(); ++part) {
+        auto& order = plan.parts[part];
+        const auto at = std::find(order.way.begin(), order.way.end(), service);
+        if (at == order.way.end() || !isConfig(order.service, param.name())) continue;
+        const auto level = static_cast<std::size_t>(at - order.way.begin());
+        auto has = std::find_if(order.params.begin(), order.params.end(),
+                                [&](const auto& one) { return one.param.name() == param.name(); });
+        if (has == order.params.end()) {
+            has = order.params.insert(has, {param, level});
+        } else if (has->level < level) {
+            continue;
+        } else {
+            *has->param.mutable_values() = param.values();
+            has->level = level;
+        }
+        taken = taken || part == from;
+    }
+    // Of what was given with the task the application is asked when it begins.
+    for (auto& [whose, given] : plan.given)
+        if (whose == service && given.name() == param.name() && given.values_size() > 0)
+            *given.mutable_values() = param.values();
+    return taken;
 }
 
 Refusal ServiceProfiler::restoreParam(const std::string& service, const proto::Param& param) {
@@ -320,15 +368,15 @@ const ServiceProfiler::Values* ServiceProfiler::valuesOf(int service, int param,
     return meta.ready() ? &meta.initial() : nullptr;
 }
 
-/// Of the outermost composite around it that declares a parameter of the name and has a value for it, else its own;
-/// null = none.
-const ServiceProfiler::Values* ServiceProfiler::valuesOf(const Composites::Part& way, std::size_t level, int param,
-                                                         const Given& given) const {
+/// Of the outermost composite around it that declares a parameter of the name and has a value for it, else
+/// its own.
+ServiceProfiler::Source ServiceProfiler::valuesOf(const Composites::Part& way, std::size_t level, int param,
+                                                  const Given& given) const {
     const auto& name = declared_.services(way[level]).params(param).name();
     for (std::size_t around = 0; around < level; ++around)
         if (const auto own = ownSettable(way[around], name))
-            if (const auto* values = valuesOf(way[around], *own, given)) return values;
-    return valuesOf(way[level], param, given);
+            if (const auto* values = valuesOf(way[around], *own, given)) return {values, around};
+    return {valuesOf(way[level], param, given), level};
 }
 
 /// Under which name a client of the service at the beginning of the way sets it.
@@ -354,12 +402,13 @@ ServiceProfiler::Order ServiceProfiler::merge(const Composites::Part& way, const
         for (int i = 0; i < ownParams(way[level]); ++i) {
             const auto& meta = service.params(i);
             if (!isSettable(meta)) continue;
-            if (const auto* values = valuesOf(way, level, i, given)) {
+            if (const auto source = valuesOf(way, level, i, given); source.values != nullptr) {
                 if (!simple) continue;
-                auto& param = order.params.emplace_back();
+                auto& [param, whose] = order.params.emplace_back();
                 param.set_name(meta.name());
                 param.set_units(meta.units());
-                *param.mutable_values() = *values;
+                *param.mutable_values() = *source.values;
+                whose = source.level;
             } else if (meta.required()) {
                 lack("parameter", nameIn(way, level, meta.name()));
             }

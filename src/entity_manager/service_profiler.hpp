@@ -36,9 +36,13 @@ class ServiceProfiler {
     using Params = google::protobuf::RepeatedPtrField<proto::Param>;
     /// A merged part of a task: everything the robot application needs to run one simple service.
     struct Order {
+        struct Taken {
+            proto::Param param;
+            std::size_t level = 0;  ///< of `way`: whose value it is
+        };
         int service = 0;
         Composites::Part way;  ///< to it, from the service that was asked for; for a simple one it is alone
-        std::vector<proto::Param> params;
+        std::vector<Taken> params;
         std::vector<proto::Resource> resources;
     };
     /// A merged task. A simple service has one part, itself.
@@ -78,6 +82,15 @@ class ServiceProfiler {
                                                     const proto::Param& param) const;
     /// After the robot application has granted it.
     void storeParam(int service, const proto::Param& param);
+
+    /// Of a service's own parameters.
+    bool isConfig(int service, std::string_view param) const;
+    /// All CONFIG parameters that have a value, each of the service that declares it.
+    std::vector<proto::ServiceParam> configuration() const;
+    /// A CONFIG parameter has been stored after the task was accepted: its parts from this one on take the
+    /// value where theirs is a CONFIG too and no composite further out has one for it. True when that part
+    /// itself has taken it.
+    bool reconfigure(Plan& plan, std::size_t from, int service, const proto::Param& param) const;
 
     /// A value of a savable parameter that was set before this profile was loaded: set again, or why this
     /// profile does not admit it. UNKNOWN_SERVICE, UNKNOWN_PARAMETER, and what checkParam() says.
@@ -156,8 +169,12 @@ class ServiceProfiler {
     std::optional<int> ownSettable(int service, std::string_view name) const;
     Composites::View ownerOf(int service, int param) const;
     Result<Accepted> accept(int service, const proto::Param& param) const;
+    struct Source {
+        const Values* values = nullptr;  ///< null = none
+        std::size_t level = 0;           ///< of the way: whose they are
+    };
     const Values* valuesOf(int service, int param, const Given& given) const;
-    const Values* valuesOf(const Composites::Part& way, std::size_t level, int param, const Given& given) const;
+    Source valuesOf(const Composites::Part& way, std::size_t level, int param, const Given& given) const;
     std::string nameIn(const Composites::Part& way, std::size_t level, const std::string& name) const;
     Order merge(const Composites::Part& way, const Given& given, std::vector<Lack>& lacks) const;
     void clear(int service, std::uint64_t stamp, Cleared& cleared);

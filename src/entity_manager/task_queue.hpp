@@ -47,6 +47,7 @@ class TaskQueue {
     bool empty() const { return waiting_.empty(); }
     std::size_t size() const { return waiting_.size(); }
     const std::deque<Task>& waiting() const { return waiting_; }
+    std::deque<Task>& waiting() { return waiting_; }
     Task& front() { return waiting_.front(); }
     const Task& front() const { return waiting_.front(); }
     Task pop();

@@ -517,7 +517,8 @@ TEST_F(SavableValues, AreDroppedByAProfileThatDoesNotAdmitThemAndItIsSaid) {
     const std::pair<const char*, const char*> changes[] = {
         {"value=\"200\" savable", "value=\"100\" maximum=\"250\" savable"},
         {"units=\"mm/s\" value=\"200\"", "units=\"m/s\" value=\"100\""},
-        {"value=\"200\" savable=\"true\"", "value=\"100\" savable=\"false\""},
+        {"type=\"CONFIG\" data_type=\"INT\" units=\"mm/s\" value=\"200\" savable=\"true\"",
+         "type=\"INPUT\" data_type=\"INT\" units=\"mm/s\" value=\"100\""},
         {"data_type=\"INT\" units=\"mm/s\" value=\"200\"", "data_type=\"BOOL\" value=\"true\""}};
     for (const auto& [from, to] : changes) {
         SCOPED_TRACE(to);
@@ -575,6 +576,125 @@ TEST_F(SavableValues, ThatAreDamagedOnTheDiskAreSaidToBeLost) {
     rig.makeIdle();
     EXPECT_EQ(speed(), "200mm/s");
     EXPECT_EQ(status().findings_size(), 1);
+}
+
+struct ConfigParameters : SavableValues {
+    ConfigParameters() {
+        declare(R"(<Param name="Route" type="CONFIG" data_type="STR" multiple="true" required="true"/>)"
+                R"(<Param name="Notes" type="CONFIG" data_type="STR" multiple="true" savable="false"/>)"
+                R"(<Param name="Words" type="INPUT" data_type="STR" multiple="true"/>)");
+    }
+    /// As the parameters of the service Light, which is the profile's only one then.
+    void declare(const std::string& params) {
+        relink(R"(<ServiceProfile><Service name="Light" type="SMPL" blocking="false"><Parameters>)" + params +
+               "</Parameters></Service></ServiceProfile>");
+    }
+    /// So many texts of 64 KiB.
+    static proto::Param longValue(const std::string& name, int texts) {
+        proto::Param param;
+        param.set_name(name);
+        for (int i = 0; i < texts; ++i) param.add_values()->set_str(std::string(65536, 'x'));
+        return param;
+    }
+    proto::RefusalCode setLong(const std::string& name, int texts) {
+        proto::ToEntity message;
+        message.mutable_set_param()->set_request_id(idOf("p"));
+        message.mutable_set_param()->set_service("Light");
+        *message.mutable_set_param()->mutable_param() = longValue(name, texts);
+        rig.send("client1", message);
+        proto::EiToEm granted;
+        granted.mutable_answer()->set_request(rig.to_application.back().param().request());
+        rig.fromApplication(granted);
+        for (auto at = rig.to_clients.rbegin(); at != rig.to_clients.rend(); ++at)
+            if (at->message.has_reply()) return at->message.reply().refusal().code();
+        return proto::INTERNAL;
+    }
+    std::string taskWith(const std::string& id, const proto::Param& param) {
+        proto::ToEntity message;
+        message.mutable_task()->set_task_id(idOf(id));
+        message.mutable_task()->set_service("Light");
+        *message.mutable_task()->add_params() = param;
+        rig.send("client1", message);
+        return proto::TaskState_Name(lastOf(rig, id).state());
+    }
+    /// What the application was told of its configuration since the test looked last.
+    std::vector<proto::Configuration> told() {
+        std::vector<proto::Configuration> all;
+        for (; looked < rig.to_application.size(); ++looked)
+            if (rig.to_application[looked].has_configuration())
+                all.push_back(rig.to_application[looked].configuration());
+        return all;
+    }
+    std::size_t looked = 0;
+};
+
+TEST_F(ConfigParameters, AreToldBeforeAnyTaskWithTheUnitsOfTheProfileOthersAreNot) {
+    relink();
+    const auto all = told();
+    ASSERT_EQ(all.size(), 2U) << "one for each link that had any: those of this fixture have no value yet";
+    ASSERT_EQ(all.back().params_size(), 1);
+    EXPECT_EQ(all.back().params(0).service(), "Driving");
+    EXPECT_EQ(all.back().params(0).param().name(), "Speed");
+    EXPECT_EQ(all.back().params(0).param().units(), "mm/s");
+    EXPECT_EQ(all.back().params(0).param().values(0).int_(), 200);
+    set("Driving", "Distance=700");
+    EXPECT_TRUE(told().empty()) << "an INPUT";
+    set("driving", "Speed=300");
+    const auto then = told();
+    ASSERT_EQ(then.size(), 1U);
+    EXPECT_EQ(then[0].params(0).service(), "Driving");
+    EXPECT_EQ(then[0].params(0).param().units(), "mm/s") << "of the profile, where the client names none";
+    EXPECT_EQ(then[0].task_id(), "");
+}
+
+TEST_F(ConfigParameters, ThatAreRequiredAreSetOnceAndForAll) {
+    EXPECT_EQ(taskWith("t1", longValue("Words", 1)), "TASK_REFUSED");
+    EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::MISSING_DEPENDENCY);
+    set("Light", "Route=a");
+    for (const std::string task : {"t2", "t3"}) {
+        EXPECT_EQ(taskWith(task, longValue("Words", 1)), "TASK_DISPATCHED");
+        rig.update(task, proto::TASK_SUCCEEDED);
+    }
+    EXPECT_EQ(status().services(0).missing_size(), 0);
+}
+
+TEST_F(ConfigParameters, AreKeptWhateverTheProfileSaysOfSavable) {
+    set("Light", "Notes=a");
+    declare(R"(<Param name="Notes" type="CONFIG" data_type="STR" multiple="true" savable="false"/>)");
+    const auto param = status().services(0).params(0);
+    EXPECT_TRUE(param.savable());
+    ASSERT_EQ(param.initial_size(), 1);
+    EXPECT_EQ(param.initial(0).str(), "a");
+}
+
+TEST_F(ConfigParameters, AreRefusedWhereTheyCouldNotBeKept) {
+    EXPECT_EQ(setLong("Route", 10), proto::OK);
+    static_cast<void>(told());
+    EXPECT_EQ(setLong("Notes", 6), proto::TOO_LARGE) << "with the other one it is more than 1 MiB";
+    EXPECT_TRUE(told().empty());
+    EXPECT_FALSE(status().services(0).params(1).ready());
+    EXPECT_EQ(setLong("Route", 12), proto::OK) << "in its own place";
+    EXPECT_EQ(setLong("Notes", 3), proto::OK);
+    static_cast<void>(told());
+    declare(R"(<Param name="Route" type="CONFIG" data_type="STR" multiple="true"/>)"
+            R"(<Param name="Notes" type="CONFIG" data_type="STR" multiple="true"/>)");
+    int params = 0;
+    for (const auto& one : told()) params += one.params_size();
+    EXPECT_EQ(params, 2);
+}
+
+TEST_F(ConfigParameters, AreRefusedWhereATaskThatWaitsCouldNotBeSentWithThem) {
+    set("Light", "Route=a");
+    EXPECT_EQ(taskWith("t1", longValue("Words", 8)), "TASK_DISPATCHED");
+    rig.grant("t1");
+    EXPECT_EQ(taskWith("t2", longValue("Words", 8)), "TASK_QUEUED");
+    EXPECT_EQ(setLong("Route", 8), proto::TOO_LARGE);
+    EXPECT_EQ(setLong("Route", 3), proto::OK) << "there is room for this";
+    rig.update("t1", proto::TASK_SUCCEEDED);
+    ASSERT_EQ(dispatches(rig, "t2"), 1);
+    EXPECT_EQ(rig.to_application.back().task().params(0).values_size(), 3);
+    rig.grant("t2");
+    EXPECT_EQ(setLong("Route", 8), proto::OK) << "a running one is not sent again";
 }
 
 struct Urls : SavableValues {

@@ -404,7 +404,7 @@ class ParamReader {
         param_.set_units(std::string(trimmed(reader_.text("units"))));
         param_.set_descr(reader_.text("descr"));
         param_.set_required(reader_.flag("required", false));
-        param_.set_savable(reader_.flag("savable", "modifiable", false));
+        param_.set_savable(reader_.flag("savable", "modifiable", param_.type() == proto::CONFIG));
         param_.set_multiple(reader_.flag("multiple", false));
         const bool stated_ready = reader_.flag("ready", "set", false);
         const bool states_ready = has("ready") || has("set");
@@ -558,6 +558,13 @@ class ParamReader {
                             "required only for INPUT and CONFIG; it is ignored",
                             "leave the attribute out: the robot gives this value");
             param_.set_required(false);
+        }
+        if (param_.type() == proto::CONFIG && !param_.savable()) {
+            const char* attribute = has("savable") ? "savable" : "modifiable";
+            reader_.warning(reader_.lineOf(attribute), attribute,
+                            "true for CONFIG, whose value is always kept; it counts as true",
+                            "leave the attribute out, or make the parameter an INPUT");
+            param_.set_savable(true);
         }
     }
 

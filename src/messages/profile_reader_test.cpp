@@ -132,6 +132,27 @@ TEST(ProfileReader, AParameterWithAValueIsReady) {
     EXPECT_EQ(param.initial(0).dbl(), 2.0);
 }
 
+TEST(ProfileReader, AConfigParameterIsSavableWhateverIsSaid) {
+    for (const auto* said : {"", " savable='true'"}) {
+        const auto reading =
+            readServicesProfile(withParam(std::string("type='CONFIG' data_type='DBL'") + said), "s.xml");
+        EXPECT_THAT(reading.findings, IsEmpty());
+        EXPECT_TRUE(reading.message.services(0).params(0).savable());
+    }
+    for (const auto* said : {" savable='false'", " modifiable='0'"}) {
+        const auto reading =
+            readServicesProfile(withParam(std::string("type='CONFIG' data_type='DBL'") + said), "s.xml");
+        EXPECT_TRUE(reading.ok());
+        ASSERT_FALSE(reading.findings.empty());
+        EXPECT_THAT(reading.findings.back().toString(), HasSubstr("whose value is always kept"));
+        EXPECT_TRUE(reading.message.services(0).params(0).savable());
+    }
+    EXPECT_FALSE(readServicesProfile(withParam("type='INPUT' data_type='DBL'"), "s.xml")
+                     .message.services(0)
+                     .params(0)
+                     .savable());
+}
+
 TEST(ProfileReader, ReadyWithoutAValueIsAWarningAndCountsAsNotSet) {
     const auto reading =
         readServicesProfile(withParam("type='CONFIG' data_type='DBL' ready='true'"), "s.xml");

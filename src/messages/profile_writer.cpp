@@ -117,7 +117,7 @@ void writeParam(Writer& out, const proto::CtrlParam& param) {
     const bool single = param.initial_size() == 1;
     if (single) out.attribute("value", toText(param.initial(0)));
     out.flag("required", param.required(), false);
-    out.flag("savable", param.savable(), false);
+    out.flag("savable", param.savable(), param.type() == proto::CONFIG);
     out.flag("multiple", param.multiple(), false);
     if (param.has_minimum()) out.number("minimum", param.minimum());
     if (param.has_maximum()) out.number("maximum", param.maximum());

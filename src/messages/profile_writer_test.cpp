@@ -90,7 +90,7 @@ class ProfileMaker {
         out.set_data_type(static_cast<proto::DataType>(1 + below(4)));
         if (coin()) out.set_units("mm/s");
         if (coin()) out.set_descr(text(20));
-        out.set_savable(coin());
+        out.set_savable(coin() || out.type() == proto::CONFIG);
         out.set_multiple(coin());
         out.set_required(coin() && (out.type() == proto::INPUT || out.type() == proto::CONFIG));
         const bool with_choices = out.data_type() != proto::BOOL && below(4) == 0;

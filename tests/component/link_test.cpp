@@ -480,6 +480,109 @@ TEST(Link, ParametersAndResourcesAreGrantedOrDeniedWithTheReason) {
     EXPECT_EQ(manager.answerTo(12)->message(), "no such map");
 }
 
+/// "Service.Name=value" of all that onConfig was told.
+class Told {
+  public:
+    void attach(EntityInterfacer& interfacer) {
+        interfacer.onConfig([this](const std::string& service, const Parameter& p) {
+            const std::lock_guard lock(mutex_);
+            all_.push_back(service + '.' + p.name + '=' + std::to_string(static_cast<int>(p.number())) +
+                           p.units);
+        });
+    }
+    std::vector<std::string> all() {
+        const std::lock_guard lock(mutex_);
+        return all_;
+    }
+
+  private:
+    std::mutex mutex_;
+    std::vector<std::string> all_;
+};
+
+proto::EmToEi configuration(double speed, const std::string& task = {}) {
+    proto::EmToEi message;
+    auto& one = *message.mutable_configuration()->add_params();
+    one.set_service("Drive");
+    *one.mutable_param() = param("Speed", speed);
+    one.mutable_param()->set_units("mm/s");
+    message.mutable_configuration()->set_task_id(task);
+    return message;
+}
+
+TEST(Link, ARunningHandlerReadsTheConfigurationThatIsSetMeanwhileOthersDoNot) {
+    Told told;
+    EntityInterfacer interfacer(options("Configured"));
+    told.attach(interfacer);
+    std::atomic<int> drive{0}, other{0};
+    std::atomic<bool> unchanged{true};
+    const auto follow = [&](std::atomic<int>& seen) {
+        return [&](Task& task) {
+            while (task.waitFor(1ms)) {
+                seen = static_cast<int>(task.number("Speed", -1));
+                unchanged = unchanged && task.parameters().size() == 1 && task.parameters()[0].number() == 1;
+            }
+        };
+    };
+    interfacer.onTask("Drive", follow(drive));
+    interfacer.onTask("Other", follow(other));
+    interfacer.start();
+    Manager manager("Configured");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    const auto first = manager.dispatch("Drive", 0, {param("Speed", 1)});
+    manager.dispatch("Other", 0, {param("Speed", 1)});
+    ASSERT_TRUE(waitUntil([&] { return drive == 1 && other == 1; }));
+    manager.send(configuration(2, first));
+    manager.send(configuration(3, first));
+    EXPECT_TRUE(waitUntil([&] { return drive == 3; }));
+    // Of a composite around it, and so of no running task.
+    manager.send(configuration(4));
+    manager.send(configuration(5, std::string(16, 'z')));
+    ASSERT_TRUE(waitUntil([&] { return told.all().size() == 4; }));
+    EXPECT_EQ(told.all(), (std::vector<std::string>{"Drive.Speed=2mm/s", "Drive.Speed=3mm/s",
+                                                    "Drive.Speed=4mm/s", "Drive.Speed=5mm/s"}));
+    EXPECT_EQ(drive, 3);
+    EXPECT_EQ(other, 1);
+    EXPECT_TRUE(unchanged) << "parameters() are those of the beginning";
+}
+
+TEST(Link, ConfigurationIsToldWhileAStopIsObeyedAndDoesNotHoldItUp) {
+    std::promise<void> go;
+    const auto gone = go.get_future().share();
+    Stops stops;
+    std::atomic<int> told{0};
+    EntityInterfacer interfacer(options("ConfigStop"));
+    stops.attach(interfacer);
+    interfacer.onConfig([&, gone](const std::string&, const Parameter&) {
+        told++;
+        gone.wait();
+    });
+    interfacer.start();
+    Manager manager("ConfigStop");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    manager.send(configuration(1));
+    ASSERT_TRUE(waitUntil([&] { return told == 1; }));
+    const auto generation = manager.stop();
+    EXPECT_TRUE(waitUntil([&] { return manager.acknowledged(generation); }))
+        << "the callback has not returned";
+    manager.send(configuration(2));
+    go.set_value();
+    EXPECT_TRUE(waitUntil([&] { return told == 2; }));
+}
+
+TEST(Link, AnExceptionThatLeavesOnConfigIsAFaultAndTheLinkComesUpAgain) {
+    Stops stops;
+    EntityInterfacer interfacer(options("ConfigThrow"));
+    stops.attach(interfacer);
+    interfacer.onConfig([](const std::string&, const Parameter& p) { static_cast<void>(p.text()); });
+    interfacer.start();
+    Manager manager("ConfigThrow");
+    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
+    manager.send(configuration(1));
+    EXPECT_TRUE(
+        waitUntil([&] { return stops.count(Cause::Fault) == 1 && manager.ups == 2 && interfacer.linked(); }));
+}
+
 TEST(Link, WhatIsGivenWithATaskIsPutToOnParameterAndAVetoRefusesTheTask) {
     std::atomic<int> asked{0}, requests{0}, runs{0};
     EntityInterfacer interfacer(options("GivenVeto"));

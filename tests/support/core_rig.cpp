@@ -601,6 +601,14 @@ std::string shown(const proto::EmToEi& message, const CoreRig& rig) {
                 text += ' ' + resource.name() + '@' + resource.url();
             return text;
         }
+        case proto::EmToEi::kConfiguration: {
+            std::string text = "Configuration";
+            for (const auto& one : message.configuration().params())
+                text += ' ' + one.service() + '.' + shown(one.param());
+            if (!message.configuration().task_id().empty())
+                text += " for " + rig.nameOfSent(message.configuration().task_id());
+            return text;
+        }
         case proto::EmToEi::kCancel:
             return "CancelTask " + rig.nameOfSent(message.cancel().task_id());
         case proto::EmToEi::kPause:

@@ -144,6 +144,9 @@ class AXON_EI_API Task {
     const std::string& id() const;  ///< UUID text
     const std::string& service() const;
 
+    // Parameters. A CONFIG parameter that is set while the task runs has its new value from then on: a
+    // handler that reads it in each round of its loop follows it. All others stay as they were when the task
+    // began.
     bool has(std::string_view parameter) const;
     // Values. Without fallback, a missing parameter or one of another type throws std::invalid_argument,
     // which fails the task when it is not caught.
@@ -161,7 +164,7 @@ class AXON_EI_API Task {
     std::vector<std::string> texts(std::string_view parameter) const;
     std::vector<bool> flags(std::string_view parameter) const;
     std::string units(std::string_view parameter) const;
-    const std::vector<Parameter>& parameters() const;
+    const std::vector<Parameter>& parameters() const;  ///< as they were when the task began
     /// Where the resource (a file) lies on this machine; empty when it was not given.
     std::filesystem::path resource(std::string_view name) const;
 
@@ -259,6 +262,12 @@ class AXON_EI_API EntityInterfacer {
     /// before onTaskRequest, and a denial refuses the task. Of a composite service, all that was given is
     /// asked for before the first part begins; `service` is the one whose profile declares the parameter.
     void onParameter(std::function<Decision(const std::string& service, const Parameter&)> callback);
+    /// A CONFIG parameter has this value. All that have one are told when an Entity Manager has linked and
+    /// read the profiles, before the first task: the profile's value, or what was set before, in an earlier
+    /// life of this program perhaps. From then on each one is told when it has been set (and granted, see
+    /// onParameter), whether or not a task runs. A stop does not keep it back: it must not move the machine.
+    /// A value that has not changed may be told again.
+    void onConfig(std::function<void(const std::string& service, const Parameter&)> callback);
     /// The file that a client has uploaded, to be looked at: it replaces what was there before only when it
     /// is granted, and then lies somewhere else, where each task's resource() says.
     void onResource(std::function<Decision(const std::string& service, const std::string& resource,
