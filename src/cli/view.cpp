@@ -493,6 +493,14 @@ void PersonView::showTask(const Json& event) {
     }
     if (part >= 0 && state != "RUNNING") text += "  " + lowerCase(state);
     text += "  " + duration(elapsed);
+    for (const auto& name : event.value("live", Json::array())) {
+        const auto& results = event.at("results");
+        const auto told = results.find(name.get<std::string>());
+        if (told == results.end()) continue;
+        const auto unit = event.value("units", Json::object()).value(told.key(), "");
+        text += "  " + printable(told.key()) + " " + valuesText(*told) +
+                (unit.empty() ? "" : " " + printable(unit));
+    }
     if (!terminal_.live) {
         // What is new is worth a line whatever the clock says.
         if (!feedback.empty()) text += "  " + feedback;

@@ -187,6 +187,23 @@ TEST_F(View, PrintsProgressNowAndThenWhereLinesCannotBeRedrawn) {
               "  Distance = 998 mm\n");
 }
 
+TEST_F(View, ShowsTheFEEDBACKOfATaskWhileItRunsAndItsOUTPUTWhenItHasEnded) {
+    auto running = taskEvent(TaskState::Running, 0.5, "", 2);
+    running["live"] = {"Speed", "Beacon", "Angles"};
+    running["units"] = {{"Distance", "mm"}, {"Speed", "mm/s"}};
+    running["results"] = {{"Distance", {500}}, {"Speed", {198.5}}, {"Angles", {1.5, 2}}};
+    auto done = running;
+    done["state"] = "SUCCEEDED";
+    done["final"] = true;
+    EXPECT_EQ(
+        shown({running, done}),
+        "PeopleBot Driving  [##############--------------]  50 %  2.0 s  Speed 198.5 mm/s  Angles 1.5, 2\n"
+        "✓ PeopleBot Driving succeeded after 2.0 s\n"
+        "  Angles = 1.5, 2\n"
+        "  Distance = 500 mm\n"
+        "  Speed = 198.5 mm/s\n");
+}
+
 TEST_F(View, NothingIsAtMinusZeroPercent) {
     EXPECT_EQ(shown({taskEvent(TaskState::Running, -0.0, "", 0.1)}),
               "PeopleBot Driving  [----------------------------]   0 %  100 ms\n");

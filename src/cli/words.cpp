@@ -182,6 +182,13 @@ Json unitsOf(const Service& service) {
     return units;
 }
 
+Json feedbackOf(const Service& service) {
+    auto names = Json::array();
+    for (const auto& parameter : service.parameters)
+        if (parameter.type == "FEEDBACK") names.push_back(parameter.name);
+    return names;
+}
+
 Json toJson(const StepReport& step) {
     const auto seconds = [](const std::optional<Seconds>& time) {
         return time ? Json(time->count()) : Json(nullptr);

@@ -17,6 +17,8 @@ Json toJson(const TaskReport& report);
 Json taskEvent(const TaskReport& report, const std::string& entity, Seconds elapsed);
 /// {parameter: its unit}, of those that have one.
 Json unitsOf(const Service& service);
+/// The names of its FEEDBACK parameters.
+Json feedbackOf(const Service& service);
 Json toJson(const Receipt& receipt);
 /// A step of a run; without the members of "run" and "run_record" events that are not its own.
 Json toJson(const StepReport& step);

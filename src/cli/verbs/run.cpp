@@ -18,12 +18,13 @@ class Follower {
   public:
     /// To its end; `until_admitted`: until the Entity Manager lets it wait or the robot's application has
     /// begun it.
-    Follower(Session& session, std::string task, std::string entity, Json units, Clock::time_point started,
-             bool until_admitted)
+    Follower(Session& session, std::string task, std::string entity, const Service& service,
+             Clock::time_point started, bool until_admitted)
         : session_(session),
           task_(std::move(task)),
           entity_(std::move(entity)),
-          units_(std::move(units)),
+          units_(unitsOf(service)),
+          live_(feedbackOf(service)),
           started_(started),
           until_admitted_(until_admitted) {}
 
@@ -77,6 +78,7 @@ class Follower {
         event.erase("accepted");
         event["elapsed_s"] = Seconds(Clock::now() - started_).count();
         event["units"] = units_;
+        event["live"] = live_;
         session_.events.emit(event);
         return true;
     }
@@ -99,7 +101,7 @@ class Follower {
 
     Session& session_;
     const std::string task_, entity_;
-    const Json units_;
+    const Json units_, live_;
     const Clock::time_point started_;
     const bool until_admitted_;
 };
@@ -147,7 +149,7 @@ int run(Session& session) {
         });
     if (!task) return refuse(session, task.refusal(), name);
 
-    Follower follower(session, task.value(), holding->call(), unitsOf(*service.value()), started, detached);
+    Follower follower(session, task.value(), holding->call(), *service.value(), started, detached);
     Deadline deadline;
     if (session.args.contains("wait")) {
         deadline = started +

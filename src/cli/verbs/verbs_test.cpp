@@ -153,6 +153,8 @@ TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
 }
 
 TEST_F(Verbs, RunChecksOutForItselfAndReleases) {
+    station->services_[0].parameters.emplace_back().name = "Speed";
+    station->services_[0].parameters.back().type = "FEEDBACK";
     station->script = {{TaskState::Running, 0.5, "half way", {}, {}},
                        {TaskState::Succeeded, 1, "", {}, {{"Distance", {std::int64_t{998}}}}}};
     EXPECT_EQ(perform("run", runCyton()), kDone);
@@ -164,6 +166,7 @@ TEST_F(Verbs, RunChecksOutForItselfAndReleases) {
     EXPECT_EQ(last["state"], "SUCCEEDED");
     EXPECT_EQ(last["results"]["Distance"][0], 998);
     EXPECT_EQ(last["units"]["Distance"], "mm");
+    EXPECT_EQ(last["live"], Json::array({"Speed"}));
     EXPECT_EQ(station->run_arguments.at(0).units, "mm");
 }
 
