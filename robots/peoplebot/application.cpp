@@ -41,11 +41,14 @@ constexpr double kVelocity_deg_s = 30;
 Driving::Request drivingRequest(const Task& task) {
     return {.distance_mm = task.number("Distance"),
             .velocity_mm_s = task.number("Velocity", kVelocity_mm_s),
-            .range_threshold_mm = task.number("Range Threshold", kRangeThreshold_mm)};
+            .range_threshold_mm = task.number("Range Threshold", kRangeThreshold_mm),
+            .speed_limit_mm_s = task.number("Speed Limit", Driving::kFastest_mm_s)};
 }
 
 Turning::Request turningRequest(const Task& task) {
-    return {.angle_deg = task.number("Angle"), .velocity_deg_s = task.number("Velocity", kVelocity_deg_s)};
+    return {.angle_deg = task.number("Angle"),
+            .velocity_deg_s = task.number("Velocity", kVelocity_deg_s),
+            .speed_limit_deg_s = task.number("Speed Limit", Turning::kFastest_deg_s)};
 }
 
 Wander::Request wanderRequest(const Task& task) {
@@ -71,6 +74,10 @@ TableApproach::Request tableApproachRequest(const Task& task) {
     request.reach_mm = task.number("Reach", request.reach_mm);
     request.range_threshold_mm = task.number("Range Threshold", request.range_threshold_mm);
     return request;
+}
+
+void tellSpeed(Task& task, const RobotState& robot) {
+    task.result("Speed", std::round(robot.speed_mm_s()), "mm/s");
 }
 
 EntityInterfacer::Options interfacerOptions(const Settings& settings, std::shared_ptr<const Clock> clock) {
@@ -228,7 +235,13 @@ void Application::offerDriving() {
         kDriving, [](const Task& task) { return Driving::objection(drivingRequest(task)); },
         [this](Task& task) {
             Driving motion(drivingRequest(task), robot_->state(), clock_->now());
-            perform(task, motion, [&] { task.result("Travelled", std::round(motion.travelled_mm()), "mm"); });
+            perform(
+                task, motion, [&] { motion.limitSpeed(drivingRequest(task).speed_limit_mm_s); },
+                [&](const RobotState& robot) {
+                    task.result("Travelled", std::round(motion.travelled_mm()), "mm");
+                    task.result("Remaining", std::round(motion.remaining_mm()), "mm");
+                    tellSpeed(task, robot);
+                });
         });
 }
 
@@ -237,7 +250,12 @@ void Application::offerTurning() {
         kTurning, [](const Task& task) { return Turning::objection(turningRequest(task)); },
         [this](Task& task) {
             Turning motion(turningRequest(task), robot_->state(), clock_->now());
-            perform(task, motion, [&] { task.result("Turned", std::round(motion.turned_deg() * 10) / 10, "deg"); });
+            perform(
+                task, motion, [&] { motion.limitSpeed(turningRequest(task).speed_limit_deg_s); },
+                [&](const RobotState& /*robot*/) {
+                    task.result("Turned", std::round(motion.turned_deg() * 10) / 10, "deg");
+                    task.result("Remaining", std::round(motion.remaining_deg() * 10) / 10, "deg");
+                });
         });
 }
 
@@ -246,10 +264,14 @@ void Application::offerWander() {
         kWander, [](const Task& task) { return Wander::objection(wanderRequest(task)); },
         [this](Task& task) {
             Wander motion(wanderRequest(task), wander_rules_, robot_->state(), clock_->now());
-            perform(task, motion, [&] {
-                task.result("Travelled", std::round(motion.travelled_mm()), "mm");
-                task.result("Recoveries", static_cast<std::int64_t>(motion.recoveries()));
-            });
+            perform(
+                task, motion,
+                [&] { motion.setVelocity(task.number("Velocity", Wander::Request{}.velocity_mm_s)); },
+                [&](const RobotState& robot) {
+                    task.result("Travelled", std::round(motion.travelled_mm()), "mm");
+                    task.result("Recoveries", static_cast<std::int64_t>(motion.recoveries()));
+                    tellSpeed(task, robot);
+                });
         });
 }
 
@@ -258,7 +280,16 @@ void Application::offerTableApproach() {
         kTableApproach, [](const Task& task) { return TableApproach::objection(tableApproachRequest(task)); },
         [this](Task& task) {
             TableApproach motion(tableApproachRequest(task), robot_->state(), clock_->now());
-            perform(task, motion, [&] { task.result("Travelled", std::round(motion.travelled_mm()), "mm"); });
+            perform(
+                task, motion,
+                [&] {
+                    const auto set = tableApproachRequest(task);
+                    motion.reconfigure(set.velocity_mm_s, set.range_threshold_mm);
+                },
+                [&](const RobotState& robot) {
+                    task.result("Travelled", std::round(motion.travelled_mm()), "mm");
+                    tellSpeed(task, robot);
+                });
         });
 }
 
@@ -332,18 +363,28 @@ void Application::navigate(Task& task) {
         return localisation_->estimate();
     };
     Navigation motion(navigationRequest(task), plan, navigation_rules_, here, clock_->now());
-    perform(task, motion, [&] {
-        if (const auto news = motion.takeNews(); !news.empty()) task.feedback(news);
-        const auto& pose = motion.estimate().pose;
-        task.result("X", std::round(pose.x_mm), "mm");
-        task.result("Y", std::round(pose.y_mm), "mm");
-        task.result("Heading", std::round(pose.heading_deg * 10) / 10, "deg");
-        task.result("Distance", std::round(motion.distanceToGoal_mm()), "mm");
-    });
+    perform(
+        task, motion,
+        [&] {
+            const auto set = navigationRequest(task);
+            motion.reconfigure(set.velocity_mm_s, set.tolerance_mm);
+        },
+        [&](const RobotState& robot) {
+            if (const auto news = motion.takeNews(); !news.empty()) task.feedback(news);
+            const auto& pose = motion.estimate().pose;
+            task.result("X", std::round(pose.x_mm), "mm");
+            task.result("Y", std::round(pose.y_mm), "mm");
+            task.result("Heading", std::round(pose.heading_deg * 10) / 10, "deg");
+            task.result("Distance", std::round(motion.distanceToGoal_mm()), "mm");
+            if (const auto remaining = motion.remaining_mm())
+                task.result("Remaining", std::round(*remaining), "mm");
+            tellSpeed(task, robot);
+        });
 }
 
 template <class Motion>
-void Application::perform(Task& task, Motion& motion, const std::function<void()>& report) {
+void Application::perform(Task& task, Motion& motion, const std::function<void()>& configure,
+                          const std::function<void(const RobotState&)>& report) {
     if (!gate_->take([&task] { return task.stopRequested(); })) {
         if (!task.stopRequested()) task.fail("another motion has the drive: stop it first");
         return;
@@ -364,8 +405,9 @@ void Application::perform(Task& task, Motion& motion, const std::function<void()
         if (std::exchange(resting, false)) motion.resume(clock_->now());
         if (robot.online && robot.sequence == seen) continue;
         seen = robot.sequence;
+        configure();
         const auto step = motion.step(robot, clock_->now());
-        report();
+        report(robot);
         task.progress(step.progress);
         if (step.outcome == MotionStep::Outcome::Running) {
             if (step.halt)

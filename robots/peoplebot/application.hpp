@@ -58,8 +58,11 @@ class Application {
     void offerNavigation();
     void offerTableApproach();
 
+    /// `configure`: before each step, what has been set since. `report`: after it, of the robot as the step
+    /// saw it.
     template <class Motion>
-    void perform(Task& task, Motion& motion, const std::function<void()>& report);
+    void perform(Task& task, Motion& motion, const std::function<void()>& configure,
+                 const std::function<void(const arcos::RobotState&)>& report);
     Decision consider(const Task& task) const;
 
     void navigate(Task& task);

@@ -106,6 +106,28 @@ class Manager : public entity_manager::BackEndEvents {
         }
         return send(message, task.task_id());
     }
+    /// A CONFIG parameter of this service is set while a task of it runs, or none does.
+    void configure(const std::string& service, const std::string& name, double value,
+                   const std::string& task = {}) {
+        proto::EmToEi message;
+        auto& one = *message.mutable_configuration()->add_params();
+        one.set_service(service);
+        one.mutable_param()->set_name(name);
+        one.mutable_param()->add_values()->set_dbl(value);
+        message.mutable_configuration()->set_task_id(task);
+        send(message, task);
+    }
+    /// As it was told last, while the task ran.
+    std::optional<proto::Param> told(const std::string& id, const std::string& name) {
+        const std::lock_guard lock(mutex_);
+        std::optional<proto::Param> last;
+        for (const auto& event : events_) {
+            if (event.task_id() != id || event.state() >= proto::TASK_SUCCEEDED) continue;
+            for (const auto& result : event.results())
+                if (result.name() == name) last = result;
+        }
+        return last;
+    }
     void pause(const std::string& id, bool resume) {
         proto::EmToEi message;
         message.mutable_pause()->set_task_id(id);
@@ -344,6 +366,33 @@ TEST_F(ApplicationTest, AStopInMidDriveHaltsTheRobotAndIsAcknowledgedTwice) {
     EXPECT_EQ(manager_->end(next)->state(), proto::TASK_SUCCEEDED);
 }
 
+TEST_F(ApplicationTest, ASpeedLimitThatIsSetOnTheWayHoldsAndFeedbackTellsIt) {
+    const auto task = drive(5000, 600);
+    const auto speed = [&] {
+        const auto told = manager_->told(task, "Speed");
+        return told ? told->values(0).dbl() : 0;
+    };
+    ASSERT_TRUE(waitUntil([&] { return speed() > 300; }));
+    manager_->configure("Driving", "Speed Limit", 100, task);
+    EXPECT_TRUE(waitUntil([&] { return speed() > 50 && speed() < 120; }));
+    EXPECT_TRUE(waitUntil([&] { return std::abs(lastTrue("speed_m_s") - 0.1) < 0.02; }));
+    EXPECT_EQ(manager_->told(task, "Speed")->units(), "mm/s");
+    const auto remaining = manager_->told(task, "Remaining");
+    ASSERT_TRUE(remaining);
+    EXPECT_EQ(remaining->units(), "mm");
+    EXPECT_LT(remaining->values(0).dbl(), 5000);
+    manager_->configure("Driving", "Speed Limit", 800, task);
+    EXPECT_TRUE(waitUntil([&] { return speed() > 300; }));
+    // While a stop is latched it moves nothing.
+    const auto generation = manager_->stop();
+    ASSERT_TRUE(waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::STANDSTILL); }));
+    manager_->configure("Driving", "Speed Limit", 700, task);
+    manager_->configure("Driving", "Speed Limit", 700);
+    ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }));
+    EXPECT_EQ(manager_->end(task)->state(), proto::TASK_STOPPED);
+    EXPECT_TRUE(waitUntil([&] { return stands(); }));
+}
+
 TEST_F(ApplicationTest, ACancelHaltsTheRobotToo) {
     const auto task = drive(5000);
     ASSERT_TRUE(waitUntil([&] { return moves(); }));
@@ -453,6 +502,8 @@ TEST_F(ApplicationTest, NavigationDrivesToAGoalOfTheMap) {
     EXPECT_NEAR(lastTrue("x_m"), 2.6, 0.25);
     EXPECT_NEAR(lastTrue("y_m"), 2.6, 0.25);
     EXPECT_NEAR(lastTrue("theta_deg"), -90, 8);
+    ASSERT_TRUE(manager_->told(task, "Remaining"));
+    EXPECT_LT(manager_->told(task, "Remaining")->values(0).dbl(), 400);
     for (const char* stream : {"laser", "localisation", "localisation quality", "particles"}) EXPECT_GT(manager_->samples(stream), 0) << stream;
 }
 

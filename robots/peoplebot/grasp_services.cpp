@@ -3,6 +3,7 @@
 
 #include <fmt/format.h>
 
+#include <cmath>
 #include <stdexcept>
 
 namespace axon::peoplebot {
@@ -203,6 +204,8 @@ void GraspServices::track(Task& task) {
         if (new_picture)
             view = {picture->sequence, picture->taken, picture->width, picture->height,
                     findBlobs(*picture, request.colour)};
+        const auto set = trackingRequest(task);
+        tracking.reconfigure(set.velocity_mm_s, set.range_threshold_mm, set.back_off_mm);
         const auto step = tracking.step(robot, view.sequence != 0 ? &view : nullptr, parts_.clock->now());
         for (const auto& command : step.gripper) tell(command);
         if (step.look)
@@ -211,6 +214,7 @@ void GraspServices::track(Task& task) {
             told = tracking.phase();
             task.feedback(Tracking::toString(*told));
         }
+        task.result("Speed", std::round(robot.speed_mm_s()), "mm/s");
         task.progress(step.progress);
         if (step.outcome == Outcome::Running) {
             parts_.drive.drive(step.forward_mm_s, step.left_deg_s);

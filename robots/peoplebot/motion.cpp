@@ -194,9 +194,9 @@ MotionStep Driving::step(const RobotState& robot, TimePoint now) {
     }
     if (standstill_.stuck(travelled_, now))
         return fail("the robot does not move: are its motors enabled, is it free?");
-    ordered_ =
-        brakingSpeed(rest, speedByNow(speed, ordered_, kAcceleration_mm_s2, latency_.seconds()),
-                     latency_.seconds(), std::abs(request_.velocity_mm_s), kBraking_mm_s2, kCrawl_mm_s);
+    ordered_ = brakingSpeed(
+        rest, speedByNow(speed, ordered_, kAcceleration_mm_s2, latency_.seconds()), latency_.seconds(),
+        std::min(std::abs(request_.velocity_mm_s), request_.speed_limit_mm_s), kBraking_mm_s2, kCrawl_mm_s);
     return {.forward_mm_s = direction_ * ordered_, .progress = progress()};
 }
 
@@ -256,9 +256,9 @@ MotionStep Turning::step(const RobotState& robot, TimePoint now) {
     }
     if (standstill_.stuck(turned_, now))
         return fail("the robot does not turn: are its motors enabled, is it free?");
-    ordered_ =
-        brakingSpeed(rest, speedByNow(speed, ordered_, kTurnAcceleration_deg_s2, latency_.seconds()),
-                     latency_.seconds(), request_.velocity_deg_s, kTurnBraking_deg_s2, kTurnCrawl_deg_s);
+    ordered_ = brakingSpeed(rest, speedByNow(speed, ordered_, kTurnAcceleration_deg_s2, latency_.seconds()),
+                            latency_.seconds(), std::min(request_.velocity_deg_s, request_.speed_limit_deg_s),
+                            kTurnBraking_deg_s2, kTurnCrawl_deg_s);
     return {.left_deg_s = direction * ordered_, .progress = progress()};
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <algorithm>
 #include <optional>
 #include <string>
 
@@ -79,6 +80,7 @@ class Driving {
         double distance_mm = 0;           ///< above zero
         double velocity_mm_s = 200;       ///< negative: backwards
         double range_threshold_mm = 500;  ///< zero: ranges are not looked at
+        double speed_limit_mm_s = 800;    ///< kSlowest or more; velocities above it are this one
     };
     static constexpr double kFastest_mm_s = 800;
     static constexpr double kSlowest_mm_s = 20;
@@ -87,19 +89,22 @@ class Driving {
     static std::string objection(const Request& request);
 
     Driving(const Request& request, const arcos::RobotState& start, TimePoint now);
+    /// On the way too.
+    void limitSpeed(double limit_mm_s) { request_.speed_limit_mm_s = std::max(limit_mm_s, kSlowest_mm_s); }
     MotionStep step(const arcos::RobotState& robot, TimePoint now);
     /// After a pause, in which step() is not called.
     void resume(TimePoint now) { standstill_.restart(now); }
 
     /// In the direction of travel.
     double travelled_mm() const { return travelled_; }
+    double remaining_mm() const { return std::max(0.0, request_.distance_mm - travelled_); }
 
   private:
     std::optional<std::string> obstacle(const arcos::RobotState& robot, TimePoint now) const;
     MotionStep fail(std::string reason) const;
     double progress() const;
 
-    const Request request_;
+    Request request_;
     const int direction_;
     const double start_x_;
     const double start_y_;
@@ -122,6 +127,7 @@ class Turning {
     struct Request {
         double angle_deg = 0;        ///< not zero; positive: to the left
         double velocity_deg_s = 30;  ///< above zero
+        double speed_limit_deg_s = 100;  ///< kSlowest or more; velocities above it are this one
     };
     static constexpr double kFastest_deg_s = 100;
     static constexpr double kSlowest_deg_s = 5;
@@ -129,17 +135,22 @@ class Turning {
     static std::string objection(const Request& request);
 
     Turning(const Request& request, const arcos::RobotState& start, TimePoint now);
+    /// On the way too.
+    void limitSpeed(double limit_deg_s) {
+        request_.speed_limit_deg_s = std::max(limit_deg_s, kSlowest_deg_s);
+    }
     MotionStep step(const arcos::RobotState& robot, TimePoint now);
     void resume(TimePoint now) { standstill_.restart(now); }
 
     /// Signed as the angle asked for.
     double turned_deg() const { return turned_; }
+    double remaining_deg() const { return request_.angle_deg - turned_; }
 
   private:
     MotionStep fail(std::string reason) const;
     double progress() const;
 
-    const Request request_;
+    Request request_;
     const double start_heading_deg_;
     const unsigned bumpers_at_start_;
     StandstillWatch standstill_;

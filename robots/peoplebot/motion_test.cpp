@@ -228,6 +228,30 @@ TEST_F(DrivingTest, APauseIsNoStandstill) {
     EXPECT_EQ(robot_.run(motion).outcome, Outcome::Done);
 }
 
+TEST_F(DrivingTest, ASpeedLimitHoldsOnTheWayTooAndLiftedItGoesOn) {
+    auto motion = begin({.distance_mm = 5000, .velocity_mm_s = -400});
+    const auto fastestOf = [&](int packets) {
+        robot_.fastest = 0;
+        EXPECT_EQ(robot_.run(motion, packets).outcome, Outcome::Running);
+        return robot_.fastest;
+    };
+    EXPECT_EQ(fastestOf(20), 400);
+    motion.limitSpeed(100);
+    EXPECT_EQ(fastestOf(30), 100);
+    motion.limitSpeed(0);
+    EXPECT_EQ(fastestOf(10), Driving::kSlowest_mm_s) << "no slower than any velocity";
+    motion.limitSpeed(800);
+    EXPECT_EQ(fastestOf(20), 400) << "no faster than it was asked to";
+    EXPECT_NEAR(motion.travelled_mm() + motion.remaining_mm(), 5000, 1e-9);
+    EXPECT_EQ(robot_.run(motion).outcome, Outcome::Done);
+    EXPECT_NEAR(motion.travelled_mm(), 5000, 15);
+    Driving limited({.distance_mm = 500, .velocity_mm_s = 400, .speed_limit_mm_s = 50}, robot_.state,
+                    robot_.clock.now());
+    robot_.fastest = 0;
+    EXPECT_EQ(robot_.run(limited).outcome, Outcome::Done);
+    EXPECT_EQ(robot_.fastest, 50);
+}
+
 TEST_F(DrivingTest, ALostRobotIsSaidSo) {
     auto motion = begin({.distance_mm = 1000});
     robot_.state.online = false;
@@ -255,6 +279,29 @@ TEST(Turning, EndsAtItsAngleInBothDirectionsAndBeyondAFullTurn) {
             EXPECT_NEAR(motion.turned_deg(), angle, 2.5) << velocity;
         }
     }
+}
+
+TEST(Turning, ASpeedLimitHoldsOnTheWayToo) {
+    SimulatedRobot robot;
+    Turning motion({.angle_deg = -300, .velocity_deg_s = 60}, robot.state, robot.clock.now());
+    const auto fastestOf = [&](int packets) {
+        double fastest = 0;
+        for (int i = 0; i < packets; ++i) {
+            const auto step = motion.step(robot.state, robot.clock.now());
+            EXPECT_EQ(step.outcome, Outcome::Running);
+            fastest = std::max(fastest, -step.left_deg_s);
+            robot.pass(0, step.left_deg_s);
+        }
+        return fastest;
+    };
+    EXPECT_EQ(fastestOf(10), 60);
+    motion.limitSpeed(10);
+    EXPECT_EQ(fastestOf(20), 10);
+    motion.limitSpeed(100);
+    EXPECT_EQ(fastestOf(5), 60);
+    EXPECT_NEAR(motion.turned_deg() + motion.remaining_deg(), -300, 1e-9);
+    EXPECT_EQ(robot.run(motion).outcome, Outcome::Done);
+    EXPECT_NEAR(motion.turned_deg(), -300, 2.5);
 }
 
 TEST(Turning, ATableSensorCancels) {

@@ -93,8 +93,9 @@ std::shared_ptr<const fuzzy::Engine> loadNavigationRules(const std::filesystem::
 std::string Navigation::objection(const Request& r, const FloorPlan& plan) {
     if (!(r.velocity_mm_s >= kSlowest_mm_s && r.velocity_mm_s <= kFastest_mm_s))
         return fmt::format("Velocity is {} mm/s: give {} to {} mm/s", r.velocity_mm_s, kSlowest_mm_s, kFastest_mm_s);
-    if (!(r.tolerance_mm >= 30 && r.tolerance_mm <= 1000))
-        return fmt::format("Tolerance is {} mm: give 30 to 1000 mm", r.tolerance_mm);
+    if (!(r.tolerance_mm >= kLeastTolerance_mm && r.tolerance_mm <= kMostTolerance_mm))
+        return fmt::format("Tolerance is {} mm: give {} to {} mm", r.tolerance_mm, kLeastTolerance_mm,
+                           kMostTolerance_mm);
     return plan.objection(r.destination);
 }
 
@@ -108,6 +109,11 @@ Navigation::Navigation(const Request& request, std::shared_ptr<const FloorPlan> 
       state_since_(now),
       doubtful_since_(now),
       got_on_(now) {}
+
+void Navigation::reconfigure(double velocity_mm_s, double tolerance_mm) {
+    request_.velocity_mm_s = std::clamp(velocity_mm_s, kSlowest_mm_s, kFastest_mm_s);
+    request_.tolerance_mm = std::clamp(tolerance_mm, kLeastTolerance_mm, kMostTolerance_mm);
+}
 
 void Navigation::resume(TimePoint now) {
     state_since_ = doubtful_since_ = got_on_ = now;

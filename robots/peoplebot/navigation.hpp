@@ -37,6 +37,8 @@ class Navigation {
     };
     static constexpr double kFastest_mm_s = 600;
     static constexpr double kSlowest_mm_s = 50;
+    static constexpr double kLeastTolerance_mm = 30;
+    static constexpr double kMostTolerance_mm = 1000;
     static constexpr int kTries = 4;
     static constexpr Duration kPatience = std::chrono::seconds{20};
 
@@ -46,12 +48,16 @@ class Navigation {
     /// `locate` gives the present estimate of a Localisation on the same plan. The destination must be a goal.
     Navigation(const Request& request, std::shared_ptr<const FloorPlan> plan, std::shared_ptr<const fuzzy::Engine> rules,
                std::function<Estimate()> locate, TimePoint now);
+    /// On the way too; within kSlowest and kFastest, and what objection() lets pass.
+    void reconfigure(double velocity_mm_s, double tolerance_mm);
     MotionStep step(const arcos::RobotState& robot, TimePoint now);
     void resume(TimePoint now);
 
     /// Of the last step.
     const Estimate& estimate() const { return estimate_; }
     double distanceToGoal_mm() const;
+    /// Along the route; nothing before there is one.
+    std::optional<double> remaining_mm() const { return route_ ? std::optional(rest_mm()) : std::nullopt; }
     const std::optional<Route>& route() const { return route_; }
     int plans() const { return plans_; }
     /// What a person may want to know since the last call: a new route, a blocked way. Empty: nothing.
@@ -80,7 +86,7 @@ class Navigation {
     double progress() const;
     mapper3::Point onMap(double x_mm, double y_mm) const;
 
-    const Request request_;
+    Request request_;
     const std::shared_ptr<const FloorPlan> plan_;
     const std::shared_ptr<const fuzzy::Engine> rules_;
     const std::function<Estimate()> locate_;

@@ -2,6 +2,8 @@
 #include <gtest/gtest.h>
 
 #include <fstream>
+#include <map>
+#include <set>
 #include <sstream>
 
 #include "messages/profile_reader.hpp"
@@ -36,6 +38,41 @@ TEST(PeopleBotProfiles, ARenamedProfileIsTheSameProfileWithAnotherName) {
     EXPECT_EQ(after.message.descr(), before.message.descr());
 }
 
+/// The names of a service's parameters of this type.
+std::set<std::string> namesOf(const proto::Service& service, proto::ParamType type) {
+    std::set<std::string> names;
+    for (const auto& param : service.params())
+        if (param.type() == type) names.insert(param.name());
+    return names;
+}
+
+/// Thesis 4.1.2: what it names as inputs is INPUT, and what else may be chosen is CONFIG.
+TEST(PeopleBotProfiles, InputsAreThoseOfTheThesisAndTheRestIsConfiguration) {
+    const auto profile = readServicesProfile(contentOf("services_profile.xml"), "services");
+    using Names = std::set<std::string>;
+    const std::map<std::string, std::pair<Names, Names>> expected{
+        {"Driving", {{"Distance", "Velocity", "Range Threshold"}, {"Speed Limit"}}},
+        {"Turning", {{"Angle", "Velocity"}, {"Speed Limit"}}},
+        {"Patrol", {{"Angle"}, {}}},
+        {"Wander", {{"Duration"}, {"Velocity"}}},
+        {"Navigation", {{"Destination", "Start"}, {"Velocity", "Tolerance"}}},
+        {"Operate Gripper", {{"Direction", "Open"}, {}}},
+        {"Table Object Tracking and Grabbing",
+         {{"Color"}, {"Table Height", "Back Off", "Velocity", "Range Threshold"}}},
+        {"Approach Table", {{"Distance", "Reach"}, {"Velocity", "Range Threshold"}}}};
+    ASSERT_EQ(static_cast<std::size_t>(profile.message.services_size()), expected.size());
+    for (const auto& service : profile.message.services()) {
+        const auto& [inputs, configuration] = expected.at(service.name());
+        EXPECT_EQ(namesOf(service, proto::INPUT), inputs) << service.name();
+        EXPECT_EQ(namesOf(service, proto::CONFIG), configuration) << service.name();
+        for (const auto& param : service.params()) {
+            EXPECT_TRUE(param.ready() || param.type() != proto::CONFIG) << param.name();
+            EXPECT_TRUE(!param.units().empty() || param.type() != proto::FEEDBACK) << param.name();
+        }
+    }
+    EXPECT_EQ(namesOf(profile.message.services(0), proto::FEEDBACK), (Names{"Speed", "Remaining"}));
+}
+
 TEST(PeopleBotProfiles, WhatTheServicesProfileAllowsTheMotionsDo) {
     const auto profile = readServicesProfile(contentOf("services_profile.xml"), "services");
     ASSERT_GE(profile.message.services_size(), 5);
@@ -50,6 +87,11 @@ TEST(PeopleBotProfiles, WhatTheServicesProfileAllowsTheMotionsDo) {
             EXPECT_EQ(param.minimum(), -Driving::kFastest_mm_s);
             EXPECT_EQ(param.initial(0).dbl(), request.velocity_mm_s);
         }
+        if (param.name() == "Speed Limit") {
+            EXPECT_EQ(param.minimum(), Driving::kSlowest_mm_s);
+            EXPECT_EQ(param.maximum(), Driving::kFastest_mm_s);
+            EXPECT_EQ(param.initial(0).dbl(), request.speed_limit_mm_s);
+        }
         if (param.name() == "Range Threshold") {
             EXPECT_EQ(param.initial(0).dbl(), request.range_threshold_mm);
             EXPECT_LT(param.maximum(), arcos::kNoEcho_mm);
@@ -59,10 +101,11 @@ TEST(PeopleBotProfiles, WhatTheServicesProfileAllowsTheMotionsDo) {
     const auto& turning = profile.message.services(1);
     EXPECT_EQ(turning.global_id(), "Turn");
     for (const auto& param : turning.params()) {
-        if (param.name() != "Velocity") continue;
+        if (param.name() != "Velocity" && param.name() != "Speed Limit") continue;
         EXPECT_EQ(param.maximum(), Turning::kFastest_deg_s);
         EXPECT_EQ(param.minimum(), Turning::kSlowest_deg_s);
-        EXPECT_EQ(param.initial(0).dbl(), Turning::Request{}.velocity_deg_s);
+        EXPECT_EQ(param.initial(0).dbl(), param.name() == "Velocity" ? Turning::Request{}.velocity_deg_s
+                                                                     : Turning::Request{}.speed_limit_deg_s);
     }
     for (const auto& service : profile.message.services()) {
         if (service.name() != "Wander" && service.name() != "Navigation") continue;

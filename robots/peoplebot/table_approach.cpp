@@ -25,11 +25,13 @@ constexpr Duration kSettling = std::chrono::milliseconds{300};
 std::string TableApproach::objection(const Request& r) {
     if (!(r.distance_mm > 0 && r.distance_mm <= 5000))
         return fmt::format("Distance is {} mm: give 1 to 5000 mm", r.distance_mm);
-    if (!(r.velocity_mm_s >= 20 && r.velocity_mm_s <= 300))
-        return fmt::format("Velocity is {} mm/s: give 20 to 300 mm/s", r.velocity_mm_s);
+    if (!(r.velocity_mm_s >= kSlowest_mm_s && r.velocity_mm_s <= kFastest_mm_s))
+        return fmt::format("Velocity is {} mm/s: give {} to {} mm/s", r.velocity_mm_s, kSlowest_mm_s,
+                           kFastest_mm_s);
     if (!(r.reach_mm >= 0 && r.reach_mm <= 320)) return fmt::format("Reach is {} mm: give 0 to 320 mm", r.reach_mm);
-    if (!(r.range_threshold_mm >= 0 && r.range_threshold_mm <= 1000))
-        return fmt::format("Range Threshold is {} mm: give 0 to 1000 mm", r.range_threshold_mm);
+    if (!(r.range_threshold_mm >= 0 && r.range_threshold_mm <= kFarthestThreshold_mm))
+        return fmt::format("Range Threshold is {} mm: give 0 to {} mm", r.range_threshold_mm,
+                           kFarthestThreshold_mm);
     return {};
 }
 
@@ -42,6 +44,11 @@ TableApproach::TableApproach(const Request& request, const arcos::RobotState& st
       phase_heading_(start.heading_deg),
       since_(now),
       standstill_(6, now) {}
+
+void TableApproach::reconfigure(double velocity_mm_s, double range_threshold_mm) {
+    request_.velocity_mm_s = std::clamp(velocity_mm_s, kSlowest_mm_s, kFastest_mm_s);
+    request_.range_threshold_mm = std::clamp(range_threshold_mm, 0.0, kFarthestThreshold_mm);
+}
 
 void TableApproach::enter(Phase phase, const arcos::RobotState& robot, TimePoint now) {
     phase_ = phase;

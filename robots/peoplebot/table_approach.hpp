@@ -19,9 +19,15 @@ class TableApproach {
         double reach_mm = 230;  ///< further on, under the table, after both sensors saw it: the gripper is over the base
         double range_threshold_mm = 150;  ///< zero: ranges are not looked at
     };
+    static constexpr double kFastest_mm_s = 300;
+    static constexpr double kSlowest_mm_s = 20;
+    static constexpr double kFarthestThreshold_mm = 1000;
+
     static std::string objection(const Request& request);
 
     TableApproach(const Request& request, const arcos::RobotState& start, TimePoint now);
+    /// On the way too; within what objection() lets pass.
+    void reconfigure(double velocity_mm_s, double range_threshold_mm);
     MotionStep step(const arcos::RobotState& robot, TimePoint now);
     void resume(TimePoint now) { standstill_.restart(now); }
 
@@ -32,7 +38,7 @@ class TableApproach {
     MotionStep fail(std::string reason) const;
     void enter(Phase phase, const arcos::RobotState& robot, TimePoint now);
 
-    const Request request_;
+    Request request_;
     Phase phase_ = Phase::Driving;
     double start_x_;
     double start_y_;

@@ -47,6 +47,9 @@ constexpr double kHorizon_mm = 4000;  // what seems to be farther is taken to be
 constexpr double kTurning_deg_s = 30;
 constexpr double kAhead_deg = 2.5;
 constexpr double kSlowest_mm_s = 60;
+constexpr double kFastest_mm_s = 400;
+constexpr double kFarthestBack_mm = 3000;
+constexpr double kFarthestThreshold_mm = 1000;
 constexpr double kReaching_mm_s = 40;
 constexpr double kClearing_mm_s = 120;
 constexpr double kClearing_mm = 350;
@@ -110,12 +113,14 @@ std::string Tracking::objection(const Request& r, const GraspGeometry& geometry,
     if (!(r.table_height_mm >= lowest && r.table_height_mm <= highest))
         return fmt::format("Table Height is {} mm: this gripper reaches from {} to {} mm", r.table_height_mm, lowest,
                            highest);
-    if (!(r.back_off_mm >= 0 && r.back_off_mm <= 3000))
-        return fmt::format("Back Off is {} mm: give 0 to 3000 mm", r.back_off_mm);
-    if (!(r.velocity_mm_s >= kSlowest_mm_s && r.velocity_mm_s <= 400))
-        return fmt::format("Velocity is {} mm/s: give {} to 400 mm/s", r.velocity_mm_s, kSlowest_mm_s);
-    if (!(r.range_threshold_mm >= 0 && r.range_threshold_mm <= 1000))
-        return fmt::format("Range Threshold is {} mm: give 0 to 1000 mm", r.range_threshold_mm);
+    if (!(r.back_off_mm >= 0 && r.back_off_mm <= kFarthestBack_mm))
+        return fmt::format("Back Off is {} mm: give 0 to {} mm", r.back_off_mm, kFarthestBack_mm);
+    if (!(r.velocity_mm_s >= kSlowest_mm_s && r.velocity_mm_s <= kFastest_mm_s))
+        return fmt::format("Velocity is {} mm/s: give {} to {} mm/s", r.velocity_mm_s, kSlowest_mm_s,
+                           kFastest_mm_s);
+    if (!(r.range_threshold_mm >= 0 && r.range_threshold_mm <= kFarthestThreshold_mm))
+        return fmt::format("Range Threshold is {} mm: give 0 to {} mm", r.range_threshold_mm,
+                           kFarthestThreshold_mm);
     if (robot.gripper.known && !robot.gripper.fitted) return "the robot says that it has no gripper";
     return {};
 }
@@ -129,6 +134,12 @@ Tracking::Tracking(const Request& request, const GraspGeometry& geometry, TimePo
       seen_(now),
       prepared_since_(now),
       moving_(now) {}
+
+void Tracking::reconfigure(double velocity_mm_s, double range_threshold_mm, double back_off_mm) {
+    request_.velocity_mm_s = std::clamp(velocity_mm_s, kSlowest_mm_s, kFastest_mm_s);
+    request_.range_threshold_mm = std::clamp(range_threshold_mm, 0.0, kFarthestThreshold_mm);
+    request_.back_off_mm = std::clamp(back_off_mm, 0.0, kFarthestBack_mm);
+}
 
 void Tracking::resume(TimePoint now) {
     since_ = seen_ = prepared_since_ = moving_ = now;

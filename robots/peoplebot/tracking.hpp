@@ -87,6 +87,8 @@ class Tracking {
                                  const arcos::RobotState& robot);
 
     Tracking(const Request& request, const GraspGeometry& geometry, TimePoint now);
+    /// On the way too; within what objection() lets pass. The rest of the request stays.
+    void reconfigure(double velocity_mm_s, double range_threshold_mm, double back_off_mm);
     /// `view`: the newest there is; the same may be given several times. None: the camera sends nothing.
     Step step(const arcos::RobotState& robot, const CameraView* view, TimePoint now);
     /// After a pause, in which step() is not called.
@@ -133,7 +135,7 @@ class Tracking {
     void stepBackingOff(const arcos::RobotState& robot, TimePoint now, Step& step);
     void stepGivingUp(const arcos::RobotState& robot, TimePoint now, Step& step);
 
-    const Request request_;
+    Request request_;
     const GraspGeometry geometry_;
     const TimePoint started_;
     Phase phase_ = Phase::Looking;

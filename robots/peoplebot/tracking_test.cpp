@@ -162,6 +162,34 @@ TEST_F(TrackingTest, HeldBackItKeepsWhatItHolds) {
     EXPECT_TRUE(world.holding);
 }
 
+TEST_F(TrackingTest, WhatIsSetOnTheWayHoldsFromThenOn) {
+    Tracking tracking({.back_off_mm = 400}, world.geometry, world.clock.now());
+    Tracking::Step step;
+    double fastest = 0;
+    for (int i = 0; i < 4000 && step.outcome == Outcome::Running; ++i) {
+        tracking.reconfigure(80, 150, 200);
+        step = tracking.step(world.robot, world.pictures > 0 ? &world.view : nullptr, world.clock.now());
+        if (tracking.phase() == Tracking::Phase::Approaching) fastest = std::max(fastest, step.forward_mm_s);
+        world.apply(step.forward_mm_s, step.left_deg_s, step.gripper, step.look);
+        world.pass();
+    }
+    EXPECT_EQ(step.outcome, Outcome::Done) << step.reason;
+    EXPECT_EQ(fastest, 80);
+    EXPECT_NEAR(world.x, 1260 - world.geometry.paddles_mm - 200, 40);
+
+    world = GraspWorld();
+    Tracking guarded({}, world.geometry, world.clock.now());
+    world.wall_ahead = 900;
+    for (int i = 0; i < 4000; ++i) {
+        if (guarded.phase() == Tracking::Phase::Approaching) guarded.reconfigure(200, 1000, 500);
+        step = guarded.step(world.robot, world.pictures > 0 ? &world.view : nullptr, world.clock.now());
+        if (step.outcome != Outcome::Running) break;
+        world.apply(step.forward_mm_s, step.left_deg_s, step.gripper, step.look);
+        world.pass();
+    }
+    EXPECT_THAT(step.reason, HasSubstr("nearer than the threshold 1000 mm"));
+}
+
 TEST_F(TrackingTest, NothingIsDrivenBeforeTheGripperIsReady) {
     track({}, [&](Tracking::Phase phase) {
         if (phase != Tracking::Phase::Approaching || world.forward == 0) return;
@@ -202,6 +230,20 @@ TEST_F(TableApproachTest, SquaresUpToAnEdgeAtAnyAngle) {
         const auto [gx, gy] = world.toWorld(world.geometry.paddles_mm, 0);
         EXPECT_NEAR(world.edgeDistance(gx, gy), 67, 30) << angle << ": what is held is above the table";
     }
+}
+
+TEST_F(TableApproachTest, WhatIsSetOnTheWayHoldsFromThenOn) {
+    world.object_x.reset();
+    TableApproach motion({.velocity_mm_s = 100}, world.robot, world.clock.now());
+    EXPECT_EQ(motion.step(world.robot, world.clock.now()).forward_mm_s, 100);
+    motion.reconfigure(1000, 150);
+    EXPECT_EQ(motion.step(world.robot, world.clock.now()).forward_mm_s, TableApproach::kFastest_mm_s);
+    world.wall_ahead = 600;
+    world.pass();
+    EXPECT_EQ(motion.step(world.robot, world.clock.now()).outcome, Outcome::Running);
+    motion.reconfigure(100, 700);
+    EXPECT_THAT(motion.step(world.robot, world.clock.now()).reason,
+                HasSubstr("nearer than the threshold 700 mm"));
 }
 
 TEST_F(TableApproachTest, WithoutATableOrWithSomethingInTheWayItFails) {

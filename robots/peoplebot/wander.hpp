@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <algorithm>
 #include <memory>
 #include <random>
 
@@ -38,6 +39,10 @@ class Wander {
     static std::string objection(const Request& request);
 
     Wander(const Request& request, std::shared_ptr<const fuzzy::Engine> rules, const arcos::RobotState& start, TimePoint now);
+    /// On the way too; within kSlowest and kFastest.
+    void setVelocity(double velocity_mm_s) {
+        request_.velocity_mm_s = std::clamp(velocity_mm_s, kSlowest_mm_s, kFastest_mm_s);
+    }
     MotionStep step(const arcos::RobotState& robot, TimePoint now);
     void resume(TimePoint now);
 
@@ -57,7 +62,7 @@ class Wander {
     MotionStep fail(std::string reason) const;
     double progress(TimePoint now) const;
 
-    const Request request_;
+    Request request_;
     const std::shared_ptr<const fuzzy::Engine> rules_;
     std::mt19937 chance_;
     Surroundings surroundings_;

@@ -57,6 +57,15 @@ TEST_F(WanderTest, DrivesOnWhereThereIsRoom) {
     EXPECT_LT(std::abs(step.left_deg_s), 9);
 }
 
+TEST_F(WanderTest, AnotherVelocityHoldsFromThenOn) {
+    auto motion = wander();
+    EXPECT_NEAR(next(motion).forward_mm_s, 300, 1);
+    motion.setVelocity(100);
+    EXPECT_NEAR(next(motion).forward_mm_s, 100, 1);
+    motion.setVelocity(5000);
+    EXPECT_NEAR(next(motion).forward_mm_s, Wander::kFastest_mm_s, 1);
+}
+
 TEST_F(WanderTest, TurnsToTheFreerSideOnTheSpotWhenSomethingIsClose) {
     see(900, 250, 3000, 5000);
     auto motion = wander();
