@@ -65,6 +65,12 @@ double speedPart(double speed_deg_s) {
     return std::clamp(speed_deg_s / degrees(fastest_rad_s(kChain[0])), 0.001, 1.0);
 }
 
+std::vector<Value> anglesOf(const Posture& posture) {
+    std::vector<Value> angles;
+    for (const double angle : posture.joints) angles.emplace_back(std::round(degrees(angle) * 10) / 10);
+    return angles;
+}
+
 PickAndPlaceRequest pickAndPlaceRequest(const Task& task) {
     PickAndPlaceRequest request;
     const auto place = [&task](const char* what, const Point& usual) {
@@ -175,16 +181,19 @@ Decision Application::consider(const Task& task) const {
 }
 
 void Application::reachDemo(Task& task) {
-    const double speed = speedPart(task.number("Speed", kDemoSpeed_deg_s));
+    const auto speedNow = [&task] { return speedPart(task.number("Speed", kDemoSpeed_deg_s)); };
+    const double speed = speedNow();
     const auto plan = [speed](const Posture& from) { return cyton::reachDemo(from, speed); };
     const auto tell = [&](std::size_t /*leg*/, const std::string& name) {
         task.feedback(name);
         task.result("Joint", name);
     };
-    if (perform(task, plan, tell)) task.succeed();
+    if (perform(task, plan, tell, [&] { return speedNow() / speed; })) task.succeed();
 }
 
 void Application::control(Task& task) {
+    const auto speedNow = [&task] { return speedPart(task.number("Speed", kControlSpeed_deg_s)); };
+    const double speed = speedNow();
     Posture target;
     const auto plan = [&](const Posture& from) {
         target = from;
@@ -195,15 +204,11 @@ void Application::control(Task& task) {
         }
         target.opening_mm =
             std::clamp(task.number("Gripper", from.opening_mm), gripper::kClosed_mm, gripper::kOpen_mm);
-        const double speed = speedPart(task.number("Speed", kControlSpeed_deg_s));
         return std::vector<Leg>{{"moving", Trajectory({from, target}, speed), 0.2}};
     };
-    const bool done = perform(task, plan, [](std::size_t, const std::string&) {});
-    if (const auto present = gate_->present(clock_->now())) {
-        std::vector<Value> angles;
-        for (const double angle : present->joints) angles.emplace_back(std::round(degrees(angle) * 10) / 10);
-        task.result("Joints", std::move(angles), "deg");
-    }
+    const bool done = perform(
+        task, plan, [](std::size_t, const std::string&) {}, [&] { return speedNow() / speed; });
+    if (const auto present = gate_->present(clock_->now())) task.result("Joints", anglesOf(*present), "deg");
     if (!done) return;
     if (task.has("Gripper")) may_hold_ = false;
     task.succeed();
@@ -242,10 +247,11 @@ void Application::grabAndPlace(Task& task) {
             task.result("Done",
                         fmt::format("picked at {}, placed at {}", where(request.pick), where(request.place)));
     };
-    if (perform(task, plan, tell)) task.succeed();
+    const auto pace = [&] { return pickAndPlaceRequest(task).speed / request.speed; };
+    if (perform(task, plan, tell, pace)) task.succeed();
 }
 
-bool Application::perform(Task& task, const Planning& plan, const OnLeg& on_leg) {
+bool Application::perform(Task& task, const Planning& plan, const OnLeg& on_leg, const Pace& pace) {
     if (!gate_->take([&task] { return task.stopRequested(); })) {
         if (!task.stopRequested()) task.fail("another motion has the arm: stop it first");
         return false;
@@ -256,7 +262,7 @@ bool Application::perform(Task& task, const Planning& plan, const OnLeg& on_leg)
     const auto from = findOut(task);
     if (!from) return false;
     auto legs = plan(*from);
-    return !legs.empty() && play(task, std::move(legs), on_leg);
+    return !legs.empty() && play(task, std::move(legs), on_leg, pace);
 }
 
 std::optional<Posture> Application::findOut(Task& task) {
@@ -278,7 +284,7 @@ std::optional<Posture> Application::findOut(Task& task) {
     return std::nullopt;
 }
 
-bool Application::play(Task& task, std::vector<Leg> legs, const OnLeg& on_leg) {
+bool Application::play(Task& task, std::vector<Leg> legs, const OnLeg& on_leg, const Pace& pace) {
     Playback playback(std::move(legs));
     auto last = clock_->now();
     std::optional<std::size_t> leg;
@@ -287,7 +293,8 @@ bool Application::play(Task& task, std::vector<Leg> legs, const OnLeg& on_leg) {
         // A machine that stands still for a while makes the motion longer, never faster.
         const auto passed = std::min<Duration>(now - last, kReachWithin);
         last = now;
-        const auto step = playback.advance(std::chrono::duration<double>(passed).count(), task.paused());
+        const auto step =
+            playback.advance(std::chrono::duration<double>(passed).count(), task.paused(), pace());
         if (leg != step.leg) on_leg(step.leg, playback.legs()[step.leg].name);
         leg = step.leg;
         const bool told = step.resting ? arm_->online() : gate_->command(step.posture, kReachWithin, now);
@@ -296,7 +303,9 @@ bool Application::play(Task& task, std::vector<Leg> legs, const OnLeg& on_leg) {
             return false;
         }
         if (step.done) return true;
-        if (i % 5 == 0) task.progress(step.progress);
+        if (i % 5 != 0) continue;
+        task.result("Angles", anglesOf(step.posture), "deg");
+        task.progress(step.progress);
     }
     return false;
 }

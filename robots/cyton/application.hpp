@@ -45,6 +45,8 @@ class Application {
     /// Legs from a posture to the end of the task; empty when the task has its verdict already.
     using Planning = std::function<std::vector<Leg>(const Posture& from)>;
     using OnLeg = std::function<void(std::size_t leg, const std::string& name)>;
+    /// How many times as fast as it was planned the motion is to be now.
+    using Pace = std::function<double()>;
 
     void offerServices();
     Decision consider(const Task& task) const;
@@ -54,8 +56,8 @@ class Application {
 
     /// The whole of a task: takes the arm, plans, plays, gives the arm back. True when it is done; otherwise
     /// the task was stopped, or has its verdict.
-    bool perform(Task& task, const Planning& plan, const OnLeg& on_leg);
-    bool play(Task& task, std::vector<Leg> legs, const OnLeg& on_leg);
+    bool perform(Task& task, const Planning& plan, const OnLeg& on_leg, const Pace& pace);
+    bool play(Task& task, std::vector<Leg> legs, const OnLeg& on_leg, const Pace& pace);
     /// Where the arm is; after power-up by going home first. Nothing when the task has to end.
     std::optional<Posture> findOut(Task& task);
     /// Why a command did not get through; gives the verdict.

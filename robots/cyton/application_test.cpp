@@ -171,6 +171,17 @@ class Manager : public entity_manager::BackEndEvents {
         send(message);
         return task.task_id();
     }
+    /// A CONFIG parameter is set while this task of its service runs.
+    void configure(const std::string& service, const std::string& name, double value,
+                   const std::string& task) {
+        proto::EmToEi message;
+        auto& one = *message.mutable_configuration()->add_params();
+        one.set_service(service);
+        one.mutable_param()->set_name(name);
+        one.mutable_param()->add_values()->set_dbl(value);
+        message.mutable_configuration()->set_task_id(task);
+        send(message);
+    }
     void pause(const std::string& id, bool resume) {
         proto::EmToEi message;
         message.mutable_pause()->set_task_id(id);
@@ -332,6 +343,26 @@ TEST_F(CytonApplication, ControlTakesTheGivenJointsThereAndLeavesTheOthers) {
     EXPECT_NEAR(joint_deg(0), degrees(kHome[0]), 1);
     EXPECT_EQ(board_->refusedLines(), 0U);
     ASSERT_FALSE(manager_->end(task)->results().empty());
+}
+
+TEST_F(CytonApplication, ASpeedThatIsSetOnTheWayHoldsAndFeedbackTellsTheAngles) {
+    // At this speed it would take 25 s.
+    const auto task = manager_->dispatch("Control", {{"Shoulder Roll", -90}, {"Speed", 10}});
+    ASSERT_TRUE(waitUntil([&] { return joint_deg(0) < degrees(kHome[0]) - 1; }));
+    manager_->configure("Control", "Speed", 120, task);
+    expectEnd(task, proto::TASK_SUCCEEDED);
+    EXPECT_NEAR(joint_deg(0), -90, 0.2);
+    EXPECT_EQ(board_->refusedLines(), 0U);
+    bool told = false;
+    const auto end = *manager_->end(task);
+    for (const auto& result : end.results()) {
+        if (result.name() != "Angles") continue;
+        told = true;
+        EXPECT_EQ(result.units(), "deg");
+        ASSERT_EQ(result.values_size(), static_cast<int>(kJoints));
+        EXPECT_LE(result.values(0).dbl(), degrees(kHome[0]));
+    }
+    EXPECT_TRUE(told);
 }
 
 TEST_F(CytonApplication, AStopFreezesTheArmAndIsAcknowledgedTwice) {

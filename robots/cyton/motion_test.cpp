@@ -218,6 +218,40 @@ TEST(CytonPlayback, LegsFollowEachOtherWithTheirRests) {
     EXPECT_GT(at_home, 0.45);
 }
 
+TEST(CytonPlayback, AnotherSpeedIsTakenUpSoftlyWithinTheServosRatesAndRestsStay) {
+    const std::vector<Leg> legs{{"a", Trajectory({Posture{}, atHome()}, 0.1), 0.5},
+                                {"b", Trajectory({atHome(), Posture{}}, 0.1), 0.5}};
+    constexpr double kStep_s = 0.01;
+    /// Seconds until the end, at these times of the planned speed.
+    const auto play = [&](const std::function<double(double)>& times) {
+        Playback playback(legs);
+        Posture last;
+        double time = 0;
+        double pace = 0;
+        double resting = 0;
+        for (Playback::Step step; !step.done && time < 1000; time += kStep_s) {
+            step = playback.advance(kStep_s, false, times(time));
+            EXPECT_LE(leastTime_s(last, step.posture), kStep_s * 1.01) << "at " << time;
+            const double now = largestDifference(step.posture.joints, last.joints) / kStep_s;
+            EXPECT_LE(std::abs(now - pace), 0.4) << "a jerk at " << time;
+            if (step.posture.joints == kHome) resting += kStep_s;
+            pace = now;
+            last = step.posture;
+        }
+        EXPECT_NEAR(resting, 0.5, 0.06);
+        EXPECT_EQ(last.joints, Posture{}.joints);
+        return time;
+    };
+    const double planned = play([](double) { return 1; });
+    EXPECT_NEAR(planned, Playback(legs).duration_s(), 0.05);
+    EXPECT_NEAR(play([](double) { return 0.5; }), 2 * (planned - 1) + 1, 0.5);
+    const double fastest = play([](double) { return 10; });
+    EXPECT_NEAR(fastest, 2 * Trajectory({Posture{}, atHome()}, 1).duration_s() + 1, 0.5);
+    EXPECT_NEAR(play([](double) { return 1000; }), fastest, 0.5) << "no faster than the servos";
+    const double changed = play([](double time) { return time < 2 ? 1 : time < 3 ? 6 : 0.2; });
+    EXPECT_GT(changed, fastest);
+}
+
 TEST(ReachDemo, TurnsOneJointAfterTheOtherToBothEnds) {
     Playback playback(reachDemo(atHome(), 0.5));
     std::vector<std::size_t> order;

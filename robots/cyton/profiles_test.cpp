@@ -62,6 +62,19 @@ TEST(CytonProfiles, WhatTheServicesProfileAllowsTheArmDoes) {
     EXPECT_EQ(joints, kJoints);
 }
 
+/// Thesis 4.2.2: the inputs of Control are angles, and Reach Demo has none.
+TEST(CytonProfiles, TheSpeedIsConfigurationAndTheAnglesAreFeedback) {
+    const auto profile = readServicesProfile(contentOf("services_profile.xml"), "services");
+    for (const auto& service : profile.message.services()) {
+        std::map<proto::ParamType, std::vector<std::string>> names;
+        for (const auto& param : service.params()) names[param.type()].push_back(param.name());
+        EXPECT_EQ(names[proto::CONFIG], std::vector<std::string>{"Speed"}) << service.name();
+        EXPECT_EQ(names[proto::FEEDBACK].back(), "Angles") << service.name();
+        EXPECT_EQ(service.params(service.params_size() - 1).units(), "deg");
+        EXPECT_EQ(names[proto::INPUT].empty(), service.name() == "Reach Demo");
+    }
+}
+
 TEST(CytonProfiles, TheDefaultsOfGrabAndPlaceAreThePlannersOwn) {
     const auto profile = readServicesProfile(contentOf("services_profile.xml"), "services");
     const PickAndPlaceRequest request;

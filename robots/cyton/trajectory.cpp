@@ -32,26 +32,33 @@ double leastTime_s(const Posture& from, const Posture& to) {
     return longest;
 }
 
-Trajectory::Trajectory(std::vector<Posture> path, double speed) : path_(std::move(path)) {
+Trajectory::Trajectory(std::vector<Posture> path, double speed) : path_(std::move(path)), speed_(speed) {
     if (path_.empty() || !(speed > 0) || speed > 1)
         throw std::invalid_argument("a trajectory needs a posture and a speed above 0, at most 1");
-    double way_s = 0;  // at highest rates
     reached_.push_back(0);
     for (std::size_t i = 1; i < path_.size(); ++i) {
-        way_s += leastTime_s(path_[i - 1], path_[i]);
-        reached_.push_back(way_s);
+        way_s_ += leastTime_s(path_[i - 1], path_[i]);
+        reached_.push_back(way_s_);
     }
-    if (way_s <= 0) {
+    if (way_s_ <= 0) {
         path_ = {path_.back()};
         reached_ = {0};
         return;
     }
-    for (auto& reached : reached_) reached /= way_s;
-    duration_s_ = kPeakVelocity * way_s / speed;
-    // The fastest joint's way, at its highest rate for way_s; the acceleration of the others is less.
+    for (auto& reached : reached_) reached /= way_s_;
+    duration_s_ = durationAt(speed_);
+}
+
+double Trajectory::durationAt(double speed) const {
+    // The fastest joint's way, at its highest rate for way_s_; the acceleration of the others is less.
     double widest_rad = 0;
-    for (const auto& joint : kChain) widest_rad = std::max(widest_rad, way_s * fastest_rad_s(joint));
-    duration_s_ = std::max(duration_s_, std::sqrt(kPeakAcceleration * widest_rad / kAcceleration_rad_s2));
+    for (const auto& joint : kChain) widest_rad = std::max(widest_rad, way_s_ * fastest_rad_s(joint));
+    return std::max(kPeakVelocity * way_s_ / speed,
+                    std::sqrt(kPeakAcceleration * widest_rad / kAcceleration_rad_s2));
+}
+
+double Trajectory::paceAt(double times) const {
+    return duration_s_ > 0 ? duration_s_ / durationAt(std::min(speed_ * times, 1.0)) : 1;
 }
 
 Posture Trajectory::at(double time_s) const {
@@ -69,22 +76,29 @@ Playback::Playback(std::vector<Leg> legs) : legs_(std::move(legs)) {
     for (const auto& leg : legs_) total_s_ += leg.way.duration_s() + leg.rest_s;
 }
 
-Playback::Step Playback::advance(double time_s, bool paused) {
-    const double wanted = paused ? 0 : 1;
-    pace_ += std::clamp(wanted - pace_, -time_s / kRamp_s, time_s / kRamp_s);
-    gone_s_ += time_s * pace_;
+Playback::Step Playback::advance(double time_s, bool paused, double times) {
+    const auto approach = [&](double& value, double wanted, double span) {
+        value += std::clamp(wanted - value, -span * time_s / kRamp_s, span * time_s / kRamp_s);
+    };
+    const auto wanted = [&] { return legs_[leg_].way.paceAt(times); };
+    approach(going_, paused ? 0 : 1, 1);
+    approach(pace_, wanted(), std::max({1.0, wanted(), pace_}));
+    const auto& way = legs_[leg_].way;
+    const double on_way_s = std::min(std::max(0.0, way.duration_s() - gone_s_), time_s * going_ * pace_);
+    gone_s_ += on_way_s + std::max(0.0, time_s * going_ - on_way_s / pace_);
     const auto lasts = [this] { return legs_[leg_].way.duration_s() + legs_[leg_].rest_s; };
     while (leg_ + 1 < legs_.size() && gone_s_ >= lasts()) {
         gone_s_ -= lasts();
         before_s_ += lasts();
         ++leg_;
+        pace_ = wanted();  // it stands between two legs
     }
     Step step;
     step.leg = leg_;
     step.posture = legs_[leg_].way.at(gone_s_);
     step.done = leg_ + 1 == legs_.size() && gone_s_ >= lasts();
     step.progress = step.done || total_s_ <= 0 ? 1 : std::min(1.0, (before_s_ + gone_s_) / total_s_);
-    step.resting = paused && pace_ <= 0;
+    step.resting = paused && going_ <= 0;
     return step;
 }
 

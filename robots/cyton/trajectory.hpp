@@ -20,13 +20,20 @@ class Trajectory {
     Trajectory(std::vector<Posture> path, double speed);
 
     double duration_s() const { return duration_s_; }
+    /// How fast its time must pass for the way to be played `times` as fast as it was planned: less than
+    /// `times` where a joint would be faster than its highest rate, or gain speed faster than kAcceleration.
+    double paceAt(double times) const;
     /// At that time from the start; before it the first posture, after the end the last.
     Posture at(double time_s) const;
     const Posture& end() const { return path_.back(); }
 
   private:
+    double durationAt(double speed) const;
+
     std::vector<Posture> path_;
     std::vector<double> reached_;  // for each posture, the part of the whole way, 0 to 1
+    double speed_;
+    double way_s_ = 0;  // at highest rates
     double duration_s_ = 0;
 };
 
@@ -38,7 +45,8 @@ struct Leg {
 };
 
 /// Plays legs one after the other. I/O-free: time comes in, postures come out. A pause lets the motion run
-/// out and start again within kRamp, along its way.
+/// out and start again within kRamp, along its way, and so another speed is taken up; rests stay as long as
+/// they are.
 class Playback {
   public:
     static constexpr double kRamp_s = 0.2;
@@ -52,7 +60,8 @@ class Playback {
         bool done = false;
         bool resting = false;  ///< paused, and run out
     };
-    Step advance(double time_s, bool paused);
+    /// `times`: so many times as fast as the legs were planned, above 0.
+    Step advance(double time_s, bool paused, double times = 1);
 
     const std::vector<Leg>& legs() const { return legs_; }
     double duration_s() const { return total_s_; }
@@ -62,7 +71,8 @@ class Playback {
     double total_s_ = 0;
     double before_s_ = 0;  // of the legs that are done
     double gone_s_ = 0;    // of the present one
-    double pace_ = 1;
+    double going_ = 1;     // 0 while paused
+    double pace_ = 1;      // of the present leg
     std::size_t leg_ = 0;
 };
 
