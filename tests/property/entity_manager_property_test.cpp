@@ -61,6 +61,7 @@ class World {
     std::size_t passedOn() const { return passed_on_; }
     std::size_t takenOver() const { return taken_over_; }
     std::size_t partsRun() const { return parts_run_; }
+    std::size_t configuredTasks() const { return configured_tasks_; }
 
   private:
     std::uint64_t roll(std::uint64_t sides) { return dice_.next() % sides; }
@@ -75,6 +76,7 @@ class World {
     // What the application sees.
     void toApplication(const proto::EmToEi& message) {
         if (message.has_param()) questions_.push_back(message.param().request());
+        if (message.has_configuration()) configured(message.configuration());
         if (!message.has_task()) return;
         const auto id = rig_.nameOfSent(message.task().task_id());
         const auto& service = message.task().service();
@@ -94,11 +96,25 @@ class World {
         if (noted.kind != (whole != id && parts_.contains(whole) ? Kind::Part : Kind::Dispatched) ||
             (whole != id && !offered_.contains(whole)))
             broken("dispatched before it was in the journal: " + id);
+        for (const auto& param : message.task().params())
+            if (param.name() == "Speed" && param.values(0).int_() != speed_)
+                broken("dispatched with another Speed than the application was told: " + id);
         if (whole != id) partOf(whole, service);
         for (const auto& [other, other_service] : at_work_)
             if (blocking(service) || blocking(other_service))
                 broken("dispatched beside a blocking task: " + id + ", " + other);
         at_work_[id] = service;
+    }
+    /// Nobody gives Speed, a CONFIG of Driving, with a task: it is what it was set to.
+    void configured(const proto::Configuration& configuration) {
+        for (const auto& one : configuration.params())
+            if (one.service() == "Driving" && one.param().name() == "Speed")
+                speed_ = one.param().values(0).int_();
+        const auto& task = configuration.task_id();
+        if (task.empty()) return;
+        ++configured_tasks_;
+        const auto at = at_work_.find(rig_.nameOfSent(task));
+        if (at == at_work_.end() || at->second != "Driving") broken("configured a task that does not drive");
     }
     /// Of a tour: driving, then turning, and the second only when the first has succeeded.
     void partOf(const std::string& whole, const std::string& service) {
@@ -129,6 +145,10 @@ class World {
             believes_.erase(record.head.sender.id);
             taken_over_ += message.lease_ended().reason().code() == proto::REVOKED_LEASE ? 1 : 0;
         }
+        if (message.has_service() && message.service().name() == "Driving")
+            for (const auto& param : message.service().params())
+                if (param.name() == "Speed" && param.initial(0).int_() != speed_)
+                    broken("a client was told another Speed than the application");
         if (message.has_hand_over()) asked_ = nameOf(message.hand_over().request_id());
         if (message.has_receipt() && message.receipt().stage() == proto::StopReceipt::MANAGER &&
             message.receipt().stop_id().starts_with(record.head.sender.id + ':'))
@@ -364,9 +384,10 @@ class World {
         const bool tour = roll(3) == 0;
         message.mutable_set_param()->set_service(tour ? "Tour" : "Driving");
         *message.mutable_set_param()->mutable_param() = paramOf(
-            (tour ? "Driving." : "") + any<std::string>({"Distance=1", "Speed=2", "Speed=x"}));
-        last_ += client + " sets " + id;
-        send(client, message, "reply " + id);
+            (tour ? "Driving." : "") + any<std::string>({"Distance=1", "Speed=2", "Speed=3", "Speed=x"}));
+        const auto who = roll(3) == 0 || before_.holder.id.empty() ? client : before_.holder.id;
+        last_ += who + " sets " + id;
+        send(who, message, "reply " + id);
     }
     void rearm(const std::string& client) {
         proto::ToEntity message;
@@ -650,7 +671,8 @@ class World {
     std::string asked_;                  ///< the request of the last question to a holder
     std::map<std::string, int> parts_;  ///< of composites, how many were dispatched
     proto::TaskState last_end_ = proto::TASK_UNSPECIFIED;  ///< that the application has reported
-    std::size_t resumed_ = 0, passed_on_ = 0, taken_over_ = 0, parts_run_ = 0;
+    std::size_t resumed_ = 0, passed_on_ = 0, taken_over_ = 0, parts_run_ = 0, configured_tasks_ = 0;
+    std::int64_t speed_ = 0;  ///< as the application was told
     std::deque<std::uint64_t> questions_;
     std::deque<Sent> sent_;
     std::vector<PendingStop> pending_stops_;
@@ -670,7 +692,7 @@ std::uint64_t setting(const char* name, std::uint64_t otherwise) {
 TEST(EntityManagerProperty, TheRulesHoldUnderRandomEvents) {
     const auto only = setting("AXON_SEED", 0);
     const auto seeds = only != 0 ? 1 : setting("AXON_SEEDS", 200);
-    std::size_t dispatches = 0, resumed = 0, passed_on = 0, taken_over = 0, parts = 0;
+    std::size_t dispatches = 0, resumed = 0, passed_on = 0, taken_over = 0, parts = 0, configured = 0;
     for (std::uint64_t i = 0; i < seeds; ++i) {
         const auto seed = only != 0 ? only : i + 1;
         World world(seed);
@@ -681,6 +703,7 @@ TEST(EntityManagerProperty, TheRulesHoldUnderRandomEvents) {
         passed_on += world.passedOn();
         taken_over += world.takenOver();
         parts += world.partsRun();
+        configured += world.configuredTasks();
     }
     // Rules that are never put to the test hold too.
     EXPECT_GT(dispatches, seeds * 20);
@@ -689,11 +712,13 @@ TEST(EntityManagerProperty, TheRulesHoldUnderRandomEvents) {
         EXPECT_GT(passed_on, seeds);
         EXPECT_GT(taken_over, seeds);
         EXPECT_GT(parts, seeds);
+        EXPECT_GT(configured, seeds / 2);
     }
     RecordProperty("dispatches", std::to_string(dispatches));
     RecordProperty("resumed", std::to_string(resumed));
     RecordProperty("passed_on", std::to_string(passed_on));
     RecordProperty("second_parts", std::to_string(parts));
+    RecordProperty("configured_tasks", std::to_string(configured));
     RecordProperty("taken_over", std::to_string(taken_over));
 }
 
