@@ -262,6 +262,20 @@ TEST_F(CompositeTasks, TheValueOfTheOutermostCompositeCounts) {
     EXPECT_EQ(dispatched().back(), "Drive Distance=4 Speed=200");
 }
 
+TEST_F(CompositeTasks, AValueOfAPartThatTheWholeDidNotUseServesALaterTask) {
+    uploadMap("Drive");
+    set("Drive", "Distance=1");
+    rig.task("client1", "t1", "Leg", {"Distance=2"});
+    rig.update("part1", proto::TASK_SUCCEEDED);
+    rig.update("part2", proto::TASK_SUCCEEDED);
+    uploadMap("Drive");
+    rig.task("client1", "t2", "Drive");
+    EXPECT_THAT(dispatched(),
+                ElementsAre("Drive Distance=2 Speed=200", "Turn", "Drive Distance=1 Speed=200"));
+    rig.update("t2", proto::TASK_SUCCEEDED);
+    EXPECT_THAT(missing(record("Drive")), ElementsAre("Distance", "Map")) << "it has served one task";
+}
+
 TEST_F(CompositeTasks, AreActivePausableAndBlockingAsAWhole) {
     EXPECT_TRUE(record("Tour").is_pausable());
     EXPECT_FALSE(record("Mixed").is_pausable()) << "one part is not";

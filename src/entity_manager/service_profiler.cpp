@@ -2,7 +2,6 @@
 #include "entity_manager/service_profiler.hpp"
 
 #include <algorithm>
-#include <set>
 
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -424,6 +423,22 @@ ServiceProfiler::Order ServiceProfiler::merge(const Composites::Part& way, const
     return order;
 }
 
+std::set<std::pair<int, int>> ServiceProfiler::unusedBy(const std::vector<Composites::Part>& parts,
+                                                        const Given& given) const {
+    std::set<std::pair<int, int>> unused;
+    std::set<std::pair<int, int>> used;
+    for (const auto& way : parts) {
+        for (std::size_t level = 0; level < way.size(); ++level) {
+            for (int i = 0; i < ownParams(way[level]); ++i) {
+                const bool own = valuesOf(way, level, i, given).values == valuesOf(way[level], i, given);
+                (own ? used : unused).emplace(way[level], i);
+            }
+        }
+    }
+    for (const auto& param : used) unused.erase(param);
+    return unused;
+}
+
 bool ServiceProfiler::shareParts(int one, int other) const {
     const auto& parts = composites_.parts[place(one)];
     const auto& others = composites_.parts[place(other)];
@@ -478,6 +493,7 @@ Result<ServiceProfiler::Plan> ServiceProfiler::prepare(std::string_view service,
     std::vector<Lack> lacks;
     plan.parts.reserve(parts.size());
     for (const auto& part : parts) plan.parts.push_back(merge(part, accepted, lacks));
+    if (plan.composite) plan.unused = unusedBy(parts, accepted);
     if (lacks.empty()) return plan;
     std::string missing;
     for (const auto& lack : lacks)
@@ -571,17 +587,19 @@ ServiceProfiler::Cleared ServiceProfiler::clearAfterTask(const Plan& plan) {
     Cleared cleared;
     std::set<int> services;
     for (const auto& part : plan.parts) services.insert(part.way.begin(), part.way.end());
-    for (const auto service : services) clear(service, plan.stamp, cleared);
+    for (const auto service : services) clear(service, plan, cleared);
     return cleared;
 }
 
-void ServiceProfiler::clear(int index, std::uint64_t before, Cleared& cleared) {
+void ServiceProfiler::clear(int index, const Plan& plan, Cleared& cleared) {
     auto& service = *profile_.mutable_services(index);
     const auto& stamps = stamps_[place(index)];
     bool changed = false;
     for (int i = 0; i < ownParams(index); ++i) {
         auto& param = *service.mutable_params(i);
-        if (param.savable() || !isSettable(param) || !param.ready() || stamps.params[place(i)] > before) continue;
+        if (param.savable() || !isSettable(param) || !param.ready() || stamps.params[place(i)] > plan.stamp)
+            continue;
+        if (plan.unused.contains({index, i})) continue;
         *param.mutable_initial() = declared_.services(index).params(i).initial();
         param.set_ready(param.initial_size() > 0);
         changed = true;
@@ -590,7 +608,7 @@ void ServiceProfiler::clear(int index, std::uint64_t before, Cleared& cleared) {
         auto& resource = *service.mutable_resources(i);
         const auto stamp = stamps.resources[place(i)];
         // Stamp 0: it was never uploaded; a file that the robot's owner has put there is not ours to delete.
-        if (resource.savable() || !resource.ready() || stamp > before) continue;
+        if (resource.savable() || !resource.ready() || stamp > plan.stamp) continue;
         resource.set_ready(false);
         changed = true;
         if (stamp == 0) continue;

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -53,6 +54,9 @@ class ServiceProfiler {
         /// With the task, by the service that declares it: the application has not been asked yet.
         std::vector<std::pair<int, proto::Param>> given;
         std::uint64_t stamp = 0;  ///< what was set later is not cleared by this task's end
+        /// Parts' own parameters, by service and position, that no part takes its value from: a composite
+        /// around it gives one.
+        std::set<std::pair<int, int>> unused;
     };
 
     /// All resources that a profile declares, in its order.
@@ -132,8 +136,9 @@ class ServiceProfiler {
         std::vector<int> changed;                         ///< services
         std::vector<std::pair<int, std::string>> files;  ///< resources whose files are to be deleted, by service
     };
-    /// What is not savable and was set before the task was accepted goes back to the profile's own value, or to
-    /// none: of the service and of all its parts, those included that have not run.
+    /// What is not savable and was set before the task was accepted goes back to the profile's own value, or
+    /// to none: of the service and of all its parts, those included that have not run. A part's value that
+    /// the task had no use for, since a composite around the part gave another, stays.
     Cleared clearAfterTask(const Plan& plan);
 
   private:
@@ -177,7 +182,9 @@ class ServiceProfiler {
     Source valuesOf(const Composites::Part& way, std::size_t level, int param, const Given& given) const;
     std::string nameIn(const Composites::Part& way, std::size_t level, const std::string& name) const;
     Order merge(const Composites::Part& way, const Given& given, std::vector<Lack>& lacks) const;
-    void clear(int service, std::uint64_t stamp, Cleared& cleared);
+    std::set<std::pair<int, int>> unusedBy(const std::vector<Composites::Part>& parts,
+                                           const Given& given) const;
+    void clear(int service, const Plan& plan, Cleared& cleared);
 
     proto::ServicesProfile profile_;
     proto::ServicesProfile declared_;  ///< as it was loaded: what a value that is not savable goes back to
