@@ -653,7 +653,7 @@ class GraspApplicationTest : public ApplicationTest {
     }
     std::string grip(const std::string& direction, std::optional<bool> open) {
         std::vector<std::pair<std::string, Value>> params{{"Direction", direction}};
-        if (open) params.emplace_back("Open", *open);
+        if (open) params.emplace_back("Open/Close", *open);
         return manager_->dispatchValues("Operate Gripper", params);
     }
 };

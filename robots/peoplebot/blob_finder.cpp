@@ -13,14 +13,15 @@ namespace {
 struct HueRange {
     Colour colour;
     const char* name;
+    char channel;
     int from;  // OpenCV's hue: 0 to 179, two degrees each; from > to goes over the end
     int to;
 };
-constexpr std::array<HueRange, 5> kHues{{{Colour::Red, "red", 172, 7},
-                                         {Colour::Orange, "orange", 8, 19},
-                                         {Colour::Yellow, "yellow", 20, 35},
-                                         {Colour::Green, "green", 38, 88},
-                                         {Colour::Blue, "blue", 95, 132}}};
+constexpr std::array<HueRange, 5> kHues{{{Colour::Red, "red", '1', 172, 7},
+                                         {Colour::Orange, "orange", '5', 8, 19},
+                                         {Colour::Yellow, "yellow", '4', 20, 35},
+                                         {Colour::Green, "green", '2', 38, 88},
+                                         {Colour::Blue, "blue", '3', 95, 132}}};
 constexpr int kLeastSaturation = 130;  // walls, skin and most wood are paler
 constexpr int kLeastBrightness = 40;
 
@@ -35,7 +36,7 @@ std::optional<Colour> parseColour(std::string_view text) {
     std::transform(lower.begin(), lower.end(), lower.begin(),
                    [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
     for (const auto& hue : kHues) {
-        if (lower == hue.name) return hue.colour;
+        if (lower == hue.name || lower == std::string_view(&hue.channel, 1)) return hue.colour;
     }
     return std::nullopt;
 }
@@ -48,7 +49,7 @@ std::string knownColours() {
     std::string names;
     for (const auto& hue : kHues)
         names += std::string(names.empty() ? "" : hue.colour == Colour::Blue ? " or " : ", ") + hue.name;
-    return names;
+    return names + " (or their channels, 1 red, 2 green, 3 blue, 4 yellow, 5 orange)";
 }
 
 std::vector<Blob> findBlobs(const CameraPicture& picture, Colour colour, int least_area) {

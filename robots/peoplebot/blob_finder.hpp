@@ -11,10 +11,11 @@ namespace axon::peoplebot {
 
 enum class Colour { Red, Orange, Yellow, Green, Blue };
 
-/// "red" and so on, in any case. Nothing for other words.
+/// "red" and so on, in any case, or the number of the colour's ACTS channel, by which figure A.1 of the
+/// thesis calls it: 1 red, 2 green, 3 blue, 4 yellow, 5 orange. Nothing for other words.
 std::optional<Colour> parseColour(std::string_view text);
 const char* toString(Colour colour);
-/// For messages: "red, orange, yellow, green or blue".
+/// For messages: the names, and what channels they have.
 std::string knownColours();
 
 /// A connected patch of one colour, in pixels from the top left.

@@ -96,11 +96,22 @@ TEST(BlobFinder, NoiseShadowsAndPaleThingsHaveNoColour) {
     }
 }
 
+TEST(BlobFinder, ColoursAreAlsoChannels) {
+    EXPECT_EQ(parseColour("1"), Colour::Red);
+    EXPECT_EQ(parseColour("2"), Colour::Green);
+    EXPECT_EQ(parseColour("3"), Colour::Blue);
+    EXPECT_EQ(parseColour("4"), Colour::Yellow);
+    EXPECT_EQ(parseColour("5"), Colour::Orange);
+    for (const auto* none : {"0", "6", "11", "-1", ""}) EXPECT_FALSE(parseColour(none)) << none;
+}
+
 TEST(BlobFinder, ColoursHaveNamesInAnyCase) {
     EXPECT_EQ(parseColour("Red"), Colour::Red);
     EXPECT_EQ(parseColour("YELLOW"), Colour::Yellow);
     EXPECT_FALSE(parseColour("pink"));
-    EXPECT_EQ(knownColours(), "red, orange, yellow, green or blue");
+    EXPECT_EQ(
+        knownColours(),
+        "red, orange, yellow, green or blue (or their channels, 1 red, 2 green, 3 blue, 4 yellow, 5 orange)");
 }
 
 }  // namespace

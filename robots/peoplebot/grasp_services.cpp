@@ -28,7 +28,7 @@ GripperOperation::Request gripperRequest(const Task& task) {
     if (!direction)
         throw std::invalid_argument(fmt::format("Direction is \"{}\": give up, down or none", word));
     GripperOperation::Request request{.direction = *direction};
-    if (task.has("Open")) request.open = task.flag("Open");
+    if (task.has("Open/Close")) request.open = task.flag("Open/Close");
     return request;
 }
 

@@ -15,15 +15,15 @@ std::optional<GripperOperation::Direction> GripperOperation::parseDirection(std:
     std::string lower(text);
     std::transform(lower.begin(), lower.end(), lower.begin(),
                    [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-    if (lower == "up") return Direction::Up;
-    if (lower == "down") return Direction::Down;
+    if (lower == "up" || lower == "false") return Direction::Up;
+    if (lower == "down" || lower == "true") return Direction::Down;
     if (lower == "none" || lower.empty()) return Direction::None;
     return std::nullopt;
 }
 
 std::string GripperOperation::objection(const Request& request, const arcos::RobotState& robot) {
     if (request.direction == Direction::None && !request.open)
-        return "nothing to do: give Direction up or down, or Open true or false";
+        return "nothing to do: give Direction up or down, or Open/Close true or false";
     if (robot.gripper.known && !robot.gripper.fitted) return "the robot says that it has no gripper";
     return {};
 }

@@ -46,7 +46,8 @@ class GripperOperation {
     /// How long a lift that was held up goes back, in units of 20 ms: as far as its motor gave way, and no more.
     static constexpr int kRelief = 20;
 
-    /// "up", "down", "none", in any case; nothing for other words.
+    /// "up", "down", "none", in any case; "true" for down and "false" for up, since figure A.1 of the thesis
+    /// has a flag here and sets down with it what was carried. Nothing for other words.
     static std::optional<Direction> parseDirection(std::string_view text);
     /// Why this cannot be done, empty if it can.
     static std::string objection(const Request& request, const arcos::RobotState& robot);

@@ -97,6 +97,8 @@ TEST(GripperOperation, WhatCannotBeDoneIsSaidBefore) {
     EXPECT_THAT(GripperOperation::objection({.open = false}, robot), HasSubstr("no gripper"));
     EXPECT_EQ(GripperOperation::parseDirection("Up"), Direction::Up);
     EXPECT_EQ(GripperOperation::parseDirection("NONE"), Direction::None);
+    EXPECT_EQ(GripperOperation::parseDirection("true"), Direction::Down) << "figure A.1 of the thesis";
+    EXPECT_EQ(GripperOperation::parseDirection("false"), Direction::Up);
     EXPECT_FALSE(GripperOperation::parseDirection("sideways"));
     robot.online = false;
     EXPECT_EQ(GripperOperation({.open = true}).step(robot, TimePoint{}).outcome, Outcome::Failed);

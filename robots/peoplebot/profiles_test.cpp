@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <fstream>
 #include <map>
 #include <set>
 #include <sstream>
 
 #include "messages/profile_reader.hpp"
+#include "messages/values.hpp"
 #include "robots/peoplebot/motion.hpp"
 #include "robots/peoplebot/navigation.hpp"
 #include "robots/peoplebot/settings.hpp"
@@ -15,10 +17,13 @@
 namespace axon::peoplebot {
 namespace {
 
-std::string contentOf(const std::string& name) {
+std::string textOf(const std::string& path) {
     std::ostringstream content;
-    content << std::ifstream("robots/peoplebot/" + name).rdbuf();
+    content << std::ifstream(path).rdbuf();
     return content.str();
+}
+std::string contentOf(const std::string& name) {
+    return textOf("robots/peoplebot/" + name);
 }
 
 TEST(PeopleBotProfiles, AreReadWithoutAnyFinding) {
@@ -123,6 +128,29 @@ TEST(PeopleBotProfiles, WhatTheServicesProfileAllowsTheMotionsDo) {
             EXPECT_EQ(param.required(), param.name() == "Destination") << param.name();
         }
         EXPECT_EQ(service.resources_size(), wander ? 0 : 1);
+    }
+}
+
+TEST(PeopleBotProfiles, FigureA1OfTheThesisFindsItsServicesHereAndAtTheArm) {
+    const auto figure = readGlobalProfile(textOf("api/schema/samples/valid/figure_a_1.xml"), "figure");
+    const auto mobile = readServicesProfile(contentOf("services_profile.xml"), "mobile");
+    const auto arm = readServicesProfile(textOf("robots/cyton/services_profile.xml"), "arm");
+    ASSERT_EQ(figure.message.services_size(), 2);
+    for (const auto& service : figure.message.services()) {
+        for (const auto& step : service.steps()) {
+            const auto& offered = (step.type() == proto::MOBILE ? mobile : arm).message.services();
+            const auto found = std::find_if(offered.begin(), offered.end(), [&](const auto& one) {
+                return one.global_id() == step.service_global_id();
+            });
+            ASSERT_NE(found, offered.end()) << step.service_global_id();
+            for (const auto& given : step.params()) {
+                const auto meta = std::find_if(found->params().begin(), found->params().end(),
+                                               [&](const auto& one) { return one.name() == given.name(); });
+                ASSERT_NE(meta, found->params().end()) << step.service_global_id() << ": " << given.name();
+                EXPECT_TRUE(parseParam(*meta, given.values(0).str()))
+                    << step.service_global_id() << ": " << given.name();
+            }
+        }
     }
 }
 
