@@ -148,7 +148,7 @@ TEST(WorldFile, WhatStandsInSomethingIsToldWithTheLineThatMadeItSo) {
 
 TEST(WorldFile, TheWorldsOfTheRepositoryAreRight) {
     for (const char* file :
-         {"transport", "room", "corridors", "offices", "openplan", "ward", "workshop", "villa"})
+         {"transport", "figure", "room", "corridors", "offices", "openplan", "ward", "workshop", "villa"})
         EXPECT_NO_THROW(loadWorld(std::string("lab/worlds/") + file + ".lab")) << file;
     EXPECT_THAT(complaint([] { loadWorld("lab/worlds/none.lab"); }), ::testing::HasSubstr("cannot be read"));
 }

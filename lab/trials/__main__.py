@@ -61,7 +61,7 @@ def positive(kind):
 
 
 def parse(arguments):
-    told = "\n".join(f"  {name:<15} {function.__doc__}" for name, function in SCENARIOS.items())
+    told = "\n".join(f"  {name:<19} {function.__doc__}" for name, function in SCENARIOS.items())
     promised = ", ".join(f"{name} {share:.0%}" for name, share in PROMISED.items())
     parser = argparse.ArgumentParser(
         prog="axon-lab-trials", description="Tries the robots in the virtual laboratory over many seeds, judged by ground truth.",

@@ -63,6 +63,12 @@ class Trial:
         first = 5500 + 50 * random.randrange(50)
         self.lab = Laboratory(options.programs, ports=f"{first}-{first + 49}", environment="embedded", speed=options.speed)
         self.world = None
+        self.of_thread = threading.local()
+
+    @property
+    def last(self):
+        """The last line of what this thread's last axon() printed."""
+        return self.of_thread.last
 
     # -- the laboratory -----------------------------------------------------------------------------------------
 
@@ -133,7 +139,7 @@ class Trial:
             status, lines, errors = self.lab.axon(*map(str, words), timeout=60 + 3 * seconds / self.options.speed)
         except subprocess.TimeoutExpired:
             raise Broken(f"axon {' '.join(map(str, words))} was not over after {seconds:.0f} s and more") from None
-        self.last = lines[-1] if lines else {}
+        self.of_thread.last = lines[-1] if lines else {}
         return status, "" if status == 0 else self.reason(lines) or errors.strip() or f"exit status {status}"
 
     @staticmethod

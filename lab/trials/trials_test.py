@@ -46,6 +46,24 @@ class JudgeTest(unittest.TestCase):
             with self.assertRaisesRegex(trial.Broken, what):
                 scenarios.judge_transport(judged([wrong]), scenarios.STATIONS[0])
 
+    def test_what_stands_on_the_table_or_hangs_askew_is_not_held_and_closed_paddles_have_not_let_go(self):
+        scenarios.expect_held(judged([red(on=[]) | {"z_m": 0.75}]), "red")
+        for wrong in (red(), red(on=[], tilt=40) | {"z_m": 0.75}):
+            with self.assertRaisesRegex(trial.Broken, "not held"):
+                scenarios.expect_held(judged([wrong]), "red")
+        scenarios.expect_open({"name": "PeopleBot", "opening_mm": 200.0})
+        with self.assertRaisesRegex(trial.Broken, "28 mm apart, not open"):
+            scenarios.expect_open({"name": "PeopleBot", "opening_mm": 28.0})
+
+    def test_a_run_that_another_led_is_not_what_was_to_be_tried(self):
+        one = judged([red()])
+        one.control = lambda what: {"time_s": 1.0}
+        one.axon = lambda *words, seconds: (0, "")
+        one.of_thread = types.SimpleNamespace(last={"master": "PeopleBot"})
+        scenarios.run_service(one, scenarios.STATIONS[0], "PeopleBot")
+        with self.assertRaisesRegex(trial.Broken, "led by PeopleBot, not by Cyton"):
+            scenarios.run_service(one, scenarios.STATIONS[0], "Cyton")
+
     def test_whoever_touched_a_wall_has_failed_whatever_else_came_of_it(self):
         robots = [{"name": "PeopleBot", "touched": []}, {"name": "PeopleBot2", "touched": ["wall"]}]
         with self.assertRaisesRegex(trial.Broken, "PeopleBot2 touched wall"):

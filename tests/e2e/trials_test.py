@@ -5,6 +5,7 @@
     python3 tests/e2e/trials_test.py --bin build/dev/bin [unittest options]
 """
 import json
+import os
 import pathlib
 import shutil
 import subprocess
@@ -45,6 +46,26 @@ class TrialsTest(unittest.TestCase):
         self.assertGreater(red[-1]["x_m"] - red[0]["x_m"], 6, "it was carried to the other table")
         self.assertAlmostEqual(trial["figures"]["from the edge, mm"][0], (red[-1]["x_m"] - 7) * 1000, delta=10)
         self.assertTrue((place / "ways.png").read_bytes().startswith(b"\x89PNG"))
+
+    def tried(self, *words):
+        """The trial of one seed, up to three times as fast as it is: about what two cores can do."""
+        file = self.folder / "figures.json"
+        status, said, errors = self.trials(*words, "--speed", "3", "--json", str(file))
+        self.assertEqual(status, 0, said + errors)
+        return json.loads(file.read_text())["trials"][0]
+
+    @unittest.skipUnless(os.environ.get("AXON_LONG_TRIALS"), "takes a minute; AXON_LONG_TRIALS=1 runs it")
+    def test_two_transports_at_once_are_led_by_a_mobile_robot_and_by_an_arm(self):
+        trial = self.tried("--scenario", "two-transports", "--seeds", "1")
+        self.assertEqual(len(trial["figures"]["from the edge, mm"]), 2, "both objects were carried")
+
+    @unittest.skipUnless(os.environ.get("AXON_LONG_TRIALS"), "takes a minute; AXON_LONG_TRIALS=1 runs it")
+    def test_figure_a_1_of_the_thesis_is_carried_out_as_it_is_printed(self):
+        printed = (ROOT / "api" / "schema" / "samples" / "valid" / "figure_a_1.xml").read_bytes()
+        offered = BIN.parent / "share" / "axon" / "config" / "globalservices" / "figure_a_1.xml"
+        self.assertEqual(offered.read_bytes(), printed)
+        trial = self.tried("--scenario", "figure", "--seeds", "1")
+        self.assertGreater(trial["figures"]["from the shelf's edge, mm"][0], 0)
 
     def test_an_arm_that_puts_things_down_beside_its_table_fails_and_its_logs_stay(self):
         """It says that it succeeded, for it feels nothing; the truth knows better."""
