@@ -104,7 +104,7 @@ MotionStep TableApproach::step(const arcos::RobotState& robot, TimePoint now) {
             const double turned = robot.heading_deg - phase_heading_;
             if (std::abs(turned) > kMostSquaring_deg || way > 300)
                 return fail("this is no straight edge: only one table sensor sees it");
-            if (standstill_.stuck(way * 0.2 + turned, now))
+            if (standstill_.stuck(way * 0.2 + std::abs(turned), now))
                 return fail("the robot does not move: are its motors enabled, is it free?");
             // The side that sees the table stays where it is, roughly, and the other one comes up.
             if (robot.table_left) step.left_deg_s = kSquaring_deg_s;

@@ -246,6 +246,16 @@ TEST_F(TableApproachTest, WhatIsSetOnTheWayHoldsFromThenOn) {
                 HasSubstr("nearer than the threshold 700 mm"));
 }
 
+TEST_F(TableApproachTest, ALongTurnIsNoStandstillToEitherSide) {
+    for (const double angle : {-30.0, 30.0}) {
+        world = GraspWorld();
+        world.table_turn_deg = angle;
+        const auto step = approach({.reach_mm = 230});
+        EXPECT_EQ(step.outcome, Outcome::Done) << angle << ": " << step.reason;
+        EXPECT_NEAR(world.heading_deg, angle, 10) << angle;
+    }
+}
+
 TEST_F(TableApproachTest, WithoutATableOrWithSomethingInTheWayItFails) {
     world.table = false;
     EXPECT_THAT(approach({.distance_mm = 500}).reason, HasSubstr("no table within 500 mm"));
