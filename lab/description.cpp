@@ -268,9 +268,9 @@ std::string robotActuatorsXml(std::size_t index) {
     std::string xml;
     for (const char* side : {"left", "right"}) {
         xml += fmt::format(
-            R"(<velocity name="r{0}_{1}" joint="r{0}_{1}" kv="8" forcelimited="true" forcerange="-{2} {2}"/>)"
+            R"(<velocity name="r{0}_{1}" joint="r{0}_{1}" kv="{2}" forcelimited="true" forcerange="-{3} {3}"/>)"
             "\n",
-            index, side, kMotorTorque_nm);
+            index, side, kWheelDamping_nm_s, kMotorTorque_nm);
     }
     const auto position = [&](const char* name, double stiffness, double force) {
         xml += fmt::format(

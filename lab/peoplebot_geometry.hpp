@@ -14,6 +14,11 @@ inline constexpr double kSwingRadius_mm = 340;
 inline constexpr double kHeight_mm = 1115;
 inline constexpr double kMass_kg = 19;        // commonly quoted, no source found
 inline constexpr double kMotorTorque_nm = 5;  // assumed: pushes hard, stalls before the tyres slip
+/// The servo of one wheel: torque for each rad/s that the wheel is too slow, and for each rad that it is
+/// behind. The vendor's gains are in units of its motor controller; these are assumed, and heavily damped.
+inline constexpr double kWheelDamping_nm_s = 8;
+inline constexpr double kWheelStiffness_nm = 32;
+inline constexpr double kWheelInertia_kg_m2 = 0.145;  // half of the robot, as one motor feels it
 inline constexpr int kBumperSegments = 5;  // front and rear; segment 1 is on the robot's left in front, and
                                            // the numbers go on clockwise, as those of the sonars do
 inline constexpr double kBumperPitch_deg = 36;  // assumed: the five segments cover half a circle

@@ -55,12 +55,18 @@ struct Motor {
     double blocked_s = 0;
 };
 
+struct Wheel : Motor {
+    double wanted_rad_s = 0;
+    double before_rad_s = 0;  // what was wanted in the step before
+    double lag_rad = 0;       // behind what was wanted since the robot rested
+};
+
 struct Body {
     int base = 0;
     int free_position = 0;  // of the base in qpos
     int free_velocity = 0;
-    Motor left;
-    Motor right;
+    Wheel left;
+    Wheel right;
     std::array<int, 2> wheel_geoms{};
     Motor left_paddle;
     Motor right_paddle;
@@ -161,9 +167,9 @@ class Physics::Model {
     }
 
     void setWheels(std::size_t index, const ArcosServer::WheelSpeeds& speeds) {
-        const auto& body = bodies_.at(index);
-        data_->ctrl[body.left.actuator] = speeds.left_mm_s / kWheelRadius_mm;
-        data_->ctrl[body.right.actuator] = speeds.right_mm_s / kWheelRadius_mm;
+        auto& body = bodies_.at(index);
+        body.left.wanted_rad_s = speeds.left_mm_s / kWheelRadius_mm;
+        body.right.wanted_rad_s = speeds.right_mm_s / kWheelRadius_mm;
     }
     void setGripper(std::size_t index, const GripperSpeeds& speeds) { bodies_.at(index).gripper = speeds; }
     void setCamera(std::size_t index, const CameraPose& pose) {
@@ -181,12 +187,15 @@ class Physics::Model {
 
     void step() {
         const double dt = model_->opt.timestep;
-        for (auto& body : bodies_) moveGripper(body, dt);
+        for (auto& body : bodies_) {
+            driveWheels(body, dt);
+            moveGripper(body, dt);
+        }
         for (std::size_t i = 0; i < arms_.size(); ++i) arms_[i].setTargets(arm_targets_[i]);
         advance();
         for (auto& body : bodies_) {
             for (auto* wheel : {&body.left, &body.right}) {
-                const double wanted = std::abs(data_->ctrl[wheel->actuator]);
+                const double wanted = std::abs(wheel->wanted_rad_s);
                 const bool turning = std::abs(data_->qvel[wheel->velocity]) > 0.2 * wanted;
                 updateBlocked(*wheel, kMotorTorque_nm, wanted > 0 && !turning, dt);
             }
@@ -379,8 +388,8 @@ class Physics::Model {
         const int joint = model_->body_jntadr[body.base];
         body.free_position = model_->jnt_qposadr[joint];
         body.free_velocity = model_->jnt_dofadr[joint];
-        body.left = motor("left");
-        body.right = motor("right");
+        body.left = {motor("left")};
+        body.right = {motor("right")};
         body.wheel_geoms = {id(mjOBJ_GEOM, r + "leftwheel"), id(mjOBJ_GEOM, r + "rightwheel")};
         body.left_paddle = motor("leftpaddle");
         body.right_paddle = motor("rightpaddle");
@@ -599,6 +608,25 @@ class Physics::Model {
             r.laser_mm[i] = range > kLaserMaximum_mm
                                 ? arcos::LaserPacket::kNothing_mm
                                 : static_cast<std::uint16_t>(std::lround(std::max(0.0, range)));
+        }
+    }
+
+    /// The wheel servos. A wheel catches up with what friction has cost it, as by the firmware's PID: without
+    /// that a turn, in which the tyres scrub, is 1 to 3 deg/s slower than ordered.
+    void driveWheels(Body& body, double dt) {
+        // Nothing is held against friction: a robot that was stopped, stalled or switched off pushes no more.
+        const bool rests = body.left.wanted_rad_s == 0 && body.right.wanted_rad_s == 0;
+        for (auto* wheel : {&body.left, &body.right}) {
+            const double error = wheel->wanted_rad_s - data_->qvel[wheel->velocity];
+            // Given beforehand, not caught up with: the wheel would overshoot after each ramp.
+            const double ramp_nm = kWheelInertia_kg_m2 * (wheel->wanted_rad_s - wheel->before_rad_s) / dt;
+            wheel->before_rad_s = wheel->wanted_rad_s;
+            const double lag = rests ? 0 : wheel->lag_rad + error * dt;
+            const double torque = kWheelDamping_nm_s * error + kWheelStiffness_nm * lag + ramp_nm;
+            // A motor that gives all it has falls behind, and does not race to make up for it.
+            if (rests || std::abs(torque) < kMotorTorque_nm || torque * error < 0) wheel->lag_rad = lag;
+            data_->ctrl[wheel->actuator] =
+                wheel->wanted_rad_s + (kWheelStiffness_nm * wheel->lag_rad + ramp_nm) / kWheelDamping_nm_s;
         }
     }
 

@@ -91,6 +91,101 @@ TEST_F(PhysicsTest, CruisesAtTheOrderedSpeed) {
     EXPECT_NEAR(lab_->truth(0).speed_m_s, 0, 0.005);
 }
 
+TEST_F(PhysicsTest, HoldsTheOrderedSpeedWithoutOvershoot) {
+    for (const int speed : {60, 100, 300, 700, -100, -300, -700}) {
+        WorldDescription world;
+        world.room_x = 20;
+        world.robots = {{.x = 10, .y = 3}};
+        start(world);
+        order(Command::Vel, speed);
+        double fastest = 0;
+        const auto go = [&](int tenths) {
+            for (int i = 0; i < tenths; ++i) {
+                run(0.1);
+                fastest = std::max(fastest, std::abs(robot().speed_mm_s()));
+            }
+        };
+        go(35);
+        const double by_wheels = robot().x_mm;
+        const double truth = lab_->truth(0).x_m;
+        go(30);
+        EXPECT_NEAR((robot().x_mm - by_wheels) / 3, speed, std::abs(speed) * 0.01) << speed;
+        EXPECT_NEAR((lab_->truth(0).x_m - truth) * 1000 / 3, speed, std::abs(speed) * 0.01) << speed;
+        EXPECT_LE(fastest, std::abs(speed) + 1.5) << speed;
+        session_.end("");
+    }
+}
+
+TEST_F(PhysicsTest, HoldsTheOrderedRateOfATurn) {
+    for (const int rate : {5, 20, 50, 100, -5, -20, -50, -100}) {
+        start(4, 3, 0);
+        order(Command::RVel, rate);
+        run(2.5);
+        const auto turned = [](double from_deg, double to_deg) {
+            return std::remainder(to_deg - from_deg, 360);
+        };
+        double by_wheels = 0;
+        double truly = 0;
+        for (int i = 0; i < 30; ++i) {
+            const double wheels_before = robot().heading_deg;
+            const double before = lab_->truth(0).theta_deg;
+            run(0.1);
+            by_wheels += turned(wheels_before, robot().heading_deg);
+            truly += turned(before, lab_->truth(0).theta_deg);
+        }
+        EXPECT_NEAR(by_wheels / 3, rate, 0.5) << rate;
+        EXPECT_NEAR(truly / 3, rate, std::abs(rate) * 0.03) << rate << ": the tyres slip";
+        order(Command::RVel, 0);
+        run(2);
+        const double rests = lab_->truth(0).theta_deg;
+        run(3);
+        EXPECT_NEAR(turned(rests, lab_->truth(0).theta_deg), 0, 0.01) << rate;
+        session_.end("");
+    }
+}
+
+TEST_F(PhysicsTest, ATurnByAnAngleDoesNotSwingBeyondIt) {
+    for (const int angle : {90, -90}) {
+        start(4, 3, 0);
+        order(Command::SetRv, 50);
+        order(Command::DHead, angle);
+        double farthest = 0;
+        for (int i = 0; i < 50; ++i) {
+            run(0.1);
+            farthest = std::max(farthest, std::abs(robot().heading_deg));
+        }
+        EXPECT_NEAR(robot().heading_deg, angle, 1) << angle;
+        EXPECT_LE(farthest, 90.6) << angle;
+        session_.end("");
+    }
+}
+
+TEST_F(PhysicsTest, ARampThatTheMotorsCannotFollowEndsWithoutOvershoot) {
+    start(1, 3, 0);
+    order(Command::SetA, 5000);
+    order(Command::Vel, 700);
+    double fastest = 0;
+    for (int i = 0; i < 250; ++i) {
+        run(0.004);
+        fastest = std::max(fastest, lab_->truth(0).speed_m_s);
+    }
+    EXPECT_NEAR(lab_->truth(0).speed_m_s, 0.7, 0.007);
+    EXPECT_LE(fastest, 0.715) << "what the motors could not give is not made up for";
+}
+
+TEST_F(PhysicsTest, ABlockedMotorStallsHoweverSlowlyItWasToTurn) {
+    start(7.6, 3, 0);
+    order(Command::Vel, 40);
+    run(8);
+    EXPECT_GE(lab_->controller(0).counters().stalls, 1U);
+    order(Command::Vel, 0);
+    run(1);
+    EXPECT_NEAR(lab_->truth(0).speed_m_s, 0, 0.002) << "and pushes no more";
+    order(Command::Vel, -100);
+    run(2);
+    EXPECT_NEAR(robot().speed_mm_s(), -100, 1.5);
+}
+
 TEST_F(PhysicsTest, ATurnSlipsALittleAndOnlyTheTruthKnows) {
     start(3, 3, 0);
     order(Command::SetRv, 50);
