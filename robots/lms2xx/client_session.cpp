@@ -79,13 +79,15 @@ void ClientSession::receive(std::span<const std::uint8_t> bytes, TimePoint now) 
     for (const auto& item : reader_.feed(bytes, now)) {
         if (state_ == State::Closed) return;
         // ACK and NAK say no more than that a request arrived: its answer, or none in time, is what counts.
-        if (item.kind == TelegramReader::Item::Kind::Telegram) onTelegram(item.telegram, now);
+        if (item.kind == TelegramReader::Item::Kind::Telegram) onTelegram(item, now);
     }
 }
 
-void ClientSession::onTelegram(const Telegram& telegram, TimePoint now) {
+void ClientSession::onTelegram(const TelegramReader::Item& item, TimePoint now) {
+    const auto& telegram = item.telegram;
     if (telegram.command == kMeasuredValues) {
-        if (state_ == State::Scanning) onScanTelegram(telegram, now);
+        // Scans that waited in a buffer together arrived one after the other.
+        if (state_ == State::Scanning) onScanTelegram(telegram, now, now - onTheWire(item.followed_by));
         return;
     }
     if (telegram.command == kPowerOn) {
@@ -166,7 +168,7 @@ void ClientSession::onSpeedAnswer(bool done, TimePoint now) {
     take(Step::ReadConfiguration, now);
 }
 
-void ClientSession::onScanTelegram(const Telegram& telegram, TimePoint now) {
+void ClientSession::onScanTelegram(const Telegram& telegram, TimePoint now, TimePoint arrived) {
     const auto measured = parseMeasuredValues(telegram);
     const auto variant = measured ? variantOf(measured->values.size()) : std::nullopt;
     if (!variant) {
@@ -181,7 +183,7 @@ void ClientSession::onScanTelegram(const Telegram& telegram, TimePoint now) {
     }
     last_scan_ = now;
     Scan scan;
-    scan.taken = now - onTheWire(telegram) - kHalfASweep;
+    scan.taken = arrived - onTheWire(telegram.data.size() + 1 + Telegram::kFraming) - kHalfASweep;
     scan.start_deg = -variant->angle_deg / 2.0;
     scan.step_deg = variant->resolution_hundredths / 100.0;
     scan.polluted = status.polluted;
@@ -191,11 +193,10 @@ void ClientSession::onScanTelegram(const Telegram& telegram, TimePoint now) {
     port_.onScan(scan);
 }
 
-Duration ClientSession::onTheWire(const Telegram& telegram) const {
+Duration ClientSession::onTheWire(std::size_t bytes) const {
     if (line_.baud == 0) return Duration::zero();
     // Start bit, eight bits, stop bit.
-    const auto bits = static_cast<int>(telegram.data.size() + 1 + Telegram::kFraming) * 10;
-    return Duration(std::chrono::seconds{1}) * bits / line_.baud;
+    return Duration(std::chrono::seconds{1}) * static_cast<int>(bytes) * 10 / line_.baud;
 }
 
 void ClientSession::tick(TimePoint now) {

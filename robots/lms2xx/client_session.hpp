@@ -88,12 +88,12 @@ class ClientSession {
     enum class Step { EndOutput, RaiseSpeed, ReadConfiguration, SetVariant, StartOutput };
     void take(Step step, TimePoint now);
     void ask(TimePoint now);
-    void onTelegram(const Telegram& telegram, TimePoint now);
+    void onTelegram(const TelegramReader::Item& item, TimePoint now);
     void onSpeedAnswer(bool done, TimePoint now);
-    void onScanTelegram(const Telegram& telegram, TimePoint now);
+    void onScanTelegram(const Telegram& telegram, TimePoint now, TimePoint arrived);
     void onNoAnswer(TimePoint now);
     void findElsewhere(TimePoint now);
-    Duration onTheWire(const Telegram& telegram) const;
+    Duration onTheWire(std::size_t bytes) const;
 
     Port& port_;
     const Duration silence_limit_;

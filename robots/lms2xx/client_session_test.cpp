@@ -112,6 +112,22 @@ TEST_F(ClientSessionTest, ScansAreDistancesFromRightToLeftAndAsOldAsTheirWayWasL
     EXPECT_TRUE(scans_[1].polluted);
 }
 
+TEST_F(ClientSessionTest, ScansThatWaitedTogetherAreAsOldAsWhatCameAfterThem) {
+    setUp({.baud = 9600});
+    clock_.advance(milliseconds{500});
+    MeasuredValues measured{.millimetres = true, .values = {}, .status = kGood};
+    measured.values.assign(181, 1000);
+    const auto one = encode(toAnswer(measured));
+    Bytes three;
+    for (int i = 0; i < 3; ++i) three.insert(three.end(), one.begin(), one.end());
+    session_.receive(three, clock_.now());
+    ASSERT_EQ(scans_.size(), 3U);
+    for (std::size_t i = 0; i < 3; ++i) {
+        const auto age = static_cast<double>((clock_.now() - scans_[i].taken).count());
+        EXPECT_NEAR(age, static_cast<double>(3 - i) * 96.9e6 + 7e6, 0.3e6) << i;
+    }
+}
+
 TEST_F(ClientSessionTest, ALaserInCentimetresIsUnderstoodAndLeftAsItIs) {
     measuring_ = {.millimetres = false, .mode = 0};
     setUp();

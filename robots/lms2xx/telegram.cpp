@@ -100,7 +100,8 @@ void TelegramReader::find(std::vector<Item>& found) {
         const auto begin = buffer_.begin() + static_cast<std::ptrdiff_t>(at + kHeader);
         found.push_back(
             {Item::Kind::Telegram,
-             {buffer_[at + 1], *begin, Bytes(begin + 1, begin + static_cast<std::ptrdiff_t>(length))}});
+             {buffer_[at + 1], *begin, Bytes(begin + 1, begin + static_cast<std::ptrdiff_t>(length))},
+             rest - whole});
         at += whole;
     }
     buffer_.erase(buffer_.begin(), buffer_.begin() + static_cast<std::ptrdiff_t>(at));

@@ -90,9 +90,11 @@ class TelegramReader {
     struct Item {
         enum class Kind { Telegram, Ack, Nak };
         Kind kind = Kind::Telegram;
-        Telegram telegram;  ///< Kind::Telegram
+        Telegram telegram;            ///< Kind::Telegram
+        std::size_t followed_by = 0;  ///< Kind::Telegram: bytes of the same feed() that came after it
 
-        bool operator==(const Item&) const = default;
+        /// The same was said, however it arrived.
+        bool operator==(const Item& other) const { return kind == other.kind && telegram == other.telegram; }
     };
 
     /// `from`: whose telegrams are read. The others, which an adapter that echoes brings back, are noise.
