@@ -16,10 +16,11 @@ constexpr double kReach_mm = 300;
 constexpr double kReach_deg = 15;
 constexpr double kStep_mm = 100;
 constexpr double kStep_deg = 3;
-// Two places whose fits differ by less, and which are further from each other than the reach, cannot be told
+// Two poses whose fits differ by less, and which are further from each other than the reach, cannot be told
 // apart.
 constexpr double kAsGood = 0.1;
 constexpr double kSamePlace_mm = 2 * kReach_mm;
+constexpr double kSameHeading_deg = 2 * kReach_deg;
 
 constexpr auto kFix = "fix: give Start (X,Y,HEADING in mm, mm, degrees), or start the program with --at";
 
@@ -39,6 +40,11 @@ Candidate bestAround(const FloorPlan& plan, const MapPose& about, const arcos::L
         }
     }
     return best;
+}
+
+bool samePose(const MapPose& a, const MapPose& b) {
+    return std::hypot(a.x_mm - b.x_mm, a.y_mm - b.y_mm) <= kSamePlace_mm &&
+           std::abs(std::remainder(a.heading_deg - b.heading_deg, 360.0)) <= kSameHeading_deg;
 }
 
 }  // namespace
@@ -63,12 +69,13 @@ Localisation::Start startFromHome(const FloorPlan& plan, const MapPose& moved, c
                         best.pose.x_mm, best.pose.y_mm, best.fit * 100, kFix));
     }
     for (const auto& other : candidates) {
-        if (other.fit > best.fit - kAsGood &&
-            std::hypot(other.pose.x_mm - best.pose.x_mm, other.pose.y_mm - best.pose.y_mm) > kSamePlace_mm) {
+        if (other.fit > best.fit - kAsGood && !samePose(other.pose, best.pose)) {
             throw std::invalid_argument(
                 fmt::format("nobody has said where the robot is, and the map's homes look alike: it may be "
-                            "near ({:.0f}, {:.0f}) or near ({:.0f}, {:.0f}) mm; {}",
-                            best.pose.x_mm, best.pose.y_mm, other.pose.x_mm, other.pose.y_mm, kFix));
+                            "near ({:.0f}, {:.0f}) mm at {:.0f} degrees or near ({:.0f}, {:.0f}) mm at "
+                            "{:.0f} degrees; {}",
+                            best.pose.x_mm, best.pose.y_mm, best.pose.heading_deg, other.pose.x_mm,
+                            other.pose.y_mm, other.pose.heading_deg, kFix));
         }
     }
     return {.pose = best.pose};

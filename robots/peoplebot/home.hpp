@@ -9,8 +9,8 @@ namespace axon::peoplebot {
 /// what it sees at that place.
 ///
 /// Throws std::invalid_argument with the remedy when the map has no home, when less than kHomeFits of what
-/// the laser sees is on the map around any of them, and when two places far from each other fit about as
-/// well. Takes some milliseconds for each home. Any thread.
+/// the laser sees is on the map around any of them, and when two poses fit about as well that are
+/// far from each other or look in different directions. Takes some milliseconds for each home. Any thread.
 Localisation::Start startFromHome(const FloorPlan& plan, const MapPose& moved, const arcos::LaserScan& scan);
 
 /// The share of the laser's readings that must end at walls. More than Navigation asks for later: here nobody

@@ -91,6 +91,17 @@ TEST(StartFromHome, HomesThatLookAlikeAreRefused) {
     EXPECT_THAT(refusal(here, {}, {1500, 3000, 0}), HasSubstr("the map's homes look alike"));
 }
 
+TEST(StartFromHome, HomesThatLookAlikeInTwoDirectionsAreRefused) {
+    const auto here = plan(
+        "Cairn: RobotHome 4000 3000 0 \"\" ICON \"\"\nCairn: Dock 4000 3000 180 \"\" ICON \"\"\n", kRoom);
+    EXPECT_THAT(refusal(here, {}, {4000, 3000, 0}), HasSubstr("the map's homes look alike"));
+}
+
+TEST(StartFromHome, TwoNamesOfOneHomeAreOneHome) {
+    const auto here = plan(std::string(kHome) + "Cairn: Dock 1600 3000 358 \"\" ICON \"\"\n");
+    expectNear(startFromHome(here, {}, scanFrom(here, {1500, 3000, 0})).pose, {1500, 3000, 0});
+}
+
 TEST(StartFromHome, AMapWithoutAHomeIsRefused) {
     EXPECT_THAT(refusal(plan(""), {}, {1500, 3000, 0}),
                 HasSubstr("the map has neither RobotHome nor Dock; fix: give Start"));
