@@ -48,6 +48,7 @@ struct Page {
     std::atomic<std::uint64_t> beats{0};    // of the application
     std::atomic<std::uint64_t> looks{0};    // of the guard
     std::atomic<std::uint32_t> stopped{0};  // the watch whose device the guard has stopped
+    std::atomic<std::uint32_t> let_go{0};   // the watch whose descriptor it has closed since it was released
 };
 static_assert(std::atomic<std::uint64_t>::is_always_lock_free &&
               std::atomic<std::uint32_t>::is_always_lock_free);
@@ -129,6 +130,8 @@ class Guard {
         if (got < 0 && (errno == EAGAIN || errno == EINTR)) return true;
         if (got != static_cast<ssize_t>(sizeof message)) return false;
         letGo();
+        if (message.kind == Message::Kind::Release)
+            page_.let_go.store(message.watch, std::memory_order_release);
         const auto* rights = CMSG_FIRSTHDR(&header);
         if (message.kind != Message::Kind::Watch || rights == nullptr) return true;
         std::memcpy(&device_, CMSG_DATA(rights), sizeof device_);
@@ -247,7 +250,7 @@ class DeviceGuard::Desk {
         when_silent_ = line("has been silent for " + std::to_string(options_.silence.count()) + " ms");
         when_gone_ = line("has ended without stopping it");
         const std::lock_guard lock(mutex_);
-        start();
+        startGuard();
     }
     ~Desk() {
         const std::lock_guard lock(mutex_);
@@ -268,7 +271,7 @@ class DeviceGuard::Desk {
         if (descriptor < 0) return false;
         tellOfLoss();
         int error = 0;
-        if (start(descriptor, error)) return true;
+        if (handOver(descriptor, error)) return true;
         log("the guard of " + options_.device + " cannot be started: " + std::strerror(error));
         return false;
     }
@@ -287,16 +290,16 @@ class DeviceGuard::Desk {
         tellOfLoss();
         const std::lock_guard lock(mutex_);
         if (!watching_.exchange(false)) return;
-        if (!sendMessage(control_.get(), {Message::Kind::Release, watch_}, -1)) giveUp();
+        if (!sendMessage(control_.get(), {Message::Kind::Release, watch_}, -1) || !waitUntilLetGo()) giveUp();
     }
     int pid() const { return pid_; }
 
   private:
-    bool start(int descriptor, int& error) {
+    bool handOver(int descriptor, int& error) {
         const std::lock_guard lock(mutex_);
         // A guard that died while nothing was watched is noticed here.
         for (int attempt = 0; attempt < 2; ++attempt) {
-            if (!process_.open() && !start()) break;
+            if (!process_.open() && !startGuard()) break;
             const auto next = watch_.load() + 1;
             if (sendMessage(control_.get(), {Message::Kind::Watch, next}, descriptor)) {
                 looks_silence_.restart(page_->looks, clock_.now());
@@ -318,7 +321,7 @@ class DeviceGuard::Desk {
         }
         log("the guard of " + options_.device + " was gone or frozen: the device was stopped, and is guarded again once it is connected again");
     }
-    bool start() {
+    bool startGuard() {
         std::array<int, 2> ends{};
         if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0) return false;
         Descriptor own(ends[0]);
@@ -344,6 +347,15 @@ class DeviceGuard::Desk {
         ::waitpid(pid, nullptr, 0);
         pid_ = 0;
         return false;
+    }
+    /// False of a guard that has died, or that is frozen and keeps the device's connection open.
+    bool waitUntilLetGo() const {
+        const auto until = clock_.now() + options_.silence;
+        while (page_->let_go.load(std::memory_order_acquire) != watch_) {
+            pollfd ended{process_.get(), POLLIN, 0};
+            if (clock_.now() >= until || ::poll(&ended, 1, 1) > 0) return false;
+        }
+        return true;
     }
     /// Of a guard that does not work any more. Killed before its connection is closed, which would wake it
     /// up. By a descriptor: should the application have reaped it, its number may be another process's.

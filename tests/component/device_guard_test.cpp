@@ -222,6 +222,25 @@ TEST_F(DeviceGuardTest, WhatIsReleasedIsNotStoppedHoweverTheApplicationEnds) {
     }));
 }
 
+TEST_F(DeviceGuardTest, AGuardThatIsFrozenKeepsNoReleasedConnectionOpen) {
+    start();
+    strike(guard_, SIGSTOP);
+    ASSERT_TRUE(ask(Order::Release));
+    strike(application_, SIGKILL);
+    EXPECT_TRUE(waitUntil([&] {
+        EXPECT_EQ(heard(), "");
+        return closed_;
+    })) << "the frozen guard still has it";
+}
+
+TEST_F(DeviceGuardTest, AGuardThatAnswersIsKeptForTheNextConnection) {
+    start();
+    ASSERT_TRUE(ask(Order::Release));
+    ASSERT_TRUE(ask(Order::Watch));
+    EXPECT_TRUE(ask(Order::Beat));
+    EXPECT_EQ(::kill(guard_, 0), 0);
+}
+
 TEST_F(DeviceGuardTest, AnApplicationThatEndsInOrderEndsItsGuardToo) {
     start();
     ASSERT_TRUE(ask(Order::Close));

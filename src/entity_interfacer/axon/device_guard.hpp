@@ -66,7 +66,9 @@ class AXON_EI_API DeviceGuard {
     bool beat();
     /// Whether the guard has stopped the device since watch(), so that no order may be sent.
     bool stopped() const;
-    /// The device is no longer guarded; the guard closes its duplicate and writes nothing.
+    /// The device is no longer guarded; the guard has closed its duplicate and writes nothing. Returns at
+    /// once as a rule; a guard that does not answer within `silence` is killed, since it would keep the
+    /// device's connection open.
     void release();
     /// Of the guard's process; 0 where there is none.
     int pid() const;
