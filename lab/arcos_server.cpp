@@ -469,7 +469,7 @@ void ArcosServer::sendConfig() {
     arcos::RobotConfig config;
     config.type = identity_.type;
     config.subtype = identity_.subtype;
-    config.serial_number = "VIRTUAL";
+    config.serial_number = "SIM";  // as the vendor's simulators say it
     config.top_rotation_deg_s = static_cast<int>(rotation.top);
     config.top_speed_mm_s = static_cast<int>(translation.top);
     config.top_rotation_acceleration = 1000;

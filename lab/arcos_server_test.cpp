@@ -346,6 +346,7 @@ TEST_F(ArcosServerTest, ConfigAndInputsAreAnswered) {
     const auto config = arcos::parseRobotConfig(answers_[0]);
     ASSERT_TRUE(config);
     EXPECT_EQ(config->subtype, "peoplebot-sh");
+    EXPECT_EQ(config->serial_number, "SIM") << "what the vendor's simulators say, and no robot does";
     EXPECT_EQ(config->deceleration, 450);
     EXPECT_EQ(config->watchdog_ms, 2000);
     const auto io = arcos::parseInputsOutputs(answers_[1]);
