@@ -46,6 +46,8 @@ class LabServer {
                            ///< they have speeds, and nobody notices there that a client is gone
         bool lasers = false;     ///< each robot's laser is an LMS-200 on a line of its own (LmsServer)
         std::string clock_path;  ///< not empty: the laboratory's time for other programs (ClockFile)
+
+        bool operator==(const Options&) const = default;
     };
 
     LabServer(WorldDescription world, Options options);
