@@ -34,6 +34,11 @@ void readInfrared(unsigned digital_in, RobotState& robot) {
 
 }  // namespace
 
+bool LaserScan::sees() const {
+    return std::any_of(ranges_mm.begin(), ranges_mm.end(),
+                       [](std::uint16_t range) { return range > 0 && range < LaserPacket::kNothing_mm; });
+}
+
 void ClientSession::begin(TimePoint now, const LineSpeed& line) {
     state_ = State::Synchronising;
     reader_.reset();

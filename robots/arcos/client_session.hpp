@@ -36,6 +36,10 @@ struct LaserScan {
     double step_deg = 1;
     std::vector<std::uint16_t>
         ranges_mm;  ///< 181 of an LMS-200; what sees nothing reads LaserPacket::kNothing_mm
+
+    /// Whether anything was measured at all. A laser that looks into the sun measures nothing anywhere, and
+    /// must not be taken for one that sees no obstacle.
+    bool sees() const;
 };
 
 /// The two-degrees-of-freedom gripper as its limit switches, beams and paddles tell. There is no position.

@@ -152,7 +152,7 @@ std::optional<std::string> Driving::obstacle(const RobotState& robot, TimePoint 
                                request_.range_threshold_mm);
         }
     }
-    if (direction_ > 0 && robot.laser && now - robot.laser->taken <= kSonarSilence) {
+    if (direction_ > 0 && robot.laser && now - robot.laser->taken <= kSonarSilence && robot.laser->sees()) {
         heard = true;
         for (std::size_t i = 0; i < robot.laser->ranges_mm.size(); ++i) {
             const double angle = robot.laser->start_deg + static_cast<double>(i) * robot.laser->step_deg;

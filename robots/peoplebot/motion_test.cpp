@@ -205,6 +205,23 @@ TEST_F(DrivingTest, TheLaserStopsADriveForwardToo) {
     EXPECT_EQ(robot_.run(backward, 1).outcome, Outcome::Running);
 }
 
+TEST_F(DrivingTest, ADazzledLaserDoesNotStandInForSilentSonars) {
+    robot_.deaf = true;
+    robot_.clock.advance(milliseconds{2000});
+    const auto laser = [this](std::uint16_t range_mm) {
+        auto scan = std::make_shared<arcos::LaserScan>();
+        scan->taken = robot_.clock.now();
+        scan->ranges_mm.assign(181, range_mm);
+        return scan;
+    };
+    robot_.state.laser = laser(8000);
+    auto seeing = begin({.distance_mm = 1000});
+    EXPECT_EQ(robot_.run(seeing, 1).outcome, Outcome::Running);
+    robot_.state.laser = laser(arcos::LaserPacket::kNothing_mm);
+    auto dazzled = begin({.distance_mm = 1000});
+    EXPECT_THAT(robot_.run(dazzled, 1).reason, HasSubstr("was heard"));
+}
+
 TEST_F(DrivingTest, SilentSonarsAreAFailureUnlessTheyAreNotWanted) {
     robot_.deaf = true;
     auto motion = begin({.distance_mm = 3000});

@@ -126,7 +126,7 @@ Clearance Surroundings::clearance() const {
     forEachEcho([&](std::size_t i, const Echo& /*echo*/) {
         if (std::abs(body::kSonars[i].direction_deg) <= 50) room.heard = true;
     });
-    if (laser_ && now_ - laser_->taken <= kMemory) room.heard = true;
+    if (laser_ && now_ - laser_->taken <= kMemory && laser_->sees()) room.heard = true;
     return room;
 }
 

@@ -19,7 +19,7 @@ struct Clearance {
     double right = kNothing_mm;
     double rear = kNothing_mm;
     double swing = kNothing_mm;  ///< to what the rear may sweep in a turn on the spot; negative: it would touch
-    bool heard = false;          ///< a front sonar or the laser spoke within the last second
+    bool heard = false;  ///< a front sonar spoke within the last second, or the laser measured something
 };
 
 /// What the range sensors saw last, in the odometry's frame. A sonar is heard every third of a second, and

@@ -205,6 +205,21 @@ arcos::RobotState seesByLaser(double direction_deg, double range_mm) {
     return robot;
 }
 
+TEST(Surroundings, ADazzledLaserIsNotHeard) {
+    Surroundings surroundings;
+    auto robot = seesByLaser(0, 30000);
+    surroundings.update(robot);
+    EXPECT_TRUE(surroundings.clearance().heard) << "far away is something";
+    arcos::LaserScan dazzled = *robot.laser;
+    dazzled.ranges_mm.assign(181, arcos::LaserPacket::kNothing_mm);
+    robot.laser = std::make_shared<const arcos::LaserScan>(dazzled);
+    surroundings.update(robot);
+    EXPECT_FALSE(surroundings.clearance().heard);
+    robot.sonars[19] = {5000, robot.taken};
+    surroundings.update(robot);
+    EXPECT_TRUE(surroundings.clearance().heard) << "by its sonars";
+}
+
 TEST(Surroundings, AnEchoOfWhatTheLaserSeesIsWhereTheLaserSeesIt) {
     // A door's left jamb as it is met at an angle: the arc of the left sonars reaches into the lane, the jamb
     // does not.
