@@ -24,7 +24,15 @@ using arcos::Command;
 
 class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Port {
   protected:
+    /// Again: another robot in another world, whose time begins anew.
     void start(const lab::WorldDescription& world, const lab::Physics::Options& options = {}) {
+        session_.end("another robot is started");
+        inbox_.clear();
+        fresh_ = false;
+        nearest_mm_ = 1e9;
+        bumps_ = 0;
+        seen_at_.reset();
+        failed_at_.reset();
         world_ = world;
         inbox_.clear();  // of a laboratory before this one
         fresh_ = false;
