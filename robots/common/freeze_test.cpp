@@ -3,7 +3,6 @@
 // processes, judged by the laboratory's ground truth. AXON_FREEZES=N does N of each kind instead of one, and
 // the figures are printed.
 #include <arpa/inet.h>
-#include <axon/link.pb.h>
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <netinet/in.h>
@@ -13,115 +12,27 @@
 #include <sys/wait.h>
 
 #include <algorithm>
-#include <asio/executor_work_guard.hpp>
-#include <asio/io_context.hpp>
-#include <asio/post.hpp>
-#include <asio/strand.hpp>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <fstream>
-#include <future>
 #include <nlohmann/json.hpp>
-#include <set>
 #include <thread>
 
 #include "common/descriptor.hpp"
-#include "common/ids.hpp"
-#include "entity_manager/back_end_interface.hpp"
 #include "lab/lab_server.hpp"
 #include "robots/peoplebot/settings.hpp"
 #include "tests/support/loopback.hpp"
+#include "tests/support/robot_manager.hpp"
 
 extern char** environ;
 
 namespace axon::robots {
 namespace {
 
-using entity_manager::BackEndInterface;
 using nlohmann::json;
 using std::chrono::milliseconds;
 using test::waitUntil;
-
-/// The Entity Manager's end of the link, with the product's watchdogs, busy all the time.
-class Manager : public entity_manager::BackEndEvents {
-  public:
-    explicit Manager(const std::string& application) : strand_(asio::make_strand(context_)) {
-        entity_manager::BackEndSettings settings;
-        settings.application = application;
-        settings.where.address = test::loopbackAddress();
-        settings.manager = "test";
-        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate_, clock_, random_, *this);
-        thread_ = std::thread([this] { context_.run(); });
-        asio::post(strand_, [this] {
-            link_->start();
-            link_->setBusy(true);
-        });
-    }
-    ~Manager() override { die(); }
-    void die() {
-        if (!thread_.joinable()) return;
-        thaw();
-        asio::post(strand_, [this] { link_->close(); });
-        work_.reset();
-        thread_.join();
-    }
-    /// Its sockets stay open, and it says nothing.
-    void freeze() {
-        asio::post(strand_, [frozen = frozen_.get_future().share()] { frozen.wait(); });
-        is_frozen_ = true;
-    }
-    void run(const std::string& service, const std::vector<std::pair<std::string, double>>& params) {
-        proto::EmToEi message;
-        auto& task = *message.mutable_task();
-        task.set_task_id(Id128::random(random_).bytes());
-        task.set_service(service);
-        task.set_stop_generation(gate_.generation());
-        for (const auto& [name, value] : params) {
-            auto& param = *task.add_params();
-            param.set_name(name);
-            param.add_values()->set_dbl(value);
-        }
-        asio::post(strand_, [this, message] { link_->send(message); });
-    }
-    bool active(const std::string& service) {
-        const std::lock_guard lock(mutex_);
-        return active_.contains(service);
-    }
-    std::string lastWords() {
-        const std::lock_guard lock(mutex_);
-        return last_words_;
-    }
-
-    void onLinkUp() override {}
-    void onLinkDown(const std::string& /*reason*/, entity_manager::LinkEnd /*end*/) override {}
-    void onLinkMessage(const proto::EiToEm& message) override {
-        const std::lock_guard lock(mutex_);
-        if (message.has_active() && message.active().active()) active_.insert(message.active().service());
-        if (message.has_task_answer()) last_words_ = message.task_answer().refusal().message();
-        if (message.has_task()) last_words_ = message.task().event().reason().message();
-    }
-
-  private:
-    void thaw() {
-        if (is_frozen_) frozen_.set_value();
-        is_frozen_ = false;
-    }
-
-    entity_manager::StopGate gate_;
-    SteadyClock clock_;
-    SystemRandom random_;
-    asio::io_context context_;
-    asio::executor_work_guard<asio::io_context::executor_type> work_{context_.get_executor()};
-    asio::strand<asio::io_context::executor_type> strand_;
-    std::unique_ptr<BackEndInterface> link_;
-    std::promise<void> frozen_;
-    bool is_frozen_ = false;
-    std::mutex mutex_;
-    std::set<std::string> active_;  // these two guarded by mutex_
-    std::string last_words_;
-    std::thread thread_;
-};
 
 /// One program of a robot, ended at the latest with this object.
 class Program {
@@ -251,7 +162,7 @@ class FreezeTest : public ::testing::TestWithParam<Strike> {
         if (first_joints_.is_null()) first_joints_ = joints;
         return farthest(joints, first_joints_) > kUnderWay_deg;
     }
-    void strike(Manager& manager, const Program& program) const {
+    void strike(test::RobotManager& manager, const Program& program) const {
         const int signal = GetParam().freeze ? SIGSTOP : SIGKILL;
         switch (GetParam().victim) {
             case Victim::Application:
@@ -300,10 +211,10 @@ class FreezeTest : public ::testing::TestWithParam<Strike> {
         if (!isArm()) words.insert(words.end(), {"--camera", ""});
         Program program(words);
         ASSERT_GT(program.pid(), 0);
-        Manager manager(application);
+        test::RobotManager manager(application, test::RobotManager::Watchdogs::Strict);
         ASSERT_TRUE(waitUntil([&] { return manager.active(robot.service); }, std::chrono::seconds{20}));
         first_joints_ = nullptr;
-        manager.run(robot.service, robot.parameters);
+        manager.dispatch(robot.service, robot.parameters);
         ASSERT_TRUE(waitUntil([&] { return moves(truth_->now()); }, std::chrono::seconds{20}))
             << manager.lastWords();
         const auto before = truth_->now();

@@ -4,7 +4,6 @@
 #include "robots/cyton/application.hpp"
 
 #include <arpa/inet.h>
-#include <axon/link.pb.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <netinet/in.h>
@@ -12,23 +11,17 @@
 #include <sys/socket.h>
 
 #include <algorithm>
-#include <asio/executor_work_guard.hpp>
-#include <asio/io_context.hpp>
-#include <asio/post.hpp>
-#include <asio/strand.hpp>
 #include <functional>
 #include <map>
 #include <thread>
 
-#include "common/ids.hpp"
-#include "entity_manager/back_end_interface.hpp"
 #include "lab/ssc32_server.hpp"
 #include "tests/support/loopback.hpp"
+#include "tests/support/robot_manager.hpp"
 
 namespace axon::cyton {
 namespace {
 
-using entity_manager::BackEndInterface;
 using std::chrono::milliseconds;
 using std::chrono::seconds;
 using test::waitUntil;
@@ -129,155 +122,6 @@ class Board {
     std::thread thread_;
 };
 
-/// The Entity Manager's side of the link: notes what the application says.
-class Manager : public entity_manager::BackEndEvents {
-  public:
-    explicit Manager(const std::string& application) : strand_(asio::make_strand(context_)) {
-        entity_manager::BackEndSettings settings;
-        settings.application = application;
-        settings.where.address = test::loopbackAddress();
-        settings.manager = "test";
-        // Not what is tested here; sanitizers are slow.
-        settings.watchdog_busy = settings.watchdog_idle = milliseconds{2000};
-        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate_, clock_, random_, *this);
-        thread_ = std::thread([this] { context_.run(); });
-        asio::post(strand_, [this] { link_->start(); });
-    }
-    ~Manager() override { die(); }
-    void die() {
-        if (!thread_.joinable()) return;
-        asio::post(strand_, [this] { link_->close(); });
-        work_.reset();
-        thread_.join();
-    }
-
-    std::uint32_t stop() {
-        const auto generation = gate_.raise();
-        link_->stop(generation, StopCause::Requested);
-        return generation;
-    }
-    std::string dispatch(const std::string& service,
-                         const std::vector<std::pair<std::string, double>>& params) {
-        proto::EmToEi message;
-        auto& task = *message.mutable_task();
-        task.set_task_id(Id128::random(random_).bytes());
-        task.set_service(service);
-        task.set_stop_generation(gate_.generation());
-        for (const auto& [name, value] : params) {
-            auto& param = *task.add_params();
-            param.set_name(name);
-            param.add_values()->set_dbl(value);
-        }
-        send(message);
-        return task.task_id();
-    }
-    /// A CONFIG parameter is set while this task of its service runs.
-    void configure(const std::string& service, const std::string& name, double value,
-                   const std::string& task) {
-        proto::EmToEi message;
-        auto& one = *message.mutable_configuration()->add_params();
-        one.set_service(service);
-        one.mutable_param()->set_name(name);
-        one.mutable_param()->add_values()->set_dbl(value);
-        message.mutable_configuration()->set_task_id(task);
-        send(message);
-    }
-    void pause(const std::string& id, bool resume) {
-        proto::EmToEi message;
-        message.mutable_pause()->set_task_id(id);
-        message.mutable_pause()->set_resume(resume);
-        message.mutable_pause()->set_stop_generation(gate_.generation());
-        send(message);
-    }
-    void cancel(const std::string& id) {
-        proto::EmToEi message;
-        message.mutable_cancel()->set_task_id(id);
-        send(message);
-    }
-    void watch(const std::string& stream) {
-        proto::EmToEi message;
-        message.mutable_stream()->set_stream(stream);
-        message.mutable_stream()->set_on(true);
-        send(message);
-    }
-
-    void onLinkUp() override {}
-    void onLinkDown(const std::string& /*reason*/, entity_manager::LinkEnd /*end*/) override {}
-    void onLinkMessage(const proto::EiToEm& message) override {
-        const std::lock_guard lock(mutex_);
-        if (message.has_task()) events_.push_back(message.task().event());
-        if (message.has_task_answer()) answers_.push_back(message.task_answer());
-        if (message.has_active()) active_[message.active().service()] = message.active();
-        if (message.has_stop_done()) stops_.push_back(message.stop_done());
-        if (message.has_sample()) ++samples_[message.sample().stream()];
-    }
-
-    std::optional<proto::TaskEvent> end(const std::string& id) {
-        const std::lock_guard lock(mutex_);
-        const auto found = std::find_if(events_.begin(), events_.end(), [&](const auto& event) {
-            return event.task_id() == id && event.state() >= proto::TASK_SUCCEEDED;
-        });
-        return found == events_.end() ? std::nullopt : std::optional(*found);
-    }
-    /// The last of that name.
-    std::string textResult(const std::string& id, const std::string& name) {
-        const std::lock_guard lock(mutex_);
-        std::string text;
-        for (const auto& event : events_) {
-            if (event.task_id() != id) continue;
-            for (const auto& result : event.results()) {
-                if (result.name() == name) text = result.values(0).str();
-            }
-        }
-        return text;
-    }
-    std::optional<proto::Refusal> answer(const std::string& id) {
-        const std::lock_guard lock(mutex_);
-        for (const auto& answer : answers_) {
-            if (answer.task_id() == id) return answer.refusal();
-        }
-        return std::nullopt;
-    }
-    bool active(const std::string& service) {
-        const std::lock_guard lock(mutex_);
-        return active_[service].active();
-    }
-    std::string inactiveReason(const std::string& service) {
-        const std::lock_guard lock(mutex_);
-        return active_[service].reason();
-    }
-    bool reached(std::uint32_t generation, proto::StopReceipt::Stage stage) {
-        const std::lock_guard lock(mutex_);
-        return std::any_of(stops_.begin(), stops_.end(), [&](const auto& done) {
-            return done.stop_generation() == generation && done.stage() == stage;
-        });
-    }
-    int samples(const std::string& stream) {
-        const std::lock_guard lock(mutex_);
-        return samples_[stream];
-    }
-
-  private:
-    void send(const proto::EmToEi& message) {
-        asio::post(strand_, [this, message] { link_->send(message); });
-    }
-
-    entity_manager::StopGate gate_;
-    SteadyClock clock_;
-    SystemRandom random_;
-    asio::io_context context_;
-    asio::executor_work_guard<asio::io_context::executor_type> work_{context_.get_executor()};
-    asio::strand<asio::io_context::executor_type> strand_;
-    std::unique_ptr<BackEndInterface> link_;
-    std::mutex mutex_;
-    std::vector<proto::TaskEvent> events_;
-    std::vector<proto::TaskAnswer> answers_;
-    std::vector<proto::StopDone> stops_;
-    std::map<std::string, proto::ServiceActive> active_;
-    std::map<std::string, int> samples_;
-    std::thread thread_;
-};
-
 class CytonApplication : public ::testing::Test {
   protected:
     void SetUp() override {
@@ -290,7 +134,7 @@ class CytonApplication : public ::testing::Test {
         settings.profiles = "robots/cyton";
         application_ = std::make_unique<Application>(settings);
         application_->start();
-        manager_ = std::make_unique<Manager>(settings.application);
+        manager_ = std::make_unique<test::RobotManager>(settings.application);
         ASSERT_TRUE(
             waitUntil([&] { return manager_->active("Control") && manager_->active("Grab and Place"); }));
     }
@@ -323,7 +167,7 @@ class CytonApplication : public ::testing::Test {
 
     const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
     std::unique_ptr<Board> board_;
-    std::unique_ptr<Manager> manager_;
+    std::unique_ptr<test::RobotManager> manager_;
     std::unique_ptr<Application> application_;
 };
 

@@ -3,228 +3,25 @@
 // on one side, the virtual laboratory on the other.
 #include "robots/peoplebot/application.hpp"
 
-#include <axon/link.pb.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <asio/executor_work_guard.hpp>
-#include <asio/io_context.hpp>
-#include <asio/post.hpp>
-#include <asio/strand.hpp>
 #include <fstream>
 #include <functional>
 #include <optional>
 #include <thread>
 
-#include "common/ids.hpp"
-#include "entity_manager/back_end_interface.hpp"
 #include "lab/lab_server.hpp"
 #include "tests/support/loopback.hpp"
+#include "tests/support/robot_manager.hpp"
 
 namespace axon::peoplebot {
 namespace {
 
-using entity_manager::BackEndInterface;
 using std::chrono::milliseconds;
 using test::waitUntil;
 using ::testing::HasSubstr;
-
-/// The Entity Manager's side of the link: notes what the application says.
-class Manager : public entity_manager::BackEndEvents {
-  public:
-    explicit Manager(const std::string& application) : strand_(asio::make_strand(context_)) {
-        entity_manager::BackEndSettings settings;
-        settings.application = application;
-        settings.where.address = test::loopbackAddress();
-        settings.manager = "test";
-        // Not what is tested here; sanitizers are slow.
-        settings.watchdog_busy = settings.watchdog_idle = milliseconds{2000};
-        link_ = std::make_unique<BackEndInterface>(strand_, settings, gate_, clock_, random_, *this);
-        thread_ = std::thread([this] { context_.run(); });
-        asio::post(strand_, [this] { link_->start(); });
-    }
-    ~Manager() override { die(); }
-    void die() {
-        if (!thread_.joinable()) return;
-        asio::post(strand_, [this] { link_->close(); });
-        work_.reset();
-        thread_.join();
-    }
-
-    std::uint32_t stop() {
-        const auto generation = gate_.raise();
-        link_->stop(generation, StopCause::Requested);
-        return generation;
-    }
-    std::string dispatch(const std::string& service,
-                         const std::vector<std::pair<std::string, double>>& params) {
-        proto::EmToEi message;
-        auto& task = *message.mutable_task();
-        task.set_task_id(Id128::random(random_).bytes());
-        task.set_service(service);
-        task.set_stop_generation(gate_.generation());
-        for (const auto& [name, value] : params) {
-            auto& param = *task.add_params();
-            param.set_name(name);
-            param.add_values()->set_dbl(value);
-        }
-        return send(message, task.task_id());
-    }
-    /// Navigation, with texts as parameters and the map as its resource.
-    std::string navigate(const std::string& map, const std::vector<std::pair<std::string, std::string>>& params) {
-        proto::EmToEi message;
-        auto& task = *message.mutable_task();
-        task.set_task_id(Id128::random(random_).bytes());
-        task.set_service("Navigation");
-        task.set_stop_generation(gate_.generation());
-        for (const auto& [name, value] : params) {
-            auto& param = *task.add_params();
-            param.set_name(name);
-            param.add_values()->set_str(value);
-        }
-        if (!map.empty()) {
-            auto& resource = *task.add_resources();
-            resource.set_name("Map");
-            resource.set_url(map);
-        }
-        return send(message, task.task_id());
-    }
-    std::string dispatchValues(const std::string& service, const std::vector<std::pair<std::string, Value>>& params) {
-        proto::EmToEi message;
-        auto& task = *message.mutable_task();
-        task.set_task_id(Id128::random(random_).bytes());
-        task.set_service(service);
-        task.set_stop_generation(gate_.generation());
-        for (const auto& [name, value] : params) {
-            auto& param = *task.add_params();
-            param.set_name(name);
-            auto& out = *param.add_values();
-            if (const auto* text = std::get_if<std::string>(&value)) out.set_str(*text);
-            if (const auto* number = std::get_if<double>(&value)) out.set_dbl(*number);
-            if (const auto* flag = std::get_if<bool>(&value)) out.set_bool_(*flag);
-        }
-        return send(message, task.task_id());
-    }
-    /// A CONFIG parameter of this service is set while a task of it runs, or none does.
-    void configure(const std::string& service, const std::string& name, double value,
-                   const std::string& task = {}) {
-        proto::EmToEi message;
-        auto& one = *message.mutable_configuration()->add_params();
-        one.set_service(service);
-        one.mutable_param()->set_name(name);
-        one.mutable_param()->add_values()->set_dbl(value);
-        message.mutable_configuration()->set_task_id(task);
-        send(message, task);
-    }
-    /// As it was told last, while the task ran.
-    std::optional<proto::Param> told(const std::string& id, const std::string& name) {
-        const std::lock_guard lock(mutex_);
-        std::optional<proto::Param> last;
-        for (const auto& event : events_) {
-            if (event.task_id() != id || event.state() >= proto::TASK_SUCCEEDED) continue;
-            for (const auto& result : event.results())
-                if (result.name() == name) last = result;
-        }
-        return last;
-    }
-    void pause(const std::string& id, bool resume) {
-        proto::EmToEi message;
-        message.mutable_pause()->set_task_id(id);
-        message.mutable_pause()->set_resume(resume);
-        message.mutable_pause()->set_stop_generation(gate_.generation());
-        send(message, id);
-    }
-    void cancel(const std::string& id) {
-        proto::EmToEi message;
-        message.mutable_cancel()->set_task_id(id);
-        send(message, id);
-    }
-
-    void onLinkUp() override {}
-    void onLinkDown(const std::string& /*reason*/, entity_manager::LinkEnd /*end*/) override {}
-    void onLinkMessage(const proto::EiToEm& message) override {
-        if (on_end && message.has_task() && message.task().event().state() >= proto::TASK_SUCCEEDED)
-            on_end(message.task().event());
-        const std::lock_guard lock(mutex_);
-        if (message.has_task()) events_.push_back(message.task().event());
-        if (message.has_task_answer()) answers_.push_back(message.task_answer());
-        if (message.has_active()) active_[message.active().service()] = message.active();
-        if (message.has_stop_done()) stops_.push_back(message.stop_done());
-        if (message.has_sample()) ++samples_[message.sample().stream()];
-    }
-
-    /// On the strand, as the Entity Manager dispatches what waits in its queue.
-    std::function<void(const proto::TaskEvent&)> on_end;
-
-    std::optional<proto::TaskEvent> end(const std::string& id) {
-        const std::lock_guard lock(mutex_);
-        const auto found = std::find_if(events_.begin(), events_.end(), [&](const auto& event) {
-            return event.task_id() == id && event.state() >= proto::TASK_SUCCEEDED;
-        });
-        return found == events_.end() ? std::nullopt : std::optional(*found);
-    }
-    double progress(const std::string& id) {
-        const std::lock_guard lock(mutex_);
-        double progress = 0;
-        for (const auto& event : events_)
-            progress = event.task_id() == id ? std::max(progress, event.progress()) : progress;
-        return progress;
-    }
-    /// The refusal of a task request, once it was answered.
-    std::optional<proto::Refusal> answer(const std::string& id) {
-        const std::lock_guard lock(mutex_);
-        for (const auto& answer : answers_) {
-            if (answer.task_id() == id) return answer.refusal();
-        }
-        return std::nullopt;
-    }
-    bool active(const std::string& service) {
-        const std::lock_guard lock(mutex_);
-        return active_[service].active();
-    }
-    std::string inactiveReason(const std::string& service) {
-        const std::lock_guard lock(mutex_);
-        return active_[service].reason();
-    }
-    bool reached(std::uint32_t generation, proto::StopReceipt::Stage stage) {
-        const std::lock_guard lock(mutex_);
-        return std::any_of(stops_.begin(), stops_.end(), [&](const auto& done) {
-            return done.stop_generation() == generation && done.stage() == stage;
-        });
-    }
-    int samples(const std::string& stream) {
-        const std::lock_guard lock(mutex_);
-        return samples_[stream];
-    }
-    void watch(const std::string& stream) {
-        proto::EmToEi message;
-        message.mutable_stream()->set_stream(stream);
-        message.mutable_stream()->set_on(true);
-        send(message, "");
-    }
-
-  private:
-    std::string send(const proto::EmToEi& message, const std::string& id) {
-        asio::post(strand_, [this, message] { link_->send(message); });
-        return id;
-    }
-
-    entity_manager::StopGate gate_;
-    SteadyClock clock_;
-    SystemRandom random_;
-    asio::io_context context_;
-    asio::executor_work_guard<asio::io_context::executor_type> work_{context_.get_executor()};
-    asio::strand<asio::io_context::executor_type> strand_;
-    std::unique_ptr<BackEndInterface> link_;
-    std::mutex mutex_;
-    std::vector<proto::TaskEvent> events_;
-    std::vector<proto::TaskAnswer> answers_;
-    std::vector<proto::StopDone> stops_;
-    std::map<std::string, proto::ServiceActive> active_;
-    std::map<std::string, int> samples_;
-    std::thread thread_;
-};
 
 // The default world's room and boxes, seen by a laser.
 constexpr auto kDefaultWorld =
@@ -253,7 +50,7 @@ class ApplicationTest : public ::testing::Test {
         settings.guard_silence = milliseconds{2000};
         application_ = std::make_unique<Application>(settings);
         application_->start();
-        manager_ = std::make_unique<Manager>(settings.application);
+        manager_ = std::make_unique<test::RobotManager>(settings.application);
         ASSERT_TRUE(waitUntil([&] { return manager_->active("Driving") && manager_->active("Turning"); }));
     }
     void TearDown() override {
@@ -281,6 +78,12 @@ class ApplicationTest : public ::testing::Test {
     std::string drive(double distance_mm, double velocity_mm_s = 300) {
         return manager_->dispatch("Driving", {{"Distance", distance_mm}, {"Velocity", velocity_mm_s}});
     }
+    std::string navigate(const std::string& map,
+                         const std::vector<std::pair<std::string, std::string>>& params) {
+        std::vector<std::pair<std::string, std::string>> resources;
+        if (!map.empty()) resources.emplace_back("Map", map);
+        return manager_->dispatchTexts("Navigation", params, resources);
+    }
     /// From the laboratory's truth.
     double lastTrue(const std::string& field) const {
         std::ifstream file(truth_path_);
@@ -303,7 +106,7 @@ class ApplicationTest : public ::testing::Test {
     lab::WorldDescription world_;
     std::unique_ptr<lab::LabServer> lab_;
     std::thread lab_thread_;
-    std::unique_ptr<Manager> manager_;
+    std::unique_ptr<test::RobotManager> manager_;
     std::unique_ptr<Application> application_;
 };
 
@@ -477,8 +280,9 @@ TEST_F(ApplicationTest, WanderingGoesOnUntilItIsStopped) {
 }
 
 TEST_F(ApplicationTest, ANavigationThatCannotBeIsDeniedWithTheReason) {
-    const auto refusal = [&](const std::string& map, const std::vector<std::pair<std::string, std::string>>& params) {
-        const auto task = manager_->navigate(map, params);
+    const auto refusal = [&](const std::string& map,
+                             const std::vector<std::pair<std::string, std::string>>& params) {
+        const auto task = navigate(map, params);
         waitUntil([&] { return manager_->answer(task).has_value(); });
         return manager_->answer(task).value_or(proto::Refusal()).message();
     };
@@ -495,7 +299,7 @@ TEST_F(ApplicationTest, ANavigationThatCannotBeIsDeniedWithTheReason) {
 TEST_F(ApplicationTest, NavigationDrivesToAGoalOfTheMap) {
     for (const char* stream : {"laser", "localisation", "localisation quality", "particles"}) manager_->watch(stream);
     const TemporaryFile map(kDefaultWorld);
-    const auto task = manager_->navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
+    const auto task = navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
     ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
     const auto end = *manager_->end(task);
     EXPECT_EQ(end.state(), proto::TASK_SUCCEEDED) << end.reason().message();
@@ -528,7 +332,7 @@ TEST_F(HomeApplicationTest, NavigationCountsTheWaySinceTheRobotLeftItsHome) {
     const TemporaryFile file(map("RobotHome 1500 3000 0"));
     const auto driven = drive(1400, 400);
     ASSERT_TRUE(waitUntil([&] { return manager_->end(driven).has_value(); }, std::chrono::seconds{30}));
-    const auto task = manager_->navigate(file.path().string(), {{"Destination", "middle"}});
+    const auto task = navigate(file.path().string(), {{"Destination", "middle"}});
     ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
     EXPECT_EQ(manager_->end(task)->state(), proto::TASK_SUCCEEDED) << manager_->end(task)->reason().message();
     EXPECT_NEAR(lastTrue("x_m"), 5.5, 0.25);
@@ -541,7 +345,7 @@ TEST_F(HomeApplicationTest, ARobotThatIsNotAtTheMapsHomeIsDeniedAndStandsStill) 
         std::string why;
         // The laser's first readings come a little after the connection.
         ASSERT_TRUE(waitUntil([&] {
-            const auto task = manager_->navigate(file.path().string(), {{"Destination", "middle"}});
+            const auto task = navigate(file.path().string(), {{"Destination", "middle"}});
             waitUntil([&] { return manager_->answer(task).has_value(); });
             why = manager_->answer(task).value_or(proto::Refusal()).message();
             return why.find("sends no readings") == std::string::npos;
@@ -579,8 +383,7 @@ class SerialLinesTest : public ApplicationTest {
 TEST_F(SerialLinesTest, ScansOfTheLasersOwnLineFindTheWayToAGoal) {
     manager_->watch("laser");
     const TemporaryFile map(kDefaultWorld);
-    const auto task =
-        manager_->navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
+    const auto task = navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
     ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
     const auto end = *manager_->end(task);
     EXPECT_EQ(end.state(), proto::TASK_SUCCEEDED) << end.reason().message();
