@@ -170,18 +170,6 @@ TEST_F(StallTest, ATableSensorEndsATurnWithinOneSensorCycle) {
                   kPacket);
 }
 
-TEST_F(VirtualRobotTest, OneTestMayStartOneRobotAfterAnother) {
-    for (int round = 0; round < 2; ++round) {
-        lab::WorldDescription world;
-        world.robots = {{.x = 2, .y = 3}};
-        start(world);
-        Driving motion({.distance_mm = 300, .velocity_mm_s = 300}, session_.robot(), lab_->now());
-        const auto end = perform(motion);
-        EXPECT_EQ(end.outcome, Outcome::Done) << round << ": " << end.reason;
-        EXPECT_NEAR(lab_->truth(0).x_m, 2.3, 0.02) << round;
-    }
-}
-
 /// A program on a serial line is killed while its robot drives at 400 mm/s: nobody tells the robot.
 class KilledProgramTest : public VirtualRobotTest {
   protected:

@@ -34,8 +34,6 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
         seen_at_.reset();
         failed_at_.reset();
         world_ = world;
-        inbox_.clear();  // of a laboratory before this one
-        fresh_ = false;
         lab_ = std::make_unique<lab::Laboratory>(
             world,
             [this](std::size_t robot, const arcos::Bytes& bytes) {
