@@ -15,10 +15,11 @@ import time
 
 sys.dont_write_bytecode = True
 from laboratory import Failed  # noqa: E402
-from scenarios import PROMISED, SCENARIOS  # noqa: E402
+from scenarios import MAPS, PROMISED, SCENARIOS  # noqa: E402
 from trial import Broken, Trial  # noqa: E402
 
 NEEDED = ["axon", "axon-server", "axon-entity-manager", "axon-lab", "axon-peoplebot", "axon-cyton"]
+WIDEST_MAP = max(map(len, MAPS))
 
 EPILOG = """\
   axon-lab-trials                                          the transport, seeds 1 to 20
@@ -100,8 +101,7 @@ class Run:
         with self.lock:
             self.outcomes.append(outcome)
         clear_line()
-        print(f"{scenario} {seed:>4}  {'ok' if outcome['ok'] else 'FAILED: ' + outcome['why']}  ({outcome['took_s']:.0f} s"
-              f"{'' if outcome['ok'] else '; ' + str(place)})", flush=True)
+        print(told(outcome, place, self.options.speed), flush=True)
         self.progress(scenario)
 
     def play(self, scenario, seed):
@@ -113,7 +113,7 @@ class Run:
             trial = Trial(scenario, seed, self.options)
             self.at_work.add(trial)
         self.progress(scenario)
-        why = None
+        why = pace = None
         place = self.folder / f"{scenario}-{seed}"
         try:
             SCENARIOS[scenario](trial)
@@ -123,6 +123,7 @@ class Run:
             why = f"{type(error).__name__}: {error}"
         finally:
             if trial.came_up:
+                pace = trial.pace()
                 trial.picture(trial.lab.folder / "ways.png")
             gone = trial.end()
         why = why or gone
@@ -138,7 +139,7 @@ class Run:
         else:
             shutil.rmtree(trial.lab.folder, ignore_errors=True)
         return {"scenario": scenario, "seed": seed, "ok": not why, "why": why or "", "came_up": trial.came_up,
-                "figures": trial.figures, "took_s": round(time.monotonic() - begin, 1)}, place
+                "map": trial.map_name, "pace": pace, "figures": trial.figures, "took_s": round(time.monotonic() - begin, 1)}, place
 
     def progress(self, scenario):
         if not sys.stderr.isatty():
@@ -164,7 +165,7 @@ class Run:
                 raise
             finally:
                 clear_line()
-                summarise(name, [one for one in self.outcomes if one["scenario"] == name], time.monotonic() - begin)
+                summarise(name, [one for one in self.outcomes if one["scenario"] == name], time.monotonic() - begin, self.options)
 
     def end(self):
         """Whatever is at work comes to its end."""
@@ -187,9 +188,32 @@ def percentiles(values):
                      for name, part in (("min", 0), ("p50", 0.5), ("p90", 0.9), ("max", 1)))
 
 
-def summarise(name, outcomes, took):
+def behind(outcome, speed):
+    """Whether the laboratory of this seed was slower than it was asked to be."""
+    return outcome["pace"] is not None and outcome["pace"] < 0.9 * speed
+
+
+def told(outcome, place, speed):
+    """The line of one seed; `place`: where its logs are."""
+    words = [f"{outcome['scenario']} {outcome['seed']:>4}"]
+    if outcome["map"]:
+        words.append(f"{outcome['map']:<{WIDEST_MAP}}")
+    words.append("ok" if outcome["ok"] else f"FAILED: {outcome['why']}")
+    remarks = [f"{outcome['took_s']:.0f} s"]
+    if behind(outcome, speed):
+        remarks.append(f"the laboratory went at {outcome['pace']:.1f} instead of {speed:g}")
+    if not outcome["ok"]:
+        remarks.append(str(place))
+    return "  ".join([*words, f"({'; '.join(remarks)})"])
+
+
+def summarise(name, outcomes, took, options):
     kept = sum(one["ok"] for one in outcomes)
     print(f"{name}: {kept} of {len(outcomes)} seeds ok, in {took:.0f} s")
+    for name_of_map in MAPS:
+        here = [one for one in outcomes if one["map"] == name_of_map]
+        if here:
+            print(f"  {name_of_map:<{WIDEST_MAP}}  {sum(one['ok'] for one in here)} of {len(here)}")
     figures = {}
     for one in outcomes:
         for what, values in one["figures"].items():
@@ -198,7 +222,11 @@ def summarise(name, outcomes, took):
         print(f"  {what}: n {len(values)}" + ("" if set(values) == {1} else f"  {percentiles(values)}"))
     for one in outcomes:
         if not one["ok"]:
-            print(f"  seed {one['seed']} failed: {one['why']}")
+            print(f"  seed {one['seed']}{' in ' + one['map'] if one['map'] else ''} failed: {one['why']}")
+    slow = [one for one in outcomes if behind(one, options.speed)]
+    if slow:
+        print(f"  {len(slow)} of {len(outcomes)} laboratories went at {min(one['pace'] for one in slow):.1f} or more instead of {options.speed:g}: "
+              "this machine is too busy, and a failure there may be its fault. fix: a lower --speed, fewer --jobs, or fewer other programs")
     sys.stdout.flush()
 
 
@@ -211,7 +239,13 @@ def main():
     parser, options = parse(sys.argv[1:])
     missing = [program for program in NEEDED if not (options.programs / program).exists()]
     if missing:
-        parser.error(f"{', '.join(missing)}: not in {options.programs}; say with --programs where Axon's programs lie")
+        parser.error(f"{', '.join(missing)}: not in {options.programs}. fix: build the target demo_programs, or say with --programs "
+                     "where Axon's programs lie")
+    worlds = options.programs.parent / "share" / "axon" / "lab" / "worlds"
+    missing = [f"{name}{end}" for name in MAPS for end in (".lab", ".map") if not (worlds / f"{name}{end}").exists()]
+    if missing:
+        parser.error(f"{', '.join(missing)}: not in {worlds}. fix: build the target axon-lab, or say with --programs where Axon's "
+                     "programs lie; their worlds are in ../share/axon/lab from there")
     folder = options.folder or pathlib.Path(tempfile.mkdtemp(prefix="axon-lab-trials-"))
     folder.mkdir(parents=True, exist_ok=True)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # its laboratories end with it

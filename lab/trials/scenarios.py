@@ -222,11 +222,12 @@ peoplebot name=PeopleBot x={trial.random.uniform(1.9, 2.6):.4f} y={3 + robot_y:.
 # What a person sees on the maps of lab/worlds: walled in, forbidden.
 UNREACHABLE = {"room": {"Booth", "Wet floor"}, "corridors": {"Shaft", "Stairs"}, "transport": set(), "offices": set(), "openplan": set(),
                "ward": set(), "workshop": {"Pit"}, "villa": {"Chimney"}}
-WORLDS = list(UNREACHABLE)
+MAPS = list(UNREACHABLE)
 
 
-def start_on_map(trial, world):
-    """One of the worlds with a map, by the seed; the PeopleBot stands a little beside where it is told to stand."""
+def start_on_map(trial):
+    """One of the worlds with a map, by the seed, and its goals; the PeopleBot stands a little beside where it is told to stand."""
+    world = trial.map_name = MAPS[(trial.seed - 1) % len(MAPS)]
     text, name = trial.world_text(world), "PeopleBot"
     line = next(line for line in text.splitlines() if line.startswith(f"peoplebot name={name} "))
     told = {key: float(value) for key, value in (word.split("=") for word in line.split()[2:])}
@@ -238,18 +239,13 @@ def start_on_map(trial, world):
     return goals_of(trial.map_file(world))
 
 
-def world_of(trial):
-    return WORLDS[(trial.seed - 1) % len(WORLDS)]
-
-
 def navigate(trial, goal, velocity):
     return trial.axon("run", "PeopleBot", "Navigation", f"Destination={goal}", f"Velocity={velocity}", seconds=300)
 
 
 def navigation(trial):
     """every goal of a map (one of eight by the seed): reached, or refused where nobody can or may stand"""
-    world = world_of(trial)
-    goals = start_on_map(trial, world)
+    goals = start_on_map(trial)
     names = sorted(goals)
     trial.random.shuffle(names)
     for name in names:
@@ -257,28 +253,31 @@ def navigation(trial):
         status, why = navigate(trial, name, 400)
         here = trial.truth("robots", "PeopleBot")
         trial.expect_untouched()
-        if name in UNREACHABLE[world]:
-            expect(status != 0, f"{world}: \"{name}\" is unreachable, and the robot says that it is there")
+        if name in UNREACHABLE[trial.map_name]:
+            expect(status != 0, f"\"{name}\" is unreachable, and the robot says that it is there")
+            expect(any(word in why for word in ("cannot be reached", "forbidden area", "of room")),
+                   f"\"{name}\" is unreachable, and it failed otherwise: {why}")
             moved = math.dist((here["x_m"], here["y_m"]), (before["x_m"], before["y_m"]))
-            expect(moved < 0.05, f"{world}: \"{name}\" is unreachable, and the robot moved {moved:.2f} m before it said so")
+            expect(moved < 0.05, f"\"{name}\" is unreachable, and the robot moved {moved:.2f} m before it said so")
+            trial.figures.setdefault("refused, as is right", []).append(1)
             continue
         beside = min((math.dist((goal.x, goal.y), (other["x_m"], other["y_m"])) for other in trial.control("truth")["robots"]
                       if other["name"] != "PeopleBot"), default=math.inf)
         if beside < 0.65 and ("blocked" in why or "no room" in why):  # for two robots
             trial.figures.setdefault("places taken by another robot", []).append(1)
             continue
-        expect(status == 0, f"{world}: \"{name}\": {why}")
+        expect(status == 0, f"\"{name}\": {why}")
         arrival = 1000 * math.dist((here["x_m"], here["y_m"]), (goal.x, goal.y))
         believed = (trial.result("X"), trial.result("Y"))
         lost = math.dist((here["x_m"] * 1000, here["y_m"] * 1000), believed)
         trial.figures.setdefault("arrival error, mm", []).append(arrival)
         trial.figures.setdefault("localisation error, mm", []).append(lost)
         trial.figures.setdefault("localisation error, deg", []).append(off(here["theta_deg"], trial.result("Heading")))
-        expect(arrival < 200, f"{world}: \"{name}\": arrived {arrival:.0f} mm from it")
-        expect(lost < 120, f"{world}: \"{name}\": the robot believes to be {lost:.0f} mm from where it is")
+        expect(arrival < 200, f"\"{name}\": arrived {arrival:.0f} mm from it")
+        expect(lost < 120, f"\"{name}\": the robot believes to be {lost:.0f} mm from where it is")
         if goal.heading is not None:
             turned = off(here["theta_deg"], goal.heading)
-            expect(turned < 6, f"{world}: \"{name}\": turned {turned:.0f} deg from the goal's heading")
+            expect(turned < 6, f"\"{name}\": turned {turned:.0f} deg from the goal's heading")
 
 
 HALF_WALL_M = 0.02  # the laboratory builds walls this thick to both sides of a map's lines
@@ -349,9 +348,8 @@ def doors(trial):
 
 def obstacle(trial):
     """something is put into the way of a Navigation, three times: it is never touched"""
-    world = world_of(trial)
-    goals = start_on_map(trial, world)
-    names = [name for name in sorted(goals) if name not in UNREACHABLE[world] and name != "West table 2"]
+    goals = start_on_map(trial)
+    names = [name for name in sorted(goals) if name not in UNREACHABLE[trial.map_name] and name != "West table 2"]
     put = 0
     while put < 3 and names:
         goal = names.pop(trial.random.randrange(len(names)))
@@ -394,24 +392,26 @@ def obstacle(trial):
         put += 1
         kind = "avoided" if status == 0 else "stopped before it"
         # Where the obstacle closes a door there is no way round; it must say so.
-        expect(status == 0 or any(word in why for word in ("blocked", "cannot be reached", "no room")), f"{world}: \"{goal}\": {why}")
+        expect(status == 0 or any(word in why for word in ("blocked", "cannot be reached", "no room")), f"\"{goal}\": {why}")
         trial.figures.setdefault(kind, []).append(1)
         trial.control("unblock", name="crate")
-    expect(put > 0, f"{world}: nothing could be put into the way")
+    expect(put > 0, "nothing could be put into the way")
 
 
 def wander(trial):
     """Wander for --minutes in a map (one of eight by the seed) touches nothing and does not stand about"""
-    world = world_of(trial)
-    start_on_map(trial, world)
+    start_on_map(trial)
     seconds = trial.options.minutes * 60
+    begin = trial.control("truth")["time_s"]
     status, why = trial.axon("run", "PeopleBot", "Wander", f"Duration={seconds:g}", seconds=seconds + 60)
     trial.expect_untouched()
-    expect(status == 0, f"{world}: {why}")
+    expect(status == 0, why)
+    lasted = trial.control("truth")["time_s"] - begin
+    expect(lasted >= seconds, f"it was over after {lasted:.0f} s")
     metres = trial.way("PeopleBot")
     trial.figures["metres"] = [metres]
     trial.figures["recoveries"] = [trial.result("Recoveries")]
-    expect(metres > 0.06 * seconds, f"{world}: only {metres:.0f} m in {trial.options.minutes:g} minutes")
+    expect(metres > 0.06 * seconds, f"only {metres:.0f} m in {trial.options.minutes:g} minutes")
 
 
 STOPS = [

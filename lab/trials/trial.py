@@ -59,6 +59,7 @@ class Trial:
         self.figures = {}
         self.notes = []
         self.came_up = False
+        self.map_name = None  # of a scenario that goes through the maps
         # A part of the range is enough, and Entity Managers look through all that they are told.
         first = 5500 + 50 * random.randrange(50)
         self.lab = Laboratory(options.programs, ports=f"{first}-{first + 49}", environment="embedded", speed=options.speed)
@@ -106,6 +107,7 @@ class Trial:
         for name in stand:
             self.lab.wait_for_entity(name)
             self.lab.wait_until_able(name)
+        self.since = self.times()
         self.came_up = True
 
     def upload_map(self, robot, world):
@@ -123,6 +125,17 @@ class Trial:
     def picture(self, file):
         with contextlib.suppress(Failed, OSError):
             self.control("path", file=str(file))
+
+    def times(self):
+        """(the laboratory's seconds, those of this machine) now."""
+        return self.control("truth")["time_s"], time.monotonic()
+
+    def pace(self):
+        """Seconds of the laboratory in one second since it came up, or nothing if it no longer answers."""
+        with contextlib.suppress(Failed, OSError):
+            (age, now), (age_then, then) = self.times(), self.since
+            return round((age - age_then) / (now - then), 2)
+        return None
 
     def end(self):
         """Ends all programs; which of them had ended of their own accord, or nothing."""

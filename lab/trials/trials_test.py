@@ -11,6 +11,7 @@ import sys
 import tempfile
 import types
 import unittest
+import unittest.mock
 
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent.parent / "tools")]
@@ -81,6 +82,112 @@ class JudgeTest(unittest.TestCase):
         self.assertEqual(trial.Trial.reason([run]), "grab: not found")
         self.assertEqual(trial.Trial.reason([{"event": "error", "message": "no such entity"}]), "no such entity")
         self.assertEqual(trial.Trial.reason([]), "")
+
+
+class Pretended(trial.Trial):
+    """A trial whose robot ends up where `ends` says, by the name of the goal: (x_m, y_m, theta_deg, status, why, touched)."""
+
+    def __init__(self, scenario, seed, ends):
+        # No Trial.__init__: it would make a laboratory's folder.
+        self.seed, self.random, self.ends = seed, random.Random(f"{scenario} {seed}"), ends
+        self.share, self.figures, self.notes, self.map_name = HERE.parent, {}, [], None
+        self.lab = types.SimpleNamespace(folder=pathlib.Path("/nowhere"))
+        self.options = types.SimpleNamespace(minutes=1, speed=1)
+        self.time_s, self.at, self.touched, self.believed, self.metres = 10.0, (3.0, 3.0, 0.0), [], None, 100
+
+    def start(self, text, stand, services=None):
+        self.stand = stand
+
+    def upload_map(self, robot, world):
+        pass
+
+    def control(self, what, **more):
+        x, y, theta = self.at
+        robot = {"name": "PeopleBot", "x_m": x, "y_m": y, "theta_deg": theta, "touched": self.touched}
+        return {"time_s": self.time_s, "robots": [robot], "objects": [], "arms": []}
+
+    def axon(self, *words, seconds):
+        parameters = dict(word.split("=", 1) for word in words[3:])
+        self.time_s += float(parameters.get("Duration", 20))
+        x, y, theta, status, why, self.touched = self.ends(self, parameters.get("Destination"))
+        self.at = (x, y, theta)
+        believed = self.believed or (x * 1000, y * 1000)
+        self.last = {"results": {"X": [believed[0]], "Y": [believed[1]], "Heading": [theta], "Recoveries": [0]}}
+        return status, why
+
+    def way(self, robot):
+        return self.metres
+
+
+def flawless(one, name):
+    """Reaches each goal that can be reached, and refuses the others."""
+    if name in scenarios.UNREACHABLE[one.map_name]:
+        return *one.at, 1, f"\"{name}\" cannot be reached: no way leads there", []
+    goal = trial.goals_of(one.map_file(one.map_name))[name]
+    return goal.x, goal.y, goal.heading or 0.0, 0, "", []
+
+
+class MapsTest(unittest.TestCase):
+    SEEDS = range(1, len(scenarios.MAPS) + 1)
+
+    def test_every_world_with_a_map_has_its_turn_and_its_unreachable_goals_are_on_it(self):
+        worlds = HERE.parent / "worlds"
+        self.assertEqual(set(scenarios.MAPS), {file.stem for file in worlds.glob("*.map")})
+        for seed in self.SEEDS:
+            one = Pretended("navigation", seed, flawless)
+            scenarios.navigation(one)
+            self.assertEqual(one.map_name, scenarios.MAPS[seed - 1])
+            goals = trial.goals_of(one.map_file(one.map_name))
+            self.assertLessEqual(scenarios.UNREACHABLE[one.map_name], set(goals))
+            self.assertEqual(len(one.figures["arrival error, mm"]) + len(one.figures.get("refused, as is right", [])), len(goals))
+
+    def expect_broken(self, what, ends, **more):
+        one = Pretended("navigation", 1, ends)
+        vars(one).update(more)
+        with self.assertRaisesRegex(trial.Broken, what):
+            scenarios.navigation(one)
+
+    def test_a_navigation_is_judged_by_where_the_robot_is_and_not_by_what_it_says(self):
+        def beside(one, name):
+            x, y, *more = flawless(one, name)
+            return (x + 0.3 * (name not in scenarios.UNREACHABLE["room"]), y, *more)
+
+        def reached_all(one, name):
+            return (*flawless(one, name)[:3], 0, "", [])
+
+        def lost_link(one, name):
+            x, y, theta, status, why, touched = flawless(one, name)
+            return x, y, theta, status, why and "the connection to the robot is gone", touched
+
+        def drove_first(one, name):
+            x, y, theta, status, why, touched = flawless(one, name)
+            return x + 0.2 * status, y, theta, status, why, touched
+
+        def touched(one, name):
+            return *flawless(one, name)[:5], ["wall"]
+
+        self.expect_broken("arrived 300 mm", beside)
+        self.expect_broken("says that it is there", reached_all)
+        self.expect_broken("failed otherwise: the connection", lost_link)
+        self.expect_broken("moved 0.20 m before", drove_first)
+        self.expect_broken("touched wall", touched)
+        self.expect_broken("believes to be", flawless, believed=(-1000, 0))
+
+    def wander(self, status=0, why="", touched=(), **more):
+        one = Pretended("wander", 2, lambda one, _: (3.0, 3.0, 0.0, status, why, list(touched)))
+        vars(one).update(more)
+        scenarios.wander(one)
+        return one
+
+    def test_whoever_wanders_touches_nothing_and_gets_about_for_the_whole_time(self):
+        self.assertEqual(self.wander().figures["metres"], [100])
+        for wrong, what in (({"touched": ["glass"]}, "touched glass"), ({"status": 1, "why": "blocked"}, "blocked"),
+                            ({"metres": 3}, "only 3 m in 1 minutes")):
+            with self.assertRaisesRegex(trial.Broken, what):
+                self.wander(**wrong)
+        one = Pretended("wander", 2, lambda one, _: (setattr(one, "time_s", 20.0), (3.0, 3.0, 0.0, 0, "", []))[1])
+        with self.assertRaisesRegex(trial.Broken, "over after 10 s"):
+            scenarios.wander(one)
 
 
 def distance_to(wall, x, y):
@@ -161,6 +268,46 @@ class CommandTest(unittest.TestCase):
         self.assertFalse(COMMAND.kept("transport", outcomes(18), 20))
         self.assertFalse(COMMAND.kept("wander", outcomes(19), 20), "nothing may be touched at all")
         self.assertFalse(COMMAND.kept("transport", outcomes(19)[:10], 20), "seeds that were not tried are not kept")
+
+    OUTCOME = {"scenario": "navigation", "seed": 9, "ok": True, "why": "", "map": "room", "pace": 7.9, "took_s": 20.0, "figures": {}}
+
+    def said(self, *outcomes):
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            COMMAND.summarise("navigation", [self.OUTCOME | one for one in outcomes], 60, types.SimpleNamespace(speed=8.0))
+        return out.getvalue()
+
+    def test_each_map_has_its_line_and_what_failed_says_where(self):
+        said = self.said({}, {"seed": 17, "ok": False, "why": "PeopleBot touched wall"}, {"seed": 10, "map": "villa"},
+                         {"seed": 1, "map": None})
+        self.assertRegex(said, r"(?m)^  room +1 of 2$")
+        self.assertRegex(said, r"(?m)^  villa +1 of 1$")
+        self.assertNotIn("ward", said)
+        self.assertIn("seed 17 in room failed: PeopleBot touched wall", said)
+        self.assertNotIn("too busy", said)
+
+    def test_a_laboratory_that_fell_behind_is_told_with_its_remedy(self):
+        slow = self.OUTCOME | {"pace": 3.1}
+        self.assertIn("went at 3.1 instead of 8", COMMAND.told(slow, "", 8))
+        self.assertNotIn("instead", COMMAND.told(self.OUTCOME, "", 8))
+        self.assertNotIn("instead", COMMAND.told(self.OUTCOME | {"pace": None}, "", 8))
+        said = self.said({"pace": 3.1}, {}, {})
+        self.assertIn("1 of 3 laboratories went at 3.1 or more instead of 8", said)
+        self.assertIn("fix: a lower --speed", said)
+
+    def test_programs_without_their_worlds_are_told_with_the_remedy(self):
+        with tempfile.TemporaryDirectory() as folder:
+            programs = pathlib.Path(folder) / "bin"
+            programs.mkdir()
+            for program in COMMAND.NEEDED:
+                (programs / program).touch()
+            said = io.StringIO()
+            with unittest.mock.patch.object(sys, "argv", ["axon-lab-trials", "--programs", str(programs)]), \
+                    contextlib.redirect_stderr(said), self.assertRaises(SystemExit) as end:
+                COMMAND.main()
+        self.assertEqual(end.exception.code, 2)
+        self.assertIn("villa.map: not in", said.getvalue())
+        self.assertIn("fix: build the target axon-lab", said.getvalue())
 
 
 if __name__ == "__main__":
