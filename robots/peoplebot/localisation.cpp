@@ -26,6 +26,11 @@ constexpr double kAtWall_mm = 150;
 constexpr double kStep_mm = 60;
 constexpr double kStep_deg = 3;
 constexpr int kFirstScans = 3;
+// How likely a reading is that ends at a wall of the map, and how likely one that does not. The second is large enough
+// that much furniture before a wall does not outweigh what is seen of the wall. At a quarter of it, a bookcase 0.5 m
+// before a wall is taken for the wall.
+constexpr float kHitsWall = 0.85F;
+constexpr float kEndsElsewhere = 0.2F;
 
 }  // namespace
 
@@ -77,8 +82,8 @@ Localisation::Localisation(std::shared_ptr<const FloorPlan> plan, const Start& s
     likelihood.LF_stdHit = 0.12F;
     likelihood.LF_maxCorrsDistance = 0.5F;
     likelihood.LF_maxRange = static_cast<float>(kReach_mm / kMetre);
-    likelihood.LF_zHit = 0.85F;
-    likelihood.LF_zRandom = 0.15F;
+    likelihood.LF_zHit = kHitsWall;
+    likelihood.LF_zRandom = kEndsElsewhere * likelihood.LF_maxRange;  // MRPT divides by it
     filter_->particles.options.metricMap = filter_->grid;
     auto& options = filter_->algorithm.m_options;
     options.PF_algorithm = mrpt::bayes::CParticleFilter::pfStandardProposal;
