@@ -29,6 +29,8 @@ constexpr Duration kDoubtPatience = seconds{6};
 // Following.
 constexpr double kLookAhead_mm = 550;
 constexpr double kLookAheadNarrow_mm = 350;
+constexpr double kLookAheadLeast_mm = 200;
+constexpr double kLookAheadStep_mm = 50;
 constexpr double kGain_per_s = 1.6;
 constexpr double kFastestTurn_deg_s = 45;
 constexpr double kTurnOnTheSpot_deg = 40;
@@ -366,6 +368,22 @@ Point Navigation::ahead(double way_mm) const {
     return route_->points.back();
 }
 
+Point Navigation::target() const {
+    const Point here{estimate_.pose.x_mm, estimate_.pose.y_mm};
+    // The straight way to a point ahead cuts the corner that the route goes round: not nearer to it than any route does.
+    const double least_room = std::min(kLeastRoom_mm, plan_->room_mm(here));
+    const auto free = [&](const Point& there) {
+        const double length = distance(here, there);
+        for (double way = FloorPlan::kCell_mm; way <= length; way += FloorPlan::kCell_mm) {
+            if (plan_->room_mm(between(here, there, way / length)) < least_room) return false;
+        }
+        return true;
+    };
+    double way = route_->room_mm > kLeastRoom_mm + 1 ? kLookAhead_mm : kLookAheadNarrow_mm;
+    while (way > kLookAheadLeast_mm && !free(ahead(way))) way -= kLookAheadStep_mm;
+    return ahead(way);
+}
+
 double Navigation::rest_mm() const {
     double rest = -along_mm_;
     for (std::size_t i = leg_; i + 1 < route_->points.size(); ++i) rest += distance(route_->points[i], route_->points[i + 1]);
@@ -410,8 +428,8 @@ MotionStep Navigation::follow(const arcos::RobotState& robot, TimePoint now) {
     const auto room = surroundings_.clearance();
     if (now - got_on_ > kGettingOn) return recover(robot, "it does not get on", {onMap(body::kRadius_mm + std::min(room.front, 300.0), 0)}, now);
 
-    const auto target = ahead(route_->room_mm > kLeastRoom_mm + 1 ? kLookAhead_mm : kLookAheadNarrow_mm);
-    const auto seen = estimate_.pose.between({target.x_mm, target.y_mm, 0});
+    const auto to = target();
+    const auto seen = estimate_.pose.between({to.x_mm, to.y_mm, 0});
     const double bearing = std::atan2(seen.y_mm, seen.x_mm) / kDegree;
     if (std::abs(bearing) > kTurnOnTheSpot_deg) turning_ = true;
     if (std::abs(bearing) < kTurnedEnough_deg) turning_ = false;

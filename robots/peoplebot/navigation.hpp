@@ -81,7 +81,8 @@ class Navigation {
     std::vector<mapper3::Point> remembered() const;
     std::optional<mapper3::Point> onRoute() const;
     void advance();
-    mapper3::Point ahead(double way_mm) const;
+    mapper3::Point ahead(double way_mm) const;  // so far along the route
+    mapper3::Point target() const;              // what it steers for
     double rest_mm() const;
     double progress() const;
     mapper3::Point onMap(double x_mm, double y_mm) const;
