@@ -25,7 +25,7 @@ EPILOG = """\
   axon-lab-trials                                          the transport, seeds 1 to 20
   axon-lab-trials --scenario navigation --seeds 1..8       every goal of the eight maps
   axon-lab-trials --scenario doors                         twenty doors, met at an angle
-  axon-lab-trials --scenario wander --seeds 1..8 --minutes 30 --jobs 3
+  axon-lab-trials --scenario wander --seeds 1..8 --minutes 30 --speed 8
   axon-lab-trials --scenario all --seeds 1..3 --json figures.json
 
 Scenarios, and what must be true of a seed:

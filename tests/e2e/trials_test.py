@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""axon-lab-trials as it is used: the transport of thesis 4.3 through all of Axon's programs, judged by ground truth.
+"""axon-lab-trials as it is used: transports and doors through all of Axon's programs, judged by ground truth.
 
     python3 tests/e2e/trials_test.py --bin build/dev/bin [unittest options]
 """
 import json
+import math
 import os
 import pathlib
 import shutil
@@ -66,6 +67,20 @@ class TrialsTest(unittest.TestCase):
         self.assertEqual(offered.read_bytes(), printed)
         trial = self.tried("--scenario", "figure", "--seeds", "1")
         self.assertGreater(trial["figures"]["from the shelf's edge, mm"][0], 0)
+
+    def test_a_door_is_passed_and_the_truth_says_so(self):
+        file = self.folder / "figures.json"
+        status, said, errors = self.trials("--scenario", "doors", "--seeds", "3", "--speed", "2", "--json", str(file), "--keep-logs")
+        self.assertEqual(status, 0, said + errors)
+        self.assertIn("doors: 1 of 1 seeds ok", said)
+        place = self.folder / "run" / "doors-3"
+        way = [json.loads(line) for line in (place / "truth.jsonl").read_text().splitlines() if '"name":"PeopleBot"' in line]
+        goal = next(line.split() for line in (place / "door.map").read_text().splitlines() if line.startswith("Cairn: Goal"))
+        beside = math.dist((way[-1]["x_m"], way[-1]["y_m"]), (float(goal[2]) / 1000, float(goal[3]) / 1000))
+        self.assertGreater(math.dist((way[0]["x_m"], way[0]["y_m"]), (way[-1]["x_m"], way[-1]["y_m"])), 2, "it drove through the door")
+        trial, = json.loads(file.read_text())["trials"]
+        self.assertAlmostEqual(trial["figures"]["arrival error, mm"][0], beside * 1000, delta=10)
+        self.assertGreater(trial["pace"], 0)
 
     def test_an_arm_that_puts_things_down_beside_its_table_fails_and_its_logs_stay(self):
         """It says that it succeeded, for it feels nothing; the truth knows better."""
