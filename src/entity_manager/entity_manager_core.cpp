@@ -104,7 +104,7 @@ EntityStatus EntityManagerCore::status() const {
     return machine_->status();
 }
 const CoreCounters& EntityManagerCore::counters() const {
-    return machine_->counters();
+    return machine_->counted();
 }
 
 std::string EntityManagerCore::takeWarning() {

@@ -2,15 +2,12 @@
 #include "entity_manager/machine.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <chrono>
 #include <stdexcept>
-#include <unordered_map>
 #include <utility>
 
 #include "common/entity_name.hpp"
 #include "common/planted_bug.hpp"
-#include "common/queue_share.hpp"
 #include "common/utf8.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -21,19 +18,12 @@ namespace {
 
 constexpr Duration kPositionPeriod = std::chrono::milliseconds{200};
 constexpr Duration kRestUntold = std::chrono::milliseconds{20};
-constexpr std::size_t kOpenStops = 32;  // as many as StopGate knows
-constexpr Duration kComesToRest = std::chrono::seconds{10};
-constexpr std::size_t kOpenDrills = 64;
 constexpr std::size_t kActiveTold = 1024;
 constexpr std::size_t kStreamName = 255;
-constexpr std::uint32_t kGenerationsReserved = 1000;
 constexpr std::size_t kReadOfStrangers = 16 * 1024;
-constexpr const char* kGenerationKey = "stop_generation";
 /// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
 /// deleted on a full disk, and what is in doubt is latched.
 constexpr const char* kRearmedKey = "rearmed";
-/// There from the first link until the application has said good-bye.
-constexpr const char* kLinkedKey = "application_linked";
 constexpr const char* kFreeKey = "free";  // its absence means that somebody holds the entity, as with kRearmedKey
 constexpr const char* kThere = "1";
 constexpr std::size_t kReasonMax = 2000;
@@ -67,19 +57,6 @@ bool partsAreLost(Storage& storage) {
     const std::array there{storage.load(kUuidKey).has_value(), LeaseBook::isStored(storage),
                            storage.load(kGenerationKey).has_value()};
     return std::count(there.begin(), there.end(), there.front()) != std::ssize(there);
-}
-
-/// Where the generations of this life begin: above all that an earlier one has told, however it ended.
-std::uint32_t firstGeneration(Storage& storage, StopGate& gate) {
-    if (const auto text = storage.load(kGenerationKey)) {
-        std::uint32_t stored = 0;
-        const auto [end, error] = std::from_chars(text->data(), text->data() + text->size(), stored);
-        if (error != std::errc{} || end != text->data() + text->size())
-            throw std::runtime_error("The stored value \"stop_generation\" is damaged: expected a number, found \"" + *text +
-                                     "\". Remove it only when all clients of this entity have been restarted.");
-        gate.continueFrom(stored);
-    }
-    return gate.generation();
 }
 
 template <class Message>
@@ -164,8 +141,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       uuid_(loadUuid(storage, random, settings_.uuid)),
       server_watchdog_(settings_.server_watchdog_busy, settings_.server_watchdog_idle, clock.now()),
       lease_(storage, random),
-      generation_(firstGeneration(storage, stop_gate)),
-      required_(generation_),
+      stops_(*this, storage, stop_gate, back_end),
       saved_(storage),
       queue_(settings_.task_queue_bound),
       uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
@@ -188,14 +164,6 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     };
     registration_.heartbeat_busy_ms = fifth(settings_.server_watchdog_busy);
     registration_.heartbeat_idle_ms = fifth(settings_.server_watchdog_idle);
-    link_kept_ = storage.load(kLinkedKey).has_value();
-    if (link_kept_)
-        application_lost_ = {proto::StopReceipt::GONE,
-                             "it was linked with an Entity Manager that ended, and has not linked since",
-                             clock.now()};
-    if (!AXON_PLANTED(GenerationsNotReserved))
-        storage.save(kGenerationKey, std::to_string(generation_ + kGenerationsReserved));
-    reserved_ = generation_ + kGenerationsReserved;
     free_kept_ = storage.load(kFreeKey) == kThere;
     keepState();  // the latch says it now, and nobody holds it
     replayJournal();
@@ -230,7 +198,7 @@ void EntityManagerCore::Machine::replayJournal() {
 
 void EntityManagerCore::Machine::complete(JournalRecord& record) const {
     if (record.lease == LeaseNumber{} && lease_.held()) record.lease = lease_.held()->number;
-    if (record.generation == 0) record.generation = generation_;
+    if (record.generation == 0) record.generation = stops_.generation();
     record.at_us = toMicroseconds(clock_.now());
 }
 
@@ -347,24 +315,7 @@ Refusal EntityManagerCore::Machine::guard(Event event, Who who, const Header& he
         return {RefusalCode::PermissionDenied, "No client may ask an entity for this.", {}};
     const auto needs = needsOf(event);
     if (needs.stop_generation) {
-        const auto seen = static_cast<std::uint32_t>(head.stop_generation);
-        // A stop that the signal thread has passed on already and that is still on its way to this strand
-        // counts.
-        if (!stopsAreHandled())
-            return {RefusalCode::OldGeneration,
-                    "A stop is being carried out (stop generation " + std::to_string(stop_gate_.generation()) +
-                        "). Look at the entity, then send it again.",
-                    {}};
-        if (seen + (AXON_PLANTED(GenerationOffByOne) ? 1U : 0U) < required_ && !AXON_PLANTED(GenerationUnchecked))
-            return {RefusalCode::OldGeneration,
-                    "It was sent before the newest stop was known (stop generation " + std::to_string(seen) +
-                        ", now " + std::to_string(required_) + "). Look at the entity, then send it again.",
-                    {}};
-        if (seen > generation_)
-            return {RefusalCode::Malformed,
-                    "Stop generation " + std::to_string(seen) + " does not exist yet; the newest is " +
-                        std::to_string(generation_) + ".",
-                    {}};
+        if (auto refusal = stops_.whyNot(head.stop_generation); !refusal.ok()) return refusal;
     }
     if (needs.not_latched && latched_ && !AXON_PLANTED(LatchUnchecked))
         return {RefusalCode::Latched,
@@ -416,8 +367,7 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             break;
         case Action::Unlatch:
             latched_ = false;
-            rearmed_ = generation_;
-            stop_gate_.rearmed(generation_);
+            stops_.rearmed();
             note({.kind = JournalRecord::Kind::Rearmed, .who = named(incident.head->sender)});
             reply(incident.head->sender, incident.body->rearm().request_id(), {});
             break;
@@ -507,22 +457,14 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
 
 /// After each event: what follows from the state as a whole.
 void EntityManagerCore::Machine::settle() {
-    for (auto at = early_done_.begin(); at != early_done_.end();) {
-        if (at->stop_generation() > generation_) {
-            ++at;
-            continue;
-        }
-        const auto done = *at;
-        at = early_done_.erase(at);
-        stopDone(done);
-    }
+    stops_.settle();
     attendRun();
     passOn();
     dispatchNext();
     // A stop that the signal thread has passed on may end the last task before this strand hears of the stop:
     // it finds a robot that moves.
     const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_ ||
-                          (busy_told_ && !stopsAreHandled());
+                          (busy_told_ && !stops_.allHandled());
     if (occupied != busy_told_) {
         busy_told_ = occupied;
         back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
@@ -553,12 +495,7 @@ void EntityManagerCore::Machine::onLinkUp() {
     if (link_up_) onLinkDown("the robot application has connected again", LinkEnd::Closed);
     link_up_ = true;
     sought_.clear();
-    came_back_ = application_lost_.has_value();
-    application_lost_.reset();
-    if (!std::exchange(link_kept_, true)) storage_.keep(kLinkedKey, "1");
-    // It has stopped by itself when its last link ended: before all stops so far, those on their way here included.
-    link_generation_ = commanded_ = confirmed_ = stop_gate_.generation();
-    link_drill_ = stop_gate_.drills();
+    stops_.linkUp();
     active_told_.clear();
     streams_off_ = false;  // a link begins with all of them on
     lingering_.clear();
@@ -570,7 +507,8 @@ void EntityManagerCore::Machine::onLinkUp() {
 
 void EntityManagerCore::Machine::onLinkDown(const std::string& reason, LinkEnd end) {
     if (quit_) return;
-    linkEnded(reason, end);
+    stops_.linkDown(reason, end);
+    link_up_ = false;
     sought_.clear();
     profiles_due_.reset();
     kept_profiles_.clear();  // the next link begins with what the application has then
@@ -581,50 +519,14 @@ void EntityManagerCore::Machine::onLinkDown(const std::string& reason, LinkEnd e
     incident.reason = {RefusalCode::Unavailable, "The link to the robot application was lost: " + reason, {}};
     lingering_.clear();
     application_busy_ = false;
-    for (auto& open : open_drills_) {
-        describeAbsence(open.receipt);
-        tellStage(open);
-    }
-    open_drills_.clear();
-    early_done_.clear();
-    early_drills_.clear();
     fire(incident);
     settle();
-}
-
-/// What is known of the robot from now on, and what becomes of the stops that wait for its application.
-void EntityManagerCore::Machine::linkEnded(const std::string& reason, LinkEnd end) {
-    if (std::exchange(link_up_, false)) {
-        came_back_ = false;
-        if (end == LinkEnd::GoodBye) {
-            application_lost_.reset();
-            if (std::exchange(link_kept_, false)) storage_.forget(kLinkedKey);
-        } else {
-            application_lost_ = {
-                end == LinkEnd::Silent ? proto::StopReceipt::SILENT : proto::StopReceipt::GONE, reason,
-                clock_.now()};
-        }
-    }
-    for (auto& open : open_stops_) {
-        if (open.over()) continue;
-        auto& receipt = open.receipt;
-        if (receipt.stage() == proto::StopReceipt::CALLBACK_RETURNED) {
-            if (!receipt.standstill_follows()) continue;
-            receipt.set_standstill_follows(false);
-        } else if (!application_lost_) {
-            describeAbsence(receipt);
-        }
-        tellStage(open);
-    }
 }
 
 /// What was ordered while the application was lost is given to it now that it is back: it has stopped by
 /// itself when its link ended, but another process may be in its place.
 void EntityManagerCore::Machine::deliverStops() {
-    const bool owed = std::any_of(open_stops_.begin(), open_stops_.end(), [](const OpenStop& open) {
-        return open.receipt.stage() < proto::StopReceipt::CALLBACK_RETURNED;
-    });
-    if (!owed) return;
+    if (!stops_.owed()) return;
     Incident again{Event::LinkUp};
     again.cause = StopCause::LinkLost;
     again.reason = {RefusalCode::Stopped, "It was stopped while its application was lost.", {}};
@@ -639,10 +541,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
     if (AXON_PLANTED(WatchdogFedByTheApplication)) server_watchdog_.feed(clock_.now());
     switch (message.body_case()) {
         case proto::EiToEm::kStopDone:
-            if (message.stop_done().drill() != 0)
-                drillDone(message.stop_done().drill());
-            else
-                stopDone(message.stop_done());
+            stops_.answered(message.stop_done());
             break;
         case proto::EiToEm::kProfile: {
             if (findRow(state_, Event::ProfileUploaded) == nullptr) {
@@ -953,7 +852,7 @@ EntityStatus EntityManagerCore::Machine::status() const {
     status.entity = uuid_;
     status.state = state_;
     status.latched = latched_;
-    status.stop_generation = static_cast<std::int32_t>(generation_);
+    status.stop_generation = static_cast<std::int32_t>(stops_.generation());
     if (const auto& held = lease_.held()) {
         status.holder = held->holder;
         status.held = held->number;
@@ -986,34 +885,15 @@ void EntityManagerCore::Machine::tellStatus() {
 // -- stop, reset, clear
 // ---------------------------------------------------------------------------------------------
 
-/// Notes that a stop has had its effect here. `internal`: raised by this strand, not by the signal thread.
-void EntityManagerCore::Machine::handled(std::uint32_t generation, bool internal, bool voids) {
-    if (link_up_) commanded_ = std::max(commanded_, generation);
-    if (internal && generation != generation_ + 1) {
-        early_.push_back(generation);  // the one between is on its way here
-    } else {
-        generation_ = std::max(generation_, generation);
-        while (std::erase(early_, generation_ + 1) > 0) ++generation_;
-        std::erase_if(early_, [this](std::uint32_t early) { return early <= generation_; });
-        // Early: the disk has it before that many more stops have come.
-        if (generation_ + kGenerationsReserved / 2 >= reserved_) {
-            reserved_ = generation_ + kGenerationsReserved;
-            if (!AXON_PLANTED(GenerationsNotReserved))
-                storage_.keep(kGenerationKey, std::to_string(reserved_));
-        }
-    }
-    if (voids) required_ = std::max(required_, generation);
-    // A task that a stop should have voided must not become valid again: only when none is under way.
-    if (stopsAreHandled()) queue_.restamp(generation_);
+/// A task that a stop should have voided must not become valid again: only when none is under way.
+void EntityManagerCore::Machine::restampQueue() {
+    if (stops_.allHandled()) queue_.restamp(stops_.generation());
 }
 
 void EntityManagerCore::Machine::stopApplication(Incident& incident) {
     if (AXON_PLANTED(LostServerDoesNotStop) && incident.event == Event::ServerDown) return;
-    incident.generation = AXON_PLANTED(ReleaseKeepsGeneration) && incident.event == Event::Release
-                              ? stop_gate_.generation()
-                              : stop_gate_.raise();
-    back_end_.stop(incident.generation, incident.cause);
-    handled(incident.generation, true, incident.event != Event::Reset);
+    incident.generation = stops_.order(incident.cause, incident.event != Event::Reset);
+    restampQueue();
     if (incident.event != Event::Reset) application_busy_ = false;
     note({.kind = JournalRecord::Kind::Stopped,
           .generation = incident.generation,
@@ -1027,7 +907,8 @@ void EntityManagerCore::Machine::onStopSignal(const Header& head, StopCause caus
     Incident incident{Event::Stop, &head};
     incident.cause = cause;
     incident.generation = generation;
-    handled(generation, false, true);
+    stops_.arrived(generation);
+    restampQueue();
     incident.reason = {
         RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
     application_busy_ = false;
@@ -1043,54 +924,7 @@ void EntityManagerCore::Machine::onStopSignal(const Header& head, StopCause caus
 
 /// Neither a row of the table nor an event after which anything is due.
 void EntityManagerCore::Machine::onDrill(const Header& head, std::uint32_t number) {
-    if (quit_) return;
-    drill_ = std::max(drill_, number);
-    OpenStop open;
-    open.drill = number;
-    open.receipt = receiptOf(head, StopCause::Drill, generation_);
-    open.of_server = head.msg_type == kMsgDrill;
-    if (!head.sender.id.empty()) open.to.push_back(head.sender);
-    if (holder() != nullptr && holder()->id != head.sender.id && !open.of_server)
-        open.to.push_back(*holder());
-
-    tellReceipt(open, open.receipt);
-    if (!link_up_ || number <= link_drill_) {
-        describeAbsence(open.receipt);
-        tellStage(open);
-        return;
-    }
-    if (open_drills_.size() == kOpenDrills) forgetADrill();
-    open_drills_.push_back(std::move(open));
-    if (std::erase(early_drills_, number) > 0) drillDone(number);
-}
-
-/// The oldest of whoever has most of them, so that nobody's drills are forgotten for a flood of somebody else's.
-void EntityManagerCore::Machine::forgetADrill() {
-    const auto senderOf = [](const OpenStop& open) { return open.to.empty() ? kServersOwn : senderKey(open.to.front().id); };
-    std::unordered_map<SenderKey, std::size_t> of;
-    for (const auto& open : open_drills_) ++of[senderOf(open)];
-    const auto most = std::max_element(open_drills_.begin(), open_drills_.end(), [&](const OpenStop& one, const OpenStop& other) {
-        return of[senderOf(one)] < of[senderOf(other)];
-    });
-    open_drills_.erase(most);
-}
-
-void EntityManagerCore::Machine::drillDone(std::uint32_t number) {
-    if (number > stop_gate_.drills()) {
-        ++counters_.unexpected;
-        return;
-    }
-    if (number > drill_) {  // the answer was faster than the news
-        if (early_drills_.size() < kOpenDrills) early_drills_.push_back(number);
-        return;
-    }
-    const auto found = std::find_if(open_drills_.begin(), open_drills_.end(),
-                                    [&](const OpenStop& open) { return open.drill == number; });
-    if (found == open_drills_.end()) return;
-    auto open = std::move(*found);
-    open_drills_.erase(found);
-    open.receipt.set_stage(proto::StopReceipt::CALLBACK_RETURNED);
-    tellStage(open);
+    if (!quit_) stops_.drill(head, number);
 }
 
 void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
@@ -1101,136 +935,17 @@ void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
 
 void EntityManagerCore::Machine::onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation) {
     if (quit_) return;
-    // A late copy, whose receipt nobody waits for; or a number used twice, whose stop has not been carried out.
-    if (generation <= rearmed_ && anyRuns()) return;
-    OpenStop asked;
-    asked.receipt = receiptOf(head, cause, generation);
-    for (const auto& open : open_stops_)
-        if (open.receipt.stop_id() == asked.receipt.stop_id()) asked = open;
-    asked.to = {head.sender};
-    tellStage(asked);
-}
-
-proto::StopReceipt EntityManagerCore::Machine::receiptOf(const Header& head, StopCause cause,
-                                                         std::uint32_t generation) const {
-    proto::StopReceipt receipt;
-    receipt.set_stop_id(head.sender.id + ':' + std::to_string(head.sequence));
-    receipt.set_cause(static_cast<proto::StopCause>(cause));
-    receipt.set_stop_generation(generation);
-    receipt.set_by(named(head.sender));
-    receipt.set_stage(proto::StopReceipt::MANAGER);
-    return receipt;
-}
-
-void EntityManagerCore::Machine::tellStage(const OpenStop& open) {
-    auto receipt = open.receipt;
-    // The order stays open: an application that comes back is given it.
-    if (receipt.stage() == proto::StopReceipt::MANAGER && application_lost_) describeAbsence(receipt);
-    tellReceipt(open, std::move(receipt));
-}
-
-void EntityManagerCore::Machine::tellReceipt(const OpenStop& open, proto::StopReceipt receipt) {
-    const bool answered = open.of_server && receipt.stage() == proto::StopReceipt::CALLBACK_RETURNED;
-    proto::ToClient message;
-    message.mutable_receipt()->Swap(&receipt);
-    message.mutable_receipt()->set_at_us(toMicroseconds(clock_.now()));
-    message.mutable_receipt()->set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
-    for (const auto& to : open.to) tell(to, answered ? kMsgDrill : kMsgReceipt, message, Lane::Signal);
-}
-
-void EntityManagerCore::Machine::describeAbsence(proto::StopReceipt& receipt) const {
-    receipt.set_stage(proto::StopReceipt::NO_APPLICATION);
-    if (!application_lost_) {
-        receipt.set_absence(proto::StopReceipt::NONE);
-        return;
-    }
-    const auto& lost = *application_lost_;
-    receipt.set_absence(lost.how);
-    receipt.set_absence_reason(std::string(cutUtf8(lost.reason, kReasonMax)));
-    receipt.set_absent_for_ms(static_cast<std::uint64_t>(
-        std::chrono::duration_cast<std::chrono::milliseconds>(clock_.now() - lost.since).count()));
-}
-
-/// Whether the robot moves, or has been told to stop and has not come to rest yet.
-bool EntityManagerCore::Machine::moving() const {
-    const auto now = clock_.now();
-    return busy_told_ || std::any_of(open_stops_.begin(), open_stops_.end(), [now](const OpenStop& open) {
-               return open.moving && !open.over() && now < open.at + kComesToRest;
-           });
+    stops_.repeated(head, cause, generation, anyRuns());
 }
 
 void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
-    OpenStop open;
-    auto& receipt = open.receipt;
-    receipt = receiptOf(*incident.head, incident.cause, incident.generation);
-    if (!incident.head->sender.id.empty()) open.to.push_back(incident.head->sender);
-    if (holder() != nullptr && holder()->id != incident.head->sender.id) open.to.push_back(*holder());
-    open.at = clock_.now();
-    open.moving = moving();
+    std::optional<StopLedger::Ended> ended;
     if (incident.event == Event::Reset || incident.event == Event::Clear) {
-        receipt.set_tasks_ended(static_cast<std::uint32_t>(active_.size()));
-        if (incident.event == Event::Clear)
-            receipt.set_tasks_removed(static_cast<std::uint32_t>(queue_.waiting().size()));
+        ended.emplace();
+        ended->tasks = static_cast<std::uint32_t>(active_.size());
+        if (incident.event == Event::Clear) ended->removed = static_cast<std::uint32_t>(queue_.waiting().size());
     }
-
-    tellReceipt(open, receipt);
-    const bool before_link = incident.generation <= link_generation_;  // and so never sent to it
-    if (!link_up_ || (before_link && !came_back_)) {
-        if (!application_lost_) describeAbsence(receipt);
-        tellStage(open);
-    }
-    if (open_stops_.size() == kOpenStops) open_stops_.pop_front();
-    open_stops_.push_back(std::move(open));
-    if (link_up_ && before_link && came_back_) deliverStops();
-}
-
-void EntityManagerCore::Machine::stopDone(const proto::StopDone& done) {
-    if (done.stop_generation() > stop_gate_.generation()) {
-        ++counters_.unexpected;
-        return;
-    }
-    if (done.stop_generation() > generation_) {
-        // The signal thread wrote the stop before it told this strand, and the answer was faster than the
-        // news.
-        if (early_done_.size() < kOpenStops) early_done_.push_back(done);
-        return;
-    }
-    if (!done.fault().empty()) {
-        const auto fault = std::string(cutUtf8(done.fault(), kReasonMax));
-        warning_ = "the stop callback of the robot application threw, and is called again: " + fault;
-        for (auto& open : open_stops_) {
-            if (open.receipt.stop_generation() > done.stop_generation() ||
-                open.receipt.stage() >= proto::StopReceipt::CALLBACK_RETURNED)
-                continue;
-            open.receipt.set_fault(fault);
-            tellStage(open);
-        }
-        return;
-    }
-    for (auto& open : open_stops_) {
-        // The Entity Interfacer answers the newest of several stops for all of them.
-        if (open.over() || open.receipt.stop_generation() > done.stop_generation() ||
-            open.receipt.stage() >= done.stage())
-            continue;
-        if (done.stage() == proto::StopReceipt::STANDSTILL &&
-            open.receipt.stage() < proto::StopReceipt::CALLBACK_RETURNED) {
-            ++counters_.unexpected;  // it may stand, but its callback has still to say so
-            continue;
-        }
-        if (done.stage() == proto::StopReceipt::STANDSTILL && clock_.now() >= open.at + kComesToRest)
-            continue;  // it tells nobody anything of a stop so long ago
-        open.receipt.set_stage(done.stage());
-        open.receipt.clear_fault();
-        open.receipt.set_standstill_follows(done.stage() == proto::StopReceipt::CALLBACK_RETURNED &&
-                                            done.standstill_follows() && open.moving);
-        tellStage(open);
-    }
-    if (done.stage() == proto::StopReceipt::CALLBACK_RETURNED) confirmStop(done.stop_generation());
-}
-
-void EntityManagerCore::Machine::confirmStop(std::uint32_t generation) {
-    if (generation <= confirmed_ || generation > stop_gate_.generation()) return;
-    confirmed_ = generation;  // what waited for it: settle()
+    if (stops_.acknowledge(*incident.head, incident.cause, incident.generation, busy_told_, ended)) deliverStops();
 }
 
 // -- messages
@@ -1302,7 +1017,7 @@ Header EntityManagerCore::Machine::headFor(const Sender& to, const char* type) {
     head.entity = uuid_;
     head.msg_type = type;
     if (const auto& held = lease_.held()) head.held = held->number;
-    head.stop_generation = static_cast<std::int32_t>(generation_);
+    head.stop_generation = static_cast<std::int32_t>(stops_.generation());
     head.sequence = ++sequence_;
     head.sent_at_us = toMicroseconds(clock_.now());
     return head;
@@ -1411,7 +1126,7 @@ void EntityManagerCore::Machine::passRaw(const Incident& incident) {
     auto& raw = *raw_to_link_.mutable_raw();
     raw.mutable_data()->Swap(incident.body->mutable_raw()->mutable_data());
     if (raw.from() != incident.head->sender.name) raw.set_from(incident.head->sender.name);
-    raw.set_stop_generation(generation_);
+    raw.set_stop_generation(stops_.generation());
     if (!back_end_.send(raw_to_link_)) refuse(incident, kTooLargeForLink);
 }
 
@@ -1420,7 +1135,7 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
     auto& status = *message.mutable_status();
     status.set_state(static_cast<proto::EntityState>(static_cast<int>(state_) + 1));
     status.set_latched(latched_);
-    status.set_stop_generation(generation_);
+    status.set_stop_generation(stops_.generation());
     if (holder() != nullptr) status.set_holder(named(*holder()));
     status.set_orphaned(lease_.orphaned());
     status.set_waiting(static_cast<std::uint32_t>(wait_list_.size()));

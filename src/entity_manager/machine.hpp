@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <array>
 #include <algorithm>
+#include <array>
 #include <axon/link.pb.h>
 #include <axon/messages.pb.h>
 
@@ -23,9 +23,11 @@
 #include "entity_manager/saved_values.hpp"
 #include "entity_manager/service_profiler.hpp"
 #include "entity_manager/state_table.hpp"
+#include "entity_manager/stop_ledger.hpp"
 #include "entity_manager/stream_watches.hpp"
 #include "entity_manager/task_memory.hpp"
 #include "entity_manager/task_queue.hpp"
+#include "entity_manager/turn.hpp"
 #include "entity_manager/upload_desk.hpp"
 #include "entity_manager/wait_list.hpp"
 #include "messages/profile_reader.hpp"
@@ -36,7 +38,7 @@ namespace axon::entity_manager {
 /// for each Action. Private to the core; machine.cpp has states and messages, machine_leases.cpp who holds
 /// the entity and who wants it, machine_tasks.cpp tasks and resources, machine_composites.cpp tasks with parts,
 /// machine_collaboration.cpp what it does with other entities.
-class EntityManagerCore::Machine {
+class EntityManagerCore::Machine final : private Turn {
   public:
     Machine(CoreSettings settings, const Clock& clock, RandomSource& random, BackEndPort& back_end,
             ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate,
@@ -62,7 +64,7 @@ class EntityManagerCore::Machine {
     TimePoint nextDeadline() const;
     void shutDown();
 
-    EntityState state() const { return state_; }
+    EntityState state() const override { return state_; }
     bool latched() const { return latched_; }
     bool serverUp() const { return server_up_; }
     const std::string& uuid() const { return uuid_; }
@@ -73,7 +75,7 @@ class EntityManagerCore::Machine {
     }
     const LeaseBook::Held* held() const { return lease_.held() ? &*lease_.held() : nullptr; }
     EntityStatus status() const;
-    const CoreCounters& counters() const { return counters_; }
+    const CoreCounters& counted() const { return counters_; }
     std::string takeWarning() { return std::exchange(warning_, {}); }
     std::string takeNews() { return std::exchange(news_, {}); }
 
@@ -113,24 +115,6 @@ class EntityManagerCore::Machine {
         Id128 id;  ///< that the application knows
         int service;
         bool blocking;
-    };
-    /// A stop and how far it has come. Kept beyond its last stage, for whoever asks again because a receipt
-    /// was lost.
-    struct OpenStop {
-        /// Nothing that is still to come changes what it says.
-        bool over() const { return receipt.stage() >= proto::StopReceipt::STANDSTILL; }
-        proto::StopReceipt receipt;
-        std::vector<Sender> to;
-        std::uint32_t drill = 0;  ///< its number, where it is one
-        bool of_server = false;  ///< a drill of the entity server itself, which reads no payload
-        bool moving = false;     ///< the robot was, as far as is known, when the stop came
-        TimePoint at{};
-    };
-    /// A robot application that was linked and of which nobody knows whether it has stopped its robot.
-    struct LostApplication {
-        proto::StopReceipt::Absence how;
-        std::string reason;
-        TimePoint since;
     };
     /// A question to the robot application: a parameter or a resource.
     struct Question {
@@ -197,27 +181,10 @@ class EntityManagerCore::Machine {
     TimePoint serverWarnAt() const;
 
     // Stop.
-    bool stopsAreHandled() const { return stop_gate_.generation() == generation_; }
-    void handled(std::uint32_t generation, bool internal, bool voids);
     void stopApplication(Incident& incident);
     void acknowledge(const Incident& incident);
-    void stopDone(const proto::StopDone& done);
-    void forgetADrill();
-    void drillDone(std::uint32_t number);
-    void confirmStop(std::uint32_t generation);
     void deliverStops();
-    void linkEnded(const std::string& reason, LinkEnd end);
-    proto::StopReceipt receiptOf(const Header& head, StopCause cause, std::uint32_t generation) const;
-    /// Its stage as it is now, to all who are told of it.
-    void tellStage(const OpenStop& open);
-    void tellReceipt(const OpenStop& open, proto::StopReceipt receipt);
-    void describeAbsence(proto::StopReceipt& receipt) const;
-    bool moving() const;
-    /// Every stop that has been given is confirmed by the robot application, those on their way here
-    /// included.
-    bool standing() const {
-        return (stopsAreHandled() || AXON_PLANTED(StopsUnderWayOverlooked)) && confirmed_ >= commanded_;
-    }
+    void restampQueue();
 
     // Leases (machine_leases.cpp).
     void considerCheckOut(const Incident& incident);
@@ -417,8 +384,15 @@ class EntityManagerCore::Machine {
     void sendResourceDone(const Sender& to, const std::string& transfer_id, const std::string& resource,
                           const Refusal& refusal);
 
+    // What the owners see of it.
+    TimePoint now() const override { return clock_.now(); }
+    bool linked() const override { return link_up_; }
+    void warn(std::string text) override { warning_ = std::move(text); }
+    CoreCounters& counters() override { return counters_; }
+
     // Messages.
-    void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane = Lane::Data);
+    void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override;
+    void tell(const Sender& to, const char* type, const proto::ToClient& message) { tell(to, type, message, Lane::Data); }
     void reply(const Sender& to, const std::string& request_id, const Refusal& refusal,
                Lane lane = Lane::Data);
     void refuse(const Incident& incident, const Refusal& refusal);
@@ -429,7 +403,7 @@ class EntityManagerCore::Machine {
     void switchStreams(const std::vector<StreamWatches::Switch>& switches);
     void sendSample(proto::StreamSample& sample);
     Header headFor(const Sender& to, const char* type);
-    const Sender* holder() const { return lease_.held() ? &lease_.held()->holder : nullptr; }
+    const Sender* holder() const override { return lease_.held() ? &lease_.held()->holder : nullptr; }
 
     const CoreSettings settings_;
     const Clock& clock_;
@@ -488,25 +462,7 @@ class EntityManagerCore::Machine {
     WaitList wait_list_;
     HandOver hand_over_;
 
-    std::uint32_t reserved_ =
-        0;  ///< a next life begins here: no generation above it is told before it is raised
-    std::uint32_t generation_;  ///< all stops up to this one have been handled here
-    std::uint32_t required_;    ///< a command must have seen at least this one
-    std::vector<std::uint32_t>
-        early_;  ///< own stops above generation_, while one of the signal thread is under way
-    std::vector<proto::StopDone> early_done_;  ///< answers to stops above generation_
-    std::uint32_t rearmed_ = 0;                ///< stops up to this one were rearmed after
-    std::uint32_t commanded_ = 0;              ///< newest stop that the robot application must have been told
-    std::uint32_t confirmed_ = 0;              ///< newest stop whose callback has returned
-    std::uint32_t link_generation_ = 0;        ///< stops up to this one the application has never been sent
-    std::deque<OpenStop> open_drills_;
-    std::vector<std::uint32_t> early_drills_;  ///< answered above drill_
-    std::uint32_t drill_ = 0;                  ///< newest drill that was heard of here
-    std::uint32_t link_drill_ = 0;             ///< drills up to this one the application has never been sent
-    std::deque<OpenStop> open_stops_;          ///< the newest, oldest first
-    std::optional<LostApplication> application_lost_;
-    bool link_kept_ = false;  ///< as the storage has it: an application has linked, and has not said good-bye
-    bool came_back_ = false;  ///< the application that is linked now is one that was lost
+    StopLedger stops_;
 
     std::optional<collaboration::Collaboration> run_;  ///< of which this entity is the master
     std::optional<Later<bool>> run_noted_;             ///< its entry in the journal, until that is written

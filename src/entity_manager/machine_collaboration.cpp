@@ -212,7 +212,7 @@ Refusal EntityManagerCore::Machine::checkSubLease(const Sender& master, const pr
         return {RefusalCode::Duplicate,
                 "The entity has taken part in this run before, and a run has one beginning. Make a new id.",
                 {}};
-    if (!stopsAreHandled() || lease.stop_generation() < required_)
+    if (!stops_.allHandled() || lease.stop_generation() < stops_.required())
         return {RefusalCode::OldGeneration,
                 "The run was asked for before the newest stop of the entity was known. Look at the entity, then ask again.",
                 {}};
@@ -277,7 +277,7 @@ void EntityManagerCore::Machine::considerInvitation(const Sender& master, const 
     reply.set_run_id(message.run_id());
     auto& answer = *reply.mutable_answer();
     problemsOf(invitation, answer);
-    answer.set_stop_generation(generation_);
+    answer.set_stop_generation(stops_.generation());
     answer.set_watchdog_ms(static_cast<std::uint32_t>(
         std::chrono::duration_cast<std::chrono::milliseconds>(settings_.server_watchdog_busy).count()));
     if (answer.problems_size() == 0 && !invitation.check_only()) {
@@ -316,11 +316,11 @@ bool EntityManagerCore::Machine::hearPeer(const Header& head, proto::ToEntity& m
         case proto::ToEntity::kRaw: {
             const auto* from = partner(head.sender.id);
             if (from == nullptr) return false;
-            if (latched_ || !stopsAreHandled()) return true;  // nothing may move it now
+            if (latched_ || !stops_.allHandled()) return true;  // nothing may move it now
             proto::EmToEi raw;
             raw.mutable_raw()->mutable_data()->Swap(message.mutable_raw()->mutable_data());
             raw.mutable_raw()->set_from(from->name());
-            raw.mutable_raw()->set_stop_generation(generation_);
+            raw.mutable_raw()->set_stop_generation(stops_.generation());
             if (!back_end_.send(raw)) ++counters_.undelivered;
             return true;
         }

@@ -122,7 +122,7 @@ void EntityManagerCore::Machine::continueParts() {
               .task = active.task.id,
               .service = active.task.service,
               .text = partText(active)});
-        active.task.generation = generation_;
+        active.task.generation = stops_.generation();
         sendPart(active);
         ++at;
     }

@@ -297,7 +297,7 @@ void EntityManagerCore::Machine::resumeLease(const Incident& incident) {
 void EntityManagerCore::Machine::grantWhenStanding(Claim claim, proto::CheckOutPhase phase) {
     const bool resumes = phase == proto::RESUME_LEASE;
     if (!resumes) wait_list_.leave(claim.client, claim.request_id);
-    if (!standing() && !AXON_PLANTED(GrantBeforeStandstill)) {
+    if (!stops_.standing() && !AXON_PLANTED(GrantBeforeStandstill)) {
         // Never hand over a robot that has not confirmed its last stop. Meanwhile it is reserved.
         auto until = clock_.now() + kStandstillWait;
         if (waiting_grant_) {  // of a holder that has come back twice the later session counts
@@ -432,7 +432,7 @@ void EntityManagerCore::Machine::passOn() {
     const auto grants = [this](proto::CheckOutPhase phase) {
         return findRow(state_, phase == proto::RESUME_LEASE ? Event::LeaseResumed : Event::CheckOutGranted) != nullptr;
     };
-    if (waiting_grant_ && standing() && grants(waiting_grant_->phase)) {
+    if (waiting_grant_ && stops_.standing() && grants(waiting_grant_->phase)) {
         auto waiting = *std::exchange(waiting_grant_, std::nullopt);
         grantWhenStanding(std::move(waiting.claim), waiting.phase);
     }
@@ -455,7 +455,7 @@ void EntityManagerCore::Machine::passOn() {
         // Who asked for this very lease is before those who wait for any: its end answers the question.
         if (const auto question = hand_over_.take())
             grantWhenStanding(question->claim, proto::TAKE);
-        else if (!wait_list_.empty() && standing())
+        else if (!wait_list_.empty() && stops_.standing())
             grantWhenStanding(wait_list_.pop(), proto::TAKE);
     }
     for (const auto& [claim, place] : wait_list_.takeChanges()) sendPlace(claim, place);
@@ -598,7 +598,7 @@ void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
     reply.mutable_lease()->set_root(held.root);
     reply.set_grace_ms(static_cast<std::uint32_t>(
         std::chrono::duration_cast<std::chrono::milliseconds>(settings_.lease_grace).count()));
-    reply.set_stop_generation(generation_);
+    reply.set_stop_generation(stops_.generation());
     reply.set_latched(latched_);
     *reply.mutable_services() = profiler_.profile();
     reply.set_datagram_endpoint(datagram_endpoint_);
@@ -616,7 +616,7 @@ void EntityManagerCore::Machine::replyCheckOut(const Sender& to, const std::stri
     reply.set_request_id(request_id);
     reply.set_phase(phase);
     if (!refusal.ok()) *reply.mutable_refusal() = toProto(refusal);
-    reply.set_stop_generation(generation_);
+    reply.set_stop_generation(stops_.generation());
     reply.set_latched(latched_);
     tell(to, kMsgCheckOut, message);
     noteRefusal(to, {}, refusal);
@@ -630,7 +630,7 @@ void EntityManagerCore::Machine::sendPlace(const Claim& claim, std::size_t place
     reply.set_phase(proto::TAKE);
     reply.set_place(static_cast<std::uint32_t>(place));
     reply.set_kept(kept);
-    reply.set_stop_generation(generation_);
+    reply.set_stop_generation(stops_.generation());
     reply.set_latched(latched_);
     tell(claim.client, kMsgCheckOut, message);
 }

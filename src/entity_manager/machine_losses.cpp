@@ -48,7 +48,7 @@ TimePoint EntityManagerCore::Machine::finishesUntil(const Active& active) const 
 bool EntityManagerCore::Machine::survivesClientLoss() const {
     // A step of a run is of more than one robot: nobody would tell the others.
     return state_ == EntityState::BUSY && !member_ && link_up_ && server_up_ && !latched_ && !application_busy_ &&
-           !active_.empty() && stopsAreHandled() &&
+           !active_.empty() && stops_.allHandled() &&
            std::all_of(active_.begin(), active_.end(),
                        [this](const Active& active) { return lossPolicyOf(active) != proto::STOP_TASK; });
 }
@@ -72,7 +72,7 @@ void EntityManagerCore::Machine::spareTasks() {
         active.alone_until = clock_.now() + kPauseWithin;
         proto::EmToEi pause;
         pause.mutable_pause()->set_task_id(active.sent->bytes());
-        pause.mutable_pause()->set_stop_generation(generation_);
+        pause.mutable_pause()->set_stop_generation(stops_.generation());
         back_end_.send(pause);
     }
 }

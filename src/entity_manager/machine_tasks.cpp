@@ -93,7 +93,7 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
     task.service = service.name();
     task.blocking = service.is_blocking();
     task.plan = std::move(plan).value();
-    task.generation = generation_;
+    task.generation = stops_.generation();
     if (request.not_after_s() > 0 && request.not_after_s() < kLongestNotAfter_s && !AXON_PLANTED(ExpiryUnchecked))
         task.not_after = (AXON_PLANTED(ExpiryByTheSendersClock) ? TimePoint{std::chrono::microseconds{sent_at_us}}
                                                                 : clock_.now()) +
@@ -115,7 +115,7 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
 std::size_t EntityManagerCore::Machine::dispatchBytes(const ServiceProfiler::Plan& plan) const {
     std::size_t bytes = 0;
     for (const auto& part : plan.parts) {
-        auto message = dispatchOf(part, profiler_.record(part.service).name(), {}, generation_);
+        auto message = dispatchOf(part, profiler_.record(part.service).name(), {}, stops_.generation());
         if (&part == &plan.parts.front()) addGiven(message, plan, profiler_);
         bytes += message.ByteSizeLong();
     }
@@ -136,7 +136,7 @@ bool EntityManagerCore::Machine::admissible(const Task& task) const {
 /// After a stop nothing starts before its callback has returned: on its own lane it could arrive after the task and
 /// end that one.
 bool EntityManagerCore::Machine::mayStart() const {
-    return !latched_ && link_up_ && holder() != nullptr && !application_busy_ && standing();
+    return !latched_ && link_up_ && holder() != nullptr && !application_busy_ && stops_.standing();
 }
 
 /// In order of arrival: a task that must wait holds back those behind it, or it might wait for ever.
@@ -491,7 +491,7 @@ void EntityManagerCore::Machine::controlTask(const Incident& incident) {
         if (active->sent) {
             message.mutable_pause()->set_task_id(active->sent->bytes());
             message.mutable_pause()->set_resume(resume);
-            message.mutable_pause()->set_stop_generation(generation_);
+            message.mutable_pause()->set_stop_generation(stops_.generation());
         }
     }
     if (active->sent && !back_end_.send(message)) {
@@ -629,7 +629,7 @@ void EntityManagerCore::Machine::askParameter(const Incident& incident) {
     ask.set_request(number);
     ask.set_service(profiler_.record(question.service).name());
     *ask.mutable_param() = question.param;
-    ask.set_stop_generation(generation_);
+    ask.set_stop_generation(stops_.generation());
     if (const auto refusal = checkSize(message.ByteSizeLong()); !refusal.ok()) {
         refuse(incident, refusal);
         return;

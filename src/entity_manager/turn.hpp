@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <string>
+
+#include "common/clock.hpp"
+#include "common/routed.hpp"
+
+namespace axon::proto {
+class EmToEi;
+class ToClient;
+}  // namespace axon::proto
+
+namespace axon::entity_manager {
+
+struct CoreCounters;
+
+/// What an owner of a part of the Entity Manager's state (StopLedger, …) may see and do while one event is handled.
+/// Owners do not know each other; what concerns several of them goes through the state table. Implemented by the
+/// core, and by a fake in an owner's own unit test. Threads: the Entity Manager's strand.
+class Turn {
+  public:
+    virtual ~Turn() = default;
+
+    virtual TimePoint now() const = 0;
+    virtual EntityState state() const = 0;
+    /// Null when nobody holds the entity. Valid until the lease changes.
+    virtual const Sender* holder() const = 0;
+    /// Whether a robot application is linked.
+    virtual bool linked() const = 0;
+    /// To a client or, where `to` is an entity, to that; nothing happens when there is no server or `to` has no id.
+    virtual void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) = 0;
+    /// For the operator's log.
+    virtual void warn(std::string text) = 0;
+    virtual CoreCounters& counters() = 0;
+};
+
+}  // namespace axon::entity_manager
