@@ -19,7 +19,6 @@ namespace {
 constexpr Duration kPositionPeriod = std::chrono::milliseconds{200};
 constexpr Duration kRestUntold = std::chrono::milliseconds{20};
 constexpr std::size_t kActiveTold = 1024;
-constexpr std::size_t kStreamName = 255;
 constexpr std::size_t kReadOfStrangers = 16 * 1024;
 /// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
 /// deleted on a full disk, and what is in doubt is latched.
@@ -447,7 +446,8 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             answerStatus(incident);
             break;
         case Action::NoteWatch:
-            noteWatch(incident);
+            if (const auto taken = streams_.watch(incident.head->sender.id, incident.body->watch()); !taken)
+                refuse(incident, taken.refusal());
             break;
         case Action::TellStatus:
             tellStatus();
@@ -497,7 +497,7 @@ void EntityManagerCore::Machine::onLinkUp() {
     sought_.clear();
     stops_.linkUp();
     active_told_.clear();
-    streams_off_ = false;  // a link begins with all of them on
+    streams_.linkUp();
     lingering_.clear();
     application_busy_ = false;
     fire(Event::LinkUp);
@@ -605,12 +605,12 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
                 ++counters_.undelivered;
                 break;
             }
-            data_to_client_.mutable_raw()->mutable_data()->Swap(message.mutable_raw()->mutable_data());
-            server_.sendToClientDataSeq(headFor(*holder(), kMsgRaw), data_to_client_);
+            raw_to_client_.mutable_raw()->mutable_data()->Swap(message.mutable_raw()->mutable_data());
+            tellDroppable(*holder(), kMsgRaw, raw_to_client_);
             break;
         }
         case proto::EiToEm::kSample:
-            sendSample(*message.mutable_sample());
+            streams_.pass(*message.mutable_sample());
             break;
         case proto::EiToEm::kWelcome:
         case proto::EiToEm::kBeat:
@@ -710,7 +710,7 @@ void EntityManagerCore::Machine::takeProfiles() {
     registration_.category = proto::Category_Name(basic_profile_.category());
     registration_.type = proto::Mobility_Name(basic_profile_.type());
     ready_ = true;
-    switchStreams(watches_.present());
+    streams_.tellPresent();
     fire(Event::ProfilesGood);
 }
 
@@ -1179,60 +1179,6 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
     if (holder() != nullptr && holder()->id == incident.head->sender.id)
         for (auto& ended : memory_.finals(lease_.held()->number)) status.add_ended()->Swap(&ended);
     tell(incident.head->sender, kMsgStatus, message);
-}
-
-void EntityManagerCore::Machine::noteWatch(const Incident& incident) {
-    const auto& watch = incident.body->watch();
-    const std::vector<std::string> streams(watch.streams().begin(), watch.streams().end());
-    for (const auto& stream : streams) {
-        if (stream.size() <= kStreamName) continue;
-        refuse(incident, {RefusalCode::BadName, "A stream's name has at most 255 bytes.", {}});
-        return;
-    }
-    if (!watch.on()) {
-        switchStreams(watches_.unwatch(incident.head->sender.id, streams));
-        return;
-    }
-    const auto switches = watches_.watch(incident.head->sender.id, streams, holder() != nullptr ? holder()->id : std::string());
-    if (switches)
-        switchStreams(switches.value());
-    else
-        refuse(incident, switches.refusal());
-}
-
-void EntityManagerCore::Machine::switchStreams(const std::vector<StreamWatches::Switch>& switches) {
-    if (!link_up_) return;  // what is on is told when the application has come
-    proto::EmToEi message;
-    const auto tellApplication = [&](const StreamWatches::Switch& change) {
-        message.mutable_stream()->set_stream(change.stream);
-        message.mutable_stream()->set_on(change.on);
-        back_end_.send(message);
-    };
-    for (const auto& change : switches) {
-        if (change.stream.empty()) {
-            if (!change.on && holder() != nullptr) continue;  // who is sent all streams counts as one who watches them
-            streams_off_ = !change.on;
-        }
-        tellApplication(change);
-        // An application may take it for a switch of every stream.
-        if (change.stream.empty() && !change.on)
-            for (const auto& named : watches_.present()) tellApplication(named);
-    }
-}
-
-void EntityManagerCore::Machine::sendSample(proto::StreamSample& sample) {
-    const auto clients =
-        watches_.watchersOf(sample.stream(), holder() != nullptr ? holder()->id : std::string());
-    if (clients.empty() || !server_up_) {
-        ++counters_.undelivered;
-        return;
-    }
-    data_to_client_.mutable_sample()->Swap(&sample);
-    Sender to;
-    for (const auto& client : clients) {
-        to.id = client;
-        server_.sendToClientDataSeq(headFor(to, kMsgStream), data_to_client_);
-    }
 }
 
 // -- time

@@ -24,7 +24,7 @@
 #include "entity_manager/service_profiler.hpp"
 #include "entity_manager/state_table.hpp"
 #include "entity_manager/stop_ledger.hpp"
-#include "entity_manager/stream_watches.hpp"
+#include "entity_manager/streams.hpp"
 #include "entity_manager/task_memory.hpp"
 #include "entity_manager/task_queue.hpp"
 #include "entity_manager/turn.hpp"
@@ -387,6 +387,11 @@ class EntityManagerCore::Machine final : private Turn {
     // What the owners see of it.
     TimePoint now() const override { return clock_.now(); }
     bool linked() const override { return link_up_; }
+    bool connected() const override { return server_up_; }
+    bool toApplication(const proto::EmToEi& message) override { return back_end_.send(message); }
+    void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) override {
+        server_.sendToClientDataSeq(headFor(to, type), message);
+    }
     void warn(std::string text) override { warning_ = std::move(text); }
     CoreCounters& counters() override { return counters_; }
 
@@ -399,9 +404,6 @@ class EntityManagerCore::Machine final : private Turn {
     void passText(const Incident& incident);
     void passRaw(const Incident& incident);
     void answerStatus(const Incident& incident);
-    void noteWatch(const Incident& incident);
-    void switchStreams(const std::vector<StreamWatches::Switch>& switches);
-    void sendSample(proto::StreamSample& sample);
     Header headFor(const Sender& to, const char* type);
     const Sender* holder() const override { return lease_.held() ? &lease_.held()->holder : nullptr; }
 
@@ -483,8 +485,7 @@ class EntityManagerCore::Machine final : private Turn {
     UploadDesk uploads_;
     std::map<std::uint64_t, Question> questions_;
     std::uint64_t next_question_ = 1;
-    StreamWatches watches_;
-    bool streams_off_ = false;  ///< the application has been told to send only what is watched by name
+    Streams streams_{*this};
     TimePoint raw_refused_{}, not_sent_told_{};
 
     /// The resets and clears that were taken last. Between servers each goes two ways, and the second one, late,
@@ -505,7 +506,7 @@ class EntityManagerCore::Machine final : private Turn {
     std::int64_t sequence_ = 0;
     proto::ToEntity from_client_;  ///< kept for its memory
     proto::EmToEi raw_to_link_;
-    proto::ToClient data_to_client_;
+    proto::ToClient raw_to_client_;
     CoreCounters counters_;
     RateLimit refusals_noted_{10};
 };

@@ -565,7 +565,7 @@ void EntityManagerCore::Machine::onClientUpdate(const Header& head, ClientChange
         incident.reason = {lost ? RefusalCode::ClientLost : RefusalCode::Stopped,
                            named(head.sender) + (lost ? " was lost." : " has left."),
                            {}};
-        switchStreams(watches_.forget(head.sender.id));
+        streams_.forget(head.sender.id);
         // Of a client that is not the holder, or is not any more, only what it waits for is left to end.
         if (holder() != nullptr && holder()->id != head.sender.id) {
             dismissWaiting(incident);
@@ -606,7 +606,7 @@ void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
     reply.set_direct_endpoint(direct_endpoint_);
     reply.set_direct_signal_endpoint(direct_signal_endpoint_);
     tell(held.holder, kMsgCheckOut, message);
-    if (streams_off_) switchStreams({{"", true}});
+    streams_.holderBegan();
 }
 
 void EntityManagerCore::Machine::replyCheckOut(const Sender& to, const std::string& request_id,

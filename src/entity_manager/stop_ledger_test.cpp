@@ -20,6 +20,9 @@ struct FakeTurn final : Turn {
     EntityState state() const override { return EntityState::REG; }
     const Sender* holder() const override { return held ? &*held : nullptr; }
     bool linked() const override { return link; }
+    bool connected() const override { return true; }
+    void tellDroppable(const Sender&, const char*, const proto::ToClient&) override {}
+    bool toApplication(const proto::EmToEi&) override { return true; }
     void tell(const Sender& to, const char*, const proto::ToClient& message, Lane lane) override {
         EXPECT_EQ(lane, Lane::Signal);
         told.emplace_back(to.id, message.receipt());

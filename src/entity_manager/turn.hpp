@@ -27,8 +27,14 @@ class Turn {
     virtual const Sender* holder() const = 0;
     /// Whether a robot application is linked.
     virtual bool linked() const = 0;
+    /// Whether there is a session with the server.
+    virtual bool connected() const = 0;
     /// To a client or, where `to` is an entity, to that; nothing happens when there is no server or `to` has no id.
     virtual void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) = 0;
+    /// The same for stream samples and raw data, which may be dropped, oldest first.
+    virtual void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) = 0;
+    /// False where the message is larger than the link takes at once: nothing was sent.
+    virtual bool toApplication(const proto::EmToEi& message) = 0;
     /// For the operator's log.
     virtual void warn(std::string text) = 0;
     virtual CoreCounters& counters() = 0;
