@@ -92,7 +92,7 @@ bool EntityManagerCore::latched() const {
     return machine_->latched();
 }
 bool EntityManagerCore::serverUp() const {
-    return machine_->serverUp();
+    return machine_->connected();
 }
 const std::string& EntityManagerCore::uuid() const {
     return machine_->uuid();

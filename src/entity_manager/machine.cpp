@@ -6,7 +6,6 @@
 #include <stdexcept>
 #include <utility>
 
-#include "common/entity_name.hpp"
 #include "common/planted_bug.hpp"
 #include "common/utf8.hpp"
 #include "messages/text.hpp"
@@ -16,8 +15,6 @@ namespace axon::entity_manager {
 
 namespace {
 
-constexpr Duration kPositionPeriod = std::chrono::milliseconds{200};
-constexpr Duration kRestUntold = std::chrono::milliseconds{20};
 constexpr std::size_t kActiveTold = 1024;
 constexpr std::size_t kReadOfStrangers = 16 * 1024;
 /// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
@@ -138,7 +135,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       journal_(journal),
       parts_lost_(partsAreLost(storage)),
       uuid_(loadUuid(storage, random, settings_.uuid)),
-      server_watchdog_(settings_.server_watchdog_busy, settings_.server_watchdog_idle, clock.now()),
+      presence_(*this, server, {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
       lease_(storage, random),
       stops_(*this, storage, stop_gate, back_end),
       saved_(storage),
@@ -154,15 +151,6 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
         warning_ = "parts of the state folder are missing (uuid, lease or stop_generation), so the robot comes up "
                    "latched; fix: look whether all commands for it are new, then rearm it";
     }
-    registration_.entity = uuid_;
-    registration_.name =
-        isEntityName(settings_.application) ? settings_.application : inQuotes(settings_.application);
-    const auto fifth = [](Duration watchdog) {
-        return static_cast<std::int32_t>(
-            std::chrono::duration_cast<std::chrono::milliseconds>(watchdog).count() / 5);
-    };
-    registration_.heartbeat_busy_ms = fifth(settings_.server_watchdog_busy);
-    registration_.heartbeat_idle_ms = fifth(settings_.server_watchdog_idle);
     free_kept_ = storage.load(kFreeKey) == kThere;
     keepState();  // the latch says it now, and nobody holds it
     replayJournal();
@@ -343,7 +331,7 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             seekServer();
             break;
         case Action::Register:
-            registerEntity();
+            presence_.registerEntity();
             break;
         case Action::LeaveServer:
             server_.wantConnection(false);
@@ -470,9 +458,7 @@ void EntityManagerCore::Machine::settle() {
         back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
     }
     stop_gate_.spareClientLoss(survivesClientLoss());
-    // The server sends its heartbeats in the short period while the status it knows is BUSY.
-    if (!AXON_PLANTED(WatchdogAlwaysIdle)) server_watchdog_.setBusy(state_ == EntityState::BUSY, clock_.now());
-    server_signs_.allow(server_up_ ? server_watchdog_.timeout() : Duration{}, clock_.now());
+    presence_.setBusy(state_ == EntityState::BUSY);
     tellStatus();
     keepState();
 }
@@ -538,7 +524,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
         ++counters_.unexpected;
         return;
     }
-    if (AXON_PLANTED(WatchdogFedByTheApplication)) server_watchdog_.feed(clock_.now());
+    if (AXON_PLANTED(WatchdogFedByTheApplication)) presence_.heard();
     switch (message.body_case()) {
         case proto::EiToEm::kStopDone:
             stops_.answered(message.stop_done());
@@ -580,11 +566,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             applicationStatus(message.status());
             break;
         case proto::EiToEm::kPosition:
-            basic_profile_.set_xpos(message.position().xpos());
-            basic_profile_.set_ypos(message.position().ypos());
-            basic_profile_.set_zpos(message.position().zpos());
-            position_waits_ = true;
-            sendPosition();
+            presence_.positionIs(message.position());
             break;
         case proto::EiToEm::kText: {
             if (holder() == nullptr) {
@@ -601,7 +583,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
                 sendRawToPartner(*message.mutable_raw());
                 break;
             }
-            if (holder() == nullptr || !server_up_) {
+            if (holder() == nullptr || !connected()) {
                 ++counters_.undelivered;
                 break;
             }
@@ -688,15 +670,7 @@ void EntityManagerCore::Machine::takeProfiles() {
     profiles_due_.reset();
     const auto places = std::exchange(located_, std::nullopt)->value();
     located_again_.reset();
-    const bool moved = position_waits_;  // the robot has told its position before its profiles were good
-    auto profile = basic_->message;
-    if (moved) {
-        profile.set_xpos(basic_profile_.xpos());
-        profile.set_ypos(basic_profile_.ypos());
-        profile.set_zpos(basic_profile_.zpos());
-    }
-    basic_profile_ = std::move(profile);
-    basic_profile_.set_entity_id(uuid_);
+    presence_.profileIs(basic_->message);
     profiler_.load(services_->message, uuid_, places);
     auto amiss = saved_.restore(profiler_);
     for (const auto& finding : profiler_.findings()) amiss += (amiss.empty() ? "" : "; ") + finding.message();
@@ -706,10 +680,6 @@ void EntityManagerCore::Machine::takeProfiles() {
             profiler_.setActive(service, told.first, told.second);  // not all are in this profile
     }
     tellConfiguration();
-    registration_.name = basic_profile_.name();
-    registration_.category = proto::Category_Name(basic_profile_.category());
-    registration_.type = proto::Mobility_Name(basic_profile_.type());
-    ready_ = true;
     streams_.tellPresent();
     fire(Event::ProfilesGood);
 }
@@ -749,15 +719,6 @@ void EntityManagerCore::Machine::expireProfiles() {
     tellStatus();
 }
 
-void EntityManagerCore::Machine::sendPosition() {
-    const auto now = clock_.now();
-    if (!position_waits_ || !ready_ || !server_up_) return;
-    if (now < position_sent_ + kPositionPeriod) return;
-    position_sent_ = now;
-    position_waits_ = false;
-    server_.sendBasicPrfl(registration_, basic_profile_);
-}
-
 void EntityManagerCore::Machine::applicationStatus(const proto::StatusNote& note) {
     if (!note.text().empty()) {
         if (holder() != nullptr) {
@@ -780,39 +741,26 @@ void EntityManagerCore::Machine::applicationStatus(const proto::StatusNote& note
 // -----------------------------------------------------------------------------------------------------
 
 void EntityManagerCore::Machine::seekServer() {
-    if (std::exchange(server_silent_, false)) server_.wantConnection(false);
-    server_.wantConnection(true);
-    if (server_up_ && state_ == EntityState::ENVCONN) fire(serverUpEvent());
-}
-
-void EntityManagerCore::Machine::registerEntity() {
-    status_told_.reset();
-    // Without a profile the entity is registered as one that is not ready (ADR 0023).
-    server_.sendBasicPrfl(registration_, ready_ ? basic_profile_ : proto::BasicProfile());
-    if (!ready_) return;
-    position_sent_ = clock_.now();
-    position_waits_ = false;
+    presence_.seek();
+    if (connected() && state_ == EntityState::ENVCONN) fire(serverUpEvent());
 }
 
 void EntityManagerCore::Machine::onServerUp() {
     if (quit_) return;
-    if (server_up_) serverLost("the session with the server was replaced");
-    server_up_ = true;
-    server_signs_.allow(server_watchdog_.timeout(), clock_.now());
-    hearServer();
-    status_told_.reset();
+    if (connected()) serverLost("the session with the server was replaced");
+    presence_.up();
     fire(serverUpEvent());
     settle();
 }
 
 void EntityManagerCore::Machine::onServerDown(const std::string& reason) {
-    if (quit_ || !server_up_) return;
+    if (quit_ || !connected()) return;
     serverLost(reason);
     settle();
 }
 
 void EntityManagerCore::Machine::serverLost(const std::string& reason) {
-    server_up_ = false;
+    presence_.down();
     Incident incident{Event::ServerDown};
     incident.cause = StopCause::ServerLost;
     incident.reason = {RefusalCode::NotConnected, "The Entity Manager lost the server: " + reason, {}};
@@ -820,20 +768,7 @@ void EntityManagerCore::Machine::serverLost(const std::string& reason) {
 }
 
 void EntityManagerCore::Machine::onServerHeartbeat() {
-    hearServer();
-}
-
-void EntityManagerCore::Machine::hearServer() {
-    server_watchdog_.feed(clock_.now());
-    server_signs_.heard(clock_.now());
-}
-
-/// Before the watchdog trips, and seldom.
-TimePoint EntityManagerCore::Machine::serverWarnAt() const {
-    const auto at =
-        server_watchdog_.deadline() -
-        std::chrono::duration_cast<Duration>(server_watchdog_.timeout() * (1 - LifeSigns::kWarnFrom));
-    return std::max(at, server_warn_again_);
+    presence_.heard();
 }
 
 /// Why an entity in UNAV, INIT or ERR is there; empty in the other states, and in INIT as long as all goes
@@ -864,22 +799,7 @@ EntityStatus EntityManagerCore::Machine::status() const {
 }
 
 void EntityManagerCore::Machine::tellStatus() {
-    const auto rest_told_at = std::exchange(rest_told_at_, std::nullopt);
-    if (!server_up_) return;
-    auto now = status();
-    if (status_told_ == now) return;
-    // Between two steps of a run it rests for a moment. Told each time, that is two broadcasts for each step.
-    if (auto told = status_told_; told && told->state == EntityState::BUSY &&
-                                  (now.state == EntityState::SLAVE || now.state == EntityState::COLLAB)) {
-        told->state = now.state;
-        const auto at = rest_told_at.value_or(clock_.now() + kRestUntold);
-        if (told == now && clock_.now() < at) {
-            rest_told_at_ = at;
-            return;
-        }
-    }
-    server_.sendStatus(now);
-    status_told_ = std::move(now);
+    presence_.tell(status());
 }
 
 // -- stop, reset, clear
@@ -1025,7 +945,7 @@ Header EntityManagerCore::Machine::headFor(const Sender& to, const char* type) {
 
 void EntityManagerCore::Machine::tell(const Sender& to, const char* type, const proto::ToClient& message,
                                       Lane lane) {
-    if (!server_up_ || to.id.empty()) return;
+    if (!connected() || to.id.empty()) return;
     server_.sendToClient(lane, headFor(to, type), message);
 }
 
@@ -1164,9 +1084,7 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
         task.set_progress(-1);
     }
     auto margins = back_end_.margins();
-    if (server_up_)
-        margins.insert(margins.begin(),
-                       {"entity manager watches server", server_signs_.longest(clock_.now())});
+    if (auto margin = presence_.margin()) margins.insert(margins.begin(), std::move(*margin));
     for (const auto& [hop, gap] : margins) {
         if (gap.allowed == Duration{}) continue;
         auto& margin = *status.add_watchdogs();
@@ -1186,26 +1104,14 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
 
 void EntityManagerCore::Machine::onTimer() {
     if (quit_) return;
-    const auto now = clock_.now();
-    if (server_up_ && now >= serverWarnAt()) {
-        server_warn_again_ = now + LifeSigns::kWarnAgain;
-        warning_ = "the server: " + describe(server_signs_.longest(now)) +
-                   "; above that the robot stops. The network or one of the two hosts is overloaded";
-    }
-    if (server_up_ && server_watchdog_.expired(now)) {
-        server_silent_ =
-            true;  // a session that is silent but not closed is given up, so that a new one can be made
-        const auto silence =
-            std::chrono::duration_cast<std::chrono::milliseconds>(server_watchdog_.timeout());
-        serverLost("it has been silent for " + std::to_string(silence.count()) + " ms");
-    }
+    presence_.onTimer();
+    if (const auto why = presence_.whySilent()) serverLost(*why);
     passTime();
     expireTasks();
     expireAnswers();
     expireSpared();
     expireCollaboration();
     expireProfiles();
-    sendPosition();
     signUploads();
     tellHeldUp();
     settle();
@@ -1214,7 +1120,7 @@ void EntityManagerCore::Machine::onTimer() {
 TimePoint EntityManagerCore::Machine::nextDeadline() const {
     auto next = TimePoint::max();
     if (quit_) return next;
-    if (server_up_) next = std::min({next, server_watchdog_.deadline(), serverWarnAt()});
+    next = std::min(next, presence_.nextDeadline());
     if (lease_.reservation()) next = std::min(next, lease_.reservation()->until);
     if (waiting_grant_) next = std::min(next, waiting_grant_->until);
     if (mayEndGrace()) next = std::min(next, *lease_.held()->grace_until);
@@ -1235,9 +1141,7 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
             if (step.held) next = std::min(next, step.due);
     }
     for (const auto& farewell : farewells_) next = std::min(next, farewell.again);
-    if (rest_told_at_) next = std::min(next, *rest_told_at_);
     if (profiles_due_) next = std::min(next, *profiles_due_);
-    if (position_waits_ && server_up_ && ready_) next = std::min(next, position_sent_ + kPositionPeriod);
     return next;
 }
 

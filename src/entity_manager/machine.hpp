@@ -16,10 +16,10 @@
 #include "common/planted_bug.hpp"
 #include "common/rate_limit.hpp"
 #include "common/rights.hpp"
-#include "common/watchdog.hpp"
 #include "entity_manager/entity_manager_core.hpp"
 #include "entity_manager/hand_over.hpp"
 #include "entity_manager/lease_book.hpp"
+#include "entity_manager/presence.hpp"
 #include "entity_manager/saved_values.hpp"
 #include "entity_manager/service_profiler.hpp"
 #include "entity_manager/state_table.hpp"
@@ -66,7 +66,7 @@ class EntityManagerCore::Machine final : private Turn {
 
     EntityState state() const override { return state_; }
     bool latched() const { return latched_; }
-    bool serverUp() const { return server_up_; }
+    bool connected() const override { return presence_.connected(); }
     const std::string& uuid() const { return uuid_; }
     void offerDatagrams(std::string endpoint) { datagram_endpoint_ = std::move(endpoint); }
     void offerDirect(std::string data, std::string signal) {
@@ -172,13 +172,9 @@ class EntityManagerCore::Machine final : private Turn {
     Event serverUpEvent() const {
         return lease_.held() && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
     }
-    void registerEntity();
     std::string whyNotReady() const;
     void tellStatus();
     void serverLost(const std::string& reason);
-    void sendPosition();
-    void hearServer();
-    TimePoint serverWarnAt() const;
 
     // Stop.
     void stopApplication(Incident& incident);
@@ -387,7 +383,6 @@ class EntityManagerCore::Machine final : private Turn {
     // What the owners see of it.
     TimePoint now() const override { return clock_.now(); }
     bool linked() const override { return link_up_; }
-    bool connected() const override { return server_up_; }
     bool toApplication(const proto::EmToEi& message) override { return back_end_.send(message); }
     void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) override {
         server_.sendToClientDataSeq(headFor(to, type), message);
@@ -426,8 +421,6 @@ class EntityManagerCore::Machine final : private Turn {
     bool free_kept_ = false;   ///< likewise; false before anybody is granted the robot
     bool journal_failing_ = false;
     bool link_up_ = false;
-    bool server_up_ = false;
-    bool server_silent_ = false;
     bool application_busy_ = false;  ///< by its own account (setStatus)
     bool busy_told_ = false;
     bool quit_ = false;
@@ -440,21 +433,12 @@ class EntityManagerCore::Machine final : private Turn {
     ResourceRoots roots_;  ///< that came with it
     /// Where the files of its resources lie: asked before it is used, and again while it is.
     std::optional<Later<std::vector<ResourcePlace>>> located_, located_again_;
-    proto::BasicProfile basic_profile_;
-    Registration registration_;  ///< under the application's name until the profiles have been good
-    bool ready_ = false;         ///< they have been
     std::optional<TimePoint> profiles_due_;  ///< in INIT: what has not been uploaded by then is missing
     /// Uploaded while the entity was held: by whether it is the services profile.
     std::map<bool, proto::ProfileUpload> kept_profiles_;
-    TimePoint position_sent_{};
-    bool position_waits_ = false;
-    Watchdog server_watchdog_;
-    LifeSigns server_signs_;
-    TimePoint server_warn_again_{};
     std::string warning_, news_;
-    std::optional<EntityStatus> status_told_;
-    std::optional<TimePoint> rest_told_at_;  ///< when it is told that a step has ended, if no other has begun by then
 
+    Presence presence_;
     LeaseBook lease_;
     std::string datagram_endpoint_;  ///< told with a grant
     std::string direct_endpoint_, direct_signal_endpoint_;  ///< likewise

@@ -129,7 +129,7 @@ void EntityManagerCore::Machine::attendRun() {
     for (auto orders = run_->takeOrders(); !orders.empty(); orders = run_->takeOrders()) {
         for (auto& order : orders) {
             if (run_->isSelf(order.participant)) {
-                const Sender self{uuid_, basic_profile_.name(), Role::Operator};
+                const Sender self{uuid_, presence_.name(), Role::Operator};
                 if (order.message.has_invitation())
                     considerInvitation(self, order.message);
                 else
@@ -477,7 +477,7 @@ void EntityManagerCore::Machine::depart(const Sender& master, const std::string&
 void EntityManagerCore::Machine::leaveCollaboration(const Refusal& reason) {
     if (run_ && !run_->over()) {
         run_->abandon(collaboration::isStop(reason) ? proto::RUN_STOPPED : proto::RUN_FAILED,
-                      {reason.code, basic_profile_.name() + ": " + reason.message, {}}, clock_.now());
+                      {reason.code, presence_.name() + ": " + reason.message, {}}, clock_.now());
         attendRun();  // now: what follows may take the lease, or the server, from those who are to be told
     }
     if (!member_) return;
@@ -579,8 +579,8 @@ void EntityManagerCore::Machine::onPeerRefusal(const Header& head, const Refusal
 
 void EntityManagerCore::Machine::sendToPeer(Lane lane, const std::string& entity, const char* type,
                                             const proto::ToEntity& message) {
-    if (!server_up_) return;
-    auto head = headFor({uuid_, basic_profile_.name(), Role::Operator}, type);
+    if (!connected()) return;
+    auto head = headFor({uuid_, presence_.name(), Role::Operator}, type);
     head.entity = entity;
     server_.sendToPeer(lane, head, message);
 }
@@ -610,11 +610,11 @@ void EntityManagerCore::Machine::refuseToApplication(const std::string& to, cons
 
 void EntityManagerCore::Machine::sendRawToPartner(proto::LinkRaw& raw) {
     const auto* to = partner(raw.to());
-    if (to == nullptr || !server_up_) {
+    if (to == nullptr || !connected()) {
         ++counters_.undelivered;
         refuseToApplication(
             raw.to(),
-            !server_up_ ? Refusal{RefusalCode::NotConnected, "There is no session with the server.", {}}
+            !connected() ? Refusal{RefusalCode::NotConnected, "There is no session with the server.", {}}
             : !member_  ? Refusal{RefusalCode::WrongState,
                                  "Robots talk to each other within a run of a global service, and this one "
                                   "takes part in none. Send it from a task that is a step of a run.",

@@ -536,7 +536,7 @@ void EntityManagerCore::Machine::tellTask(proto::TaskEvent& event) {
             return;
         }
     }
-    if (holder() == nullptr || !server_up_) return;
+    if (holder() == nullptr || !connected()) return;
     proto::ToClient message;
     message.mutable_task()->Swap(&event);
     tell(*holder(), kMsgTask, message);
@@ -894,7 +894,7 @@ void EntityManagerCore::Machine::suspendUploads(const Refusal& reason) {
 }
 
 void EntityManagerCore::Machine::sendService(int service) {
-    if (holder() == nullptr || !server_up_) return;
+    if (holder() == nullptr || !connected()) return;
     proto::ToClient message;
     *message.mutable_service() = profiler_.record(service);
     tell(*holder(), kMsgService, message);

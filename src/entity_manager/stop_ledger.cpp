@@ -31,8 +31,9 @@ std::uint32_t firstGeneration(Storage& storage, StopGate& gate) {
         std::uint32_t stored = 0;
         const auto [end, error] = std::from_chars(text->data(), text->data() + text->size(), stored);
         if (error != std::errc{} || end != text->data() + text->size())
-            throw std::runtime_error("The stored value \"stop_generation\" is damaged: expected a number, found \"" + *text +
-                                     "\". Remove it only when all clients of this entity have been restarted.");
+            throw std::runtime_error(
+                "The stored value \"stop_generation\" is damaged: expected a number, found \"" + *text +
+                "\". Remove it only when all clients of this entity have been restarted.");
         gate.continueFrom(stored);
     }
     return gate.generation();
@@ -67,8 +68,8 @@ Refusal StopLedger::whyNot(std::int32_t known) const {
                 {}};
     if (seen + (AXON_PLANTED(GenerationOffByOne) ? 1U : 0U) < required_ && !AXON_PLANTED(GenerationUnchecked))
         return {RefusalCode::OldGeneration,
-                "It was sent before the newest stop was known (stop generation " + std::to_string(seen) + ", now " +
-                    std::to_string(required_) + "). Look at the entity, then send it again.",
+                "It was sent before the newest stop was known (stop generation " + std::to_string(seen) +
+                    ", now " + std::to_string(required_) + "). Look at the entity, then send it again.",
                 {}};
     if (seen > generation_)
         return {RefusalCode::Malformed,
@@ -95,7 +96,8 @@ void StopLedger::handled(std::uint32_t generation, bool own, bool voids) {
         // Early: the disk has it before that many more stops have come.
         if (generation_ + kGenerationsReserved / 2 >= reserved_) {
             reserved_ = generation_ + kGenerationsReserved;
-            if (!AXON_PLANTED(GenerationsNotReserved)) storage_.keep(kGenerationKey, std::to_string(reserved_));
+            if (!AXON_PLANTED(GenerationsNotReserved))
+                storage_.keep(kGenerationKey, std::to_string(reserved_));
         }
     }
     if (voids) required_ = std::max(required_, generation);
@@ -107,7 +109,8 @@ void StopLedger::linkUp() {
     came_back_ = lost_.has_value();
     lost_.reset();
     if (!std::exchange(link_kept_, true)) storage_.keep(kLinkedKey, "1");
-    // It has stopped by itself when its last link ended: before all stops so far, those on their way here included.
+    // It has stopped by itself when its last link ended: before all stops so far, those on their way here
+    // included.
     link_generation_ = commanded_ = confirmed_ = gate_.generation();
     link_drill_ = gate_.drills();
 }
@@ -187,7 +190,8 @@ bool StopLedger::acknowledge(const Header& head, StopCause cause, std::uint32_t 
 }
 
 void StopLedger::repeated(const Header& head, StopCause cause, std::uint32_t generation, bool runs) {
-    // A late copy, whose receipt nobody waits for; or a number used twice, whose stop has not been carried out.
+    // A late copy, whose receipt nobody waits for; or a number used twice, whose stop has not been carried
+    // out.
     if (generation <= rearmed_ && runs) return;
     Open asked;
     asked.receipt = receiptOf(head, cause, generation);
@@ -222,7 +226,8 @@ void StopLedger::stopDone(const proto::StopDone& done) {
         return;
     }
     if (done.stop_generation() > generation_) {
-        // The signal thread wrote the stop before it told this strand, and the answer was faster than the news.
+        // The signal thread wrote the stop before it told this strand, and the answer was faster than the
+        // news.
         if (early_answers_.size() < kOpenStops) early_answers_.push_back(done);
         return;
     }
@@ -288,14 +293,17 @@ void StopLedger::drill(const Header& head, std::uint32_t number) {
     if (std::erase(early_drills_, number) > 0) drillDone(number);
 }
 
-/// The oldest of whoever has most of them, so that nobody's drills are forgotten for a flood of somebody else's.
+/// The oldest of whoever has most of them, so that nobody's drills are forgotten for a flood of somebody
+/// else's.
 void StopLedger::forgetADrill() {
-    const auto senderOf = [](const Open& open) { return open.to.empty() ? kServersOwn : senderKey(open.to.front().id); };
+    const auto senderOf = [](const Open& open) {
+        return open.to.empty() ? kServersOwn : senderKey(open.to.front().id);
+    };
     std::unordered_map<SenderKey, std::size_t> of;
     for (const auto& open : drills_) ++of[senderOf(open)];
-    const auto most = std::max_element(drills_.begin(), drills_.end(), [&](const Open& one, const Open& other) {
-        return of[senderOf(one)] < of[senderOf(other)];
-    });
+    const auto most = std::max_element(
+        drills_.begin(), drills_.end(),
+        [&](const Open& one, const Open& other) { return of[senderOf(one)] < of[senderOf(other)]; });
     drills_.erase(most);
 }
 
@@ -327,7 +335,8 @@ bool StopLedger::moving(bool busy) const {
            });
 }
 
-proto::StopReceipt StopLedger::receiptOf(const Header& head, StopCause cause, std::uint32_t generation) const {
+proto::StopReceipt StopLedger::receiptOf(const Header& head, StopCause cause,
+                                         std::uint32_t generation) const {
     proto::StopReceipt receipt;
     receipt.set_stop_id(head.sender.id + ':' + std::to_string(head.sequence));
     receipt.set_cause(static_cast<proto::StopCause>(cause));
@@ -349,7 +358,8 @@ void StopLedger::tellReceipt(const Open& open, proto::StopReceipt receipt) {
     proto::ToClient message;
     message.mutable_receipt()->Swap(&receipt);
     message.mutable_receipt()->set_at_us(toMicroseconds(turn_.now()));
-    message.mutable_receipt()->set_state(static_cast<proto::EntityState>(static_cast<int>(turn_.state()) + 1));
+    message.mutable_receipt()->set_state(
+        static_cast<proto::EntityState>(static_cast<int>(turn_.state()) + 1));
     for (const auto& to : open.to) turn_.tell(to, answered ? kMsgDrill : kMsgReceipt, message, Lane::Signal);
 }
 

@@ -16,21 +16,23 @@
 
 namespace axon::entity_manager {
 
-inline constexpr const char* kGenerationKey = "stop_generation";  ///< in the Storage, of how far lives have counted
+inline constexpr const char* kGenerationKey =
+    "stop_generation";  ///< in the Storage, of how far lives have counted
 
-/// Which stops were ordered, commanded to the robot application and confirmed by it; how far each has come, and who is
-/// told so (safety.md, "What a stop does").
+/// Which stops were ordered, commanded to the robot application and confirmed by it; how far each has come,
+/// and who is told so (safety.md, "What a stop does").
 ///
-/// It owns the strand's stop generation. StopGate gives every stop its generation on the signal thread, which passes
-/// the stop on at once; the strand hears of it later, so for a moment StopGate is ahead (`allHandled()` is false), and
-/// the answer of the application may overtake the news. It also owns what is known of an application that was lost,
-/// because that is what a receipt tells when nobody can confirm the stop.
+/// It owns the strand's stop generation. StopGate gives every stop its generation on the signal thread, which
+/// passes the stop on at once; the strand hears of it later, so for a moment StopGate is ahead
+/// (`allHandled()` is false), and the answer of the application may overtake the news. It also owns what is
+/// known of an application that was lost, because that is what a receipt tells when nobody can confirm the
+/// stop.
 ///
 /// Not here: the latch and what a stop does to tasks and lease, which are rows of the state table.
 class StopLedger {
   public:
-    /// `storage` has how far earlier lives have counted: this one begins above. Throws std::runtime_error where that
-    /// value is damaged.
+    /// `storage` has how far earlier lives have counted: this one begins above. Throws std::runtime_error
+    /// where that value is damaged.
     StopLedger(Turn& turn, Storage& storage, StopGate& gate, BackEndPort& back_end);
 
     // -- generations
@@ -54,16 +56,16 @@ class StopLedger {
 
     void linkUp();
     void linkDown(const std::string& reason, LinkEnd end);
-    /// Whether a stop was ordered that no application has carried out. It is to be stopped once more when one links:
-    /// it has stopped by itself when its link ended, but another process may be in its place.
+    /// Whether a stop was ordered that no application has carried out. It is to be stopped once more when one
+    /// links: it has stopped by itself when its link ended, but another process may be in its place.
     bool owed() const;
     /// Whether the application that is linked now is one that was lost.
     bool cameBack() const { return came_back_; }
 
     // -- stops
 
-    /// Raises a stop of the Entity Manager's own and commands it. `voids`: commands that were sent before count no longer.
-    /// Its generation.
+    /// Raises a stop of the Entity Manager's own and commands it. `voids`: commands that were sent before
+    /// count no longer. Its generation.
     std::uint32_t order(StopCause cause, bool voids);
     /// A stop that the signal thread has raised and commanded has come to the strand.
     void arrived(std::uint32_t generation) { handled(generation, false, true); }
@@ -72,12 +74,13 @@ class StopLedger {
         std::uint32_t tasks = 0;
         std::uint32_t removed = 0;
     };
-    /// Opens its receipt and tells the first stage, to whoever asked for the stop and to the holder. `busy`: a task
-    /// runs. True: it came before the application was linked, which has to be stopped once more (owed()).
+    /// Opens its receipt and tells the first stage, to whoever asked for the stop and to the holder. `busy`:
+    /// a task runs. True: it came before the application was linked, which has to be stopped once more
+    /// (owed()).
     bool acknowledge(const Header& head, StopCause cause, std::uint32_t generation, bool busy,
                      std::optional<Ended> ended);
-    /// A copy of a stop: its receipt is told again. `runs`: a task runs, which a copy from before the rearm must not
-    /// seem to have stopped.
+    /// A copy of a stop: its receipt is told again. `runs`: a task runs, which a copy from before the rearm
+    /// must not seem to have stopped.
     void repeated(const Header& head, StopCause cause, std::uint32_t generation, bool runs);
     /// The application's answer, which may be ahead of the news of its stop.
     void answered(const proto::StopDone& done);
@@ -88,7 +91,8 @@ class StopLedger {
     void drill(const Header& head, std::uint32_t number);
 
   private:
-    /// A stop and how far it has come. Kept beyond its last stage, for whoever asks again because a receipt was lost.
+    /// A stop and how far it has come. Kept beyond its last stage, for whoever asks again because a receipt
+    /// was lost.
     struct Open {
         /// Nothing that is still to come changes what it says.
         bool over() const { return receipt.stage() >= proto::StopReceipt::STANDSTILL; }
@@ -125,11 +129,13 @@ class StopLedger {
 
     std::uint32_t generation_;
     std::uint32_t required_;
-    std::uint32_t reserved_ = 0;  ///< a next life begins here: no generation above it is told before it is raised
-    std::vector<std::uint32_t> early_;  ///< own stops above generation_, while one of the signal thread is under way
-    std::uint32_t rearmed_ = 0;         ///< stops up to this one were rearmed after
-    std::uint32_t commanded_ = 0;       ///< newest stop that the application must have been told
-    std::uint32_t confirmed_ = 0;       ///< newest stop whose callback has returned
+    std::uint32_t reserved_ =
+        0;  ///< a next life begins here: no generation above it is told before it is raised
+    std::vector<std::uint32_t>
+        early_;                  ///< own stops above generation_, while one of the signal thread is under way
+    std::uint32_t rearmed_ = 0;  ///< stops up to this one were rearmed after
+    std::uint32_t commanded_ = 0;        ///< newest stop that the application must have been told
+    std::uint32_t confirmed_ = 0;        ///< newest stop whose callback has returned
     std::uint32_t link_generation_ = 0;  ///< stops up to this one the linked application has never been sent
     std::vector<proto::StopDone> early_answers_;  ///< to stops above generation_
     std::deque<Open> stops_;                      ///< the newest, oldest first

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Generations, answers that overtake their news, and receipts, without the rest of the Entity Manager. What a stop does
-// to tasks and lease is claimed in stops_test.cpp.
+// Generations, answers that overtake their news, and receipts, without the rest of the Entity Manager. What a
+// stop does to tasks and lease is claimed in stops_test.cpp.
 #include "entity_manager/stop_ledger.hpp"
 
 #include <axon/link.pb.h>
@@ -8,35 +8,13 @@
 
 #include "entity_manager/entity_manager_core.hpp"
 #include "tests/support/core_rig.hpp"
+#include "tests/support/fake_turn.hpp"
 
 namespace axon::entity_manager {
 namespace {
 
 using namespace std::chrono_literals;
 using proto::StopReceipt;
-
-struct FakeTurn final : Turn {
-    TimePoint now() const override { return clock.now(); }
-    EntityState state() const override { return EntityState::REG; }
-    const Sender* holder() const override { return held ? &*held : nullptr; }
-    bool linked() const override { return link; }
-    bool connected() const override { return true; }
-    void tellDroppable(const Sender&, const char*, const proto::ToClient&) override {}
-    bool toApplication(const proto::EmToEi&) override { return true; }
-    void tell(const Sender& to, const char*, const proto::ToClient& message, Lane lane) override {
-        EXPECT_EQ(lane, Lane::Signal);
-        told.emplace_back(to.id, message.receipt());
-    }
-    void warn(std::string text) override { warning = std::move(text); }
-    CoreCounters& counters() override { return counted; }
-
-    ManualClock clock;
-    std::optional<Sender> held;
-    bool link = true;
-    std::vector<std::pair<std::string, StopReceipt>> told;
-    std::string warning;
-    CoreCounters counted;
-};
 
 struct NotingBackEnd final : BackEndPort {
     bool send(const proto::EmToEi&) override { return true; }
@@ -53,7 +31,8 @@ struct StopLedgers : testing::Test {
         head.sequence = sequence;
         return head;
     }
-    static proto::StopDone done(std::uint32_t generation, StopReceipt::Stage stage = StopReceipt::CALLBACK_RETURNED) {
+    static proto::StopDone done(std::uint32_t generation,
+                                StopReceipt::Stage stage = StopReceipt::CALLBACK_RETURNED) {
         proto::StopDone answer;
         answer.set_stop_generation(generation);
         answer.set_stage(stage);
@@ -65,12 +44,12 @@ struct StopLedgers : testing::Test {
         ledger.acknowledge(from(client, sequence), StopCause::Requested, generation, true, std::nullopt);
         return generation;
     }
-    StopReceipt::Stage lastStage() const { return turn.told.back().second.stage(); }
+    StopReceipt::Stage lastStage() const { return turn.told.back().message.receipt().stage(); }
 
     test::MemoryStorage storage;
     StopGate gate;
     NotingBackEnd back_end;
-    FakeTurn turn;
+    test::FakeTurn turn;
     StopLedger ledger{turn, storage, gate, back_end};
 };
 
@@ -130,7 +109,10 @@ TEST_F(StopLedgers, OneAnswerConfirmsAllStopsBeforeIt) {
     turn.told.clear();
     ledger.answered(done(second));
     ASSERT_EQ(turn.told.size(), 2U);
-    for (const auto& [to, receipt] : turn.told) EXPECT_EQ(receipt.stage(), StopReceipt::CALLBACK_RETURNED) << to;
+    for (const auto& told : turn.told) {
+        EXPECT_EQ(told.lane, Lane::Signal);
+        EXPECT_EQ(told.message.receipt().stage(), StopReceipt::CALLBACK_RETURNED) << told.to.id;
+    }
 }
 
 TEST_F(StopLedgers, AnAnswerToAStopThatNobodyGaveIsCountedAndConfirmsNothing) {
@@ -146,8 +128,9 @@ TEST_F(StopLedgers, ACallbackThatThrowsIsToldAndConfirmsNothing) {
     thrown.set_fault("the port is closed");
     ledger.answered(thrown);
     EXPECT_FALSE(ledger.standing());
-    EXPECT_EQ(turn.told.back().second.fault(), "the port is closed");
-    EXPECT_NE(turn.warning.find("the port is closed"), std::string::npos);
+    EXPECT_EQ(turn.told.back().message.receipt().fault(), "the port is closed");
+    ASSERT_EQ(turn.warnings.size(), 1U);
+    EXPECT_NE(turn.warnings.front().find("the port is closed"), std::string::npos);
 }
 
 TEST_F(StopLedgers, AStopThatALostApplicationHasNotConfirmedIsOwedToTheNextOne) {

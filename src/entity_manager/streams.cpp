@@ -14,7 +14,8 @@ constexpr std::size_t kStreamName = 255;
 Result<void> Streams::watch(const std::string& client, const proto::Watch& watch) {
     const std::vector<std::string> streams(watch.streams().begin(), watch.streams().end());
     for (const auto& stream : streams)
-        if (stream.size() > kStreamName) return Refusal{RefusalCode::BadName, "A stream's name has at most 255 bytes.", {}};
+        if (stream.size() > kStreamName)
+            return Refusal{RefusalCode::BadName, "A stream's name has at most 255 bytes.", {}};
     if (!watch.on()) {
         tellApplication(watches_.unwatch(client, streams));
         return {};
@@ -35,7 +36,8 @@ void Streams::tellApplication(const std::vector<StreamWatches::Switch>& switches
     };
     for (const auto& change : switches) {
         if (change.stream.empty()) {
-            if (!change.on && turn_.holder() != nullptr) continue;  // who is sent all streams counts as one who watches them
+            if (!change.on && turn_.holder() != nullptr)
+                continue;  // who is sent all streams counts as one who watches them
             all_off_ = !change.on;
         }
         tell(change);

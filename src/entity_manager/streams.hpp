@@ -11,8 +11,8 @@
 
 namespace axon::entity_manager {
 
-/// Samples of the robot application's streams on their way to whoever watches them, and which streams the application
-/// is told to send. The holder watches all of them without asking.
+/// Samples of the robot application's streams on their way to whoever watches them, and which streams the
+/// application is told to send. The holder watches all of them without asking.
 class Streams {
   public:
     explicit Streams(Turn& turn) : turn_(turn) {}
@@ -30,7 +30,8 @@ class Streams {
     /// The application's profiles are good: it is told what is watched.
     void tellPresent() { tellApplication(watches_.present()); }
 
-    /// To everybody who watches its stream; counted as undelivered where nobody does. The sample is left empty.
+    /// To everybody who watches its stream; counted as undelivered where nobody does. The sample is left
+    /// empty.
     void pass(proto::StreamSample& sample);
 
   private:
@@ -39,7 +40,7 @@ class Streams {
 
     Turn& turn_;
     StreamWatches watches_;
-    bool all_off_ = false;  ///< the application has been told to send only what is watched by name
+    bool all_off_ = false;     ///< the application has been told to send only what is watched by name
     proto::ToClient message_;  ///< kept for its memory
 };
 

@@ -14,9 +14,9 @@ namespace axon::entity_manager {
 
 struct CoreCounters;
 
-/// What an owner of a part of the Entity Manager's state (StopLedger, …) may see and do while one event is handled.
-/// Owners do not know each other; what concerns several of them goes through the state table. Implemented by the
-/// core, and by a fake in an owner's own unit test. Threads: the Entity Manager's strand.
+/// What an owner of a part of the Entity Manager's state (StopLedger, …) may see and do while one event is
+/// handled. Owners do not know each other; what concerns several of them goes through the state table.
+/// Implemented by the core, and by a fake in an owner's own unit test. Threads: the Entity Manager's strand.
 class Turn {
   public:
     virtual ~Turn() = default;
@@ -29,7 +29,8 @@ class Turn {
     virtual bool linked() const = 0;
     /// Whether there is a session with the server.
     virtual bool connected() const = 0;
-    /// To a client or, where `to` is an entity, to that; nothing happens when there is no server or `to` has no id.
+    /// To a client or, where `to` is an entity, to that; nothing happens when there is no server or `to` has
+    /// no id.
     virtual void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) = 0;
     /// The same for stream samples and raw data, which may be dropped, oldest first.
     virtual void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) = 0;
