@@ -61,7 +61,9 @@ TEST(PeopleBotProfiles, InputsAreThoseOfTheThesisAndTheRestIsConfiguration) {
         {"Patrol", {{"Angle"}, {}}},
         {"Wander", {{"Duration"}, {"Velocity"}}},
         {"Navigation", {{"Destination", "Start"}, {"Velocity", "Tolerance"}}},
-        {"Operate Gripper", {{"Direction", "Open"}, {}}},
+        {"Navigation to a Zone", {{"Destination"}, {}}},
+        {"Operate Gripper", {{"Direction", "Open/Close"}, {}}},
+        {"Gripper", {{"Direction", "Open/Close"}, {}}},
         {"Table Object Tracking and Grabbing",
          {{"Color"}, {"Table Height", "Back Off", "Velocity", "Range Threshold"}}},
         {"Approach Table", {{"Distance", "Reach"}, {"Velocity", "Range Threshold"}}}};
