@@ -109,7 +109,7 @@ World::World(std::uint64_t seed, Faults faults)
         setClock(client.process());
         // Some are where no Entity Manager can be reached, and stay relayed; who reads slowly then holds up
         // the server.
-        const double relayed = faults == Faults::Slow ? 0.6 : i == 0 || faults == Faults::Direct ? 0 : 0.15;
+        const double relayed = faults == Faults::Slow ? 0.9 : i == 0 || faults == Faults::Direct ? 0 : 0.15;
         if (!fault_dice_.chance(relayed))
             for (const auto& robot : robots_)
                 client.addRoad(robot->application.process().name(), robot->manager);
