@@ -123,6 +123,7 @@ class EntityManagerCore::Machine final : private Turn {
         std::string request_id;  ///< or the transfer's id
         int service = 0;
         proto::Param param;
+        std::uint32_t generation = 0;  ///< of the stops, when a parameter was asked for
         bool of_resource = false;
         std::string resource_name;
         TimePoint until{};  ///< then it is TIMED_OUT

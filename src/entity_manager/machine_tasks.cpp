@@ -629,7 +629,8 @@ void EntityManagerCore::Machine::askParameter(const Incident& incident) {
     ask.set_request(number);
     ask.set_service(profiler_.record(question.service).name());
     *ask.mutable_param() = question.param;
-    ask.set_stop_generation(stops_.generation());
+    question.generation = stops_.generation();
+    ask.set_stop_generation(question.generation);
     if (const auto refusal = checkSize(message.ByteSizeLong()); !refusal.ok()) {
         refuse(incident, refusal);
         return;
@@ -681,6 +682,10 @@ Refusal EntityManagerCore::Machine::keepParameter(const Question& question) {
     const auto& record = profiler_.record(question.service);
     const bool config = profiler_.isConfig(question.service, question.param.name());
     if (config) {
+        // It reaches what runs now, which may have begun after a stop that came before the answer, or go on alone.
+        if (auto refusal = stops_.whyNot(static_cast<std::int32_t>(question.generation)); !refusal.ok()) return refusal;
+        if (lease_.orphaned())
+            return {RefusalCode::ClientLost, "The client was lost before the robot application had answered.", {}};
         if (auto refusal = saved_.mayKeep(record.name(), question.param); !refusal.ok()) return refusal;
         if (auto refusal = leavesRoom(question.service, question.param); !refusal.ok()) return refusal;
     }

@@ -647,6 +647,28 @@ TEST_F(ConfigParameters, AreToldBeforeAnyTaskWithTheUnitsOfTheProfileOthersAreNo
     EXPECT_EQ(then[0].task_id(), "");
 }
 
+TEST_F(ConfigParameters, ThatWereAskedForBeforeAStopReachNoTaskAfterIt) {
+    proto::ToEntity message;
+    message.mutable_set_param()->set_request_id(idOf("p"));
+    message.mutable_set_param()->set_service("Light");
+    *message.mutable_set_param()->mutable_param() = longValue("Notes", 1);
+    rig.send("client1", message);
+    proto::EiToEm granted;
+    granted.mutable_answer()->set_request(rig.to_application.back().param().request());
+    rig.stop("client1");
+    rig.stopDone(rig.core().status().stop_generation);
+    rig.rearm("client1", "a");
+    set("Light", "Route=a");
+    EXPECT_EQ(taskWith("t1", longValue("Words", 1)), "TASK_DISPATCHED");
+    rig.grant("t1");
+    static_cast<void>(told());
+
+    rig.fromApplication(granted);
+    EXPECT_TRUE(told().empty());
+    EXPECT_EQ(rig.to_clients.back().message.reply().refusal().code(), proto::OLD_GENERATION);
+    EXPECT_FALSE(status().services(0).params(1).ready());
+}
+
 TEST_F(ConfigParameters, ThatAreRequiredAreSetOnceAndForAll) {
     EXPECT_EQ(taskWith("t1", longValue("Words", 1)), "TASK_REFUSED");
     EXPECT_EQ(lastOf(rig, "t1").reason().code(), proto::MISSING_DEPENDENCY);
