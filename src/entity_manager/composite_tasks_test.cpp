@@ -25,6 +25,7 @@ constexpr const char* kServices = R"(<ServiceProfile>
       <Param name="Distance" type="INPUT" data_type="INT" required="true" maximum="500"/>
       <Param name="Speed" type="CONFIG" data_type="INT" value="200" savable="true"/>
       <Param name="Travelled" type="OUTPUT" data_type="INT"/>
+      <Param name="Pace" type="FEEDBACK" data_type="INT"/>
     </Parameters>
     <Resources><Resource name="Map" required="true"/></Resources>
   </Service>
@@ -319,9 +320,12 @@ TEST_F(CompositeTasks, ProgressAndResultsAreOfTheWhole) {
     update.set_state(proto::TASK_RUNNING);
     update.set_progress(0.5);
     update.set_feedback("half");
+    *update.add_results() = test::paramOf("Pace=7");
     rig.fromApplication(message);
     EXPECT_DOUBLE_EQ(lastOf("t1").progress(), 0.25);
     EXPECT_EQ(lastOf("t1").feedback(), "part 1 of 2, Drive: half");
+    EXPECT_EQ(lastOf("t1").results(0).name(), "Drive.Pace") << "while it runs";
+    update.clear_results();
     *update.add_results() = test::paramOf("Travelled=99");
     update.set_state(proto::TASK_SUCCEEDED);
     update.clear_feedback();
@@ -333,7 +337,7 @@ TEST_F(CompositeTasks, ProgressAndResultsAreOfTheWhole) {
     rig.update("part2", proto::TASK_SUCCEEDED);
     EXPECT_EQ(lastOf("t1").state(), proto::TASK_SUCCEEDED);
     EXPECT_DOUBLE_EQ(lastOf("t1").progress(), 1);
-    ASSERT_EQ(lastOf("t1").results_size(), 1);
+    ASSERT_EQ(lastOf("t1").results_size(), 1) << "FEEDBACK is no result";
     EXPECT_EQ(lastOf("t1").results(0).name(), "Drive.Travelled");
     EXPECT_EQ(lastOf("t1").results(0).values(0).int_(), 99);
 }
