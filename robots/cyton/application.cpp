@@ -71,6 +71,10 @@ std::vector<Value> anglesOf(const Posture& posture) {
     return angles;
 }
 
+double pickAndPlaceSpeed(const Task& task) {
+    return std::clamp(task.number("Speed", PickAndPlaceRequest{}.speed * 100) / 100, 0.01, 1.0);
+}
+
 PickAndPlaceRequest pickAndPlaceRequest(const Task& task) {
     PickAndPlaceRequest request;
     const auto place = [&task](const char* what, const Point& usual) {
@@ -85,7 +89,7 @@ PickAndPlaceRequest pickAndPlaceRequest(const Task& task) {
     if (task.has("Place Yaw")) request.place_yaw = radians(task.number("Place Yaw"));
     request.width = task.number("Object Width", request.width * 1000) / 1000;
     request.height = task.number("Object Height", request.height * 1000) / 1000;
-    request.speed = std::clamp(task.number("Speed", request.speed * 100) / 100, 0.01, 1.0);
+    request.speed = pickAndPlaceSpeed(task);
     return request;
 }
 
@@ -247,7 +251,7 @@ void Application::grabAndPlace(Task& task) {
             task.result("Done",
                         fmt::format("picked at {}, placed at {}", where(request.pick), where(request.place)));
     };
-    const auto pace = [&] { return pickAndPlaceRequest(task).speed / request.speed; };
+    const auto pace = [&] { return pickAndPlaceSpeed(task) / request.speed; };
     if (perform(task, plan, tell, pace)) task.succeed();
 }
 

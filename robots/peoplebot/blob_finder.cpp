@@ -49,7 +49,11 @@ std::string knownColours() {
     std::string names;
     for (const auto& hue : kHues)
         names += std::string(names.empty() ? "" : hue.colour == Colour::Blue ? " or " : ", ") + hue.name;
-    return names + " (or their channels, 1 red, 2 green, 3 blue, 4 yellow, 5 orange)";
+    auto hues = kHues;
+    std::sort(hues.begin(), hues.end(), [](const auto& one, const auto& other) { return one.channel < other.channel; });
+    names += " (or their channels";
+    for (const auto& hue : hues) names += std::string(", ") + hue.channel + ' ' + hue.name;
+    return names + ')';
 }
 
 std::vector<Blob> findBlobs(const CameraPicture& picture, Colour colour, int least_area) {
