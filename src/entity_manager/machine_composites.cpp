@@ -40,14 +40,11 @@ void EntityManagerCore::Machine::nameAsWhole(const Active& active, proto::TaskEv
 }
 
 void EntityManagerCore::Machine::keepResults(Active& active, const proto::TaskEvent& event) const {
-    const auto whole = profiler_.find(active.task.service);
+    const auto& whole = profiler_.record(active.order().way.front());
     for (const auto& result : event.results()) {
-        if (whole) {  // FEEDBACK is of the moment, no result of the whole
-            const auto& params = profiler_.record(whole.value()).params();
-            const auto meta = std::find_if(params.begin(), params.end(),
-                                           [&](const auto& param) { return param.name() == result.name(); });
-            if (meta != params.end() && meta->type() == proto::FEEDBACK) continue;
-        }
+        const auto declared = findParamIndex(whole, result.name());
+        // FEEDBACK is of the moment, no result of the whole.
+        if (declared && whole.params(declared.value()).type() == proto::FEEDBACK) continue;
         std::erase_if(active.results, [&](const proto::Param& kept) { return kept.name() == result.name(); });
         active.results.push_back(result);
     }

@@ -596,7 +596,8 @@ struct ConfigParameters : SavableValues {
         for (int i = 0; i < texts; ++i) param.add_values()->set_str(std::string(65536, 'x'));
         return param;
     }
-    proto::RefusalCode setLong(const std::string& name, int texts) {
+    /// Asks for it; what the application grants it with.
+    proto::EiToEm ask(const std::string& name, int texts) {
         proto::ToEntity message;
         message.mutable_set_param()->set_request_id(idOf("p"));
         message.mutable_set_param()->set_service("Light");
@@ -604,7 +605,10 @@ struct ConfigParameters : SavableValues {
         rig.send("client1", message);
         proto::EiToEm granted;
         granted.mutable_answer()->set_request(rig.to_application.back().param().request());
-        rig.fromApplication(granted);
+        return granted;
+    }
+    proto::RefusalCode setLong(const std::string& name, int texts) {
+        rig.fromApplication(ask(name, texts));
         for (auto at = rig.to_clients.rbegin(); at != rig.to_clients.rend(); ++at)
             if (at->message.has_reply()) return at->message.reply().refusal().code();
         return proto::INTERNAL;
@@ -648,13 +652,7 @@ TEST_F(ConfigParameters, AreToldBeforeAnyTaskWithTheUnitsOfTheProfileOthersAreNo
 }
 
 TEST_F(ConfigParameters, ThatWereAskedForBeforeAStopReachNoTaskAfterIt) {
-    proto::ToEntity message;
-    message.mutable_set_param()->set_request_id(idOf("p"));
-    message.mutable_set_param()->set_service("Light");
-    *message.mutable_set_param()->mutable_param() = longValue("Notes", 1);
-    rig.send("client1", message);
-    proto::EiToEm granted;
-    granted.mutable_answer()->set_request(rig.to_application.back().param().request());
+    const auto granted = ask("Notes", 1);
     rig.stop("client1");
     rig.stopDone(rig.core().status().stop_generation);
     rig.rearm("client1", "a");
