@@ -104,7 +104,7 @@ EntityStatus EntityManagerCore::status() const {
     return machine_->status();
 }
 const CoreCounters& EntityManagerCore::counters() const {
-    return machine_->counted();
+    return machine_->counters();
 }
 
 std::string EntityManagerCore::takeWarning() {

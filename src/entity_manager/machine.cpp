@@ -22,7 +22,6 @@ constexpr std::size_t kReadOfStrangers = 16 * 1024;
 constexpr const char* kRearmedKey = "rearmed";
 constexpr const char* kFreeKey = "free";  // its absence means that somebody holds the entity, as with kRearmedKey
 constexpr const char* kThere = "1";
-constexpr std::size_t kReasonMax = 2000;
 
 const Refusal kTooLargeForLink{RefusalCode::TooLarge,
                                "It is larger than the link to the robot application takes at once (1 MiB). "

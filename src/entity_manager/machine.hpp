@@ -13,7 +13,6 @@
 #include <vector>
 
 #include "collaboration/collaboration.hpp"
-#include "common/planted_bug.hpp"
 #include "common/rate_limit.hpp"
 #include "common/rights.hpp"
 #include "entity_manager/entity_manager_core.hpp"
@@ -75,7 +74,7 @@ class EntityManagerCore::Machine final : private Turn {
     }
     const LeaseBook::Held* held() const { return lease_.held() ? &*lease_.held() : nullptr; }
     EntityStatus status() const;
-    const CoreCounters& counted() const { return counters_; }
+    CoreCounters& counters() override { return counters_; }
     std::string takeWarning() { return std::exchange(warning_, {}); }
     std::string takeNews() { return std::exchange(news_, {}); }
 
@@ -389,7 +388,6 @@ class EntityManagerCore::Machine final : private Turn {
         server_.sendToClientDataSeq(headFor(to, type), message);
     }
     void warn(std::string text) override { warning_ = std::move(text); }
-    CoreCounters& counters() override { return counters_; }
 
     // Messages.
     void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override;

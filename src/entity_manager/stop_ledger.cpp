@@ -21,7 +21,6 @@ constexpr std::size_t kOpenStops = 32;  // as many as StopGate knows
 constexpr std::size_t kOpenDrills = 64;
 constexpr Duration kComesToRest = std::chrono::seconds{10};
 constexpr std::uint32_t kGenerationsReserved = 1000;
-constexpr std::size_t kReasonMax = 2000;
 /// There from the first link until the application has said good-bye.
 constexpr const char* kLinkedKey = "application_linked";
 

@@ -55,6 +55,7 @@ class StopLedger {
     // -- the application
 
     void linkUp();
+    /// Call it before the link counts as down: `reason` is kept only where it was up.
     void linkDown(const std::string& reason, LinkEnd end);
     /// Whether a stop was ordered that no application has carried out. It is to be stopped once more when one
     /// links: it has stopped by itself when its link ended, but another process may be in its place.

@@ -30,8 +30,8 @@ class Streams {
     /// The application's profiles are good: it is told what is watched.
     void tellPresent() { tellApplication(watches_.present()); }
 
-    /// To everybody who watches its stream; counted as undelivered where nobody does. The sample is left
-    /// empty.
+    /// To everybody who watches its stream; counted as undelivered where nobody does. The sample is left in
+    /// some valid state.
     void pass(proto::StreamSample& sample);
 
   private:

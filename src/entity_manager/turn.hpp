@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
+#include <cstddef>
 #include <string>
 
 #include "common/clock.hpp"
@@ -13,6 +14,9 @@ class ToClient;
 namespace axon::entity_manager {
 
 struct CoreCounters;
+
+/// Bytes of a reason or fault of the robot application that people are told.
+inline constexpr std::size_t kReasonMax = 2000;
 
 /// What an owner of a part of the Entity Manager's state (StopLedger, …) may see and do while one event is
 /// handled. Owners do not know each other; what concerns several of them goes through the state table.
@@ -29,10 +33,9 @@ class Turn {
     virtual bool linked() const = 0;
     /// Whether there is a session with the server.
     virtual bool connected() const = 0;
-    /// To a client or, where `to` is an entity, to that; nothing happens when there is no server or `to` has
-    /// no id.
+    /// To a client. Nothing happens when there is no session or `to` has no id.
     virtual void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) = 0;
-    /// The same for stream samples and raw data, which may be dropped, oldest first.
+    /// Stream samples and raw data to a client, which may be dropped, oldest first. Only while there is a session.
     virtual void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) = 0;
     /// False where the message is larger than the link takes at once: nothing was sent.
     virtual bool toApplication(const proto::EmToEi& message) = 0;
