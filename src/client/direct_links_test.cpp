@@ -7,6 +7,7 @@
 
 #include "client/direct_links.hpp"
 #include "client/direct_sending.hpp"
+#include "client/test_path.hpp"
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 
@@ -15,35 +16,7 @@ namespace {
 
 using namespace std::chrono_literals;
 using direct::Keeping;
-
-/// A path that notes what goes, and opens when it is told to.
-class NotedPath final : public DirectPath {
-  public:
-    NotedPath(const DirectOffer& offer, Id128 number, const Clock& clock)
-        : DirectPath(offer, number, clock) {}
-    void open(Duration) override {}
-    std::string reason() const override { return reason_; }
-    void close(const std::string& why) override {
-        if (!ended_) reason_ = why;
-        ended_ = true;
-    }
-    void send(Keeping, const Header& head, std::shared_ptr<const std::string>) const override {
-        sent.push_back(head.sequence);
-    }
-    void sendStopSignal(const Header& head, StopCause) const override { stops.push_back(head.sequence); }
-    void sendResetSignal(const Header&) const override {}
-    void sendClearSignal(const Header&) const override {}
-    void beat() const override { ++beats; }
-    void stand() {
-        silence.heard(clock_.now());
-        open_ = true;
-    }
-    mutable std::vector<std::int64_t> sent, stops;
-    mutable int beats = 0;
-
-  private:
-    std::string reason_;
-};
+using test::NotedPath;
 
 struct DirectLinksTest : testing::Test {
     DirectLinksTest() { links.offer(offer); }

@@ -19,6 +19,8 @@ inline constexpr std::size_t kWaitingMax = 256;
 inline constexpr std::size_t kWaitingBytesMax = 16 * 1024 * 1024;
 /// Envelope and header of a message on the wire, generously.
 inline constexpr std::size_t kMessageOverhead = 1024;
+/// The content of one message: what the lanes take (server_connection.cpp), without room for its header.
+inline constexpr std::size_t kMessageBytesMax = (4096 - 64) * 1024;
 
 /// Whether a message of `bytes` may join what waits for the server.
 inline Refusal admission(std::size_t messages, std::size_t waiting_bytes, std::size_t bytes) {
@@ -41,7 +43,7 @@ inline Refusal admission(std::size_t messages, std::size_t waiting_bytes, std::s
 /// Flow: the core's owner puts messages while it holds the core's lock; afterwards each thread takes up to
 /// the last one that it put itself, or leaves it to the sender's thread, which takes all there are. No other thread becomes the
 /// sender of the others, however fast they put. Bytes count as waiting from put() until sent(). Threads: any; the lock is held for a look-up.
-/// Bound: that of whoever asks waiting() before putting (Session::admit).
+/// Bound: that of whoever asks waiting() before putting (MessageSender::admit).
 template <class Message>
 class SendQueue {
   public:
@@ -53,12 +55,13 @@ class SendQueue {
         std::size_t bytes;
     };
 
-    void put(Message message, std::size_t bytes) {
+    /// Returns the number of the message; the first is 1.
+    std::uint64_t put(Message message, std::size_t bytes) {
         const std::lock_guard lock(mutex_);
         queue_.push_back({std::move(message), bytes});
-        ++last_;
         waiting_.bytes += bytes;
         ++waiting_.messages;
+        return ++last_;
     }
     /// The number of the message that was put last.
     std::uint64_t last() const {

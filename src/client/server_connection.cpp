@@ -24,6 +24,9 @@ namespace slice = ::Axon::FrontEndComm;
 constexpr int kLeaveTimeoutMs = 1000;
 constexpr std::size_t kHeaderBytes = 200;
 
+static_assert(kMessageBytesMax + 64 * 1024 <= transport::kMessageSizeMaxKib * std::size_t{1024},
+              "a message that is admitted must fit the lane, with its header");
+
 /// A program may stop its entities one by one, and a stop is sent again until it is confirmed: 2048 of them,
 /// eight times, to a server that takes none.
 constexpr std::size_t kSignalsUnsent = 16 * 1024;
@@ -108,7 +111,6 @@ class CallbackServant final : public slice::ClientCallback {
     const Lane lane_;
 };
 
-using Operation = ServerConnection::Operation;
 
 Traffic trafficOf(Operation operation) { return operation == Operation::ToEntityDataSeq ? Traffic::Data : Traffic::Control; }
 
@@ -283,27 +285,27 @@ void ServerConnection::send(Operation operation, const Header& head, std::string
         });
 }
 
-void ServerConnection::Part::add(Operation operation, const Header& head, std::string bytes) {
-    const auto& lane = connection_->data_;
+void ServerConnection::add(Operation operation, const Header& head, std::string bytes) const {
+    const auto& lane = data_;
     // What has to wait may be taken out of the queue at any moment, and must not overtake what was added before it.
-    const bool joined = !connection_->routed_ &&
+    const bool joined = !routed_ &&
                         lane.outbox->postAtOnce(trafficOf(operation), bytes.size() + kHeaderBytes, [&](SendCallbacks&& callbacks) {
                             call(*lane.batch, operation, head, bytes, {{}, callbacks.failed, {}});
                             added_.push_back(std::move(callbacks));
                         });
     if (joined) return;
     write();
-    connection_->send(operation, head, std::move(bytes));
+    send(operation, head, std::move(bytes));
 }
 
-void ServerConnection::Part::write() {
+void ServerConnection::write() const {
     if (added_.empty()) return;
     const auto added = std::make_shared<const std::vector<SendCallbacks>>(std::exchange(added_, {}));
     const auto fail = [added](const std::exception_ptr& error) {
         for (const auto& message : *added) message.failed(error);
     };
     try {
-        connection_->data_.batch->ice_flushBatchRequestsAsync(fail, [added](bool at_once) {
+        data_.batch->ice_flushBatchRequestsAsync(fail, [added](bool at_once) {
             for (const auto& message : *added) message.sent(at_once);
         });
     } catch (const std::exception&) {  // the connection or the communicator is gone

@@ -45,11 +45,23 @@ struct Held {
     auto operator<=>(const Held&) const = default;
 };
 
+/// Ways to an entity besides the servers, as its lease offers them. Called from inside the core.
+class LeaseWays {
+  public:
+    virtual ~LeaseWays() = default;
+    /// Stops of this lease may be sent to `endpoint` as datagrams, keyed by `key`; empty = not, or no longer.
+    virtual void onDatagrams(const Held& /*held*/, const std::string& /*endpoint*/,
+                             const std::string& /*key*/) {}
+    /// A direct path of this lease may be opened at these endpoints ("host:port"), by its key; empty = not, or no
+    /// longer.
+    virtual void onDirect(const Held& /*held*/, const std::string& /*data_endpoint*/,
+                          const std::string& /*signal_endpoint*/, const std::string& /*key*/) {}
+};
+
 /// What the core tells its owner. Called from inside the core: implementations queue, they do not call back
 /// and do not wait.
-class SessionObserver {
+class SessionObserver : public LeaseWays {
   public:
-    virtual ~SessionObserver() = default;
     /// Of those that are ready: one that becomes so joins.
     virtual void onEntity(Presence presence, const Entity& entity) = 0;
     virtual void onTask(const TaskReport& report) = 0;
@@ -59,12 +71,6 @@ class SessionObserver {
     virtual void onService(const Held& held, const Service& service) = 0;
     /// Not called for a lease that this client released itself.
     virtual void onLost(const Held& held, const Refusal& why) = 0;
-    /// Stops of this lease may be sent to `endpoint` as datagrams, keyed by `key`; empty = not (any more).
-    virtual void onDatagrams(const Held& /*held*/, const std::string& /*endpoint*/,
-                             const std::string& /*key*/) {}
-    /// A direct path of this lease may be opened at these endpoints ("host:port"), by its key; empty = not (any more).
-    virtual void onDirect(const Held& /*held*/, const std::string& /*data_endpoint*/,
-                          const std::string& /*signal_endpoint*/, const std::string& /*key*/) {}
     /// The connection is lost, or the entity has left, and the lease is not (yet): onResumed or onLost will
     /// follow.
     virtual void onOrphaned(const Held&, const std::string& /*reason*/) {}

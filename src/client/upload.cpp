@@ -6,11 +6,15 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <utility>
+
+#include "client/session.hpp"
 
 namespace axon::client {
 namespace {
 
 constexpr std::size_t kReadBytes = 256 * 1024;
+constexpr std::size_t kChunkBytes = 64 * 1024;
 
 Refusal unreadable(const std::string& name, const std::string& why) {
     return {RefusalCode::UnknownResource, "The file " + name + " cannot be read: " + why + ".", {}};
@@ -88,6 +92,64 @@ UploadWindow::Turn UploadWindow::next(std::optional<std::uint64_t> sent, std::ui
     changed_.wait(lock, [&] { return ended_ || open(); });
     if (ended_) return {0, 0, ended_};
     return {std::max(sent.value_or(begin_), begin_), std::min(limit_, size), std::nullopt};
+}
+
+// ---- the upload itself
+
+Result<void> upload(Client::Session& session, const Held& held, std::string_view service,
+                    std::string_view resource, const std::filesystem::path& path,
+                    const std::function<void(std::uint64_t, std::uint64_t)>& progress,
+                    const std::stop_token& give_up) {
+    session.mayWait();
+    auto opened = ResourceFile::open(
+        path, session.withCore([&](SessionCore& core) { return core.resourceBytesMax(held); }));
+    if (!opened) return opened.refusal();
+    ResourceFile file = std::move(opened).value();
+    const auto window = std::make_shared<UploadWindow>();
+    const auto id = session.withCore([&](SessionCore& core) {
+        const auto transfer =
+            core.offer(held, service, resource, path.filename().string(), file.size(), file.sha256(),
+                       [window](const Result<void>& answer) { window->finish(answer.refusal()); });
+        session.news().add(transfer, window);
+        return transfer;
+    });
+    const std::stop_callback cancel(give_up, [&window] {
+        window->finish(
+            {RefusalCode::Cancelled, "The upload was cancelled; it goes on when it is begun again.", {}});
+    });
+    std::optional<std::uint64_t> sent;
+    Refusal failure;
+    while (true) {
+        const auto turn = window->next(sent, file.size());
+        if (turn.ended) {
+            failure = *turn.ended;
+            break;
+        }
+        std::uint64_t at = turn.from;
+        if (progress && !sent) progress(at, file.size());
+        while (at < turn.to && failure.ok() && !give_up.stop_requested()) {
+            auto content = file.read(at, std::min<std::uint64_t>(kChunkBytes, turn.to - at));
+            if (!content) {
+                failure = content.refusal();
+                break;
+            }
+            const auto refused =
+                session.withCore([&](SessionCore& core) { return core.sendChunk(id, at, content.value()); });
+            if (!refused) break;  // it has ended; the next turn says why
+            at += content->size();
+            if (progress) progress(at, file.size());
+        }
+        sent = at;
+        if (!failure.ok()) break;
+    }
+    if (!failure.ok()) {
+        // An empty chunk makes the Entity Manager put away what it has, to be gone on with; refused here when
+        // the transfer has ended there already.
+        session.withCore(
+            [&](SessionCore& core) { static_cast<void>(core.sendChunk(id, sent.value_or(0), {}).ok()); });
+    }
+    session.look([&](const SessionCore&) { session.news().removeUpload(id); });
+    return failure;
 }
 
 }  // namespace axon::client

@@ -4,11 +4,16 @@
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <mutex>
 #include <optional>
+#include <stop_token>
 #include <string>
+#include <string_view>
 #include <vector>
 
+#include "axon/client.hpp"
+#include "client/session_core.hpp"
 #include "common/refusal.hpp"
 #include "common/result.hpp"
 
@@ -54,5 +59,12 @@ class UploadWindow {
     std::uint64_t begin_ = 0, limit_ = 0;
     std::optional<Refusal> ended_;
 };
+
+/// CheckOut::upload(): offers the file, and sends it as far as the credits of the Entity Manager reach. On the user's
+/// thread, which reads the file with no lock held.
+Result<void> upload(Client::Session& session, const Held& held, std::string_view service, std::string_view resource,
+                    const std::filesystem::path& path,
+                    const std::function<void(std::uint64_t, std::uint64_t)>& progress,
+                    const std::stop_token& give_up);
 
 }  // namespace axon::client

@@ -389,9 +389,10 @@ class Task {
     Result<void> cancel() const;
 
     struct Shared;
-    explicit Task(std::shared_ptr<Shared> shared) : shared_(std::move(shared)) {}
 
   private:
+    friend class CheckOut;
+    explicit Task(std::shared_ptr<Shared> shared) : shared_(std::move(shared)) {}
     std::shared_ptr<Shared> shared_;
 };
 
@@ -412,9 +413,10 @@ class Run {
     Result<void> cancel() const;
 
     struct Shared;
-    explicit Run(std::shared_ptr<Shared> shared) : shared_(std::move(shared)) {}
 
   private:
+    friend class Client;
+    explicit Run(std::shared_ptr<Shared> shared) : shared_(std::move(shared)) {}
     std::shared_ptr<Shared> shared_;
 };
 
@@ -485,9 +487,10 @@ class CheckOut {
     Result<void> release() const;
 
     struct Shared;
-    explicit CheckOut(std::shared_ptr<Shared> shared) : shared_(std::move(shared)) {}
 
   private:
+    friend class Client;
+    explicit CheckOut(std::shared_ptr<Shared> shared) : shared_(std::move(shared)) {}
     std::shared_ptr<Shared> shared_;
 };
 
@@ -579,7 +582,11 @@ class Client {
     class Session;
 
   private:
+    using Granted = Result<std::vector<std::shared_ptr<CheckOut::Shared>>>;
     explicit Client(std::shared_ptr<Session> session);
+    static Result<std::vector<CheckOut>> handlesOf(Granted granted);
+    Result<Run> beginRun(const GlobalService& service, const Bindings& bindings, std::string_view master,
+                         bool check_only);
     std::shared_ptr<Session> session_;
 };
 

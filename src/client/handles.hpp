@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <condition_variable>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "axon/client.hpp"
+#include "client/session_core.hpp"
+#include "common/ids.hpp"
+
+namespace axon::client {
+
+/// What copies of a Task, or of a Run, share. The report is the core's newest; the callbacks run on the
+/// callback thread.
+template <class Report>
+struct ReportShared {
+    ReportShared(Id128 task_or_run, std::weak_ptr<Client::Session> owner, Report first)
+        : id(task_or_run), text(id.toString()), session(std::move(owner)), report(std::move(first)) {}
+
+    const Id128 id;
+    const std::string text;
+    const std::weak_ptr<Client::Session> session;
+
+    std::mutex mutex;
+    std::condition_variable changed;
+    // Guarded by mutex:
+    Report report;
+    std::vector<std::function<void(const Report&)>> callbacks;
+};
+
+struct Task::Shared : ReportShared<TaskReport> {
+    using ReportShared::ReportShared;
+};
+
+struct Run::Shared : ReportShared<RunReport> {
+    using ReportShared::ReportShared;
+};
+
+/// What copies of one CheckOut share.
+struct CheckOut::Shared {
+    Shared(Held granted, std::weak_ptr<Client::Session> owner, Entity first)
+        : held(std::move(granted)), session(std::move(owner)), last(std::move(first)) {}
+
+    const Held held;
+    const std::weak_ptr<Client::Session> session;
+
+    std::mutex mutex;
+    // Guarded by mutex:
+    Entity last;  // for entity() when it has left
+    std::function<void(const std::string&)> text, raw;
+    std::function<void(const Service&)> service;
+    std::function<void(const Refusal&)> lost;
+    std::function<void(const std::string&)> orphaned;
+    std::function<void()> resumed;
+    std::function<void(const HandOverRequest&)> hand_over;
+    std::optional<Refusal> lost_why;
+};
+
+}  // namespace axon::client
