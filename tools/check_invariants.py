@@ -20,6 +20,8 @@ MIT = ("api/proto/*", "src/common/*", "src/host/*", "src/messages/*", "src/entit
 
 SERVERS = ("src/front_end_server/*", "src/entity_server/*", "src/server/*")
 EI_PUBLIC = ("src/entity_interfacer/axon/*.hpp",)
+# What a program that links the client library includes, and what that says refusals and states by.
+CLIENT_PUBLIC = ("src/client/axon/*.hpp", "src/common/axon/*.hpp")
 
 # Where Ice may be seen (invariant 8). Every other file talks to it through src/transport.
 ICE_ALLOWED = (
@@ -141,7 +143,7 @@ class Tree:
 
     def resolve(self, path, header):
         """The file of this tree that a quoted include means, or None."""
-        for base in ("src", "", os.path.dirname(path), "src/entity_interfacer", "src/client", "robots", "lab"):
+        for base in ("src", "", os.path.dirname(path), "src/entity_interfacer", "src/client", "src/common", "robots", "lab"):
             candidate = os.path.normpath(os.path.join(base, header)).replace(os.sep, "/")
             if candidate in self._set():
                 return candidate
@@ -195,6 +197,17 @@ def rule_entity_interfacer_headers(tree):
             if header not in STANDARD_HEADERS and not matches(own, EI_PUBLIC):
                 yield path, line, f"2 a public header of the Entity Interfacer includes {header}", \
                     "move it behind the pimpl; only the C++ standard library and the EI's own public headers may be seen"
+
+
+def rule_client_headers(tree):
+    for path in tree.code():
+        if not matches(path, CLIENT_PUBLIC):
+            continue
+        for line, header, quoted in tree.includes(path):
+            own = (tree.resolve(path, header) or "") if quoted else ""
+            if header not in STANDARD_HEADERS and not matches(own, CLIENT_PUBLIC):
+                yield path, line, f"2 a public header of the client library includes {header}", \
+                    "say it with a type of axon/types.hpp, or keep it behind Shared and Session; only the C++ standard library and axon/*.hpp may be seen"
 
 
 def rule_no_sleep_in_tests(tree):
@@ -285,6 +298,7 @@ def rule_mit_stays_mit(tree):
 RULES = (
     rule_servers_without_protobuf,
     rule_entity_interfacer_headers,
+    rule_client_headers,
     rule_no_sleep_in_tests,
     rule_no_singletons,
     rule_ice_in_its_place,

@@ -184,6 +184,12 @@ class Invariants(TreeCase):
         self.write("src/entity_interfacer/axon/entity_interfacer.hpp", MIT + "#include <asio.hpp>\n")
         self.assertFound("src/entity_interfacer/axon/entity_interfacer.hpp:2: 2 ")
 
+    def test_an_internal_header_in_the_public_interface_of_the_client_library_is_found(self):
+        self.write("src/common/axon/refusal.hpp", MIT + "#include <string>\n")
+        self.write("src/client/axon/client.hpp", GPL + '#include "axon/refusal.hpp"\n#include "common/routed.hpp"\n')
+        self.assertFound("src/client/axon/client.hpp:3: 2 ")
+        self.assertEqual(len(self.found()), 1)
+
     def test_a_sleeping_test_is_found_and_support_may_sleep(self):
         text = GPL + "void f() { std::this_thread::sleep_for(x); }\n"
         self.write("src/client/client_test.cpp", text)

@@ -52,7 +52,8 @@ Result<const Thing*> findByName(const std::vector<Thing>& things, std::string_vi
 constexpr auto kAny = [](const auto&) { return true; };
 
 bool maySet(const Parameter& parameter) {
-    return parameter.type != "OUTPUT" && parameter.type != "FEEDBACK";
+    return parameter.kind != client::ParameterKind::Output &&
+           parameter.kind != client::ParameterKind::Feedback;
 }
 
 }  // namespace
@@ -135,7 +136,8 @@ Result<std::vector<Argument>> readArguments(const Service& service, const std::v
         const auto& meta = *parameter.value();
         auto value = word.substr(equals + 1);
         std::string units;
-        const bool number = meta.data_type == "INT" || meta.data_type == "DBL";
+        const bool number =
+            meta.data_type == client::DataType::Integer || meta.data_type == client::DataType::Double;
         if (number && !meta.units.empty()) {
             // No unit has a digit, unless it is this parameter's own: 0x10 is a number that nobody can read.
             const auto measure = splitMeasure(value);

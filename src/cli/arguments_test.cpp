@@ -87,7 +87,7 @@ TEST(ReadArguments, NamesNoParameterThatOnlyTheRobotSets) {
     auto service = FakeStation().services_.front();
     Parameter room;
     room.name = "Room";
-    room.type = "OUTPUT";
+    room.kind = client::ParameterKind::Output;
     service.parameters.push_back(room);
     const auto refused = readArguments(service, {"Roon=3"});
     ASSERT_FALSE(refused);

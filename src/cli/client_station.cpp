@@ -184,7 +184,7 @@ class ClientStation final : public Station {
     }
 
     Result<GlobalServices> globalServices() const override { return client_->globalServices(); }
-    Result<collaboration::Proposal> propose(const GlobalService& service,
+    Result<client::Proposal> propose(const GlobalService& service,
                                             const Bindings& chosen) const override {
         return client_->propose(service, chosen);
     }

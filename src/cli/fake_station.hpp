@@ -26,28 +26,28 @@ class FakeStation : public Station {
         Service driving;
         driving.name = "Driving";
         driving.global_id = "peoplebot_drive";
-        driving.type = "SMPL";
+        driving.kind = client::ServiceKind::Simple;
         driving.descr = "Drives straight ahead";
         driving.pausable = true;
         Parameter distance;
         distance.name = "Distance";
-        distance.type = "INPUT";
-        distance.data_type = "INT";
+        distance.kind = client::ParameterKind::Input;
+        distance.data_type = client::DataType::Integer;
         distance.units = "mm";
         distance.required = true;
         distance.minimum = -5000;
         distance.maximum = 5000;
         Parameter threshold;
         threshold.name = "Range Threshold";
-        threshold.type = "CONFIG";
-        threshold.data_type = "DBL";
+        threshold.kind = client::ParameterKind::Config;
+        threshold.data_type = client::DataType::Double;
         threshold.units = "mm";
         threshold.values = {Value(500.0)};
         threshold.savable = true;
         Parameter colours;
         colours.name = "Colours";
-        colours.type = "INPUT";
-        colours.data_type = "STR";
+        colours.kind = client::ParameterKind::Input;
+        colours.data_type = client::DataType::Text;
         colours.multiple = true;
         colours.choices = {Value(std::string("red")), Value(std::string("green"))};
         driving.parameters = {distance, threshold, colours};
@@ -297,11 +297,11 @@ class FakeStation : public Station {
         return global_services;
     }
     /// The first PeopleBot plays role 0 and the arm role 1, unless others are chosen.
-    Result<collaboration::Proposal> propose(const GlobalService&, const Bindings& chosen) const override {
+    Result<client::Proposal> propose(const GlobalService&, const Bindings& chosen) const override {
         ++proposed;
         const auto at = static_cast<std::size_t>(proposed - 1);
         if (at < in_the_way.size()) {
-            collaboration::Proposal impossible;
+            client::Proposal impossible;
             impossible.why = in_the_way[at];
             for (const int role : {0, 1}) {
                 auto& outlook = impossible.roles.emplace_back();
@@ -310,7 +310,7 @@ class FakeStation : public Station {
             }
             return impossible;
         }
-        collaboration::Proposal proposal;
+        client::Proposal proposal;
         for (const auto& [role, place] : {std::pair{0, 0}, std::pair{1, 2}}) {
             auto id = entities_[static_cast<std::size_t>(place)].id;
             if (const auto choice = chosen.find(role); choice != chosen.end()) id = choice->second;

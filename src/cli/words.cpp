@@ -22,11 +22,16 @@ Json toJson(const std::map<std::string, std::vector<Value>>& values) {
 }
 
 Json toJson(const Parameter& parameter) {
-    Json json{{"name", parameter.name},           {"type", parameter.type},
-              {"data_type", parameter.data_type}, {"units", parameter.units},
-              {"descr", parameter.descr},         {"ready", parameter.ready},
-              {"required", parameter.required},   {"savable", parameter.savable},
-              {"multiple", parameter.multiple},   {"values", toJson(parameter.values)}};
+    Json json{{"name", parameter.name},
+              {"type", toString(parameter.kind)},
+              {"data_type", toString(parameter.data_type)},
+              {"units", parameter.units},
+              {"descr", parameter.descr},
+              {"ready", parameter.ready},
+              {"required", parameter.required},
+              {"savable", parameter.savable},
+              {"multiple", parameter.multiple},
+              {"values", toJson(parameter.values)}};
     if (!parameter.choices.empty()) json["choices"] = toJson(parameter.choices);
     if (parameter.minimum) json["minimum"] = *parameter.minimum;
     if (parameter.maximum) json["maximum"] = *parameter.maximum;
@@ -127,7 +132,7 @@ Json toJson(const Service& service) {
     }
     return {{"name", service.name},
             {"global_id", service.global_id},
-            {"type", service.type},
+            {"type", toString(service.kind)},
             {"descr", service.descr},
             {"notes", service.notes},
             {"active", service.active},

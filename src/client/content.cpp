@@ -17,6 +17,40 @@ std::string toText(const Value& value) {
     return axon::toText(toProto(value));
 }
 
+const char* toString(ParameterKind kind) {
+    switch (kind) {
+        case ParameterKind::Input:
+            return "INPUT";
+        case ParameterKind::Output:
+            return "OUTPUT";
+        case ParameterKind::Config:
+            return "CONFIG";
+        case ParameterKind::Feedback:
+            return "FEEDBACK";
+    }
+    return "?";
+}
+
+const char* toString(DataType type) {
+    switch (type) {
+        case DataType::Unknown:
+            return "";
+        case DataType::Integer:
+            return "INT";
+        case DataType::Double:
+            return "DBL";
+        case DataType::Text:
+            return "STR";
+        case DataType::Boolean:
+            return "BOOL";
+    }
+    return "?";
+}
+
+const char* toString(ServiceKind kind) {
+    return kind == ServiceKind::Composite ? "CMPLX" : "SMPL";
+}
+
 const char* toString(TaskState state) {
     switch (state) {
         case TaskState::Queued:
@@ -65,11 +99,43 @@ proto::Value toProto(const Value& value) {
     return out;
 }
 
+namespace {
+
+ParameterKind kindFromProto(proto::ParamType type) {
+    switch (type) {
+        case proto::OUTPUT:
+            return ParameterKind::Output;
+        case proto::CONFIG:
+            return ParameterKind::Config;
+        case proto::FEEDBACK:
+            return ParameterKind::Feedback;
+        default:
+            return ParameterKind::Input;
+    }
+}
+
+DataType dataTypeFromProto(proto::DataType type) {
+    switch (type) {
+        case proto::INT:
+            return DataType::Integer;
+        case proto::DBL:
+            return DataType::Double;
+        case proto::STR:
+            return DataType::Text;
+        case proto::BOOL:
+            return DataType::Boolean;
+        default:
+            return DataType::Unknown;
+    }
+}
+
+}  // namespace
+
 Service fromProto(const proto::Service& service) {
     Service out;
     out.name = service.name();
     out.global_id = service.global_id();
-    out.type = proto::ServiceType_Name(service.type());
+    out.kind = service.type() == proto::CMPLX ? ServiceKind::Composite : ServiceKind::Simple;
     out.descr = service.descr();
     out.notes = service.notes();
     out.active = service.is_active();
@@ -80,9 +146,8 @@ Service fromProto(const proto::Service& service) {
     for (const auto& meta : service.params()) {
         Parameter& p = out.parameters.emplace_back();
         p.name = meta.name();
-        p.type = proto::ParamType_Name(meta.type());
-        p.data_type =
-            meta.data_type() == proto::DATA_TYPE_UNSPECIFIED ? "" : proto::DataType_Name(meta.data_type());
+        p.kind = kindFromProto(meta.type());
+        p.data_type = dataTypeFromProto(meta.data_type());
         p.units = meta.units();
         p.descr = meta.descr();
         p.ready = meta.ready();

@@ -11,8 +11,11 @@
 #include <string_view>
 #include <vector>
 
-#include "axon/client.hpp"
+#include "axon/global.hpp"
+#include "axon/types.hpp"
+#include "collaboration/bindings.hpp"
 #include "common/ids.hpp"
+#include "common/result.hpp"
 
 // Between the messages and the types of the public header. Pure functions: any thread.
 namespace axon::client {
@@ -34,6 +37,9 @@ RunRecord fromProto(const proto::RunRecord& record);
 
 /// What the roles of a service ask of their players, those of its compensation too.
 std::vector<collaboration::Role> rolesOf(const GlobalService& service);
+
+/// What was found for those roles, as the program sees it.
+Proposal toPublic(collaboration::Proposal found);
 
 /// Arguments as the service's profile declares its parameters, checked by the rules that the Entity Manager
 /// has: UNKNOWN_PARAMETER, WRONG_TYPE, WRONG_UNITS, OUT_OF_RANGE.

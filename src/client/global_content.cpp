@@ -191,11 +191,31 @@ RunRecord fromProto(const proto::RunRecord& record) {
     for (const auto& status : record.steps()) {
         auto& step = out.steps.emplace_back(fromProto(status));
         step.compensation = step.step >= record.service().steps_size();
-        if (step.step >= 0 && !step.compensation) step.called = out.service.steps[static_cast<std::size_t>(step.step)].name;
+        if (step.step >= 0 && !step.compensation)
+            step.called = out.service.steps[static_cast<std::size_t>(step.step)].name;
     }
     std::stable_sort(out.steps.begin(), out.steps.end(),
                      [](const StepReport& a, const StepReport& b) { return a.step < b.step; });
     return out;
+}
+
+Proposal toPublic(collaboration::Proposal found) {
+    Proposal proposal;
+    proposal.nobody_offers = std::move(found.nobody_offers);
+    proposal.why = std::move(found.why);
+    for (auto& role : found.roles) {
+        auto& outlook = proposal.roles.emplace_back();
+        outlook.role = role.role;
+        outlook.wanted = std::move(role.wanted);
+        outlook.kind = std::move(role.kind);
+        outlook.able = std::move(role.able);
+        for (auto& one : role.unfit)
+            outlook.unfit.push_back(
+                {std::move(one.entity), std::move(one.name), std::move(one.why), one.distance});
+        outlook.entity = std::move(role.entity);
+        outlook.name = std::move(role.name);
+    }
+    return proposal;
 }
 
 std::vector<collaboration::Role> rolesOf(const GlobalService& service) {

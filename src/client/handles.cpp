@@ -299,7 +299,7 @@ Result<GlobalServices> Client::globalServices() const {
         [](SessionCore& core, auto done) { core.fetchGlobalServices(done); });
 }
 
-Result<collaboration::Proposal> Client::propose(const GlobalService& service, const Bindings& chosen) const {
+Result<Proposal> Client::propose(const GlobalService& service, const Bindings& chosen) const {
     return client::propose(*session_, service, chosen);
 }
 

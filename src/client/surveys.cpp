@@ -35,8 +35,7 @@ struct Survey {
 
 }  // namespace
 
-Result<collaboration::Proposal> propose(Client::Session& session, const GlobalService& service,
-                                        const Bindings& chosen) {
+Result<Proposal> propose(Client::Session& session, const GlobalService& service, const Bindings& chosen) {
     session.mayWait();
     using Answers = Survey<Result<Details>>;
     std::shared_ptr<Answers> survey;
@@ -80,7 +79,7 @@ Result<collaboration::Proposal> propose(Client::Session& session, const GlobalSe
         for (const auto& one : details->services)
             candidates[i].offers.push_back({one.name, one.global_id, one.active, one.missing});
     }
-    return collaboration::propose(rolesOf(service), std::move(candidates), choices);
+    return toPublic(collaboration::propose(rolesOf(service), std::move(candidates), choices));
 }
 
 Result<RunHistory> runHistory(Client::Session& session, const std::vector<std::string>& names, int most) {

@@ -4,18 +4,15 @@
 #include <string>
 #include <string_view>
 
+#include "common/axon/states.hpp"
+
 namespace axon {
 
 // The plain mirror of api/slice/axon/commutil.ice, for cores that must not know Ice. The transport layer
 // converts; enumerators and their numbers are the same (transport's conversion test compares them).
 
-enum class Role : std::uint8_t { Observer, Operator, Admin };
 enum class Lane : std::uint8_t { Signal, Data };
-enum class Presence : std::uint8_t { Joined, Changed, Left };
 enum class ClientChange : std::uint8_t { Lost, Resumed, Ended };
-
-/// The nine states of the Entity Manager (thesis 3.3.1), by its tokens.
-enum class EntityState : std::uint8_t { UNAV, INIT, ENVCONN, IDLE, REG, COLLAB, SLAVE, BUSY, ERR };
 
 /// Why a stop was given; numbers are those of axon.proto.StopCause.
 enum class StopCause : std::uint8_t {
@@ -34,18 +31,7 @@ enum class StopCause : std::uint8_t {
     Drill
 };
 
-const char* toString(EntityState state);
 const char* toString(StopCause cause);
-const char* toString(Role role);
-
-/// Who sends. Filled in by the server from the session, never taken from the peer (invariant 9).
-struct Sender {
-    std::string id;    ///< session UUID of a client, or UUID of an entity
-    std::string name;  ///< for people: user@host, or the entity's name
-    Role role = Role::Operator;
-
-    bool operator==(const Sender&) const = default;
-};
 
 /// Which lease a command is given under; {0, 0} = none.
 struct LeaseNumber {

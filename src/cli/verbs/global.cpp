@@ -45,7 +45,7 @@ int refuseGlobal(Session& session, const Refusal& refusal) {
     return exitOf(refusal);
 }
 
-Json toJson(const collaboration::Proposal& proposal) {
+Json toJson(const client::Proposal& proposal) {
     auto roles = Json::array();
     for (const auto& outlook : proposal.roles) {
         auto unfit = Json::array();

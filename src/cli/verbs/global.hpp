@@ -14,6 +14,6 @@ Result<GlobalService> findGlobal(Session& session, const std::string& name);
 int refuseGlobal(Session& session, const Refusal& refusal);
 
 /// "roles" of "global_service" and "binding" events.
-Json toJson(const collaboration::Proposal& proposal);
+Json toJson(const client::Proposal& proposal);
 
 }  // namespace axon::cli

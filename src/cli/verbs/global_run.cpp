@@ -123,7 +123,7 @@ class Cast {
 
   private:
     /// CANCELLED when the user does not want to wait any more.
-    Result<collaboration::Proposal> propose(const GlobalService& service, const Bindings& chosen,
+    Result<client::Proposal> propose(const GlobalService& service, const Bindings& chosen,
                                             Deadline until) {
         while (true) {
             auto proposal = session_.station->propose(service, chosen);
@@ -148,7 +148,7 @@ class Cast {
     }
 
     /// " Arm 'Shuttle 2'": the nearest for roles that nobody plays, where a rearm is all that they need.
-    static std::string stoppedOnes(const collaboration::Proposal& proposal) {
+    static std::string stoppedOnes(const client::Proposal& proposal) {
         std::set<std::string> names;
         for (const auto& outlook : proposal.roles) {
             if (!outlook.entity.empty() || outlook.unfit.empty()) continue;
@@ -171,7 +171,7 @@ class Cast {
         return std::nullopt;
     }
 
-    std::optional<int> appointOneOf(const std::vector<collaboration::RoleOutlook>& roles) {
+    std::optional<int> appointOneOf(const std::vector<client::RoleOutlook>& roles) {
         if (master_.empty()) {
             master_ = roles.front().entity;
             master_name_ = roles.front().name;

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+#include <cassert>
+#include <utility>
+#include <variant>
+
+#include "refusal.hpp"
+
+namespace axon {
+
+/// A value, or the reason why there is none. Refusals are ordinary outcomes and never exceptions (style,
+/// "Errors").
+template <class T>
+class [[nodiscard]] Result {
+  public:
+    Result(T value) : state_(std::in_place_index<0>, std::move(value)) {}  // NOLINT: reads as a return value
+    Result(Refusal refusal) : state_(std::in_place_index<1>, std::move(refusal)) {}
+
+    bool ok() const { return state_.index() == 0; }
+    explicit operator bool() const { return ok(); }
+    /// Only when ok().
+    T& value() & { return std::get<0>(state_); }
+    const T& value() const& { return std::get<0>(state_); }
+    T&& value() && { return std::get<0>(std::move(state_)); }
+    T* operator->() { return &value(); }
+    const T* operator->() const { return &value(); }
+    /// Only when !ok().
+    const Refusal& refusal() const { return std::get<1>(state_); }
+
+  private:
+    std::variant<T, Refusal> state_;
+};
+
+/// Done, or the reason why not.
+template <>
+class [[nodiscard]] Result<void> {
+  public:
+    Result() = default;
+    Result(Refusal refusal) : refusal_(std::move(refusal)) {}
+
+    bool ok() const { return refusal_.ok(); }
+    explicit operator bool() const { return ok(); }
+    const Refusal& refusal() const { return refusal_; }
+
+  private:
+    Refusal refusal_;
+};
+
+}  // namespace axon
