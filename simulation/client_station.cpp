@@ -79,7 +79,7 @@ void ClientStation::onBeat() {
     life.path_beats_at = TimePoint::max();
     bool faster = false;
     for (const auto& [entity, path] : *life.links.paths()) {
-        const auto [next, its_faster] = path->beatIfDue(life.core.moving(entity), true);
+        const auto [next, its_faster] = path->beatIfDue(life.core.entities().moving(entity), true);
         life.path_beats_at = std::min(life.path_beats_at, next);
         faster = faster || its_faster;
     }

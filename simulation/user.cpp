@@ -31,8 +31,8 @@ User::User(Timeline& timeline, ClientStation& client, std::uint64_t seed, TimePo
     client_.on_kill = [this] {
         const auto* core = client_.core();
         if (core == nullptr) return;
-        for (const auto& held : core->held())
-            if (auto ticket = core->ticket(held)) tickets_.push_back(std::move(ticket).value());
+        for (const auto& held : core->leases().held())
+            if (auto ticket = core->leases().ticket(held)) tickets_.push_back(std::move(ticket).value());
     };
     client_.on_hand_over = [this](const client::Held& held) {
         if (dice_.chance(0.2)) return;  // says nothing; the policy decides
@@ -45,15 +45,16 @@ void User::useTickets() {
     if (tickets_.empty() || timeline_.now() >= retires_at_) return tickets_.clear();
     auto& core = *client_.core();
     std::erase_if(tickets_, [&](const client::LeaseTicket& ticket) {
-        if (!client_.connected() || !core.entity(ticket.entity)) return false;
+        if (!client_.connected() || !core.entities().entity(ticket.entity)) return false;
         timeline_.tell(client_.process().name(),
                        [&] { return "has a ticket for lease " + std::to_string(ticket.lease.number); });
         ++open_;
-        core.resume(ticket, [this, life = life_](const Result<std::vector<client::Held>>& result) {
-            if (life != life_) return;
-            --open_;
-            if (result) ++tickets_resumed_;
-        });
+        core.checkOuts().resume(ticket,
+                                [this, life = life_](const Result<std::vector<client::Held>>& result) {
+                                    if (life != life_) return;
+                                    --open_;
+                                    if (result) ++tickets_resumed_;
+                                });
         return true;
     });
     client_.settle();
@@ -62,10 +63,10 @@ void User::useTickets() {
 
 void User::answerHandOver(const client::Held& held) {
     auto& core = *client_.core();
-    if (!core.question(held)) return;
+    if (!core.leases().question(held)) return;
     const bool accept = dice_.chance(0.5);
     timeline_.tell(client_.process().name(), [&] { return accept ? "hands it over" : "keeps it"; });
-    (void)core.answerHandOver(held, accept, "").ok();
+    (void)core.leases().answerHandOver(held, accept, "").ok();
     client_.settle();
 }
 
@@ -82,7 +83,7 @@ void User::comeBack(Duration in) {
     });
 }
 
-client::SessionCore::Done User::answered() {
+client::Done User::answered() {
     ++open_;
     return [this, life = life_, asked = timeline_.now()](const Result<void>&) {
         if (life != life_) return;
@@ -100,7 +101,7 @@ void User::act() {
         timeline_.tell(client_.process().name(), [&] { return what; });
     };
     if (dice_.chance(0.06)) {
-        const auto entities = core.entities();
+        const auto entities = core.entities().list();
         if (entities.empty()) return;
         const auto& entity = entities[dice_.roll(entities.size())];
         const bool all = dice_.chance(0.2);
@@ -114,14 +115,14 @@ void User::act() {
         return;
     }
     if (client_.role() == Role::Admin && dice_.chance(0.05)) {
-        const auto entities = core.entities();
+        const auto entities = core.entities().list();
         if (entities.empty()) return;
         const auto& entity = entities[dice_.roll(entities.size())];
         say("rearms " + entity.name + " as administrator");
-        core.rearm(entity.id, answered());
+        core.commands().rearm(entity.id, answered());
         return;
     }
-    const auto held = core.held();
+    const auto held = core.leases().held();
     if (held.empty() || (held.size() == 1 && dice_.chance(0.1)))
         checkOut();
     else
@@ -130,7 +131,7 @@ void User::act() {
 
 void User::checkOut() {
     auto& core = *client_.core();
-    const auto entities = core.entities();
+    const auto entities = core.entities().list();
     if (entities.empty()) return;
     std::vector<std::string> names{entities[dice_.roll(entities.size())].id};
     if (dice_.chance(0.3)) {
@@ -147,14 +148,14 @@ void User::checkOut() {
     if ((way >= 3 && way < 6) || (options.ask && dice_.chance(0.4)))
         options.wait = client::Seconds(0.5 + static_cast<double>(dice_.roll(80)) / 10);
     timeline_.tell(client_.process().name(), [&] {
-        return "checks out " + std::to_string(names.size()) + ": " + core.entity(names.front()).value().name +
-               (options.ask ? ", asks" : "") + (options.wait ? ", waits" : "") +
-               (options.force ? ", by force" : "");
+        return "checks out " + std::to_string(names.size()) + ": " +
+               core.entities().entity(names.front()).value().name + (options.ask ? ", asks" : "") +
+               (options.wait ? ", waits" : "") + (options.force ? ", by force" : "");
     });
     ++open_;
     spring();
-    const auto id =
-        core.checkOut(names, options, [this, life = life_](const Result<std::vector<client::Held>>& result) {
+    const auto id = core.checkOuts().checkOut(
+        names, options, [this, life = life_](const Result<std::vector<client::Held>>& result) {
             if (life == life_) --open_;
             if (!result)
                 timeline_.tell(client_.process().name(),
@@ -162,21 +163,21 @@ void User::checkOut() {
         });
     if (options.wait && dice_.chance(0.2))
         timeline_.after(dice_.between(100ms, 3s), client_.process(), [this, id] {
-            client_.core()->giveUp(id);
+            client_.core()->checkOuts().giveUp(id);
             client_.settle();
         });
 }
 
 void User::work(const client::Held& held) {
     auto& core = *client_.core();
-    const auto known = core.entity(held.entity);
+    const auto known = core.entities().entity(held.entity);
     const std::string name = known ? known->name : "?";
     const auto say = [&](const char* what) {
         timeline_.tell(client_.process().name(), [&] { return std::string(what) + ' ' + name; });
     };
     if (known && known->latched && dice_.chance(0.7)) {
         say("rearms");
-        core.rearm(held.entity, answered());
+        core.commands().rearm(held.entity, answered());
         if (dice_.chance(0.5)) return;
     }
     const auto what = dice_.roll(100);
@@ -184,7 +185,8 @@ void User::work(const client::Held& held) {
         spring();
         for (auto more = 1 + dice_.roll(3); more > 0; --more) {
             const auto not_after = dice_.chance(0.25) ? dice_.between(5ms, 600ms) : Duration{};
-            tasks_.push_back(core.run(held, kServices[dice_.roll(std::size(kServices))], {}, not_after));
+            tasks_.push_back(
+                core.tasks().run(held, kServices[dice_.roll(std::size(kServices))], {}, not_after));
             timeline_.tell(client_.process().name(),
                            [&] { return "runs " + tasks_.back().toString().substr(0, 8) + " on " + name; });
             if (tasks_.size() > kTasksKnown) tasks_.pop_front();
@@ -197,20 +199,20 @@ void User::work(const client::Held& held) {
         say(action == proto::PAUSE    ? "pauses a task of"
             : action == proto::RESUME ? "resumes a task of"
                                       : "cancels a task of");
-        core.control(task, action, answered());
+        core.tasks().control(task, action, answered());
     } else if (what < 71) {
         say("resets");
-        (void)core.reset(held).ok();
+        (void)core.commands().reset(held).ok();
     } else if (what < 75) {
         say("clears");
-        (void)core.clear(held).ok();
+        (void)core.commands().clear(held).ok();
     } else if (what < 79) {
-        core.set(held, "Driving", {"Speed", {std::int64_t{100}}, {}}, answered());
+        core.commands().set(held, "Driving", {"Speed", {std::int64_t{100}}, {}}, answered());
     } else if (what < 83) {
-        (void)core.sendRaw(held, "joystick").ok();
+        (void)core.commands().sendRaw(held, "joystick").ok();
     } else if (what < 92) {
         say("releases");
-        core.release(held, answered());
+        core.leases().release(held, answered());
     }
 }
 
@@ -220,7 +222,7 @@ void User::spring() {
 
 void User::retire() {
     auto& core = *client_.core();
-    for (const auto& held : core.held()) core.release(held, answered());
+    for (const auto& held : core.leases().held()) core.leases().release(held, answered());
     client_.settle();
 }
 
@@ -232,7 +234,7 @@ Visitor::Visitor(Timeline& timeline, ClientStation& client, std::size_t entities
 void Visitor::look() {
     auto& core = *client_.core();
     timeline_.after(150ms, client_.process(), [this] { look(); });
-    for (const auto& entity : core.entities()) {
+    for (const auto& entity : core.entities().list()) {
         const auto known = std::find_if(visits_.begin(), visits_.end(),
                                         [&](const Visit& visit) { return visit.entity == entity.id; });
         if (known == visits_.end()) visits_.push_back({entity.id, false, false, {}, {}, "not asked yet"});
@@ -240,7 +242,7 @@ void Visitor::look() {
     for (std::size_t i = 0; i < visits_.size(); ++i) {
         auto& visit = visits_[i];
         if (visit.done) continue;
-        if (visit.held && !core.holds(*visit.held)) {
+        if (visit.held && !core.leases().holds(*visit.held)) {
             visit.held.reset();
             visit.task.reset();
             visit.last = "lost its lease";
@@ -248,17 +250,18 @@ void Visitor::look() {
         if (!visit.held) {
             if (visit.asked) continue;
             visit.asked = true;
-            core.checkOut({visit.entity}, [this, i](const Result<std::vector<client::Held>>& result) {
-                visits_[i].asked = false;
-                if (result)
-                    visits_[i].held = result.value().front();
-                else
-                    visits_[i].last = "is refused the check-out: " + result.refusal().message;
-            });
+            core.checkOuts().checkOut(
+                {visit.entity}, [this, i](const Result<std::vector<client::Held>>& result) {
+                    visits_[i].asked = false;
+                    if (result)
+                        visits_[i].held = result.value().front();
+                    else
+                        visits_[i].last = "is refused the check-out: " + result.refusal().message;
+                });
             continue;
         }
         if (visit.task) {
-            const auto report = core.task(*visit.task);
+            const auto report = core.tasks().report(*visit.task);
             if (!report || !client::isFinal(report->state)) {
                 visit.last = "waits for its task";
                 continue;
@@ -267,17 +270,17 @@ void Visitor::look() {
             if (report->state == client::TaskState::Succeeded) {
                 visit.done = true;
                 ++done_;
-                core.release(*visit.held, [](const Result<void>&) {});
+                core.leases().release(*visit.held, [](const Result<void>&) {});
                 continue;
             }
             visit.last = "has no luck with its task: " + report->reason.message;
         }
-        if (const auto entity = core.entity(visit.entity); entity && entity->latched) {
+        if (const auto entity = core.entities().entity(visit.entity); entity && entity->latched) {
             visit.last = "rearms it";
-            core.rearm(visit.entity, [](const Result<void>&) {});
+            core.commands().rearm(visit.entity, [](const Result<void>&) {});
             continue;
         }
-        visit.task = core.run(*visit.held, "Turning", {}, {});
+        visit.task = core.tasks().run(*visit.held, "Turning", {}, {});
     }
     client_.settle();
 }

@@ -34,7 +34,7 @@ class User {
     void useTickets();
     void answerHandOver(const client::Held& held);
     void work(const client::Held& held);
-    client::SessionCore::Done answered();
+    client::Done answered();
 
     Timeline& timeline_;
     ClientStation& client_;

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// SessionCore: how leases are come by, handed over, and resumed.
+#include "client/check_outs.hpp"
+
 #include <axon/messages.pb.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "client/content.hpp"
-#include "client/session_core.hpp"
+#include "client/entities.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -16,15 +18,6 @@ namespace {
 constexpr Duration kAskedLongest = std::chrono::seconds{630};
 /// What is waited for is looked at this often, should a status have been missed.
 constexpr Duration kParkedLook = std::chrono::seconds{5};
-/// An entity that has left is back within this, or its lease is lost: its Entity Manager has ended. A router or server that
-/// is started anew has its entities back within 1.6 s, as was measured with
-/// faults/cluster_faults.py; given up before, they would be nobody's until the grace ends.
-constexpr Duration kLeftPatience = std::chrono::milliseconds{2500};
-
-LeaseNumber numberOf(const proto::Lease& lease) {
-    return {static_cast<std::int32_t>(lease.epoch()), static_cast<std::int32_t>(lease.number())};
-}
-
 /// Refusals that another entity, or the same a little later, may not give.
 bool isRace(RefusalCode code) {
     switch (code) {
@@ -61,35 +54,29 @@ bool isFree(const Entity& entity) {
     return entity.state == EntityState::IDLE && entity.holder.id.empty() && entity.holder.name.empty();
 }
 
-proto::HandOverPolicy toProto(const HandOverPolicy& policy) {
-    proto::HandOverPolicy message;
-    message.set_answer_within_s(std::clamp(policy.answer_within.count(), 0.0, 600.0));
-    message.set_yield(policy.yield && !policy.refuse);
-    return message;
-}
-
 }  // namespace
 
 // ---- what is wanted
 
-Id128 SessionCore::checkOut(const std::vector<std::string>& names, const CheckOutOptions& options,
-                            CheckOutDone done) {
+Id128 CheckOuts::checkOut(const std::vector<std::string>& names, const CheckOutOptions& options, Done done) {
     const auto refuse = [&](Refusal why) {
         done(std::move(why));
         return Id128{};
     };
-    if (!connected_) return refuse(notConnected());
-    CheckOutOrder order;
+    if (!parts_.context.connected) return refuse(CoreContext::notConnected());
+    Order order;
     for (const auto& name : names) {
-        const auto id = names_.resolve(name);
+        const auto id = parts_.entities.resolve(name);
         if (!id) return refuse(id.refusal());
-        if (leases_.count(id.value()) != 0) {
-            return refuse({RefusalCode::AlreadyHeld, "This client holds " + label(id.value()) + " already.",
-                           self_.name});
+        if (parts_.leases.of(id.value()) != nullptr) {
+            return refuse({RefusalCode::AlreadyHeld,
+                           "This client holds " + parts_.entities.label(id.value()) + " already.",
+                           parts_.context.self.name});
         }
         if (std::find(order.wanted.begin(), order.wanted.end(), id.value()) != order.wanted.end()) {
-            return refuse(
-                {RefusalCode::Duplicate, label(id.value()) + " is named twice. Name each entity once.", {}});
+            return refuse({RefusalCode::Duplicate,
+                           parts_.entities.label(id.value()) + " is named twice. Name each entity once.",
+                           {}});
         }
         order.wanted.push_back(id.value());
     }
@@ -109,10 +96,10 @@ Id128 SessionCore::checkOut(const std::vector<std::string>& names, const CheckOu
     return begin(std::move(order), std::move(done));
 }
 
-Id128 SessionCore::checkOut(const EntityQuery& query, const CheckOutOptions& options, CheckOutDone done) {
+Id128 CheckOuts::checkOut(const EntityQuery& query, const CheckOutOptions& options, Done done) {
     Refusal why;
-    if (!connected_) {
-        why = notConnected();
+    if (!parts_.context.connected) {
+        why = CoreContext::notConnected();
     } else if (options.ask || options.force) {
         why = {RefusalCode::Malformed,
                "A query takes what is free: to ask a holder, or to take by force, name the entity.",
@@ -124,32 +111,33 @@ Id128 SessionCore::checkOut(const EntityQuery& query, const CheckOutOptions& opt
         done(why);
         return {};
     }
-    CheckOutOrder order;
+    Order order;
     order.query = query;
     order.options = options;
     return begin(std::move(order), std::move(done));
 }
 
-void SessionCore::resume(const LeaseTicket& ticket, CheckOutDone done) {
+void CheckOuts::resume(const LeaseTicket& ticket, Done done) {
     Refusal why;
-    if (!connected_) {
-        why = notConnected();
-    } else if (const auto known = entity(ticket.entity); !known) {
+    if (!parts_.context.connected) {
+        why = CoreContext::notConnected();
+    } else if (const auto known = parts_.entities.entity(ticket.entity); !known) {
         why = known.refusal();
-    } else if (leases_.count(ticket.entity) != 0) {
-        why = {RefusalCode::AlreadyHeld, "This client holds " + label(ticket.entity) + " already.",
-               self_.name};
+    } else if (parts_.leases.of(ticket.entity) != nullptr) {
+        why = {RefusalCode::AlreadyHeld,
+               "This client holds " + parts_.entities.label(ticket.entity) + " already.",
+               parts_.context.self.name};
     }
     if (!why.ok()) return done(why);
-    CheckOutOrder order;
+    Order order;
     order.wanted = {ticket.entity};
     order.resume = ticket;
     begin(std::move(order), std::move(done));
 }
 
-Id128 SessionCore::begin(CheckOutOrder order, CheckOutDone done) {
-    const auto id = Id128::random(random_);
-    const auto now = clock_.now();
+Id128 CheckOuts::begin(Order order, Done done) {
+    const auto id = Id128::random(parts_.context.random);
+    const auto now = parts_.context.clock.now();
     if (order.options.wait) {
         const auto wait = std::clamp(*order.options.wait, Seconds{0}, Seconds{86400});
         order.until = now + std::chrono::duration_cast<Duration>(wait);
@@ -157,36 +145,36 @@ Id128 SessionCore::begin(CheckOutOrder order, CheckOutDone done) {
         order.until = now + kAskedLongest;
     }
     order.done = std::move(done);
-    check_outs_.emplace(id, std::move(order));
+    orders_.emplace(id, std::move(order));
     attempt(id);
     return id;
 }
 
-void SessionCore::giveUp(Id128 check_out) {
-    failCheckOut(check_out, {RefusalCode::Cancelled, "The check-out was given up.", {}});
+void CheckOuts::giveUp(Id128 check_out) {
+    fail(check_out, {RefusalCode::Cancelled, "The check-out was given up.", {}});
 }
 
-void SessionCore::schedule(Id128 id, TimePoint due) {
-    auto& order = check_outs_.at(id);
-    if (order.due != TimePoint::max()) deadlines_.erase({order.due, {Ask::CheckOut, id}});
+void CheckOuts::schedule(Id128 id, TimePoint due) {
+    auto& order = orders_.at(id);
+    if (order.due != TimePoint::max()) due_.erase({order.due, id});
     order.due = due;
-    if (due != TimePoint::max()) deadlines_.insert({due, {Ask::CheckOut, id}});
+    if (due != TimePoint::max()) due_.insert({due, id});
 }
 
-SessionCore::CheckOutOrder SessionCore::takeOrder(CheckOutOrders::iterator found) {
+CheckOuts::Order CheckOuts::take(Orders::iterator found) {
     const auto id = found->first;
     schedule(id, TimePoint::max());
     forgetAttempt(found->second);
     parked_.erase(id);
     auto order = std::move(found->second);
-    check_outs_.erase(found);
+    orders_.erase(found);
     return order;
 }
 
 // ---- one attempt
 
-void SessionCore::attempt(Id128 id) {
-    auto& order = check_outs_.at(id);
+void CheckOuts::attempt(Id128 id) {
+    auto& order = orders_.at(id);
     forgetAttempt(order);
     parked_.erase(id);
     auto chosen = order.wanted;
@@ -199,41 +187,38 @@ void SessionCore::attempt(Id128 id) {
             // Whoever was there and was taken in this very moment may be free again as soon.
             const bool soon = !order.passed_over.empty();
             if (order.options.wait) return park(id, why, soon);
-            return failCheckOut(id, std::move(why));
+            return fail(id, std::move(why));
         }
     }
-    order.request = Id128::random(random_);
+    order.request = Id128::random(parts_.context.random);
     attempts_[order.request] = id;
     order.several = chosen.size() > 1;
     order.stage = Stage::Asked;
-    for (const auto& entity : chosen) {
-        order.parties.emplace_back().entity = entity;
-        of_entity_[entity].insert({Ask::CheckOut, id});
-    }
-    schedule(id, clock_.now() + settings_.timeout);
+    for (const auto& entity : chosen) order.parties.emplace_back().entity = entity;
+    schedule(id, parts_.context.clock.now() + parts_.context.settings.timeout);
     const int phase = order.resume ? proto::RESUME_LEASE : order.several ? proto::RESERVE : proto::TAKE;
-    for (auto& party : order.parties) sendCheckOut(order, party, phase);
+    for (auto& party : order.parties) sendRequest(order, party, phase);
 }
 
-bool SessionCore::look(Id128 id) {
-    auto& order = check_outs_.at(id);
+bool CheckOuts::look(Id128 id) {
+    auto& order = orders_.at(id);
     std::vector<std::string> strangers;
-    for (const auto& [entity, known] : entities_) {
-        if (!known.announced || !isFree(known.facts) || order.offers.count(entity) != 0) continue;
-        const auto wanted = [&facts = known.facts](const QueryItem& item) {
-            return !item.service.empty() && serves(item, facts);
+    for (const auto* facts : parts_.entities.announced()) {
+        if (!isFree(*facts) || order.offers.count(facts->id) != 0) continue;
+        const auto wanted = [&](const QueryItem& item) {
+            return !item.service.empty() && serves(item, *facts);
         };
         if (std::any_of(order.query->items.begin(), order.query->items.end(), wanted))
-            strangers.push_back(entity);
+            strangers.push_back(facts->id);
     }
     if (strangers.empty()) return false;
     order.stage = Stage::Looking;
     order.looking = strangers.size();
     schedule(id, TimePoint::max());  // each question has its own time
     for (const auto& entity : strangers) {
-        fetchDetails(entity, [this, id, entity](Result<Details> details) {
-            const auto found = check_outs_.find(id);
-            if (found == check_outs_.end()) return;
+        parts_.entities.fetchDetails(entity, [this, id, entity](Result<Details> details) {
+            const auto found = orders_.find(id);
+            if (found == orders_.end()) return;
             auto& offers = found->second.offers[entity];  // none, where it does not tell
             if (details) {
                 for (const auto& service : details->services) {
@@ -241,19 +226,18 @@ bool SessionCore::look(Id128 id) {
                     offers.insert(service.global_id);
                 }
             }
-            if (--found->second.looking == 0 && connected_) attempt(id);
+            if (--found->second.looking == 0 && parts_.context.connected) attempt(id);
         });
     }
     return true;
 }
 
-Assignment SessionCore::choose(const CheckOutOrder& order, bool optimistic,
-                               std::vector<std::string>& chosen) const {
+Assignment CheckOuts::choose(const Order& order, bool optimistic, std::vector<std::string>& chosen) const {
     std::vector<const Entity*> candidates;
-    for (const auto& id : names_.ids()) {
-        const auto& facts = entities_.at(id).facts;
-        if (isFree(facts) && !facts.latched && leases_.count(id) == 0 && order.passed_over.count(id) == 0)
-            candidates.push_back(&facts);
+    for (const auto* facts : parts_.entities.all()) {
+        if (isFree(*facts) && !facts->latched && parts_.leases.of(facts->id) == nullptr &&
+            order.passed_over.count(facts->id) == 0)
+            candidates.push_back(facts);
     }
     auto assignment =
         assign(*order.query, candidates.size(), [&](const QueryItem& item, std::size_t candidate) {
@@ -270,30 +254,31 @@ Assignment SessionCore::choose(const CheckOutOrder& order, bool optimistic,
     return assignment;
 }
 
-bool SessionCore::wantedAreFree(const CheckOutOrder& order) const {
+bool CheckOuts::wantedAreFree(const Order& order) const {
     if (order.query) {
         std::vector<std::string> chosen;
         return choose(order, true, chosen).complete();
     }
     return std::all_of(order.wanted.begin(), order.wanted.end(), [&](const std::string& id) {
-        const auto known = entities_.find(id);
-        return known != entities_.end() && isFree(known->second.facts);
+        const auto* facts = parts_.entities.facts(id);
+        return facts != nullptr && isFree(*facts);
     });
 }
 
 /// "2 ROBOT/MOBILE: 1 is missing (PeopleBot#1 is held by client2@lab; PeopleBot#2 was stopped: rearm it)".
-Refusal SessionCore::lacking(const CheckOutOrder& order, const Assignment& assignment) const {
+Refusal CheckOuts::lacking(const Order& order, const Assignment& assignment) const {
     Refusal refusal{RefusalCode::Unavailable, {}, {}};
     for (std::size_t i = 0; i < order.query->items.size(); ++i) {
         if (assignment.lacking[i] == 0) continue;
         const auto& item = order.query->items[i];
         std::string others;
         std::size_t unnamed = 0;
-        for (const auto& id : names_.ids()) {
-            const auto& facts = entities_.at(id).facts;
+        for (const auto* known : parts_.entities.all()) {
+            const auto& facts = *known;
+            const auto& id = facts.id;
             if (!serves(item, facts)) continue;
             std::string why;
-            if (leases_.count(id) != 0) {
+            if (parts_.leases.of(id) != nullptr) {
                 why = " is held by this client";
             } else if (!facts.holder.name.empty()) {
                 why = " is held by " + facts.holder.name;
@@ -318,7 +303,7 @@ Refusal SessionCore::lacking(const CheckOutOrder& order, const Assignment& assig
             if (others.size() > 400) {
                 ++unnamed;
             } else {
-                others += (others.empty() ? "" : "; ") + label(id) + why;
+                others += (others.empty() ? "" : "; ") + parts_.entities.label(id) + why;
             }
         }
         if (unnamed > 0) others += "; and " + std::to_string(unnamed) + " more";
@@ -330,13 +315,13 @@ Refusal SessionCore::lacking(const CheckOutOrder& order, const Assignment& assig
     return refusal;
 }
 
-void SessionCore::sendCheckOut(CheckOutOrder& order, CheckOutParty& party, int phase) {
+void CheckOuts::sendRequest(Order& order, Party& party, int phase) {
     proto::ToEntity body;
     auto& request = *body.mutable_check_out();
     request.set_request_id(order.request.bytes());
     request.set_phase(static_cast<proto::CheckOutPhase>(phase));
     // As long as this client may wait for the last of the others.
-    if (phase == proto::RESERVE) request.set_reserve_s(Seconds(settings_.timeout).count());
+    if (phase == proto::RESERVE) request.set_reserve_s(Seconds(parts_.context.settings.timeout).count());
     if (phase != proto::ABORT) {
         request.set_wait(phase == proto::TAKE && order.options.wait && !order.query && !order.options.force);
         request.set_ask(phase == proto::TAKE && order.options.ask);
@@ -348,60 +333,49 @@ void SessionCore::sendCheckOut(CheckOutOrder& order, CheckOutParty& party, int p
             request.mutable_resume()->set_key(order.resume->key);
         } else {
             *request.mutable_hand_over() = toProto(order.options.hand_over);
-            // One for all that this session holds: who is to collaborate must be held under one root.
-            if (root_.empty()) root_ = Id128::random(random_).bytes();
-            request.set_root(root_);
+            request.set_root(parts_.leases.root());
         }
     }
     party.answered = false;
     by_sequence_.erase(party.sequence);
-    party.sequence = send(party.entity, kMsgCheckOut, {}, body);
-    if (phase != proto::ABORT) by_sequence_[party.sequence] = {Ask::CheckOut, attempts_.at(order.request)};
+    parts_.entities.onAskedFor(party.entity);
+    party.sequence = parts_.context.send(party.entity, kMsgCheckOut, {}, body);
+    if (phase != proto::ABORT) by_sequence_[party.sequence] = attempts_.at(order.request);
 }
 
-void SessionCore::forgetAttempt(CheckOutOrder& order) {
+void CheckOuts::forgetAttempt(Order& order) {
     const auto attempt = attempts_.find(order.request);
     if (attempt == attempts_.end()) return;
-    const Key key{Ask::CheckOut, attempt->second};
-    for (const auto& party : order.parties) {
-        by_sequence_.erase(party.sequence);
-        const auto of = of_entity_.find(party.entity);
-        if (of == of_entity_.end()) continue;
-        of->second.erase(key);
-        if (of->second.empty()) of_entity_.erase(of);
-    }
+    for (const auto& party : order.parties) by_sequence_.erase(party.sequence);
     attempts_.erase(attempt);
     order.parties.clear();
 }
 
 // ---- answers
 
-void SessionCore::onCheckOutReply(const Header& head, const proto::CheckOutReply& reply) {
+void CheckOuts::onReply(const Header& head, const proto::CheckOutReply& reply) {
     const auto request = Id128::fromBytes(reply.request_id());
     const auto refusal = toRefusal(reply.refusal());
-    const auto number = numberOf(reply.lease());
+    const auto number = fromProto(reply.lease());
     const bool grants = refusal.ok() && reply.has_lease() &&
                         (reply.phase() == proto::TAKE || reply.phase() == proto::COMMIT ||
                          reply.phase() == proto::RESUME_LEASE);
-    marks_.raise(head.entity, static_cast<std::int32_t>(reply.stop_generation()));
-    if (request && onResumeReply(head.entity, *request, reply)) return;
 
     const auto attempt = request ? attempts_.find(*request) : attempts_.end();
-    CheckOutParty* party = nullptr;
+    Party* party = nullptr;
     if (attempt != attempts_.end()) {
-        for (auto& p : check_outs_.at(attempt->second).parties) {
+        for (auto& p : orders_.at(attempt->second).parties) {
             if (p.entity == head.entity) party = &p;
         }
     }
     if (party == nullptr) {
         // Granted too late: nobody waits for it any more, and nobody else could have it.
-        const auto mine = leases_.find(head.entity);
-        const bool known = mine != leases_.end() && mine->second.number == number;
-        if (grants && !known) sendRelease({head.entity, number});
+        if (grants && !parts_.leases.holds({head.entity, number}))
+            parts_.leases.sendRelease({head.entity, number});
         return;
     }
     const auto id = attempt->second;
-    auto& order = check_outs_.at(id);
+    auto& order = orders_.at(id);
     const auto expected = order.resume                       ? proto::RESUME_LEASE
                           : !order.several                   ? proto::TAKE
                           : order.stage == Stage::Committing ? proto::COMMIT
@@ -422,70 +396,44 @@ void SessionCore::onCheckOutReply(const Header& head, const proto::CheckOutReply
     party->answered = true;
     if (expected != proto::RESERVE) {
         if (!grants) {
-            failCheckOut(
-                id,
-                {RefusalCode::Internal, label(head.entity) + " granted a check-out without a lease.", {}});
+            fail(id, {RefusalCode::Internal,
+                      parts_.entities.label(head.entity) + " granted a check-out without a lease.",
+                      {}});
             return;
         }
         party->granted = true;
         party->lease = number;
-        grant(head.entity, reply, order.options.hand_over);
+        parts_.leases.grant(head.entity, reply, order.options.hand_over);
     }
-    advanceCheckOut(id);
+    advance(id);
 }
 
-void SessionCore::grant(const std::string& entity, const proto::CheckOutReply& reply,
-                        const HandOverPolicy& policy) {
-    Lease lease;
-    lease.number = numberOf(reply.lease());
-    lease.key = reply.lease().key();
-    if (const auto before = leases_.find(entity); lease.key.empty() && before != leases_.end())
-        lease.key = before->second.key;  // of a lease that is resumed
-    lease.root = reply.lease().root();
-    // Of another process, whose other leases may follow: what is checked out from now on belongs to them.
-    if (leases_.empty() && lease.root.size() == 16) root_ = lease.root;
-    lease.name = label(entity);
-    lease.services = reply.services();
-    lease.grace = std::chrono::milliseconds(reply.grace_ms());
-    lease.resource_bytes_max = reply.resource_bytes_max();
-    lease.policy = policy;
-    observer_.onDatagrams({entity, lease.number}, reply.datagram_endpoint(), lease.key);
-    observer_.onDirect({entity, lease.number}, reply.direct_endpoint(), reply.direct_signal_endpoint(), lease.key);
-    leases_[entity] = std::move(lease);
-    auto& facts = entities_[entity].facts;
-    facts.stop_generation = static_cast<std::int32_t>(reply.stop_generation());
-    marks_.take(entity, facts.stop_generation);
-    facts.latched = reply.latched();
-    countMoving(entity);
-    pace();
-}
-
-void SessionCore::advanceCheckOut(Id128 id) {
-    auto& order = check_outs_.at(id);
+void CheckOuts::advance(Id128 id) {
+    auto& order = orders_.at(id);
     const bool all = std::all_of(order.parties.begin(), order.parties.end(),
-                                 [](const CheckOutParty& party) { return party.answered; });
+                                 [](const Party& party) { return party.answered; });
     if (!all) return;
     if (order.several && order.stage != Stage::Committing) {
         order.stage = Stage::Committing;
-        schedule(id, clock_.now() + settings_.timeout);
-        for (auto& party : order.parties) sendCheckOut(order, party, proto::COMMIT);
+        schedule(id, parts_.context.clock.now() + parts_.context.settings.timeout);
+        for (auto& party : order.parties) sendRequest(order, party, proto::COMMIT);
         return;
     }
     // All or none: what was granted first may be gone by the time that the last is granted.
     for (const auto& party : order.parties) {
-        if (lease({party.entity, party.lease}) != nullptr) continue;
-        failCheckOut(id, {RefusalCode::RevokedLease,
-                          label(party.entity) + " was lost before the others were granted.",
-                          {}});
+        if (parts_.leases.holds({party.entity, party.lease})) continue;
+        fail(id, {RefusalCode::RevokedLease,
+                  parts_.entities.label(party.entity) + " was lost before the others were granted.",
+                  {}});
         return;
     }
     std::vector<Held> granted;
     for (const auto& party : order.parties) granted.push_back({party.entity, party.lease});
-    takeOrder(check_outs_.find(id)).done(std::move(granted));
+    take(orders_.find(id)).done(std::move(granted));
 }
 
-void SessionCore::onPartyRefused(Id128 id, const std::string& entity, const Refusal& why) {
-    auto& order = check_outs_.at(id);
+void CheckOuts::onPartyRefused(Id128 id, const std::string& entity, const Refusal& why) {
+    auto& order = orders_.at(id);
     for (auto& party : order.parties) {
         if (party.entity == entity) party.refused = true;
     }
@@ -495,120 +443,162 @@ void SessionCore::onPartyRefused(Id128 id, const std::string& entity, const Refu
         return attempt(id);
     }
     auto named = why;
-    if (order.several) named.message = label(entity) + ": " + why.message;
+    if (order.several) named.message = parts_.entities.label(entity) + ": " + why.message;
     if (order.several && order.options.wait && isRace(why.code)) {
         endAttempt(order, why);
         return park(id, named, true);
     }
-    failCheckOut(id, std::move(named));
+    fail(id, std::move(named));
 }
 
-void SessionCore::endAttempt(CheckOutOrder& order, const Refusal& why) {
+void CheckOuts::endAttempt(Order& order, const Refusal& why) {
     auto parties = order.parties;
     for (auto& party : parties) {
         if (party.granted) {
-            endLease(party.entity, why, false);
-            if (connected_) sendRelease({party.entity, party.lease});
-        } else if (!order.resume && !party.refused && connected_) {
-            sendCheckOut(order, party, proto::ABORT);
+            parts_.leases.end(party.entity, why, false);
+            if (parts_.context.connected) parts_.leases.sendRelease({party.entity, party.lease});
+        } else if (!order.resume && !party.refused && parts_.context.connected) {
+            sendRequest(order, party, proto::ABORT);
         }
     }
     forgetAttempt(order);
 }
 
-void SessionCore::failCheckOut(Id128 id, Refusal why) {
-    const auto found = check_outs_.find(id);
-    if (found == check_outs_.end()) return;
+void CheckOuts::fail(Id128 id, Refusal why) {
+    const auto found = orders_.find(id);
+    if (found == orders_.end()) return;
     endAttempt(found->second, why);
-    takeOrder(found).done(why);
+    take(found).done(why);
+}
+
+void CheckOuts::onLeft(const std::string& entity, const Refusal& why) {
+    std::vector<Id128> asked;
+    for (const auto& [request, id] : attempts_) {
+        const auto& parties = orders_.at(id).parties;
+        if (std::any_of(parties.begin(), parties.end(),
+                        [&](const Party& party) { return party.entity == entity; }))
+            asked.push_back(id);
+    }
+    std::sort(asked.begin(), asked.end());
+    for (const auto id : asked) {
+        if (orders_.contains(id)) onPartyRefused(id, entity, why);  // a query looks for another
+    }
+    // Those that wait for it wait in vain.
+    for (const auto id : std::vector(parked_.begin(), parked_.end())) {
+        const auto& wanted = orders_.at(id).wanted;
+        if (std::find(wanted.begin(), wanted.end(), entity) != wanted.end()) fail(id, why);
+    }
+}
+
+bool CheckOuts::onRefused(std::int64_t sequence, const std::string& entity, const Refusal& why) {
+    const auto sent = by_sequence_.find(sequence);
+    if (sent == by_sequence_.end()) return false;
+    onPartyRefused(Id128(sent->second), entity, why);
+    return true;
+}
+
+void CheckOuts::onDisconnected(const Refusal& lost) {
+    std::vector<Id128> all;
+    for (const auto& [id, order] : orders_) all.push_back(id);
+    for (const auto id : all) fail(id, lost);
+}
+
+void CheckOuts::onTimer() {
+    const auto now = parts_.context.clock.now();
+    while (!due_.empty() && due_.begin()->first <= now) onDue(due_.begin()->second);
+}
+
+std::string CheckOuts::holderOf(const std::string& entity) const {
+    const auto* facts = parts_.entities.facts(entity);
+    return facts == nullptr ? std::string() : facts->holder.name;
 }
 
 // ---- waiting
 
-void SessionCore::onWaiting(Id128 id, int place) {
-    auto& order = check_outs_.at(id);
+void CheckOuts::onWaiting(Id128 id, int place) {
+    auto& order = orders_.at(id);
     const auto& entity = order.parties.front().entity;
     if (order.stage != Stage::Queued) {
         order.stage = Stage::Queued;
-        schedule(id, std::min(order.until, clock_.now() + settings_.wait_refresh));
+        schedule(id,
+                 std::min(order.until, parts_.context.clock.now() + parts_.context.settings.wait_refresh));
     }
     order.place = place;
-    const auto known = entities_.find(entity);
-    const auto holder = known == entities_.end() ? std::string() : known->second.facts.holder.name;
+    const auto holder = holderOf(entity);
     std::string message;
     if (!order.kept.empty())
         message = order.kept.substr(0, order.kept.find_last_not_of('.') + 1);
     else if (order.options.ask)
-        message = (holder.empty() ? "The holder of " + label(entity) : holder) + " has been asked";
+        message =
+            (holder.empty() ? "The holder of " + parts_.entities.label(entity) : holder) + " has been asked";
     if (order.options.wait) {
         message += (message.empty() ? "Place " : "; place ") + std::to_string(place) +
-                   " in the wait list of " + label(entity);
+                   " in the wait list of " + parts_.entities.label(entity);
         if (!holder.empty() && (!order.options.ask || !order.kept.empty()))
             message += ", which is held by " + holder;
     }
     tellWaiting(order, {entity, place, message + "."});
 }
 
-void SessionCore::tellWaiting(CheckOutOrder& order, Waiting waiting) {
+void CheckOuts::tellWaiting(Order& order, Waiting waiting) {
     if (order.told == waiting.message) return;
     order.told = waiting.message;
     if (order.options.on_waiting) order.options.on_waiting(waiting);
 }
 
-void SessionCore::park(Id128 id, const Refusal& why, bool soon) {
-    auto& order = check_outs_.at(id);
+void CheckOuts::park(Id128 id, const Refusal& why, bool soon) {
+    auto& order = orders_.at(id);
     forgetAttempt(order);
     order.stage = Stage::Parked;
     order.last = why;
     order.passed_over.clear();
     parked_.insert(id);
-    auto due = clock_.now() + kParkedLook;
+    auto due = parts_.context.clock.now() + kParkedLook;
     if (soon) {
         // Two who want the same things must not step on each other's toes for ever.
         std::uint32_t dice = 0;
-        random_.fill(&dice, sizeof dice);
-        due = clock_.now() + settings_.retry + settings_.retry * (dice % 1000) / 1000;
-        if (!wantedAreFree(order)) due = clock_.now() + kParkedLook;
+        parts_.context.random.fill(&dice, sizeof dice);
+        due = parts_.context.clock.now() + parts_.context.settings.retry +
+              parts_.context.settings.retry * (dice % 1000) / 1000;
+        if (!wantedAreFree(order)) due = parts_.context.clock.now() + kParkedLook;
     }
     schedule(id, std::min(order.until, due));
     tellWaiting(order, {{}, 0, "Waiting. " + why.message});
 }
 
-void SessionCore::wakeParked() {
+void CheckOuts::wakeParked() {
     if (parked_.empty()) return;
-    const auto soon = clock_.now() + settings_.retry * 2;
+    const auto soon = parts_.context.clock.now() + parts_.context.settings.retry * 2;
     for (const auto id : std::vector(parked_.begin(), parked_.end())) {
-        const auto& order = check_outs_.at(id);
+        const auto& order = orders_.at(id);
         // One that is about to be looked at anyway had lost a race.
         if (order.due <= soon || !wantedAreFree(order)) continue;
         attempt(id);
     }
 }
 
-void SessionCore::onCheckOutDue(Id128 id) {
-    auto& order = check_outs_.at(id);
-    const auto now = clock_.now();
+void CheckOuts::onDue(Id128 id) {
+    auto& order = orders_.at(id);
+    const auto now = parts_.context.clock.now();
     switch (order.stage) {
         case Stage::Looking:
             break;
         case Stage::Queued: {
             if (now >= order.until) {
                 const auto& entity = order.parties.front().entity;
-                const auto known = entities_.find(entity);
-                const auto holder =
-                    known == entities_.end() ? std::string() : known->second.facts.holder.name;
-                failCheckOut(id, {RefusalCode::TimedOut,
-                                  !order.options.wait
-                                      ? "Nobody has answered the request for " + label(entity) + " in time."
-                                      : label(entity) +
-                                            " has not become free in time; the place in its wait list was " +
-                                            std::to_string(order.place) + ".",
-                                  holder});
+                fail(id, {RefusalCode::TimedOut,
+                          !order.options.wait
+                              ? "Nobody has answered the request for " + parts_.entities.label(entity) +
+                                    " in time."
+                              : parts_.entities.label(entity) +
+                                    " has not become free in time; the place in its wait list was " +
+                                    std::to_string(order.place) + ".",
+                          holderOf(entity)});
                 return;
             }
-            schedule(id, std::min(order.until, now + settings_.wait_refresh));
+            schedule(id, std::min(order.until, now + parts_.context.settings.wait_refresh));
             // A question need not be repeated: its Entity Manager remembers it, or has answered.
-            if (order.options.wait) sendCheckOut(order, order.parties.front(), proto::TAKE);
+            if (order.options.wait) sendRequest(order, order.parties.front(), proto::TAKE);
             break;
         }
         case Stage::Parked:
@@ -616,7 +606,7 @@ void SessionCore::onCheckOutDue(Id128 id) {
                 auto why = order.last;
                 why.code = RefusalCode::TimedOut;
                 why.message = "The time to wait is up. " + why.message;
-                return failCheckOut(id, std::move(why));
+                return fail(id, std::move(why));
             }
             if (wantedAreFree(order)) return attempt(id);
             schedule(id, std::min(order.until, now + kParkedLook));
@@ -628,7 +618,7 @@ void SessionCore::onCheckOutDue(Id128 id) {
             for (const auto& party : order.parties) {
                 if (party.answered) continue;
                 silent.push_back(party.entity);
-                names += (names.empty() ? "" : ", ") + label(party.entity);
+                names += (names.empty() ? "" : ", ") + parts_.entities.label(party.entity);
             }
             const Refusal late{
                 RefusalCode::TimedOut,
@@ -639,228 +629,10 @@ void SessionCore::onCheckOutDue(Id128 id) {
                 order.passed_over.insert(silent.begin(), silent.end());
                 return attempt(id);
             }
-            failCheckOut(id, late);
+            fail(id, late);
             break;
         }
     }
-}
-
-// ---- hand-over
-
-std::optional<HandOverRequest> SessionCore::question(const Held& held) const {
-    const auto* mine = lease(held);
-    if (mine == nullptr || !mine->question) return std::nullopt;
-    auto question = *mine->question;
-    question.answer_within = std::max(Seconds(mine->answer_until - clock_.now()), Seconds(0));
-    return question;
-}
-
-void SessionCore::onHandOver(const std::string& entity, const proto::HandOverRequest& request) {
-    const auto mine = leases_.find(entity);
-    if (mine == leases_.end() || request.request_id().empty()) return;
-    auto& lease = mine->second;
-    const Held held{entity, lease.number};
-    HandOverRequest question{request.by(), request.reason(),
-                             Seconds(std::clamp(request.answer_within_s(), 0.0, 600.0)), request.yield(),
-                             request.withdrawn()};
-    if (question.withdrawn) {
-        if (lease.asked_by != request.request_id() || !lease.question) return;
-        lease.question.reset();
-        lease.asked_by.clear();
-        observer_.onHandOver(held, question);
-        return;
-    }
-    const bool known = lease.question && lease.asked_by == request.request_id();
-    lease.question = question;
-    lease.answer_until = clock_.now() + std::chrono::duration_cast<Duration>(question.answer_within);
-    lease.asked_by = request.request_id();
-    if (lease.policy.refuse) {
-        static_cast<void>(answerHandOver(held, false, "Its holder does not hand it over.").ok());
-    } else if (!known) {
-        observer_.onHandOver(held, question);
-    }
-}
-
-Result<void> SessionCore::answerHandOver(const Held& held, bool accept, std::string_view reason) {
-    const auto refusal = ready(held);
-    if (!refusal.ok()) return refusal;
-    auto& mine = *lease(held);
-    if (!mine.question) {
-        return Refusal{RefusalCode::WrongState, "Nobody asks for " + label(held.entity) + " (any more).", {}};
-    }
-    if (!isUtf8(reason)) return Refusal{RefusalCode::Malformed, "A reason must be UTF-8.", {}};
-    proto::ToEntity body;
-    auto& message = *body.mutable_hand_over_answer();
-    message.set_request_id(mine.asked_by);
-    message.set_accept(accept);
-    message.set_reason(std::string(reason));
-    send(held.entity, kMsgHandOver, held.lease, body);
-    mine.question.reset();
-    mine.asked_by.clear();
-    return {};
-}
-
-Result<void> SessionCore::setHandOverPolicy(const Held& held, const HandOverPolicy& policy) {
-    const auto refusal = ready(held);
-    if (!refusal.ok()) return refusal;
-    lease(held)->policy = policy;
-    proto::ToEntity body;
-    *body.mutable_hand_over_policy() = toProto(policy);
-    send(held.entity, kMsgHandOver, held.lease, body);
-    return {};
-}
-
-// ---- leases that outlive a connection
-
-bool SessionCore::orphaned(const Held& held) const {
-    const auto* mine = lease(held);
-    return mine != nullptr && mine->orphaned;
-}
-
-void SessionCore::orphan(const std::string& entity, bool left, const std::string& reason) {
-    auto& mine = leases_.at(entity);
-    const auto now = clock_.now();
-    if (mine.orphaned && !mine.left) {
-        // Its time runs from the first loss.
-        if (const auto found = pending_.find({Ask::Resume, mine.resume}); found != pending_.end())
-            postpone(found, mine.expires);
-        return;
-    }
-    const bool is_new = !mine.orphaned;
-    mine.orphaned = true;
-    mine.left = left;
-    mine.expires = now + (left ? std::min(mine.grace, kLeftPatience)
-                               : mine.grace + std::max(settings_.loss_notice, watchdogs_.idle));
-    mine.question.reset();
-    mine.asked_by.clear();
-    if (is_new) {
-        mine.resume = Id128::random(random_);
-        Pending pending;
-        pending.entity = entity;
-        pending.lease = mine.number;
-        pending.deadline = mine.expires;
-        await(Ask::Resume, mine.resume, std::move(pending));
-        observer_.onOrphaned({entity, mine.number}, reason);
-    } else {
-        postpone(pending_.find({Ask::Resume, mine.resume}), mine.expires);
-    }
-}
-
-void SessionCore::sendResume(const std::string& entity) {
-    const auto found = leases_.find(entity);
-    if (found == leases_.end() || !found->second.orphaned) return;
-    const auto& mine = found->second;
-    const auto pending = pending_.find({Ask::Resume, mine.resume});
-    if (pending == pending_.end()) return;
-    proto::ToEntity body;
-    auto& request = *body.mutable_check_out();
-    request.set_request_id(mine.resume.bytes());
-    request.set_phase(proto::RESUME_LEASE);
-    request.mutable_resume()->set_epoch(static_cast<std::uint32_t>(mine.number.epoch));
-    request.mutable_resume()->set_number(static_cast<std::uint32_t>(mine.number.number));
-    request.mutable_resume()->set_key(mine.key);
-    by_sequence_.erase(pending->second.sequence);
-    pending->second.sequence = send(entity, kMsgCheckOut, {}, body);
-    by_sequence_[pending->second.sequence] = pending->first;
-    postpone(pending, std::min(mine.expires, clock_.now() + settings_.timeout));
-}
-
-void SessionCore::onResumeDue(Id128 id) {
-    const auto pending = pending_.find({Ask::Resume, id});
-    const auto entity = pending->second.entity;
-    const auto& mine = leases_.at(entity);
-    if (clock_.now() < mine.expires) {
-        postpone(pending, mine.expires);
-        if (connected_ && names_.contains(entity)) sendResume(entity);
-        return;
-    }
-    const Refusal why =
-        mine.left && connected_
-            ? Refusal{RefusalCode::Unavailable,
-                      mine.name + " has left: its Entity Manager is no longer connected to the server.",
-                      {}}
-        : connected_
-            ? Refusal{RefusalCode::Expired, mine.name + " could not be resumed within its grace.", {}}
-            : Refusal{RefusalCode::NotConnected,
-                      "The connection to the server was not back in time to resume " + mine.name + ".",
-                      {}};
-    endLease(entity, why, true);
-}
-
-bool SessionCore::onResumeReply(const std::string& entity, Id128 id, const proto::CheckOutReply& reply) {
-    const auto pending = pending_.find({Ask::Resume, id});
-    if (pending == pending_.end() || pending->second.entity != entity) return false;
-    auto refusal = toRefusal(reply.refusal());
-    auto& mine = leases_.at(entity);
-    if (refusal.ok() && reply.has_lease() && numberOf(reply.lease()) != mine.number) {
-        refusal = {RefusalCode::Internal, mine.name + " resumed another lease than the one asked for.", {}};
-        sendRelease({entity, numberOf(reply.lease())});
-    }
-    if (!refusal.ok()) {
-        endLease(entity, refusal, true);
-        return true;
-    }
-    const Held held{entity, mine.number};
-    const auto policy = mine.policy;
-    take(pending);
-    grant(entity, reply, policy);
-    leases_.at(entity).number = held.lease;
-    observer_.onResumed(held);
-    askAfterTasks(held);
-    askAfterRuns(held);
-    return true;
-}
-
-void SessionCore::askAfterTasks(const Held& held) {
-    auto open = openTasks(held);
-    if (open.empty()) return;
-    const auto id = Id128::random(random_);
-    proto::ToEntity body;
-    body.mutable_status_request()->set_request_id(id.bytes());
-    Pending pending;
-    pending.entity = held.entity;
-    pending.lease = held.lease;
-    pending.tasks = std::move(open);
-    pending.sequence = send(held.entity, kMsgStatus, held.lease, body);
-    await(Ask::Tasks, id, std::move(pending));
-}
-
-Result<LeaseTicket> SessionCore::ticket(const Held& held) const {
-    const auto* mine = lease(held);
-    if (mine == nullptr) return notHolder(held);
-    if (mine->key.size() != 16) {
-        return Refusal{RefusalCode::NotSupported, mine->name + " has given no key for its lease.", {}};
-    }
-    return LeaseTicket{held.entity, held.lease, mine->key};
-}
-
-std::string LeaseTicket::toText() const {
-    const auto id = Id128::fromBytes(key);
-    return "axon-lease:" + entity + ":" + std::to_string(lease.epoch) + ":" + std::to_string(lease.number) +
-           ":" + (id ? id->toString() : std::string());
-}
-
-Result<LeaseTicket> LeaseTicket::parse(std::string_view text) {
-    const Refusal malformed{
-        RefusalCode::Malformed, "Expected a ticket as CheckOut::ticket() gives it (axon-lease:…).", {}};
-    std::vector<std::string> parts;
-    for (std::size_t begin = 0; begin <= text.size();) {
-        const auto end = std::min(text.find(':', begin), text.size());
-        parts.emplace_back(text.substr(begin, end - begin));
-        begin = end + 1;
-    }
-    if (parts.size() != 5 || parts[0] != "axon-lease") return malformed;
-    const auto entity = Id128::parse(parts[1]);
-    const auto key = Id128::parse(parts[4]);
-    const auto number = [](const std::string& digits) -> std::int32_t {
-        if (digits.empty() || digits.size() > 9 ||
-            digits.find_first_not_of("0123456789") != std::string::npos)
-            return -1;
-        return std::stoi(digits);
-    };
-    const LeaseNumber lease{number(parts[2]), number(parts[3])};
-    if (!entity || !key || lease.epoch < 0 || lease.number < 0) return malformed;
-    return LeaseTicket{parts[1], lease, key->bytes()};
 }
 
 }  // namespace axon::client

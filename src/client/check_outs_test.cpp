@@ -63,7 +63,7 @@ class CheckOutsTest : public ::testing::Test, public CoreWorld {
 
 TEST_F(CheckOutsTest, WhoWaitsIsToldThePlaceAndGetsIt) {
     heldByAnother(3);
-    core.checkOut({"Cyton"}, waiting(60s), answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, waiting(60s), answer.taker());
     const auto asked = link.take().at(0);
     EXPECT_TRUE(asked.body.check_out().wait());
     answerPlace(asked, 2);
@@ -77,12 +77,12 @@ TEST_F(CheckOutsTest, WhoWaitsIsToldThePlaceAndGetsIt) {
     answerCheckOut(asked);
     EXPECT_EQ(answer.count, 1);
     EXPECT_TRUE(answer.refusal.ok());
-    EXPECT_THAT(core.held(), SizeIs(1));
+    EXPECT_THAT(core.leases().held(), SizeIs(1));
     EXPECT_EQ(core.nextDeadline(), TimePoint::max());
 }
 
 TEST_F(CheckOutsTest, APlaceIsAskedForAgainEveryFiveSeconds) {
-    core.checkOut({"Cyton"}, waiting(60s), answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, waiting(60s), answer.taker());
     const auto asked = link.take().at(0);
     answerPlace(asked, 1);
     advance(4999ms);
@@ -96,7 +96,7 @@ TEST_F(CheckOutsTest, APlaceIsAskedForAgainEveryFiveSeconds) {
 
 TEST_F(CheckOutsTest, WhenTheTimeIsUpThePlaceIsGivenBack) {
     heldByAnother(3);
-    core.checkOut({"Cyton"}, waiting(7s), answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, waiting(7s), answer.taker());
     answerPlace(link.take().at(0), 3);
     advance(5s);
     link.sent.clear();
@@ -110,11 +110,11 @@ TEST_F(CheckOutsTest, WhenTheTimeIsUpThePlaceIsGivenBack) {
 }
 
 TEST_F(CheckOutsTest, AWaitCanBeGivenUpAndALateGrantGoesBack) {
-    const auto id = core.checkOut({"Cyton"}, waiting(60s), answer.taker());
+    const auto id = core.checkOuts().checkOut({"Cyton"}, waiting(60s), answer.taker());
     const auto asked = link.take().at(0);
     answerPlace(asked, 1);
-    core.giveUp(id);
-    core.giveUp(id);
+    core.checkOuts().giveUp(id);
+    core.checkOuts().giveUp(id);
     EXPECT_EQ(answer.count, 1);
     EXPECT_EQ(answer.refusal.code, RefusalCode::Cancelled);
     EXPECT_THAT(phase(link.take(), proto::ABORT), SizeIs(1));
@@ -125,11 +125,11 @@ TEST_F(CheckOutsTest, AWaitCanBeGivenUpAndALateGrantGoesBack) {
 
 TEST_F(CheckOutsTest, AWaitEndsWithTheEntityAndWithTheConnection) {
     Answer<std::vector<Held>> second;
-    core.checkOut({"Cyton"}, waiting(60s), answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, waiting(60s), answer.taker());
     answerPlace(link.take().at(0), 1);
     core.onProfile(Presence::Left, {uuid(3), "Cyton"}, {});
     EXPECT_EQ(answer.refusal.code, RefusalCode::Unavailable);
-    core.checkOut({"PeopleBot#1"}, waiting(60s), second.taker());
+    core.checkOuts().checkOut({"PeopleBot#1"}, waiting(60s), second.taker());
     answerPlace(link.take().at(0), 1);
     loseConnection();
     EXPECT_EQ(second.refusal.code, RefusalCode::NotConnected);
@@ -143,7 +143,7 @@ TEST_F(CheckOutsTest, TheHolderIsAskedOnceAndRefuses) {
     options.wait.reset();
     options.ask = true;
     options.reason = "a demonstration";
-    core.checkOut({"Cyton"}, options, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, options, answer.taker());
     const auto asked = link.take().at(0);
     EXPECT_TRUE(asked.body.check_out().ask());
     EXPECT_FALSE(asked.body.check_out().wait());
@@ -160,7 +160,7 @@ TEST_F(CheckOutsTest, TheHolderIsAskedOnceAndRefuses) {
 TEST_F(CheckOutsTest, AQuestionThatNobodyAnswersIsWithdrawnWhenTheTimeIsUp) {
     auto options = waiting(10s);
     options.ask = true;
-    core.checkOut({"Cyton"}, options, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, options, answer.taker());
     const auto asked = link.take().at(0);
     EXPECT_TRUE(asked.body.check_out().wait()) << "in line when the answer is no";
     answerPlace(asked, 1);
@@ -175,7 +175,7 @@ TEST_F(CheckOutsTest, ForceAndItsReasonTravelInEachPhase) {
     CheckOutOptions options;
     options.force = true;
     options.reason = "fire drill";
-    core.checkOut({"PeopleBot#1", "Cyton"}, options, answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, options, answer.taker());
     const auto reserved = link.take();
     for (const auto& message : reserved) {
         EXPECT_TRUE(message.body.check_out().force());
@@ -189,13 +189,13 @@ TEST_F(CheckOutsTest, ForceAndItsReasonTravelInEachPhase) {
 TEST_F(CheckOutsTest, WhatMakesNoSenseIsRefusedAtOnce) {
     CheckOutOptions both;
     both.ask = both.force = true;
-    core.checkOut({"Cyton"}, both, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, both, answer.taker());
     EXPECT_EQ(answer.refusal.code, RefusalCode::Malformed);
     CheckOutOptions asks;
     asks.ask = true;
-    core.checkOut({"Cyton", "PeopleBot#1"}, asks, answer.taker());
+    core.checkOuts().checkOut({"Cyton", "PeopleBot#1"}, asks, answer.taker());
     EXPECT_EQ(answer.refusal.code, RefusalCode::NotSupported);
-    core.checkOut(parseQuery("1 ROBOT").value(), asks, answer.taker());
+    core.checkOuts().checkOut(parseQuery("1 ROBOT").value(), asks, answer.taker());
     EXPECT_EQ(answer.refusal.code, RefusalCode::Malformed);
     EXPECT_THAT(link.sent, IsEmpty());
 }
@@ -203,7 +203,7 @@ TEST_F(CheckOutsTest, WhatMakesNoSenseIsRefusedAtOnce) {
 TEST_F(CheckOutsTest, TheHandOverPolicyGoesWithTheLease) {
     CheckOutOptions options;
     options.hand_over = {20s, true};
-    core.checkOut({"Cyton"}, options, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, options, answer.taker());
     const auto& policy = link.sent.at(0).body.check_out().hand_over();
     EXPECT_DOUBLE_EQ(policy.answer_within_s(), 20);
     EXPECT_TRUE(policy.yield());
@@ -214,7 +214,7 @@ TEST_F(CheckOutsTest, TheHandOverPolicyGoesWithTheLease) {
 TEST_F(CheckOutsTest, SeveralAreParkedUntilAllAreFree) {
     idle(1);
     heldByAnother(3);
-    core.checkOut({"PeopleBot#1", "Cyton"}, waiting(60s), answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, waiting(60s), answer.taker());
     const auto reserved = link.take();
     answerCheckOut(reserved[0]);
     answerCheckOut(reserved[1], RefusalCode::AlreadyHeld);
@@ -234,13 +234,13 @@ TEST_F(CheckOutsTest, SeveralAreParkedUntilAllAreFree) {
     for (const auto& message : again) answerCheckOut(message);
     for (const auto& message : link.take()) answerCheckOut(message);
     EXPECT_EQ(answer.count, 1);
-    EXPECT_THAT(core.held(), SizeIs(2));
+    EXPECT_THAT(core.leases().held(), SizeIs(2));
 }
 
 TEST_F(CheckOutsTest, WhoLosesARaceTriesAgainALittleLater) {
     idle(1);
     idle(3);
-    core.checkOut({"PeopleBot#1", "Cyton"}, waiting(60s), answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, waiting(60s), answer.taker());
     answerCheckOut(link.take().at(0), RefusalCode::Reserved);
     link.sent.clear();
     idle(1);
@@ -251,7 +251,7 @@ TEST_F(CheckOutsTest, WhoLosesARaceTriesAgainALittleLater) {
 
 TEST_F(CheckOutsTest, SeveralThatDoNotBecomeFreeInTimeAreRefusedWithTheReason) {
     heldByAnother(3);
-    core.checkOut({"PeopleBot#1", "Cyton"}, waiting(8s), answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, waiting(8s), answer.taker());
     answerCheckOut(link.take().at(1), RefusalCode::AlreadyHeld);
     advance(5s);
     advance(3s);
@@ -262,7 +262,7 @@ TEST_F(CheckOutsTest, SeveralThatDoNotBecomeFreeInTimeAreRefusedWithTheReason) {
 
 TEST_F(CheckOutsTest, AParkedCheckOutEndsWhenAnEntityLeaves) {
     heldByAnother(3);
-    core.checkOut({"PeopleBot#1", "Cyton"}, waiting(60s), answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, waiting(60s), answer.taker());
     answerCheckOut(link.take().at(1), RefusalCode::AlreadyHeld);
     core.onProfile(Presence::Left, {uuid(1), "PeopleBot"}, {});
     EXPECT_EQ(answer.refusal.code, RefusalCode::Unavailable);
@@ -275,7 +275,7 @@ TEST_F(CheckOutsTest, AQueryChoosesAmongWhatIsFreeAndReady) {
     idle(2);
     join(4, "Arm", "STATIONARY");
     idle(4);
-    core.checkOut(parseQuery("1 ROBOT/MOBILE + 1 STATIONARY").value(), {}, answer.taker());
+    core.checkOuts().checkOut(parseQuery("1 ROBOT/MOBILE + 1 STATIONARY").value(), {}, answer.taker());
     const auto asked = link.take();
     ASSERT_THAT(asked, SizeIs(2));
     EXPECT_EQ(asked[0].head.entity, uuid(2)) << "the first PeopleBot is stopped";
@@ -283,12 +283,12 @@ TEST_F(CheckOutsTest, AQueryChoosesAmongWhatIsFreeAndReady) {
     EXPECT_EQ(asked[0].body.check_out().phase(), proto::RESERVE);
     for (const auto& message : asked) answerCheckOut(message);
     for (const auto& message : link.take()) answerCheckOut(message);
-    EXPECT_THAT(core.held(), SizeIs(2));
+    EXPECT_THAT(core.leases().held(), SizeIs(2));
 }
 
 TEST_F(CheckOutsTest, AQueryTriesOthersWhenARaceIsLost) {
     for (int i = 1; i <= 3; ++i) idle(i);
-    core.checkOut(parseQuery("1 ROBOT").value(), {}, answer.taker());
+    core.checkOuts().checkOut(parseQuery("1 ROBOT").value(), {}, answer.taker());
     const auto first = link.take().at(0);
     EXPECT_EQ(first.body.check_out().phase(), proto::TAKE);
     answerCheckOut(first, RefusalCode::AlreadyHeld);
@@ -305,7 +305,7 @@ TEST_F(CheckOutsTest, AQueryThatCannotBeServedSaysWhatIsMissing) {
     idle(1);
     heldByAnother(2);
     status(3, EntityState::UNAV);
-    core.checkOut(parseQuery("3 ROBOT/MOBILE + 1 MACHINE").value(), {}, answer.taker());
+    core.checkOuts().checkOut(parseQuery("3 ROBOT/MOBILE + 1 MACHINE").value(), {}, answer.taker());
     EXPECT_EQ(answer.refusal.code, RefusalCode::AlreadyHeld);
     EXPECT_EQ(answer.refusal.holder, "client2@lab");
     EXPECT_THAT(answer.refusal.message, HasSubstr("2 of 3 ROBOT/MOBILE are missing"));
@@ -317,7 +317,7 @@ TEST_F(CheckOutsTest, AQueryThatCannotBeServedSaysWhatIsMissing) {
 
 TEST_F(CheckOutsTest, AQueryIsAnsweredWhenEverybodyWasFaster) {
     for (int i = 1; i <= 3; ++i) idle(i);
-    core.checkOut(parseQuery("1 ROBOT").value(), {}, answer.taker());
+    core.checkOuts().checkOut(parseQuery("1 ROBOT").value(), {}, answer.taker());
     for (int i = 0; i < 3; ++i) answerCheckOut(link.take().at(0), RefusalCode::AlreadyHeld);
     EXPECT_EQ(answer.count, 1);
     EXPECT_EQ(answer.refusal.code, RefusalCode::AlreadyHeld);
@@ -326,20 +326,20 @@ TEST_F(CheckOutsTest, AQueryIsAnsweredWhenEverybodyWasFaster) {
 
 TEST_F(CheckOutsTest, AQueryWaitsUntilEnoughAreFree) {
     heldByAnother(1);
-    core.checkOut(parseQuery("1 ROBOT").value(), waiting(60s), answer.taker());
+    core.checkOuts().checkOut(parseQuery("1 ROBOT").value(), waiting(60s), answer.taker());
     EXPECT_THAT(link.sent, IsEmpty());
     ASSERT_THAT(told, SizeIs(1));
     idle(1);
     ASSERT_THAT(link.sent, SizeIs(1));
     answerCheckOut(link.take().at(0));
     EXPECT_TRUE(answer.refusal.ok());
-    EXPECT_THAT(core.held(), SizeIs(1));
+    EXPECT_THAT(core.leases().held(), SizeIs(1));
 }
 
 TEST_F(CheckOutsTest, ASilentEntityIsPassedOver) {
     idle(1);
     idle(2);
-    core.checkOut(parseQuery("1 ROBOT").value(), {}, answer.taker());
+    core.checkOuts().checkOut(parseQuery("1 ROBOT").value(), {}, answer.taker());
     link.sent.clear();
     advance(5s);
     const auto sent = link.take();
@@ -353,7 +353,7 @@ TEST_F(CheckOutsTest, ASilentEntityIsPassedOver) {
 TEST_F(CheckOutsTest, AQueryLooksForAnotherWhenTheOneItHasAskedLeaves) {
     idle(1);
     idle(2);
-    core.checkOut(parseQuery("1 ROBOT").value(), {}, answer.taker());
+    core.checkOuts().checkOut(parseQuery("1 ROBOT").value(), {}, answer.taker());
     const auto first = link.take().at(0);
     core.onProfile(Presence::Left, {first.head.entity, "PeopleBot", "ROBOT", "MOBILE"}, {});
     EXPECT_EQ(answer.count, 0);
@@ -367,7 +367,7 @@ TEST_F(CheckOutsTest, AQueryLooksForAnotherWhenTheOneItHasAskedLeaves) {
 TEST_F(CheckOutsTest, WhatIsTakenByForceAndGivenUpIsAborted) {
     CheckOutOptions force;
     force.force = true;
-    core.checkOut({"Cyton"}, force, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, force, answer.taker());
     link.sent.clear();
     advance(5s);
     EXPECT_EQ(answer.refusal.code, RefusalCode::TimedOut);
@@ -378,7 +378,7 @@ TEST_F(CheckOutsTest, WhoWaitsOnAfterTheHolderKeepsItIsToldSo) {
     heldByAnother(3);
     auto options = waiting(60s);
     options.ask = true;
-    core.checkOut({"Cyton"}, options, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, options, answer.taker());
     const auto asked = link.take().at(0);
     answerPlace(asked, 1);
     EXPECT_THAT(told.back().message, HasSubstr("has been asked"));
@@ -393,7 +393,7 @@ TEST_F(CheckOutsTest, WhoWaitsOnAfterTheHolderKeepsItIsToldSo) {
 TEST_F(CheckOutsTest, AQueryByServiceAsksTheCandidatesFirst) {
     idle(1);
     idle(3);
-    core.checkOut(parseQuery("1 ROBOT with gripping").value(), {}, answer.taker());
+    core.checkOuts().checkOut(parseQuery("1 ROBOT with gripping").value(), {}, answer.taker());
     const auto questions = link.take();
     ASSERT_THAT(questions, SizeIs(2));
     for (const auto& question : questions) {
@@ -414,7 +414,7 @@ TEST_F(CheckOutsTest, AQueryByServiceAsksTheCandidatesFirst) {
 
 TEST_F(CheckOutsTest, AServiceThatNobodyOffersIsNamed) {
     idle(3);
-    core.checkOut(parseQuery("1 ROBOT with Flying").value(), {}, answer.taker());
+    core.checkOuts().checkOut(parseQuery("1 ROBOT with Flying").value(), {}, answer.taker());
     link.sent.clear();
     advance(5s);
     EXPECT_EQ(answer.count, 1);
@@ -426,40 +426,40 @@ TEST_F(CheckOutsTest, AServiceThatNobodyOffersIsNamed) {
 
 TEST_F(CheckOutsTest, TheHolderIsToldAndAnswersOnce) {
     const auto held = take("Cyton");
-    EXPECT_EQ(core.answerHandOver(held, true, "").refusal().code, RefusalCode::WrongState);
+    EXPECT_EQ(core.leases().answerHandOver(held, true, "").refusal().code, RefusalCode::WrongState);
     ask("question-1", "a demonstration");
     ask("question-1", "a demonstration");
     ASSERT_THAT(observer.hand_overs, SizeIs(1));
     EXPECT_EQ(observer.hand_overs[0].by, "client2@lab");
-    EXPECT_EQ(core.question(held)->reason, "a demonstration");
+    EXPECT_EQ(core.leases().question(held)->reason, "a demonstration");
     const auto within = observer.hand_overs[0].answer_within;
     advance(2s);
-    EXPECT_DOUBLE_EQ(core.question(held)->answer_within.count(), within.count() - 2)
+    EXPECT_DOUBLE_EQ(core.leases().question(held)->answer_within.count(), within.count() - 2)
         << "what is left of the time";
-    ASSERT_TRUE(core.answerHandOver(held, false, "in the middle of something").ok());
+    ASSERT_TRUE(core.leases().answerHandOver(held, false, "in the middle of something").ok());
     ASSERT_THAT(link.sent, SizeIs(1));
     const auto& said = link.sent[0].body.hand_over_answer();
     EXPECT_EQ(said.request_id(), "question-1");
     EXPECT_FALSE(said.accept());
     EXPECT_EQ(said.reason(), "in the middle of something");
     EXPECT_EQ(link.sent[0].head.held, held.lease);
-    EXPECT_EQ(core.answerHandOver(held, true, "").refusal().code, RefusalCode::WrongState);
+    EXPECT_EQ(core.leases().answerHandOver(held, true, "").refusal().code, RefusalCode::WrongState);
 }
 
 TEST_F(CheckOutsTest, AWithdrawnQuestionCannotBeAnswered) {
     const auto held = take("Cyton");
     ask("question-1", "");
     ask("question-0", "", true);
-    EXPECT_TRUE(core.question(held)) << "another one was withdrawn";
+    EXPECT_TRUE(core.leases().question(held)) << "another one was withdrawn";
     ask("question-1", "", true);
-    EXPECT_FALSE(core.question(held));
+    EXPECT_FALSE(core.leases().question(held));
     ASSERT_THAT(observer.hand_overs, SizeIs(2));
     EXPECT_TRUE(observer.hand_overs[1].withdrawn);
 }
 
 TEST_F(CheckOutsTest, WhoRefusesAlwaysIsNotAsked) {
     const auto held = take("Cyton");
-    ASSERT_TRUE(core.setHandOverPolicy(held, {30s, false, true}).ok());
+    ASSERT_TRUE(core.leases().setHandOverPolicy(held, {30s, false, true}).ok());
     EXPECT_FALSE(link.take().at(0).body.hand_over_policy().yield());
     ask("question-1", "");
     EXPECT_THAT(observer.hand_overs, IsEmpty());
@@ -474,8 +474,8 @@ TEST_F(CheckOutsTest, ALeaseIsResumedWithItsKey) {
     loseConnection();
     EXPECT_THAT(observer.orphaned, ElementsAre(held));
     EXPECT_THAT(observer.lost, IsEmpty());
-    EXPECT_TRUE(core.holds(held) && core.orphaned(held));
-    EXPECT_EQ(core.sendText(held, "x").refusal().code, RefusalCode::NotConnected);
+    EXPECT_TRUE(core.leases().holds(held) && core.leases().orphaned(held));
+    EXPECT_EQ(core.commands().sendText(held, "x").refusal().code, RefusalCode::NotConnected);
 
     connect();
     const auto asked = phase(link.take(), proto::RESUME_LEASE);
@@ -483,12 +483,13 @@ TEST_F(CheckOutsTest, ALeaseIsResumedWithItsKey) {
     EXPECT_EQ(asked[0].head.entity, uuid(3));
     EXPECT_EQ(asked[0].body.check_out().resume().number(), 4U);
     EXPECT_EQ(asked[0].body.check_out().resume().key(), "0123456789abcdef");
-    EXPECT_EQ(core.sendText(held, "x").refusal().code, RefusalCode::NotConnected) << "not before the answer";
+    EXPECT_EQ(core.commands().sendText(held, "x").refusal().code, RefusalCode::NotConnected)
+        << "not before the answer";
 
     answerResume(asked[0], RefusalCode::Ok, 4);
     EXPECT_THAT(observer.resumed, ElementsAre(held));
-    EXPECT_FALSE(core.orphaned(held));
-    EXPECT_TRUE(core.sendText(held, "x").ok());
+    EXPECT_FALSE(core.leases().orphaned(held));
+    EXPECT_TRUE(core.commands().sendText(held, "x").ok());
     EXPECT_EQ(core.pendingRequests(), 0U);
     EXPECT_EQ(core.nextDeadline(), TimePoint::max());
 }
@@ -504,15 +505,15 @@ TEST_F(CheckOutsTest, AProfileThatOvertakesTheHandshakeIsResumedToo) {
 
 TEST_F(CheckOutsTest, ARefusedResumeIsALostLease) {
     const auto held = take("Cyton", 1, 5s);
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     loseConnection();
-    EXPECT_FALSE(isFinal(core.task(task)->state)) << "nobody knows yet";
+    EXPECT_FALSE(isFinal(core.tasks().report(task)->state)) << "nobody knows yet";
     connect();
     answerResume(phase(link.take(), proto::RESUME_LEASE).at(0), RefusalCode::RevokedLease);
     ASSERT_THAT(observer.lost, SizeIs(1));
     EXPECT_EQ(observer.lost[0].second.code, RefusalCode::RevokedLease);
-    EXPECT_EQ(core.task(task)->state, TaskState::Unknown);
-    EXPECT_THAT(core.held(), IsEmpty());
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Unknown);
+    EXPECT_THAT(core.leases().held(), IsEmpty());
 }
 
 TEST_F(CheckOutsTest, WithoutGraceTheLeaseGoesWithTheConnection) {
@@ -532,7 +533,7 @@ TEST_F(CheckOutsTest, ALeaseIsLostWhenTheConnectionIsNotBackInTime) {
     const auto held = take("Cyton", 1, 5s);
     loseConnection();
     advance(14999ms);
-    EXPECT_TRUE(core.holds(held));
+    EXPECT_TRUE(core.leases().holds(held));
     core.onDisconnected("no server");  // a login that failed does not make the time longer
     advance(1ms);
     ASSERT_THAT(observer.lost, SizeIs(1));
@@ -569,12 +570,12 @@ TEST_F(CheckOutsTest, AnEntityThatIsNotThereYetIsResumedWhenItJoins) {
 
 TEST_F(CheckOutsTest, AnEntityThatLeavesHasAMomentToComeBack) {
     const auto held = take("Cyton", 1, 5s);
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     core.onProfile(Presence::Left, {uuid(3), "Cyton"}, {});
-    EXPECT_TRUE(core.orphaned(held));
+    EXPECT_TRUE(core.leases().orphaned(held));
     join(3, "Cyton");
     answerResume(phase(link.take(), proto::RESUME_LEASE).at(0));
-    EXPECT_FALSE(core.orphaned(held));
+    EXPECT_FALSE(core.leases().orphaned(held));
     core.onProfile(Presence::Left, {uuid(3), "Cyton"}, {});
     advance(2s);
     EXPECT_THAT(observer.lost, IsEmpty()) << "a router or server is started anew";
@@ -582,7 +583,7 @@ TEST_F(CheckOutsTest, AnEntityThatLeavesHasAMomentToComeBack) {
     ASSERT_THAT(observer.lost, SizeIs(1));
     EXPECT_EQ(observer.lost[0].second.code, RefusalCode::Unavailable);
     EXPECT_THAT(observer.lost[0].second.message, HasSubstr("Cyton has left"));
-    EXPECT_EQ(core.task(task)->state, TaskState::Unknown);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Unknown);
 }
 
 TEST_F(CheckOutsTest, TheServerIsNotExpectedToBeatFastForAnEntityThatHasLeft) {
@@ -598,26 +599,26 @@ TEST_F(CheckOutsTest, AServerThatEndsTakesItsEntitiesWithItAndTheLeaseIsStillRes
     core.onProfile(Presence::Left, {uuid(3), "Cyton"}, {});
     loseConnection();
     advance(10s);
-    EXPECT_TRUE(core.holds(held)) << "the time of the connection counts, not that of the entity";
+    EXPECT_TRUE(core.leases().holds(held)) << "the time of the connection counts, not that of the entity";
     connect();
     EXPECT_THAT(phase(link.take(), proto::RESUME_LEASE), SizeIs(1));
 }
 
 TEST_F(CheckOutsTest, TasksAreToldAsTheyEndedAndAreUnknownOnlyWhereNobodyKnows) {
     const auto held = take("Cyton", 1, 5s);
-    const auto ended = core.run(held, "Driving", {}, {});
-    const auto runs = core.run(held, "Driving", {}, {});
-    const auto remembered = core.run(held, "Driving", {}, {});
-    const auto never_heard_of = core.run(held, "Driving", {}, {});
+    const auto ended = core.tasks().run(held, "Driving", {}, {});
+    const auto runs = core.tasks().run(held, "Driving", {}, {});
+    const auto remembered = core.tasks().run(held, "Driving", {}, {});
+    const auto never_heard_of = core.tasks().run(held, "Driving", {}, {});
     for (const auto task : {ended, runs}) taskEvent(3, task, proto::TASK_RUNNING);
     loseConnection();
-    EXPECT_EQ(core.task(runs)->state, TaskState::Running);
+    EXPECT_EQ(core.tasks().report(runs)->state, TaskState::Running);
     connect();
     answerResume(phase(link.take(), proto::RESUME_LEASE).at(0));
     const auto asked = link.take();
     ASSERT_THAT(asked, SizeIs(1));
     ASSERT_TRUE(asked[0].body.has_status_request());
-    const auto later = core.run(held, "Driving", {}, {});
+    const auto later = core.tasks().run(held, "Driving", {}, {});
 
     taskEvent(3, ended, proto::TASK_STOPPED);
     proto::ToClient message;
@@ -630,11 +631,11 @@ TEST_F(CheckOutsTest, TasksAreToldAsTheyEndedAndAreUnknownOnlyWhereNobodyKnows) 
     status.mutable_ended(0)->set_state(proto::TASK_FAILED);
     fromEntity(3, message);
 
-    EXPECT_EQ(core.task(ended)->state, TaskState::Stopped);
-    EXPECT_EQ(core.task(remembered)->state, TaskState::Failed);
-    EXPECT_EQ(core.task(runs)->state, TaskState::Running);
-    EXPECT_EQ(core.task(never_heard_of)->state, TaskState::Unknown);
-    EXPECT_EQ(core.task(later)->state, TaskState::Queued) << "asked for after the question";
+    EXPECT_EQ(core.tasks().report(ended)->state, TaskState::Stopped);
+    EXPECT_EQ(core.tasks().report(remembered)->state, TaskState::Failed);
+    EXPECT_EQ(core.tasks().report(runs)->state, TaskState::Running);
+    EXPECT_EQ(core.tasks().report(never_heard_of)->state, TaskState::Unknown);
+    EXPECT_EQ(core.tasks().report(later)->state, TaskState::Queued) << "asked for after the question";
 }
 
 TEST_F(CheckOutsTest, ANewerHolderEndsAnOrphanedLease) {
@@ -652,7 +653,7 @@ TEST_F(CheckOutsTest, ClosingKeepsNothing) {
     const auto other = take("PeopleBot#1", 1, 5s);
     loseConnection();
     Answer<void> released;
-    core.release(held, released.taker());
+    core.leases().release(held, released.taker());
     EXPECT_TRUE(released.refusal.ok()) << "given up, though nobody can be told";
     core.onDisconnected("closed", true);
     ASSERT_THAT(observer.lost, SizeIs(1));
@@ -662,18 +663,18 @@ TEST_F(CheckOutsTest, ClosingKeepsNothing) {
 }
 
 TEST_F(CheckOutsTest, ATicketTakesALeaseToAnotherProcess) {
-    const auto ticket = core.ticket(take("Cyton", 4, 5s)).value();
+    const auto ticket = core.leases().ticket(take("Cyton", 4, 5s)).value();
     CoreWorld other;
     other.connect();
     const auto read = LeaseTicket::parse(ticket.toText());
     ASSERT_TRUE(read.ok());
-    other.core.resume(read.value(), answer.taker());
+    other.core.checkOuts().resume(read.value(), answer.taker());
     const auto asked = other.link.take().at(0);
     EXPECT_EQ(asked.body.check_out().phase(), proto::RESUME_LEASE);
     EXPECT_EQ(asked.body.check_out().resume().key(), "0123456789abcdef");
     other.answerCheckOut(asked, RefusalCode::Ok, 4, 5s);
     EXPECT_TRUE(answer.refusal.ok());
-    EXPECT_THAT(other.core.held(), ElementsAre(Held{uuid(3), {1, 4}}));
+    EXPECT_THAT(other.core.leases().held(), ElementsAre(Held{uuid(3), {1, 4}}));
 }
 
 TEST_F(CheckOutsTest, OnlyATicketIsATicket) {
@@ -694,10 +695,10 @@ TEST(FinishedTasksTest, ATableOfOneForgetsWhileALeaseEnds) {
     world.connect();
     const auto held = world.take("Cyton");
     std::vector<Id128> tasks;
-    for (int i = 0; i < 5; ++i) tasks.push_back(world.core.run(held, "Driving", {}, {}));
+    for (int i = 0; i < 5; ++i) tasks.push_back(world.core.tasks().run(held, "Driving", {}, {}));
     Answer<void> pause;
     world.taskEvent(3, tasks[0], proto::TASK_RUNNING);
-    world.core.control(tasks[0], proto::PAUSE, pause.taker());
+    world.core.tasks().control(tasks[0], proto::PAUSE, pause.taker());
     // The refusal of one task ends the lease, which ends the others: the first report is forgotten on the
     // way.
     proto::ToClient message;
@@ -717,7 +718,7 @@ TEST(ManyRequestsTest, EachIsFoundByItsSequenceAndByItsEntity) {
     const auto held = world.take("Cyton");
     std::vector<Answer<void>> answers(50);
     for (auto& answer : answers)
-        world.core.set(held, "Driving", {"Distance", {std::int64_t{1}}}, answer.taker());
+        world.core.commands().set(held, "Driving", {"Distance", {std::int64_t{1}}}, answer.taker());
     const auto sent = world.link.take();
     world.core.onRefusal(sent[20].head, {RefusalCode::Overloaded, "no", {}});
     EXPECT_EQ(answers[20].refusal.code, RefusalCode::Overloaded);

@@ -6,6 +6,7 @@
 #include <google/protobuf/util/json_util.h>
 #include <google/protobuf/wire_format_lite.h>
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 
@@ -97,6 +98,21 @@ proto::Value toProto(const Value& value) {
     if (const auto* s = std::get_if<std::string>(&value)) out.set_str(*s);
     if (const auto* b = std::get_if<bool>(&value)) out.set_bool_(*b);
     return out;
+}
+
+bool parse(google::protobuf::MessageLite& message, std::string_view bytes) {
+    return message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()));
+}
+
+LeaseNumber fromProto(const proto::Lease& lease) {
+    return {static_cast<std::int32_t>(lease.epoch()), static_cast<std::int32_t>(lease.number())};
+}
+
+proto::HandOverPolicy toProto(const HandOverPolicy& policy) {
+    proto::HandOverPolicy message;
+    message.set_answer_within_s(std::clamp(policy.answer_within.count(), 0.0, 600.0));
+    message.set_yield(policy.yield && !policy.refuse);
+    return message;
 }
 
 namespace {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
 #include <axon/collaboration.pb.h>
+#include <axon/lease.pb.h>
 #include <axon/profile.pb.h>
 #include <axon/status.pb.h>
 #include <axon/stream.pb.h>
@@ -16,10 +17,16 @@
 #include "collaboration/bindings.hpp"
 #include "common/ids.hpp"
 #include "common/result.hpp"
+#include "common/routed.hpp"
 
 // Between the messages and the types of the public header. Pure functions: any thread.
 namespace axon::client {
 
+/// False for bytes that are no such message.
+bool parse(google::protobuf::MessageLite& message, std::string_view bytes);
+
+LeaseNumber fromProto(const proto::Lease& lease);
+proto::HandOverPolicy toProto(const HandOverPolicy& policy);
 Value fromProto(const proto::Value& value);
 proto::Value toProto(const Value& value);
 Service fromProto(const proto::Service& service);

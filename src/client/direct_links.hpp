@@ -11,7 +11,7 @@
 
 #include "client/direct_path.hpp"
 #include "client/send_queue.hpp"
-#include "client/session_core.hpp"
+#include "client/session_observer.hpp"
 #include "common/clock.hpp"
 #include "common/snapshot.hpp"
 #include "direct/beats.hpp"

@@ -28,9 +28,9 @@ Refusal gone() {
 using Session = Client::Session;
 
 /// `begin` gives the core an order to check out, and returns its number.
-using BeginCheckOut = std::function<Id128(SessionCore&, const CheckOutOptions&, SessionCore::CheckOutDone)>;
+using BeginCheckOut = std::function<Id128(SessionCore&, const CheckOutOptions&, CheckOuts::Done)>;
 
-/// Waits until all are granted, or refused. The caller makes the handles public.
+/// Waits until all are granted, or refused; the caller makes handles of them.
 Result<std::vector<std::shared_ptr<CheckOut::Shared>>> checkOutAll(const std::shared_ptr<Session>& session,
                                                                    const CheckOutOptions& options,
                                                                    const BeginCheckOut& begin) {
@@ -52,7 +52,7 @@ Result<std::vector<std::shared_ptr<CheckOut::Shared>>> checkOutAll(const std::sh
                          if (!granted) return promise->set_value(granted.refusal());
                          std::vector<std::shared_ptr<CheckOut::Shared>> made;
                          for (const auto& held : granted.value()) {
-                             const auto entity = core.entity(held.entity);
+                             const auto entity = core.entities().entity(held.entity);
                              made.push_back(std::make_shared<CheckOut::Shared>(
                                  held, weak, entity ? entity.value() : Entity{held.entity}));
                              news->add(made.back());
@@ -61,14 +61,14 @@ Result<std::vector<std::shared_ptr<CheckOut::Shared>>> checkOutAll(const std::sh
                      });
     });
     const std::stop_callback cancel(options.give_up, [&session, order] {
-        session->withCore([order](SessionCore& core) { core.giveUp(order); });
+        session->withCore([order](SessionCore& core) { core.checkOuts().giveUp(order); });
     });
     return future.get();
 }
 
 /// A reset or clear, and what became of it.
 Result<Receipt> command(Session& session, const Held& held,
-                        Result<void> (SessionCore::*give)(const Held&, std::int64_t)) {
+                        Result<void> (Commands::*give)(const Held&, std::int64_t)) {
     using Answer = Result<std::vector<Receipt>>;
     const auto promise = std::make_shared<std::promise<Answer>>();
     auto future = promise->get_future();
@@ -77,7 +77,8 @@ Result<Receipt> command(Session& session, const Held& held,
         desk.await(held.entity, sequence, timeoutOf(session.options()),
                    [promise](Answer answer) { promise->set_value(std::move(answer)); });
     });
-    const auto sent = session.withCore([&](SessionCore& core) { return (core.*give)(held, sequence); });
+    const auto sent =
+        session.withCore([&](SessionCore& core) { return (core.commands().*give)(held, sequence); });
     if (!sent) {
         session.stops().withDesk([&](StopDesk& desk) { desk.withdraw(sequence); });
         return sent.refusal();
@@ -128,13 +129,20 @@ void listen(Shared& shared, Callback callback) {
     shared.callbacks.push_back(std::move(callback));
 }
 
+void control(SessionCore& core, const Task::Shared& task, proto::TaskAction action, Done done) {
+    core.tasks().control(task.id, action, std::move(done));
+}
+
+void control(SessionCore& core, const Run::Shared& run, proto::TaskAction action, Done done) {
+    core.runs().control(run.id, action, std::move(done));
+}
+
 template <class Shared>
-Result<void> control(const Shared& shared, proto::TaskAction action,
-                     void (SessionCore::*give)(const Id128&, proto::TaskAction, SessionCore::Done)) {
+Result<void> askFor(proto::TaskAction action, const Shared& shared) {
     const auto session = shared.session.lock();
     if (!session) return gone();
     return session->template ask<Result<void>>(
-        [&](SessionCore& core, auto done) { (core.*give)(shared.id, action, done); });
+        [&](SessionCore& core, auto done) { control(core, shared, action, std::move(done)); });
 }
 
 }  // namespace
@@ -180,11 +188,11 @@ std::string Client::server() const {
 }
 
 std::vector<Entity> Client::entities(Listed listed) const {
-    return session_->look([&](const SessionCore& core) { return core.entities(listed); });
+    return session_->look([&](const SessionCore& core) { return core.entities().list(listed); });
 }
 
 Result<Entity> Client::find(std::string_view name) const {
-    return session_->look([&](const SessionCore& core) { return core.find(name); });
+    return session_->look([&](const SessionCore& core) { return core.entities().find(name); });
 }
 
 Result<Entity> Client::waitFor(std::string_view name, Seconds time) const {
@@ -201,11 +209,10 @@ void Client::onConnection(std::function<void(bool, const std::string&)> callback
 
 Result<std::vector<CheckOut>> Client::checkOut(const std::vector<std::string>& names,
                                                const CheckOutOptions& options) {
-    return handlesOf(
-        checkOutAll(session_, options,
-                    [&](SessionCore& core, const CheckOutOptions& with, SessionCore::CheckOutDone done) {
-                        return core.checkOut(names, with, std::move(done));
-                    }));
+    return handlesOf(checkOutAll(session_, options,
+                                 [&](SessionCore& core, const CheckOutOptions& with, CheckOuts::Done done) {
+                                     return core.checkOuts().checkOut(names, with, std::move(done));
+                                 }));
 }
 
 Result<CheckOut> Client::checkOut(std::string_view name, const CheckOutOptions& options) {
@@ -217,19 +224,18 @@ Result<CheckOut> Client::checkOut(std::string_view name, const CheckOutOptions& 
 Result<std::vector<CheckOut>> Client::checkOutQuery(std::string_view query, const CheckOutOptions& options) {
     const auto parsed = parseQuery(query);
     if (!parsed) return parsed.refusal();
-    return handlesOf(
-        checkOutAll(session_, options,
-                    [&](SessionCore& core, const CheckOutOptions& with, SessionCore::CheckOutDone done) {
-                        return core.checkOut(parsed.value(), with, std::move(done));
-                    }));
+    return handlesOf(checkOutAll(session_, options,
+                                 [&](SessionCore& core, const CheckOutOptions& with, CheckOuts::Done done) {
+                                     return core.checkOuts().checkOut(parsed.value(), with, std::move(done));
+                                 }));
 }
 
 Result<CheckOut> Client::resume(std::string_view ticket) {
     const auto parsed = LeaseTicket::parse(ticket);
     if (!parsed) return parsed.refusal();
-    auto all = handlesOf(checkOutAll(
-        session_, {}, [&](SessionCore& core, const CheckOutOptions&, SessionCore::CheckOutDone done) {
-            core.resume(parsed.value(), std::move(done));
+    auto all = handlesOf(
+        checkOutAll(session_, {}, [&](SessionCore& core, const CheckOutOptions&, CheckOuts::Done done) {
+            core.checkOuts().resume(parsed.value(), std::move(done));
             return Id128{};
         }));
     if (!all) return all.refusal();
@@ -247,7 +253,7 @@ std::vector<CheckOut> Client::held() const {
     return session_->look([this](const SessionCore& core) {
         std::vector<CheckOut> all;
         for (const auto& check_out : session_->news().checkOuts()) {
-            if (core.holds(check_out->held)) all.push_back(CheckOut(check_out));
+            if (core.leases().holds(check_out->held)) all.push_back(CheckOut(check_out));
         }
         return all;
     });
@@ -272,31 +278,31 @@ Result<std::vector<Receipt>> Client::stop(const std::vector<std::string>& names,
 
 Result<void> Client::rearm(std::string_view name) {
     return session_->ask<Result<void>>([&](SessionCore& core, auto done) {
-        const auto entity = core.find(name);
+        const auto entity = core.entities().find(name);
         if (!entity) return done(entity.refusal());
-        core.rearm(entity->id, done);
+        core.commands().rearm(entity->id, done);
     });
 }
 
 Result<std::vector<Service>> Client::services(std::string_view name) const {
     return session_->ask<Result<std::vector<Service>>>([&](SessionCore& core, auto done) {
-        const auto entity = core.find(name);
+        const auto entity = core.entities().find(name);
         if (!entity) return done(entity.refusal());
-        core.fetchServices(entity->id, done);
+        core.entities().fetchServices(entity->id, done);
     });
 }
 
 Result<Details> Client::details(std::string_view name) const {
     return session_->ask<Result<Details>>([&](SessionCore& core, auto done) {
-        const auto entity = core.find(name);
+        const auto entity = core.entities().find(name);
         if (!entity) return done(entity.refusal());
-        core.fetchDetails(entity->id, done);
+        core.entities().fetchDetails(entity->id, done);
     });
 }
 
 Result<GlobalServices> Client::globalServices() const {
     return session_->ask<Result<GlobalServices>>(
-        [](SessionCore& core, auto done) { core.fetchGlobalServices(done); });
+        [](SessionCore& core, auto done) { core.runs().fetchServices(done); });
 }
 
 Result<Proposal> Client::propose(const GlobalService& service, const Bindings& chosen) const {
@@ -309,19 +315,19 @@ Result<Run> Client::beginRun(const GlobalService& service, const Bindings& bindi
         if (auto overloaded = session_->messages().admit(0); !overloaded.ok()) return overloaded;
         RunOrder order{service, {}, {}, check_only, 0};
         for (const auto& [role, name] : bindings) {
-            const auto entity = core.find(name);
+            const auto entity = core.entities().find(name);
             if (!entity) return entity.refusal();
             order.players[role] = entity->id;
         }
-        const auto entity = core.find(master);
+        const auto entity = core.entities().find(master);
         if (!entity) return entity.refusal();
         order.master = entity->id;
         order.asked_at_ms = std::chrono::duration_cast<std::chrono::milliseconds>(
                                 std::chrono::system_clock::now().time_since_epoch())
                                 .count();
-        const auto id = core.runGlobal(order);
+        const auto id = core.runs().run(order);
         if (!id) return id.refusal();
-        auto run = std::make_shared<Run::Shared>(id.value(), session_, *core.runReport(id.value()));
+        auto run = std::make_shared<Run::Shared>(id.value(), session_, *core.runs().report(id.value()));
         if (!isFinal(run->report.state)) session_->news().add(run);
         return Run(std::move(run));
     });
@@ -349,9 +355,9 @@ Result<std::vector<DrillReport>> Client::drill(const std::vector<std::string>& n
 Result<std::shared_ptr<void>> Client::watch(std::string_view name, const std::vector<std::string>& streams,
                                             std::function<void(const Sample&)> callback) {
     auto begun = session_->withCore([&](SessionCore& core) -> Result<std::uint64_t> {
-        const auto entity = core.find(name);
+        const auto entity = core.entities().find(name);
         if (!entity) return entity.refusal();
-        const auto watching = core.watch(entity->id, streams);
+        const auto watching = core.watches().watch(entity->id, streams);
         if (!watching) return watching.refusal();
         return session_->news().addWatch(entity->id, streams, std::move(callback));
     });
@@ -361,7 +367,7 @@ Result<std::shared_ptr<void>> Client::watch(std::string_view name, const std::ve
         if (!session) return;
         session->withCore([&](SessionCore& core) {
             const auto [entity, watched] = session->news().removeWatch(id);
-            if (!entity.empty()) core.unwatch(entity, watched);
+            if (!entity.empty()) core.watches().unwatch(entity, watched);
         });
     };
     return std::shared_ptr<void>(static_cast<void*>(session_.get()), unwatch);
@@ -382,13 +388,13 @@ void Task::onUpdate(std::function<void(const TaskReport&)> callback) const {
     listen(*shared_, std::move(callback));
 }
 Result<void> Task::pause() const {
-    return control(*shared_, proto::PAUSE, &SessionCore::control);
+    return askFor(proto::PAUSE, *shared_);
 }
 Result<void> Task::resume() const {
-    return control(*shared_, proto::RESUME, &SessionCore::control);
+    return askFor(proto::RESUME, *shared_);
 }
 Result<void> Task::cancel() const {
-    return control(*shared_, proto::CANCEL, &SessionCore::control);
+    return askFor(proto::CANCEL, *shared_);
 }
 
 const std::string& Run::id() const {
@@ -404,21 +410,21 @@ void Run::onUpdate(std::function<void(const RunReport&)> callback) const {
     listen(*shared_, std::move(callback));
 }
 Result<void> Run::pause() const {
-    return control(*shared_, proto::PAUSE, &SessionCore::controlRun);
+    return askFor(proto::PAUSE, *shared_);
 }
 Result<void> Run::resume() const {
-    return control(*shared_, proto::RESUME, &SessionCore::controlRun);
+    return askFor(proto::RESUME, *shared_);
 }
 Result<void> Run::cancel() const {
-    return control(*shared_, proto::CANCEL, &SessionCore::controlRun);
+    return askFor(proto::CANCEL, *shared_);
 }
 
 // ---- CheckOut
 
 Entity CheckOut::entity() const {
     if (const auto session = shared_->session.lock()) {
-        auto now =
-            session->look([this](const SessionCore& core) { return core.entity(shared_->held.entity); });
+        auto now = session->look(
+            [this](const SessionCore& core) { return core.entities().entity(shared_->held.entity); });
         if (now) {
             const std::lock_guard lock(shared_->mutex);
             shared_->last = now.value();
@@ -432,7 +438,8 @@ Entity CheckOut::entity() const {
 std::vector<Service> CheckOut::services() const {
     const auto session = shared_->session.lock();
     if (!session) return {};
-    auto all = session->look([this](const SessionCore& core) { return core.services(shared_->held); });
+    auto all =
+        session->look([this](const SessionCore& core) { return core.leases().services(shared_->held); });
     return all ? std::move(all).value() : std::vector<Service>{};
 }
 
@@ -440,14 +447,14 @@ Result<Service> CheckOut::service(std::string_view name_or_global_id) const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
     return session->look(
-        [&](const SessionCore& core) { return core.service(shared_->held, name_or_global_id); });
+        [&](const SessionCore& core) { return core.leases().service(shared_->held, name_or_global_id); });
 }
 
 Result<void> CheckOut::set(std::string_view service, const Argument& argument) const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
     return session->ask<Result<void>>(
-        [&](SessionCore& core, auto done) { core.set(shared_->held, service, argument, done); });
+        [&](SessionCore& core, auto done) { core.commands().set(shared_->held, service, argument, done); });
 }
 
 Result<void> CheckOut::upload(std::string_view service, std::string_view resource,
@@ -470,8 +477,8 @@ Task CheckOut::run(std::string_view service, const std::vector<Argument>& argume
                 report.reason = overloaded;
                 return Task(std::make_shared<Task::Shared>(id, session, report));
             }
-            const auto id = core.run(shared_->held, service, arguments, toDuration(not_after));
-            auto task = std::make_shared<Task::Shared>(id, session, *core.task(id));
+            const auto id = core.tasks().run(shared_->held, service, arguments, toDuration(not_after));
+            auto task = std::make_shared<Task::Shared>(id, session, *core.tasks().report(id));
             if (!isFinal(task->report.state)) session->news().add(task);
             return Task(std::move(task));
         });
@@ -491,7 +498,7 @@ Result<void> CheckOut::sendText(std::string_view text) const {
     if (auto refusal = session->messages().admit(text.size()); !refusal.ok()) return refusal;
     return session->withCore([&](SessionCore& core) -> Result<void> {
         if (auto refusal = session->messages().admit(text.size()); !refusal.ok()) return refusal;
-        return core.sendText(shared_->held, text);
+        return core.commands().sendText(shared_->held, text);
     });
 }
 
@@ -503,7 +510,7 @@ Result<void> CheckOut::sendRaw(std::string_view bytes, Seconds wait) const {
     if (auto refusal = session->messages().admit(bytes.size()); !refusal.ok()) return refusal;
     return session->withCore([&](SessionCore& core) -> Result<void> {
         if (auto refusal = session->messages().admit(bytes.size()); !refusal.ok()) return refusal;
-        return core.sendRaw(shared_->held, bytes);
+        return core.commands().sendRaw(shared_->held, bytes);
     });
 }
 
@@ -543,7 +550,8 @@ void CheckOut::onResumed(std::function<void()> callback) const {
 
 bool CheckOut::orphaned() const {
     const auto session = shared_->session.lock();
-    return session && session->look([this](const SessionCore& core) { return core.orphaned(shared_->held); });
+    return session &&
+           session->look([this](const SessionCore& core) { return core.leases().orphaned(shared_->held); });
 }
 
 void CheckOut::onHandOverRequest(std::function<void(const HandOverRequest&)> callback) const {
@@ -551,7 +559,7 @@ void CheckOut::onHandOverRequest(std::function<void(const HandOverRequest&)> cal
     if (!session) return;
     // Under the core's lock, so that no request comes between the look and the callback's being there.
     session->look([&](const SessionCore& core) {
-        const auto open = core.question(shared_->held);
+        const auto open = core.leases().question(shared_->held);
         const std::lock_guard lock(shared_->mutex);
         if (open && callback) session->news().post([callback, open] { callback(*open); }, false);
         shared_->hand_over = std::move(callback);
@@ -561,21 +569,21 @@ void CheckOut::onHandOverRequest(std::function<void(const HandOverRequest&)> cal
 std::optional<HandOverRequest> CheckOut::handOverRequest() const {
     const auto session = shared_->session.lock();
     if (!session) return std::nullopt;
-    return session->look([this](const SessionCore& core) { return core.question(shared_->held); });
+    return session->look([this](const SessionCore& core) { return core.leases().question(shared_->held); });
 }
 
 Result<void> CheckOut::answerHandOver(bool accept, std::string_view reason) const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
     return session->withCore(
-        [&](SessionCore& core) { return core.answerHandOver(shared_->held, accept, reason); });
+        [&](SessionCore& core) { return core.leases().answerHandOver(shared_->held, accept, reason); });
 }
 
 Result<void> CheckOut::setHandOverPolicy(const HandOverPolicy& policy) const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
     return session->withCore(
-        [&](SessionCore& core) { return core.setHandOverPolicy(shared_->held, policy); });
+        [&](SessionCore& core) { return core.leases().setHandOverPolicy(shared_->held, policy); });
 }
 
 bool CheckOut::direct() const {
@@ -586,20 +594,21 @@ bool CheckOut::direct() const {
 std::string CheckOut::ticket() const {
     const auto session = shared_->session.lock();
     if (!session) return {};
-    const auto ticket = session->look([this](const SessionCore& core) { return core.ticket(shared_->held); });
+    const auto ticket =
+        session->look([this](const SessionCore& core) { return core.leases().ticket(shared_->held); });
     return ticket ? ticket->toText() : std::string();
 }
 
 Result<Receipt> CheckOut::reset() const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
-    return command(*session, shared_->held, &SessionCore::reset);
+    return command(*session, shared_->held, &Commands::reset);
 }
 
 Result<Receipt> CheckOut::clear() const {
     const auto session = shared_->session.lock();
     if (!session) return gone();
-    return command(*session, shared_->held, &SessionCore::clear);
+    return command(*session, shared_->held, &Commands::clear);
 }
 
 Result<void> CheckOut::release() const {
@@ -607,7 +616,7 @@ Result<void> CheckOut::release() const {
     if (!session) return gone();
     return session->ask<Result<void>>([&](SessionCore& core, auto done) {
         session->news().remove(shared_->held);
-        core.release(shared_->held, done);
+        core.leases().release(shared_->held, done);
     });
 }
 

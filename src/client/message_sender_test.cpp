@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cstdint>
 #include <string>
 #include <utility>
 #include <vector>
@@ -38,8 +39,9 @@ class NotedLane final : public DataLane {
 struct MessageSenderTest : testing::Test {
     MessageSenderTest() { sender.connect(lane); }
 
-    static Header of(const char* type, const std::string& entity = "robot") {
+    Header of(const char* type, const std::string& entity = "robot") {
         Header head;
+        head.sequence = ++sequence;
         head.entity = entity;
         head.msg_type = type;
         return head;
@@ -53,6 +55,7 @@ struct MessageSenderTest : testing::Test {
     using Sent = std::vector<std::string>;
 
     ManualClock clock;
+    std::int64_t sequence = 0;
     DirectLinks links{clock, 4, [this](const DirectOffer& offer) {
                           return path = std::make_shared<NotedPath>(offer, Id128{}, clock);
                       }};

@@ -14,7 +14,7 @@
 #include "axon/client.hpp"
 #include "client/callback_queue.hpp"
 #include "client/handles.hpp"
-#include "client/session_core.hpp"
+#include "client/session_observer.hpp"
 #include "client/upload.hpp"
 
 namespace axon::client {

@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// SessionCore: global services and their runs.
+#include "client/runs.hpp"
+
 #include <axon/messages.pb.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "client/content.hpp"
-#include "client/session_core.hpp"
+#include "client/entities.hpp"
+#include "client/leases.hpp"
+#include "client/server_watch.hpp"
 #include "collaboration/sub_lease.hpp"
 #include "messages/values.hpp"
 
@@ -52,24 +56,29 @@ void merge(std::vector<StepReport>& steps, StepReport changed) {
 
 // ---- what the server offers
 
-void SessionCore::fetchGlobalServices(GlobalServicesDone done) {
-    if (!connected_) return done(notConnected());
-    const auto id = Id128::random(random_);
+void Runs::fetchServices(GlobalServicesDone done) {
+    if (!parts_.context.connected) return done(CoreContext::notConnected());
+    const auto id = Id128::random(parts_.context.random);
     proto::ToEntity body;
     body.mutable_global_services()->set_request_id(id.bytes());
-    const auto head = header({}, kMsgGlobalServices);
-    link_.sendRequest(head, body.SerializeAsString());
-    Pending pending;
-    pending.global_services_done = std::move(done);
-    pending.sequence = head.sequence;
-    await(Ask::GlobalServices, id, std::move(pending));
+    const auto head = parts_.context.header({}, kMsgGlobalServices);
+    parts_.context.link.sendRequest(head, body.SerializeAsString());
+    parts_.requests.await(id,
+                          {.sequence = head.sequence, .what = request::FetchGlobalServices{std::move(done)}});
+}
+
+void Runs::onServices(const proto::GlobalServices& services) {
+    const auto id = Id128::fromBytes(services.request_id());
+    if (!id) return;
+    if (auto pending = parts_.requests.take<request::FetchGlobalServices>(*id))
+        pending->as<request::FetchGlobalServices>().done(fromProto(services));
 }
 
 // ---- a run
 
-Refusal SessionCore::misfits(const RunOrder& order) const {
+Refusal Runs::misfits(const RunOrder& order) const {
     const auto parameter = [&](const GlobalStep& step, const std::string& name) -> const proto::CtrlParam* {
-        const auto& offered = leases_.at(order.players.at(step.role)).services;
+        const auto& offered = parts_.leases.of(order.players.at(step.role))->services;
         const auto* service = findService(offered, step.service_global_id);
         if (service == nullptr) return nullptr;  // the participant will say so
         const auto index = findParamIndex(*service, name);
@@ -88,7 +97,7 @@ Refusal SessionCore::misfits(const RunOrder& order) const {
                 const auto why =
                     output != nullptr && input != nullptr ? misfit(*output, *input) : std::string();
                 if (why.empty()) continue;
-                all += (all.empty() ? "" : " ") + label(order.players.at(step.role)) + ": '" +
+                all += (all.empty() ? "" : " ") + parts_.entities.label(order.players.at(step.role)) + ": '" +
                        source.parameter + "' of " + step.service_global_id + " cannot take '" +
                        source.output + "' of the step '" + source.step + "': " + why + ".";
             }
@@ -98,8 +107,8 @@ Refusal SessionCore::misfits(const RunOrder& order) const {
     return {RefusalCode::WrongType, all, {}};
 }
 
-Result<Id128> SessionCore::runGlobal(const RunOrder& order) {
-    if (!connected_) return notConnected();
+Result<Id128> Runs::run(const RunOrder& order) {
+    if (!parts_.context.connected) return CoreContext::notConnected();
     const auto malformed = [](std::string what) {
         return Refusal{RefusalCode::Malformed, std::move(what), {}};
     };
@@ -118,24 +127,25 @@ Result<Id128> SessionCore::runGlobal(const RunOrder& order) {
                                        [number = number](const auto& role) { return role.number == number; });
         if (!known) return malformed("The service has no role " + std::to_string(number) + ".");
         if (!players.insert(entity).second) {
-            return Refusal{RefusalCode::Duplicate,
-                           label(entity) + " plays two roles. Each role needs an entity of its own.",
-                           {}};
+            return Refusal{
+                RefusalCode::Duplicate,
+                parts_.entities.label(entity) + " plays two roles. Each role needs an entity of its own.",
+                {}};
         }
-        const auto mine = leases_.find(entity);
-        if (mine == leases_.end()) {
-            strangers.push_back(label(entity));
+        const auto* mine = parts_.leases.of(entity);
+        if (mine == nullptr) {
+            strangers.push_back(parts_.entities.label(entity));
             continue;
         }
-        if (auto refusal = ready({entity, mine->second.number}); !refusal.ok()) return refusal;
-        if (mine->second.key.size() != 16 || mine->second.root.size() != 16) {
+        if (auto refusal = parts_.leases.ready({entity, mine->number}); !refusal.ok()) return refusal;
+        if (mine->key.size() != 16 || mine->root.size() != 16) {
             return Refusal{RefusalCode::NotSupported,
-                           mine->second.name +
+                           mine->name +
                                " has given no key or no root for its lease, so nobody else can "
                                "be let command it. Update its Entity Manager.",
                            {}};
         }
-        roots.insert(mine->second.root);
+        roots.insert(mine->root);
     }
     if (!strangers.empty()) {
         return Refusal{
@@ -144,7 +154,8 @@ Result<Id128> SessionCore::runGlobal(const RunOrder& order) {
             {}};
     }
     if (players.count(order.master) == 0)
-        return malformed("The master must be one of the participants; " + label(order.master) + " is none.");
+        return malformed("The master must be one of the participants; " +
+                         parts_.entities.label(order.master) + " is none.");
     if (roots.size() > 1) {
         return Refusal{RefusalCode::WrongState,
                        "The participants were checked out by different sessions. Release them and check them "
@@ -154,7 +165,7 @@ Result<Id128> SessionCore::runGlobal(const RunOrder& order) {
 
     if (auto refusal = misfits(order); !refusal.ok()) return refusal;
 
-    const auto id = Id128::uuid(random_);
+    const auto id = Id128::uuid(parts_.context.random);
     proto::ToEntity body;
     auto& request = *body.mutable_collaboration();
     request.set_run_id(id.bytes());
@@ -162,22 +173,22 @@ Result<Id128> SessionCore::runGlobal(const RunOrder& order) {
     request.set_check_only(order.check_only);
     request.set_asked_at_ms(order.asked_at_ms);
     for (const auto& [number, entity] : order.players) {
-        const auto& mine = leases_.at(entity);
+        const auto& mine = *parts_.leases.of(entity);
         auto& participant = *request.add_participants();
         participant.set_role(number);
         participant.set_entity(entity);
-        participant.set_name(label(entity));
+        participant.set_name(parts_.entities.label(entity));
         auto& lease = *participant.mutable_lease();
         lease.set_epoch(static_cast<std::uint32_t>(mine.number.epoch));
         lease.set_number(static_cast<std::uint32_t>(mine.number.number));
         lease.set_root(mine.root);
-        lease.set_stop_generation(static_cast<std::uint32_t>(marks_.of(entity)));
+        lease.set_stop_generation(static_cast<std::uint32_t>(parts_.context.marks.of(entity)));
         collaboration::seal(lease, {request.run_id(), order.master, entity}, mine.key);
     }
 
     auto& entry = runs_[id];
-    open_runs_.insert(id);
-    entry.master = {order.master, leases_.at(order.master).number};
+    open_.insert(id);
+    entry.master = {order.master, parts_.leases.of(order.master)->number};
     auto& report = entry.report;
     report.id = id.toString();
     report.service = order.service.name;
@@ -190,55 +201,56 @@ Result<Id128> SessionCore::runGlobal(const RunOrder& order) {
             of_step.compensation = steps == &order.service.compensation;
             of_step.called = step.name;
             of_step.entity = order.players.at(step.role);
-            of_step.name = label(of_step.entity);
+            of_step.name = parts_.entities.label(of_step.entity);
             of_step.service = step.service_global_id;
             of_step.preced = step.preced;
         }
     }
-    Pending pending;
-    pending.entity = order.master;
-    pending.lease = entry.master.lease;
-    pending.sequence = send(order.master, kMsgRun, entry.master.lease, body);
-    await(Ask::Run, id, std::move(pending));
-    pace();
+    const auto sequence = parts_.context.send(order.master, kMsgRun, entry.master.lease, body);
+    parts_.requests.await(id, {.entity = order.master,
+                               .lease = entry.master.lease,
+                               .sequence = sequence,
+                               .what = request::StartRun{}});
+    parts_.server.pace();
     return id;
 }
 
-std::optional<RunReport> SessionCore::runReport(const Id128& id) const {
+std::optional<RunReport> Runs::report(const Id128& id) const {
     const auto found = runs_.find(id);
     if (found == runs_.end()) return std::nullopt;
     return found->second.report;
 }
 
-std::vector<Id128> SessionCore::openRuns(const Held& master) const {
+std::vector<Id128> Runs::open(const Held& master) const {
     std::vector<Id128> open;
-    for (const auto id : open_runs_) {
+    for (const auto id : open_) {
         if (runs_.at(id).master == master) open.push_back(id);
     }
     return open;
 }
 
-void SessionCore::onRunEvent(const std::string& entity, const proto::RunEvent& event) {
+void Runs::onEvent(const std::string& entity, const proto::RunEvent& event) {
     const auto id = Id128::fromBytes(event.run_id());
     const auto state = runStateFromProto(event.state());
     if (!id || !state) {
-        ++malformed_;
+        ++parts_.context.malformed;
         return;
     }
     const auto found = runs_.find(*id);
     if (found == runs_.end() || found->second.master.entity != entity) return;
-    answer(Ask::Run, *id, {});
+    parts_.requests.settle<request::StartRun>(*id, {});
     auto& entry = found->second;
     auto& report = entry.report;
     if (isFinal(report.state)) {
         // Given up here, alive there: a run whose outcome this client has called unknown must not go on.
-        if (report.state == RunState::Unknown && !isFinal(*state) && lease(entry.master) != nullptr)
-            cancelRun(*id, entry.master);
+        if (report.state == RunState::Unknown && !isFinal(*state) && parts_.leases.holds(entry.master))
+            sendControl(*id, entry.master, proto::CANCEL);
         return;
     }
     // It lives: nobody need be asked after it.
-    for (const auto& [ask, asked] : pendingOf(entity)) {
-        if (ask == Ask::Runs) std::erase(pending_.at({ask, asked}).tasks, *id);
+    for (const auto key : parts_.requests.of(entity)) {
+        if (auto* after = std::get_if<request::AskAfterRuns>(&parts_.requests.find(key)->what))
+            std::erase(after->runs, *id);
     }
     if (event.sequence() <= entry.sequence) return;  // a duplicate
     entry.sequence = event.sequence();
@@ -247,7 +259,7 @@ void SessionCore::onRunEvent(const std::string& entity, const proto::RunEvent& e
     report.elapsed = Seconds(event.at_s());
     for (const auto& status : event.steps()) {
         if (status.step() < 0 || status.step() >= kStepsMax) {
-            ++malformed_;
+            ++parts_.context.malformed;
             continue;
         }
         merge(report.steps, fromProto(status));
@@ -263,38 +275,40 @@ void SessionCore::onRunEvent(const std::string& entity, const proto::RunEvent& e
         std::stable_sort(report.problems.begin(), report.problems.end(),
                          [](const RunProblem& a, const RunProblem& b) { return a.step < b.step; });
     }
-    if (!isFinal(*state) && lease(entry.master) == nullptr) awaitRun(*id);
-    tellRun(*id);
+    if (!isFinal(*state) && !parts_.leases.holds(entry.master)) awaitEnd(*id);
+    tell(*id);
 }
 
-void SessionCore::awaitRun(Id128 id) {
-    if (pending_.count({Ask::Run, id}) != 0) return;
-    Pending pending;
-    pending.entity = runs_.at(id).master.entity;
-    pending.lease = runs_.at(id).master.lease;
-    await(Ask::Run, id, std::move(pending));
+void Runs::awaitEnd(Id128 id) {
+    if (parts_.requests.contains(Requests::keyOf<request::StartRun>(id))) return;
+    const auto& master = runs_.at(id).master;
+    parts_.requests.await(id, {.entity = master.entity, .lease = master.lease, .what = request::StartRun{}});
 }
 
-void SessionCore::tellRun(Id128 id) {
+void Runs::awaitEnds(const Held& master) {
+    for (const auto run : open(master)) awaitEnd(run);
+}
+
+void Runs::tell(Id128 id) {
     // A copy: the oldest that is over is forgotten.
     const auto report = runs_.at(id).report;
-    if (isFinal(report.state) && open_runs_.erase(id) != 0) {
-        finished_runs_.push_back(id);
-        while (finished_runs_.size() > std::max<std::size_t>(settings_.runs_kept, 1)) {
-            runs_.erase(finished_runs_.front());
-            finished_runs_.pop_front();
+    if (isFinal(report.state) && open_.erase(id) != 0) {
+        finished_.push_back(id);
+        while (finished_.size() > std::max<std::size_t>(parts_.context.settings.runs_kept, 1)) {
+            runs_.erase(finished_.front());
+            finished_.pop_front();
         }
     }
     // The report first: whoever waited for the pause finds the run paused.
-    observer_.onRun(report);
-    settleRunControls(id, report);
-    pace();
+    parts_.context.observer.onRun(report);
+    settleControl(id, report.state);
+    parts_.server.pace();
 }
 
-void SessionCore::finishRun(Id128 id, RunState state, const Refusal& why) {
+void Runs::finish(Id128 id, RunState state, const Refusal& why) {
     const auto found = runs_.find(id);
     if (found == runs_.end() || isFinal(found->second.report.state)) return;
-    answer(Ask::Run, id, {});
+    parts_.requests.settle<request::StartRun>(id, {});
     auto& report = found->second.report;
     report.state = state;
     report.reason = why;
@@ -302,19 +316,38 @@ void SessionCore::finishRun(Id128 id, RunState state, const Refusal& why) {
         // Of what was under way nothing more is heard.
         if (step.state && !isFinal(*step.state)) step.state = TaskState::Unknown;
     }
-    tellRun(id);
+    tell(id);
 }
 
-void SessionCore::cancelRun(Id128 id, const Held& master) {
-    proto::ToEntity body;
-    body.mutable_task_control()->set_task_id(id.bytes());
-    body.mutable_task_control()->set_action(proto::CANCEL);
-    send(master.entity, kMsgTaskControl, master.lease, body);
+void Runs::finishAll(const Held& master, const Refusal& unknown) {
+    for (const auto run : open(master)) finish(run, RunState::Unknown, unknown);
+}
+
+void Runs::finishUnheld(const Refusal& unknown) {
+    for (const auto run : std::vector(open_.begin(), open_.end())) {
+        if (!parts_.leases.holds(runs_.at(run).master)) finish(run, RunState::Unknown, unknown);
+    }
+}
+
+void Runs::onRefused(Id128 id, const std::string& entity, const Refusal& why) {
+    const auto run = runs_.find(id);
+    // Once an event has come, a refusal is of something else, and the robots may move.
+    if (run == runs_.end() || run->second.master.entity != entity || run->second.sequence != 0) return;
+    if (parts_.requests.contains(Requests::keyOf<request::StartRun>(id))) finish(id, RunState::Refused, why);
+}
+
+void Runs::onDue(Id128 id) {
+    const auto master = runs_.at(id).master;
+    if (parts_.leases.ready(master).ok()) sendControl(id, master, proto::CANCEL);
+    finish(id, RunState::Unknown,
+           {RefusalCode::OutcomeUnknown,
+            parts_.entities.label(master.entity) + ", its master, has not answered the request in time.",
+            {}});
 }
 
 // ---- control
 
-void SessionCore::controlRun(const Id128& run, proto::TaskAction action, Done done) {
+void Runs::control(const Id128& run, proto::TaskAction action, Done done) {
     const auto found = runs_.find(run);
     if (found == runs_.end())
         return done(Refusal{RefusalCode::UnknownTask, "This client knows no such run (any more).", {}});
@@ -324,123 +357,112 @@ void SessionCore::controlRun(const Id128& run, proto::TaskAction action, Done do
                             std::string("The run has ended already: ") + toString(entry.report.state) + ".",
                             {}});
     }
-    if (const auto refusal = ready(entry.master); !refusal.ok()) return done(refusal);
-    answer(Ask::Control, run,
-           Refusal{RefusalCode::Cancelled, "A newer request for the same run took its place.", {}});
+    if (const auto refusal = parts_.leases.ready(entry.master); !refusal.ok()) return done(refusal);
+    parts_.requests.settle<request::Control>(
+        run, Refusal{RefusalCode::Cancelled, "A newer request for the same run took its place.", {}});
+    const auto sequence = sendControl(run, entry.master, action);
+    parts_.requests.await(run, {.entity = entry.master.entity,
+                                .lease = entry.master.lease,
+                                .sequence = sequence,
+                                .what = request::Control{{std::move(done)}, action}});
+}
+
+std::int64_t Runs::sendControl(Id128 run, const Held& master, proto::TaskAction action) {
     proto::ToEntity body;
     body.mutable_task_control()->set_task_id(run.bytes());
     body.mutable_task_control()->set_action(action);
-    Pending pending;
-    pending.entity = entry.master.entity;
-    pending.lease = entry.master.lease;
-    pending.action = action;
-    pending.done = std::move(done);
-    pending.sequence = send(entry.master.entity, kMsgTaskControl, entry.master.lease, body);
-    await(Ask::Control, run, std::move(pending));
+    return parts_.context.send(master.entity, kMsgTaskControl, master.lease, body);
 }
 
-void SessionCore::settleRunControls(Id128 id, const RunReport& report) {
-    const auto found = pending_.find({Ask::Control, id});
-    if (found == pending_.end()) return;
-    const auto action = found->second.action;
-    if (isFinal(report.state)) {
-        if (action == proto::CANCEL && report.state != RunState::Unknown) {
-            answer(Ask::Control, id, {});
-        } else {
-            answer(Ask::Control, id,
-                   Refusal{report.state == RunState::Unknown ? RefusalCode::OutcomeUnknown
-                                                             : RefusalCode::WrongState,
-                           std::string("The run has ended meanwhile: ") + toString(report.state) + ".",
-                           {}});
-        }
-    } else if ((action == proto::PAUSE && report.state == RunState::Paused) ||
-               (action == proto::RESUME && report.state == RunState::Running)) {
-        answer(Ask::Control, id, {});
-    }
+void Runs::settleControl(Id128 run, RunState state) {
+    auto* pending = parts_.requests.find<request::Control>(run);
+    if (pending == nullptr) return;
+    if (const auto answer = pending->as<request::Control>().answerTo(state, "run"))
+        parts_.requests.settle<request::Control>(run, *answer);
 }
 
 // ---- what became of it
 
-void SessionCore::fetchRuns(const std::string& entity, int most, RunRecordsDone done) {
-    if (!connected_) return done(notConnected());
-    const auto known = this->entity(entity);
+void Runs::fetchRecords(const std::string& entity, int most, RunRecordsDone done) {
+    if (!parts_.context.connected) return done(CoreContext::notConnected());
+    const auto known = parts_.entities.entity(entity);
     if (!known) return done(known.refusal());
-    const auto id = Id128::random(random_);
+    const auto id = Id128::random(parts_.context.random);
     proto::ToEntity body;
     body.mutable_run_history()->set_request_id(id.bytes());
     body.mutable_run_history()->set_most(static_cast<std::uint32_t>(std::max(most, 0)));
-    Pending pending;
-    pending.entity = entity;
-    pending.run_records_done = std::move(done);
-    pending.sequence = send(entity, kMsgRun, {}, body);
-    await(Ask::RunRecords, id, std::move(pending));
+    const auto sequence = parts_.context.send(entity, kMsgRun, {}, body);
+    parts_.requests.await(
+        id, {.entity = entity, .sequence = sequence, .what = request::FetchRunRecords{std::move(done)}});
 }
 
-void SessionCore::askAfterRuns(const Held& master) {
-    auto open = openRuns(master);
-    if (open.empty()) return;
-    const auto id = Id128::random(random_);
-    Pending pending;
-    pending.entity = master.entity;
-    pending.lease = master.lease;
-    pending.tasks = std::move(open);
-    pending.until = clock_.now() + settings_.timeout;
-    pending.deadline = std::min(pending.until, clock_.now() + settings_.outcome_again);
-    await(Ask::Runs, id, std::move(pending));
-    sendRunHistoryRequest(pending_.at({Ask::Runs, id}), id);
+void Runs::askAfter(const Held& master) {
+    auto runs = open(master);
+    if (runs.empty()) return;
+    const auto id = Id128::random(parts_.context.random);
+    const auto& settings = parts_.context.settings;
+    const auto now = parts_.context.clock.now();
+    const auto until = now + settings.timeout;
+    parts_.requests.await(id, {.entity = master.entity,
+                               .lease = master.lease,
+                               .deadline = std::min(until, now + settings.outcome_again),
+                               .what = request::AskAfterRuns{{}, std::move(runs), until}});
+    sendHistoryRequest(id, master);
 }
 
-void SessionCore::sendRunHistoryRequest(Pending& pending, Id128 id) {
+void Runs::sendHistoryRequest(Id128 id, const Held& master) {
     proto::ToEntity body;
     body.mutable_run_history()->set_request_id(id.bytes());
-    send(pending.entity, kMsgRun, pending.lease, body);
+    parts_.context.send(master.entity, kMsgRun, master.lease, body);
 }
 
-void SessionCore::onRunsDue(Id128 id) {
-    const auto found = pending_.find({Ask::Runs, id});
-    auto& pending = found->second;
-    const auto now = clock_.now();
-    if (pending.tasks.empty() || now >= pending.until) {
-        const auto over = take(found);
-        for (const auto run : over.tasks) {
-            finishRun(run, RunState::Unknown,
-                      {RefusalCode::OutcomeUnknown,
-                       label(over.entity) + ", its master, does not say what became of it.",
-                       {}});
+void Runs::onAskAfterDue(Id128 id) {
+    const auto key = Requests::keyOf<request::AskAfterRuns>(id);
+    auto& pending = *parts_.requests.find(key);
+    const auto& after = pending.as<request::AskAfterRuns>();
+    const auto now = parts_.context.clock.now();
+    if (after.runs.empty() || now >= after.until) {
+        auto over = *parts_.requests.take(key);
+        for (const auto run : over.as<request::AskAfterRuns>().runs) {
+            finish(run, RunState::Unknown,
+                   {RefusalCode::OutcomeUnknown,
+                    parts_.entities.label(over.entity) + ", its master, does not say what became of it.",
+                    {}});
         }
         return;
     }
     // It may be ending at this moment.
-    sendRunHistoryRequest(pending, id);
-    postpone(found, std::min(pending.until, now + settings_.outcome_again));
+    sendHistoryRequest(id, {pending.entity, pending.lease});
+    parts_.requests.postpone(key, std::min(after.until, now + parts_.context.settings.outcome_again));
 }
 
-void SessionCore::onRunHistory(const std::string& entity, const proto::RunHistory& history) {
+void Runs::onHistory(const std::string& entity, const proto::RunHistory& history) {
     const auto id = Id128::fromBytes(history.request_id());
     if (!id) return;
-    if (const auto found = pending_.find({Ask::RunRecords, *id}); found != pending_.end()) {
+    if (auto asked = parts_.requests.take<request::FetchRunRecords>(*id)) {
         std::vector<RunRecord> records;
         for (const auto& record : history.runs()) records.push_back(fromProto(record));
-        take(found).run_records_done(std::move(records));
+        asked->as<request::FetchRunRecords>().done(std::move(records));
         return;
     }
-    const auto found = pending_.find({Ask::Runs, *id});
-    if (found == pending_.end() || found->second.entity != entity) return;
+    const auto key = Requests::keyOf<request::AskAfterRuns>(*id);
+    auto* pending = parts_.requests.find(key);
+    if (pending == nullptr || pending->entity != entity) return;
     for (const auto& record : history.runs()) {
         const auto run = Id128::fromBytes(record.run_id());
         const auto state = runStateFromProto(record.state());
-        if (!run || !state || !isFinal(*state) || open_runs_.count(*run) == 0) continue;
-        std::erase(found->second.tasks, *run);
+        if (!run || !state || !isFinal(*state) || open_.count(*run) == 0) continue;
+        std::erase(pending->as<request::AskAfterRuns>().runs, *run);
         auto& report = runs_.at(*run).report;
         const auto recorded = fromProto(record);
         for (const auto& step : recorded.steps) merge(report.steps, step);
         report.elapsed = recorded.duration;
         if (*state == RunState::Succeeded) report.progress = 1;
-        finishRun(*run, *state, recorded.reason);
+        finish(*run, *state, recorded.reason);
+        pending = parts_.requests.find(key);  // finishing may end the lease, and this request with it
+        if (pending == nullptr) return;
     }
-    if (const auto still = pending_.find({Ask::Runs, *id});
-        still != pending_.end() && still->second.tasks.empty())
-        take(still);
+    if (pending->as<request::AskAfterRuns>().runs.empty()) parts_.requests.take(key);
 }
 
 }  // namespace axon::client

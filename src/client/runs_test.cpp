@@ -50,7 +50,7 @@ class RunsTest : public ::testing::Test, public CoreWorld {
     /// PeopleBot#1 and the arm, under leases 4 and 5 of one root.
     void takeBoth(std::chrono::milliseconds grace = {}) {
         Answer<std::vector<Held>> answer;
-        core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+        core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
         for (const auto& asked : link.take()) answerCheckOut(asked);
         int lease = 4;
         for (const auto& asked : link.take()) grantWithRoot(asked, root, lease++, grace);
@@ -63,7 +63,7 @@ class RunsTest : public ::testing::Test, public CoreWorld {
     }
     Result<Id128> launch(int master = 1, bool check_only = false) {
         const auto service = fetchBall();
-        return core.runGlobal({service, {{0, uuid(1)}, {1, uuid(3)}}, uuid(master), check_only, 1234});
+        return core.runs().run({service, {{0, uuid(1)}, {1, uuid(3)}}, uuid(master), check_only, 1234});
     }
     proto::RunEvent event(const Id128& run, std::uint64_t sequence, proto::RunState state) {
         proto::RunEvent event;
@@ -87,11 +87,11 @@ class RunsTest : public ::testing::Test, public CoreWorld {
 
 TEST_F(RunsTest, AllCheckOutsOfASessionHaveOneRoot) {
     Answer<std::vector<Held>> answer;
-    core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
     const auto reserved = link.take();
     for (const auto& asked : reserved) answerCheckOut(asked);
     const auto committed = link.take();
-    core.checkOut({"PeopleBot#2"}, answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#2"}, answer.taker());
     const auto& first = reserved[0].body.check_out().root();
     EXPECT_THAT(first, SizeIs(16));
     for (const auto& message : {reserved[1], committed[0], committed[1], link.sent[0]})
@@ -101,11 +101,11 @@ TEST_F(RunsTest, AllCheckOutsOfASessionHaveOneRoot) {
 TEST_F(RunsTest, WhoResumesALeaseOfAnotherProcessGoesOnWithItsRoot) {
     const LeaseTicket ticket{uuid(1), {1, 7}, key};
     Answer<std::vector<Held>> answer;
-    core.resume(ticket, answer.taker());
+    core.checkOuts().resume(ticket, answer.taker());
     EXPECT_THAT(link.sent[0].body.check_out().root(), IsEmpty());
     grantWithRoot(link.take()[0], root, 7);
     ASSERT_TRUE(answer.refusal.ok());
-    core.checkOut({"Cyton"}, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, answer.taker());
     EXPECT_EQ(link.sent[0].body.check_out().root(), root);
 }
 
@@ -149,7 +149,7 @@ TEST_F(RunsTest, AServiceComesBackFromTheContractAsItWas) {
 
 TEST_F(RunsTest, WhatIsNotHeldIsNamed) {
     Answer<std::vector<Held>> answer;
-    core.checkOut({"PeopleBot#1"}, answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1"}, answer.taker());
     grantWithRoot(link.take()[0], root, 4);
     const auto id = launch();
     ASSERT_FALSE(id.ok());
@@ -160,9 +160,9 @@ TEST_F(RunsTest, WhatIsNotHeldIsNamed) {
 
 TEST_F(RunsTest, LeasesOfTwoRootsDoNotCollaborate) {
     Answer<std::vector<Held>> answer;
-    core.checkOut({"PeopleBot#1"}, answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1"}, answer.taker());
     grantWithRoot(link.take()[0], root, 4);
-    core.checkOut({"Cyton"}, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, answer.taker());
     grantWithRoot(link.take()[0], "another, 16 long", 4);
     EXPECT_EQ(launch().refusal().code, RefusalCode::WrongState);
     EXPECT_THAT(link.sent, IsEmpty());
@@ -172,7 +172,7 @@ TEST_F(RunsTest, RolesAndMasterMustFit) {
     takeBoth();
     const auto service = fetchBall();
     const auto refusal = [&](std::map<int, std::string> players, int master) {
-        return core.runGlobal({service, std::move(players), uuid(master), false, 0}).refusal().code;
+        return core.runs().run({service, std::move(players), uuid(master), false, 0}).refusal().code;
     };
     EXPECT_EQ(refusal({{0, uuid(1)}}, 1), RefusalCode::Malformed) << "nobody plays role 1";
     EXPECT_EQ(refusal({{0, uuid(1)}, {1, uuid(3)}, {2, uuid(3)}}, 1), RefusalCode::Malformed) << "no role 2";
@@ -187,7 +187,7 @@ TEST_F(RunsTest, AnOutputThatTheNextInputCanNeverTakeIsNamedBeforeAnythingIsSent
     for (auto& step : service.steps) step.service_global_id = "Driving";
     const auto checked = [&](const std::string& output) {
         service.steps[1].sources = {{"Distance", "approach", output}};
-        return core.runGlobal({service, {{0, uuid(1)}, {1, uuid(3)}}, uuid(1), true, 0});
+        return core.runs().run({service, {{0, uuid(1)}, {1, uuid(3)}}, uuid(1), true, 0});
     };
     const auto text = checked("Found");
     ASSERT_FALSE(text.ok());
@@ -204,7 +204,7 @@ TEST_F(RunsTest, AnOutputThatTheNextInputCanNeverTakeIsNamedBeforeAnythingIsSent
 TEST_F(RunsTest, StepsAreThereBeforeTheFirstEventAndChangeByTheirPosition) {
     takeBoth();
     const auto id = launch().value();
-    const auto first = *core.runReport(id);
+    const auto first = *core.runs().report(id);
     ASSERT_THAT(first.steps, SizeIs(3));
     EXPECT_EQ(first.state, RunState::Checking);
     EXPECT_EQ(first.steps[1].name, "Cyton");
@@ -318,22 +318,22 @@ TEST_F(RunsTest, ControlsAreDoneWhenTheRunIsWhereItWasToGo) {
     tell(1, event(id, 1, proto::RUN_RUNNING));
     link.sent.clear();
     Answer<void> pause, resume, cancel, late;
-    core.controlRun(id, proto::PAUSE, pause.taker());
+    core.runs().control(id, proto::PAUSE, pause.taker());
     EXPECT_EQ(link.sent[0].body.task_control().task_id(), id.bytes());
     EXPECT_EQ(link.sent[0].head.msg_type, kMsgTaskControl);
     EXPECT_EQ(pause.count, 0);
     tell(1, event(id, 2, proto::RUN_PAUSED));
     EXPECT_EQ(pause.count, 1);
-    core.controlRun(id, proto::RESUME, resume.taker());
+    core.runs().control(id, proto::RESUME, resume.taker());
     tell(1, event(id, 3, proto::RUN_RUNNING));
     EXPECT_EQ(resume.count, 1);
-    core.controlRun(id, proto::CANCEL, cancel.taker());
+    core.runs().control(id, proto::CANCEL, cancel.taker());
     tell(1, event(id, 4, proto::RUN_STOPPING));
     EXPECT_EQ(cancel.count, 0);
     tell(1, event(id, 5, proto::RUN_CANCELLED));
     EXPECT_EQ(cancel.count, 1);
     EXPECT_TRUE(cancel.refusal.ok());
-    core.controlRun(id, proto::PAUSE, late.taker());
+    core.runs().control(id, proto::PAUSE, late.taker());
     EXPECT_EQ(late.refusal.code, RefusalCode::WrongState);
 }
 
@@ -342,13 +342,13 @@ TEST_F(RunsTest, ARefusedPauseLeavesTheRunAsItIs) {
     const auto id = launch().value();
     tell(1, event(id, 1, proto::RUN_RUNNING));
     Answer<void> pause;
-    core.controlRun(id, proto::PAUSE, pause.taker());
+    core.runs().control(id, proto::PAUSE, pause.taker());
     proto::ToClient message;
     message.mutable_reply()->set_request_id(id.bytes());
     message.mutable_reply()->mutable_refusal()->set_code(proto::NOT_PAUSABLE);
     fromEntity(1, message);
     EXPECT_EQ(pause.refusal.code, RefusalCode::NotPausable);
-    EXPECT_EQ(core.runReport(id)->state, RunState::Running);
+    EXPECT_EQ(core.runs().report(id)->state, RunState::Running);
 }
 
 TEST_F(RunsTest, ARefusalIsNoEndOfARunThatHasBegun) {
@@ -356,8 +356,8 @@ TEST_F(RunsTest, ARefusalIsNoEndOfARunThatHasBegun) {
     const auto id = launch().value();
     tell(1, event(id, 1, proto::RUN_RUNNING));
     Answer<void> first, second;
-    core.controlRun(id, proto::PAUSE, first.taker());
-    core.controlRun(id, proto::PAUSE, second.taker());
+    core.runs().control(id, proto::PAUSE, first.taker());
+    core.runs().control(id, proto::PAUSE, second.taker());
     proto::ToClient message;
     message.mutable_reply()->set_request_id(id.bytes());
     message.mutable_reply()->mutable_refusal()->set_code(proto::NOT_PAUSABLE);
@@ -367,11 +367,11 @@ TEST_F(RunsTest, ARefusalIsNoEndOfARunThatHasBegun) {
     EXPECT_EQ(second.refusal.code, RefusalCode::NotPausable);
     message.mutable_reply()->mutable_refusal()->set_code(proto::WRONG_STATE);  // to a copy of the request
     fromEntity(1, message);
-    EXPECT_EQ(core.runReport(id)->state, RunState::Running);
+    EXPECT_EQ(core.runs().report(id)->state, RunState::Running);
     Answer<void> released;
-    core.release({uuid(1), {1, 4}}, released.taker());
+    core.leases().release({uuid(1), {1, 4}}, released.taker());
     fromEntity(1, message);
-    EXPECT_EQ(core.runReport(id)->state, RunState::Running) << "its end is still to come";
+    EXPECT_EQ(core.runs().report(id)->state, RunState::Running) << "its end is still to come";
     tell(1, event(id, 2, proto::RUN_STOPPED));
     EXPECT_EQ(report().state, RunState::Stopped);
 }
@@ -464,7 +464,7 @@ TEST_F(RunsTest, ARunWhoseMasterIsReleasedIsToldToItsEnd) {
     const auto id = launch().value();
     tell(1, event(id, 1, proto::RUN_RUNNING));
     Answer<void> answer;
-    core.release({uuid(1), {1, 4}}, answer.taker());
+    core.leases().release({uuid(1), {1, 4}}, answer.taker());
     tell(1, event(id, 2, proto::RUN_STOPPED));
     EXPECT_EQ(report().state, RunState::Stopped);
 }
@@ -474,7 +474,7 @@ TEST_F(RunsTest, ARunWhoseMasterIsReleasedIsToldToItsEnd) {
 TEST_F(RunsTest, TheServerIsAskedForItsGlobalServices) {
     Result<GlobalServices> answer = Refusal{RefusalCode::Internal, "none", {}};
     int count = 0;
-    core.fetchGlobalServices([&](Result<GlobalServices> services) {
+    core.runs().fetchServices([&](Result<GlobalServices> services) {
         ++count;
         answer = std::move(services);
     });
@@ -505,7 +505,7 @@ TEST_F(RunsTest, TheServerIsAskedForItsGlobalServices) {
 
 TEST_F(RunsTest, AServerThatDoesNotAnswerIsATimeOut) {
     Answer<GlobalServices> answer;
-    core.fetchGlobalServices(answer.taker());
+    core.runs().fetchServices(answer.taker());
     advance(5s);
     EXPECT_EQ(answer.count, 1);
     EXPECT_EQ(answer.refusal.code, RefusalCode::TimedOut);
@@ -513,7 +513,8 @@ TEST_F(RunsTest, AServerThatDoesNotAnswerIsATimeOut) {
 
 TEST_F(RunsTest, AnEntityTellsItsRuns) {
     Result<std::vector<RunRecord>> answer = Refusal{RefusalCode::Internal, "none", {}};
-    core.fetchRuns(uuid(2), 3, [&](Result<std::vector<RunRecord>> records) { answer = std::move(records); });
+    core.runs().fetchRecords(uuid(2), 3,
+                             [&](Result<std::vector<RunRecord>> records) { answer = std::move(records); });
     EXPECT_EQ(link.sent[0].body.run_history().most(), 3U);
     proto::ToClient message;
     message.mutable_run_history()->set_request_id(link.sent[0].body.run_history().request_id());

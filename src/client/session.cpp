@@ -252,11 +252,12 @@ void Client::Session::close() {
         // Orderly: each entity held stops and is free before the session ends.
         std::vector<std::future<Result<void>>> released;
         withCore([&](SessionCore& core) {
-            for (const auto& held : core.held()) {
+            for (const auto& held : core.leases().held()) {
                 auto promise = std::make_shared<std::promise<Result<void>>>();
                 released.push_back(promise->get_future());
                 news_.remove(held);
-                core.release(held, [promise](Result<void> answer) { promise->set_value(std::move(answer)); });
+                core.leases().release(
+                    held, [promise](Result<void> answer) { promise->set_value(std::move(answer)); });
             }
         });
         const auto until = std::chrono::steady_clock::now() + kReleaseTime;
@@ -357,7 +358,8 @@ TimePoint Client::Session::onHeartbeat() {
             core.onHeartbeatTimer();
             beat = messages_.takeBeat();
             if (!core.busy()) may_beat_ = true;  // nobody asks the program then
-            for (const auto& [entity, path] : *direct_.paths()) paths.emplace_back(path, core.moving(entity));
+            for (const auto& [entity, path] : *direct_.paths())
+                paths.emplace_back(path, core.entities().moving(entity));
         },
         Sends::Sender);
     if (beat) {
@@ -451,7 +453,7 @@ void Client::Session::directChanged() {
 
 bool Client::Session::direct(const Held& held) const {
     const std::lock_guard lock(core_mutex_);
-    return core_.holds(held) && direct_.direct(held.entity);
+    return core_.leases().holds(held) && direct_.direct(held.entity);
 }
 
 void Client::Session::newRefusal(std::uint64_t attempt, const Header& head, const Refusal& refusal) {
@@ -512,7 +514,7 @@ Result<Entity> Client::Session::waitFor(std::string_view name, Seconds time) con
     std::unique_lock lock(core_mutex_);
     while (true) {
         const auto left = clock_->realTimeUntil(until);
-        auto found = core_.find(name);
+        auto found = core_.entities().find(name);
         if (found && found->ready && found->state != EntityState::UNAV && found->state != EntityState::INIT &&
             found->state != EntityState::ENVCONN && found->state != EntityState::ERR) {
             return found;

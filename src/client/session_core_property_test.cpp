@@ -31,7 +31,7 @@ class Chaos : public CoreWorld {
         EXPECT_EQ(observer.texts.size(), texts_expected_);
         core.onDisconnected("end", true);
         for (const auto& task : tasks_) {
-            const auto report = core.task(task);
+            const auto report = core.tasks().report(task);
             EXPECT_TRUE(!report || isFinal(report->state));
         }
         std::map<std::string, TaskState> last;
@@ -59,52 +59,55 @@ class Chaos : public CoreWorld {
 
     void step() {
         for (auto& message : link.take()) letters_.push_back(std::move(message));
-        const auto held = core.held();
+        const auto held = core.leases().held();
         chosen_ = static_cast<int>(roll(17));
         switch (chosen_) {
             case 0:
-                core.checkOut({"Cyton"}, options(), once<std::vector<Held>>());
+                core.checkOuts().checkOut({"Cyton"}, options(), once<std::vector<Held>>());
                 break;
             case 1:
-                orders_.push_back(core.checkOut({"PeopleBot#1", "PeopleBot#2", "Cyton"}, options(),
-                                                once<std::vector<Held>>()));
+                orders_.push_back(core.checkOuts().checkOut({"PeopleBot#1", "PeopleBot#2", "Cyton"},
+                                                            options(), once<std::vector<Held>>()));
                 break;
             case 16: {
                 static const char* const kQueries[] = {"1 ROBOT", "2 MOBILE", "1 ROBOT with Driving",
                                                        "1 ROBOT + 2 ROBOT/MOBILE", "1 MACHINE"};
-                orders_.push_back(core.checkOut(parseQuery(kQueries[roll(5)]).value(), options(),
-                                                once<std::vector<Held>>()));
-                if (roll(4) == 0) core.giveUp(orders_[roll(orders_.size())]);
+                orders_.push_back(core.checkOuts().checkOut(parseQuery(kQueries[roll(5)]).value(), options(),
+                                                            once<std::vector<Held>>()));
+                if (roll(4) == 0) core.checkOuts().giveUp(orders_[roll(orders_.size())]);
                 break;
             }
             case 2:
                 if (!held.empty())
-                    core.set(held[roll(held.size())], "Driving", {"Distance", {std::int64_t{5}}},
-                             once<void>());
+                    core.commands().set(held[roll(held.size())], "Driving", {"Distance", {std::int64_t{5}}},
+                                        once<void>());
                 break;
             case 3:
             case 4:
-                if (!held.empty()) tasks_.push_back(core.run(held[roll(held.size())], "Driving", {}, {}));
+                if (!held.empty())
+                    tasks_.push_back(core.tasks().run(held[roll(held.size())], "Driving", {}, {}));
                 break;
             case 5:
                 if (!tasks_.empty()) {
-                    core.control(tasks_[roll(tasks_.size())], static_cast<proto::TaskAction>(1 + roll(3)),
-                                 once<void>());
+                    core.tasks().control(tasks_[roll(tasks_.size())],
+                                         static_cast<proto::TaskAction>(1 + roll(3)), once<void>());
                 }
                 break;
             case 6:
-                core.rearm(uuid(static_cast<int>(1 + roll(4))), once<void>());
+                core.commands().rearm(uuid(static_cast<int>(1 + roll(4))), once<void>());
                 break;
             case 7:
-                core.fetchServices(uuid(static_cast<int>(1 + roll(4))), once<std::vector<Service>>());
+                core.entities().fetchServices(uuid(static_cast<int>(1 + roll(4))),
+                                              once<std::vector<Service>>());
                 break;
             case 8:
-                if (!held.empty() && roll(4) == 0) core.release(held[roll(held.size())], once<void>());
+                if (!held.empty() && roll(4) == 0)
+                    core.leases().release(held[roll(held.size())], once<void>());
                 break;
             case 9:
                 if (!held.empty()) {
-                    core.offer(held[roll(held.size())], "Driving", "Map", "m", 1, std::string(32, 'x'),
-                               once<void>());
+                    core.commands().offer(held[roll(held.size())], "Driving", "Map", "m", 1,
+                                          std::string(32, 'x'), once<void>());
                 }
                 break;
             case 10:

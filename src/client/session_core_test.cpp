@@ -25,7 +25,7 @@ class SessionCoreTest : public ::testing::Test, public CoreWorld {
     void SetUp() override { connect(); }
     /// Two entities asked for, both reserved; the messages of the second phase.
     std::vector<SentMessage> reserveTwo(Answer<std::vector<Held>>& answer) {
-        core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+        core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
         const auto asked = link.take();
         for (const auto& message : asked) answerCheckOut(message);
         return link.take();
@@ -38,10 +38,10 @@ TEST_F(SessionCoreTest, AnEntityWithoutAProfileIsListedOnlyWithAllAndJoinsWhenIt
     observer.entities.clear();
     core.onProfile(Presence::Joined, {uuid(4), "greeter", "", ""}, "");
     core.onStatus({uuid(4), EntityState::UNAV, false, 0, {}, {}, "waiting for the robot application"});
-    EXPECT_THAT(core.entities(), SizeIs(3));
-    ASSERT_THAT(core.entities(Listed::All), SizeIs(4));
+    EXPECT_THAT(core.entities().list(), SizeIs(3));
+    ASSERT_THAT(core.entities().list(Listed::All), SizeIs(4));
     EXPECT_THAT(observer.entities, IsEmpty());
-    const auto found = core.find("greeter");
+    const auto found = core.entities().find("greeter");
     ASSERT_TRUE(found);
     EXPECT_FALSE(found->ready);
     EXPECT_EQ(found->state, EntityState::UNAV);
@@ -51,14 +51,14 @@ TEST_F(SessionCoreTest, AnEntityWithoutAProfileIsListedOnlyWithAllAndJoinsWhenIt
     ASSERT_THAT(observer.entities, SizeIs(1));
     EXPECT_EQ(observer.entities[0].first, Presence::Joined);
     EXPECT_TRUE(observer.entities[0].second.ready);
-    EXPECT_THAT(core.entities(), SizeIs(4));
+    EXPECT_THAT(core.entities().list(), SizeIs(4));
     status(4, EntityState::IDLE);
     EXPECT_EQ(observer.entities.back().first, Presence::Changed);
 
     // Its Entity Manager has started again, at another entity server, before this one was missed.
     core.onProfile(Presence::Changed, {uuid(4), "greeter", "", ""}, "");
     EXPECT_EQ(observer.entities.back().first, Presence::Left);
-    EXPECT_THAT(core.entities(), SizeIs(3));
+    EXPECT_THAT(core.entities().list(), SizeIs(3));
     const auto told = observer.entities.size();
     core.onProfile(Presence::Left, {uuid(4), "greeter", "", ""}, "");
     EXPECT_THAT(observer.entities, SizeIs(told));
@@ -68,7 +68,7 @@ TEST_F(SessionCoreTest, TheEntityItselfSaysWhyItCannotBeCheckedOutBeforeItIsRead
     core.onProfile(Presence::Joined, {uuid(4), "greeter", "", ""}, "");
     status(4, EntityState::INIT);
     Answer<std::vector<Held>> answer;
-    core.checkOut({"greeter"}, answer.taker());
+    core.checkOuts().checkOut({"greeter"}, answer.taker());
     ASSERT_THAT(link.sent, SizeIs(1));
     EXPECT_EQ(link.sent[0].head.entity, uuid(4));
     answerCheckOut(link.sent[0], RefusalCode::Unavailable);
@@ -79,7 +79,7 @@ TEST_F(SessionCoreTest, AQueryNeverMeansAnEntityThatIsNotReady) {
     core.onProfile(Presence::Joined, {uuid(4), "greeter", "", ""}, "");
     core.onStatus({uuid(4), EntityState::IDLE, false, 0, {}, {}, {}});
     Answer<std::vector<Held>> answer;
-    core.checkOut(parseQuery("1 STATIONARY").value(), {}, answer.taker());
+    core.checkOuts().checkOut(parseQuery("1 STATIONARY").value(), {}, answer.taker());
     EXPECT_EQ(answer.refusal.code, RefusalCode::Unavailable);
     EXPECT_THAT(answer.refusal.message, Not(HasSubstr("greeter")));
 }
@@ -88,7 +88,7 @@ TEST_F(SessionCoreTest, AQueryNeverMeansAnEntityThatIsNotReady) {
 
 TEST_F(SessionCoreTest, OneEntityIsTaken) {
     Answer<std::vector<Held>> answer;
-    core.checkOut({"Cyton"}, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, answer.taker());
     ASSERT_THAT(link.sent, SizeIs(1));
     EXPECT_EQ(link.sent[0].body.check_out().phase(), proto::TAKE);
     EXPECT_EQ(link.sent[0].head.entity, uuid(3));
@@ -99,13 +99,13 @@ TEST_F(SessionCoreTest, OneEntityIsTaken) {
 
     EXPECT_EQ(answer.count, 1);
     EXPECT_TRUE(answer.refusal.ok());
-    EXPECT_THAT(core.held(), ElementsAre(Held{uuid(3), {1, 1}}));
-    EXPECT_EQ(core.service({uuid(3), {1, 1}}, "Driving").value().name, "Driving");
+    EXPECT_THAT(core.leases().held(), ElementsAre(Held{uuid(3), {1, 1}}));
+    EXPECT_EQ(core.leases().service({uuid(3), {1, 1}}, "Driving").value().name, "Driving");
 }
 
 TEST_F(SessionCoreTest, SeveralAreReservedThenCommittedUnderOneRequest) {
     Answer<std::vector<Held>> answer;
-    core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
     const auto reserved = link.take();
     ASSERT_THAT(reserved, SizeIs(2));
     EXPECT_EQ(reserved[0].body.check_out().phase(), proto::RESERVE);
@@ -122,12 +122,12 @@ TEST_F(SessionCoreTest, SeveralAreReservedThenCommittedUnderOneRequest) {
     EXPECT_EQ(answer.count, 0);
     answerCheckOut(committed[1]);
     EXPECT_EQ(answer.count, 1);
-    EXPECT_THAT(core.held(), SizeIs(2));
+    EXPECT_THAT(core.leases().held(), SizeIs(2));
 }
 
 TEST_F(SessionCoreTest, OneRefusalAbortsTheOthersAndNamesTheHolder) {
     Answer<std::vector<Held>> answer;
-    core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
     const auto reserved = link.take();
     answerCheckOut(reserved[0]);
     answerCheckOut(reserved[1], RefusalCode::AlreadyHeld);
@@ -139,12 +139,12 @@ TEST_F(SessionCoreTest, OneRefusalAbortsTheOthersAndNamesTheHolder) {
     ASSERT_THAT(link.sent, SizeIs(1));
     EXPECT_EQ(link.sent[0].body.check_out().phase(), proto::ABORT);
     EXPECT_EQ(link.sent[0].head.entity, uuid(1));
-    EXPECT_THAT(core.held(), IsEmpty());
+    EXPECT_THAT(core.leases().held(), IsEmpty());
 }
 
 TEST_F(SessionCoreTest, AReservationThatIsNotAnsweredInTimeAbortsAll) {
     Answer<std::vector<Held>> answer;
-    core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
     answerCheckOut(link.take()[0]);
     advance(4999ms);
     EXPECT_EQ(answer.count, 0);
@@ -164,7 +164,7 @@ TEST_F(SessionCoreTest, ACommitThatFailsReleasesWhatWasGranted) {
     answerCheckOut(committed[1], RefusalCode::Expired);
 
     EXPECT_EQ(answer.refusal.code, RefusalCode::Expired);
-    EXPECT_THAT(core.held(), IsEmpty());
+    EXPECT_THAT(core.leases().held(), IsEmpty());
     ASSERT_THAT(link.sent, SizeIs(1));
     EXPECT_TRUE(link.sent[0].body.has_release());
     EXPECT_EQ(link.sent[0].head.held, (LeaseNumber{1, 1}));
@@ -173,7 +173,7 @@ TEST_F(SessionCoreTest, ACommitThatFailsReleasesWhatWasGranted) {
 
 TEST_F(SessionCoreTest, AGrantThatComesTooLateIsGivenBack) {
     Answer<std::vector<Held>> answer;
-    core.checkOut({"Cyton"}, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, answer.taker());
     const auto asked = link.take()[0];
     advance(5s);
     ASSERT_EQ(answer.refusal.code, RefusalCode::TimedOut);
@@ -191,19 +191,19 @@ TEST_F(SessionCoreTest, AGrantThatComesTooLateIsGivenBack) {
 
 TEST_F(SessionCoreTest, ADuplicateGrantChangesNothing) {
     Answer<std::vector<Held>> answer;
-    core.checkOut({"Cyton"}, answer.taker());
+    core.checkOuts().checkOut({"Cyton"}, answer.taker());
     const auto asked = link.take()[0];
     answerCheckOut(asked);
     answerCheckOut(asked);
     EXPECT_EQ(answer.count, 1);
     EXPECT_THAT(link.sent, IsEmpty());
-    EXPECT_THAT(core.held(), SizeIs(1));
+    EXPECT_THAT(core.leases().held(), SizeIs(1));
 }
 
 TEST_F(SessionCoreTest, WhatCannotBeAskedForIsRefusedAtOnce) {
     const auto code = [&](const std::vector<std::string>& names) {
         Answer<std::vector<Held>> answer;
-        core.checkOut(names, answer.taker());
+        core.checkOuts().checkOut(names, answer.taker());
         EXPECT_EQ(answer.count, 1);
         return answer.refusal.code;
     };
@@ -218,7 +218,7 @@ TEST_F(SessionCoreTest, WhatCannotBeAskedForIsRefusedAtOnce) {
 
 TEST_F(SessionCoreTest, ACheckOutEndsWhenAnEntityLeaves) {
     Answer<std::vector<Held>> answer;
-    core.checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
+    core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
     core.onProfile(Presence::Left, {uuid(3), "Cyton"}, {});
     EXPECT_EQ(answer.count, 1);
     EXPECT_EQ(answer.refusal.code, RefusalCode::Unavailable);
@@ -230,7 +230,7 @@ TEST_F(SessionCoreTest, CommandsCarryLeaseAndNewestStopGeneration) {
     const auto held = take("Cyton");
     status(3, EntityState::REG, kMe, {1, 1}, 4);
     status(3, EntityState::REG, kMe, {1, 1}, 3);  // older, overtaken
-    core.run(held, "Driving", {}, {});
+    core.tasks().run(held, "Driving", {}, {});
     ASSERT_THAT(link.sent, SizeIs(1));
     EXPECT_EQ(link.sent[0].head.held, (LeaseNumber{1, 1}));
     EXPECT_EQ(link.sent[0].head.stop_generation, 4);
@@ -247,8 +247,8 @@ TEST_F(SessionCoreTest, AnEndedLeaseIsToldAndRefusedFromThenOn) {
 
     ASSERT_THAT(observer.lost, SizeIs(1));
     EXPECT_EQ(observer.lost[0].second.code, RefusalCode::RevokedLease);
-    EXPECT_EQ(core.sendText(held, "hello").refusal().code, RefusalCode::NotHolder);
-    EXPECT_EQ(core.reset(held).refusal().code, RefusalCode::NotHolder);
+    EXPECT_EQ(core.commands().sendText(held, "hello").refusal().code, RefusalCode::NotHolder);
+    EXPECT_EQ(core.commands().reset(held).refusal().code, RefusalCode::NotHolder);
     fromEntity(3, message);
     EXPECT_THAT(observer.lost, SizeIs(1)) << "once";
 }
@@ -259,26 +259,26 @@ TEST_F(SessionCoreTest, TheEndOfAnOlderLeaseDoesNotEndTheNewOne) {
     message.mutable_lease_ended()->mutable_lease()->set_epoch(1);
     message.mutable_lease_ended()->mutable_lease()->set_number(1);
     fromEntity(3, message);
-    EXPECT_THAT(core.held(), SizeIs(1));
+    EXPECT_THAT(core.leases().held(), SizeIs(1));
 }
 
 TEST_F(SessionCoreTest, AHandleOfAnEarlierLeaseIsRefused) {
     const auto earlier = take("Cyton", 1);
-    core.release(earlier, [](const Result<void>&) {});
+    core.leases().release(earlier, [](const Result<void>&) {});
     const auto now = take("Cyton", 2);
-    EXPECT_FALSE(core.holds(earlier));
-    EXPECT_TRUE(core.holds(now));
-    EXPECT_EQ(core.sendText(earlier, "hello").refusal().code, RefusalCode::NotHolder);
+    EXPECT_FALSE(core.leases().holds(earlier));
+    EXPECT_TRUE(core.leases().holds(now));
+    EXPECT_EQ(core.commands().sendText(earlier, "hello").refusal().code, RefusalCode::NotHolder);
 }
 
 TEST_F(SessionCoreTest, ARefusalForAStaleLeaseEndsItHere) {
     const auto held = take("Cyton");
     Answer<void> answer;
-    core.set(held, "Driving", {"Distance", {std::int64_t{100}}}, answer.taker());
+    core.commands().set(held, "Driving", {"Distance", {std::int64_t{100}}}, answer.taker());
     reply(3, link.sent[0].body.set_param().request_id(), RefusalCode::OlderLease);
     EXPECT_EQ(answer.refusal.code, RefusalCode::OlderLease);
     EXPECT_THAT(observer.lost, SizeIs(1));
-    EXPECT_THAT(core.held(), IsEmpty());
+    EXPECT_THAT(core.leases().held(), IsEmpty());
 }
 
 TEST_F(SessionCoreTest, ANewerHolderInTheStatusEndsTheLease) {
@@ -298,9 +298,10 @@ TEST_F(SessionCoreTest, AnEntityWhoseRobotApplicationIsGoneIsLost) {
 TEST_F(SessionCoreTest, ReleaseIsDoneWhenTheEntityIsFree) {
     const auto held = take("Cyton");
     Answer<void> answer;
-    core.release(held, answer.taker());
+    core.leases().release(held, answer.taker());
     EXPECT_TRUE(link.sent[0].body.has_release());
-    EXPECT_EQ(core.sendText(held, "x").refusal().code, RefusalCode::NotHolder) << "given up at once";
+    EXPECT_EQ(core.commands().sendText(held, "x").refusal().code, RefusalCode::NotHolder)
+        << "given up at once";
     status(3, EntityState::BUSY, kMe, {1, 1});
     EXPECT_EQ(answer.count, 0);
     status(3, EntityState::IDLE, {}, {1, 1});
@@ -317,17 +318,17 @@ TEST_F(SessionCoreTest, ARefusalOfAnEarlierLeaseLeavesTheNewOne) {
     head.entity = uuid(3);
     head.held = {1, 2};
     core.onEntityMsg(head, message.SerializeAsString());
-    EXPECT_THAT(core.held(), SizeIs(1));
+    EXPECT_THAT(core.leases().held(), SizeIs(1));
     head.held = {1, 3};
     core.onEntityMsg(head, message.SerializeAsString());
-    EXPECT_THAT(core.held(), IsEmpty());
+    EXPECT_THAT(core.leases().held(), IsEmpty());
 }
 
 TEST_F(SessionCoreTest, ResetIsRefusedWhileLatched) {
     const auto held = take("Cyton");
     core.onStatus({uuid(3), EntityState::REG, true, 1, kMe, {1, 1}, {}});
-    EXPECT_EQ(core.reset(held).refusal().code, RefusalCode::Latched);
-    EXPECT_TRUE(core.clear(held).ok());
+    EXPECT_EQ(core.commands().reset(held).refusal().code, RefusalCode::Latched);
+    EXPECT_TRUE(core.commands().clear(held).ok());
 }
 
 // ---- requests and their time
@@ -336,13 +337,13 @@ TEST_F(SessionCoreTest, EachRequestTimesOut) {
     const auto held = take("Cyton");
     Answer<void> set, rearm, release, upload, pause;
     Answer<std::vector<Service>> services;
-    core.set(held, "Driving", {"Distance", {std::int64_t{100}}}, set.taker());
-    core.rearm(uuid(1), rearm.taker());
-    core.fetchServices(uuid(2), services.taker());
-    core.offer(held, "Driving", "Map", "map.txt", 10, std::string(32, 'x'), upload.taker());
-    const auto task = core.run(held, "Driving", {}, {});
+    core.commands().set(held, "Driving", {"Distance", {std::int64_t{100}}}, set.taker());
+    core.commands().rearm(uuid(1), rearm.taker());
+    core.entities().fetchServices(uuid(2), services.taker());
+    core.commands().offer(held, "Driving", "Map", "map.txt", 10, std::string(32, 'x'), upload.taker());
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     taskEvent(3, task, proto::TASK_RUNNING);
-    core.control(task, proto::PAUSE, pause.taker());
+    core.tasks().control(task, proto::PAUSE, pause.taker());
     EXPECT_EQ(core.nextDeadline(), clock.now() + 5s);
 
     advance(5s);
@@ -353,16 +354,17 @@ TEST_F(SessionCoreTest, EachRequestTimesOut) {
     }
     EXPECT_EQ(services.refusal.code, RefusalCode::TimedOut);
     EXPECT_EQ(core.pendingRequests(), 0U);
-    core.release(held, release.taker());
+    core.leases().release(held, release.taker());
     advance(5s);
     EXPECT_EQ(release.refusal.code, RefusalCode::TimedOut);
-    EXPECT_EQ(core.task(task)->state, TaskState::Unknown) << "released, and nobody said how the task ended";
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Unknown)
+        << "released, and nobody said how the task ended";
 }
 
 TEST_F(SessionCoreTest, ALateReplyIsNotASecondAnswer) {
     const auto held = take("Cyton");
     Answer<void> answer;
-    core.set(held, "Driving", {"Distance", {std::int64_t{100}}}, answer.taker());
+    core.commands().set(held, "Driving", {"Distance", {std::int64_t{100}}}, answer.taker());
     const auto id = link.sent[0].body.set_param().request_id();
     advance(5s);
     reply(3, id);
@@ -372,17 +374,17 @@ TEST_F(SessionCoreTest, ALateReplyIsNotASecondAnswer) {
 TEST_F(SessionCoreTest, WhatTheServersCannotDeliverIsRefusedBySequence) {
     const auto held = take("Cyton");
     Answer<void> answer;
-    core.set(held, "Driving", {"Distance", {std::int64_t{100}}}, answer.taker());
+    core.commands().set(held, "Driving", {"Distance", {std::int64_t{100}}}, answer.taker());
     core.onRefusal(link.sent[0].head, {RefusalCode::UnknownEntity, "no such entity", {}});
     EXPECT_EQ(answer.count, 1);
     EXPECT_EQ(answer.refusal.code, RefusalCode::UnknownEntity);
 
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     core.onRefusal(link.sent[1].head, {RefusalCode::UnknownEntity, "no such entity", {}});
-    EXPECT_EQ(core.task(task)->state, TaskState::Refused);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Refused);
 
     Answer<std::vector<Held>> check_out;
-    core.checkOut({"PeopleBot#1"}, check_out.taker());
+    core.checkOuts().checkOut({"PeopleBot#1"}, check_out.taker());
     core.onRefusal(link.sent.back().head, {RefusalCode::UnknownEntity, "no such entity", {}});
     EXPECT_EQ(check_out.refusal.code, RefusalCode::UnknownEntity);
 }
@@ -391,7 +393,7 @@ TEST_F(SessionCoreTest, ValuesAreCheckedAgainstTheProfileBeforeTheyTravel) {
     const auto held = take("Cyton");
     const auto code = [&](const Argument& argument) {
         Answer<void> answer;
-        core.set(held, "Driving", argument, answer.taker());
+        core.commands().set(held, "Driving", argument, answer.taker());
         return answer.refusal.code;
     };
     EXPECT_EQ(code({"Distanz", {std::int64_t{1}}}), RefusalCode::UnknownParameter);
@@ -407,8 +409,8 @@ TEST_F(SessionCoreTest, ValuesAreCheckedAgainstTheProfileBeforeTheyTravel) {
 
 TEST_F(SessionCoreTest, ServicesOfAnyEntityCanBeAskedFor) {
     std::vector<Service> got;
-    core.fetchServices(uuid(1),
-                       [&](Result<std::vector<Service>> services) { got = std::move(services).value(); });
+    core.entities().fetchServices(
+        uuid(1), [&](Result<std::vector<Service>> services) { got = std::move(services).value(); });
     ASSERT_TRUE(link.sent[0].body.status_request().with_services());
     proto::ToClient message;
     message.mutable_status()->set_request_id(link.sent[0].body.status_request().request_id());
@@ -422,8 +424,8 @@ TEST_F(SessionCoreTest, ServicesOfAnyEntityCanBeAskedFor) {
 TEST_F(SessionCoreTest, CreditsMoveTheDeadlineOfAnUpload) {
     const auto held = take("Cyton");
     Answer<void> answer;
-    const auto transfer =
-        core.offer(held, "Driving", "Map", "map.txt", 100'000, std::string(32, 'x'), answer.taker());
+    const auto transfer = core.commands().offer(held, "Driving", "Map", "map.txt", 100'000,
+                                                std::string(32, 'x'), answer.taker());
     advance(4s);
     proto::ToClient credit;
     credit.mutable_resource_credit()->set_transfer_id(transfer.bytes());
@@ -439,113 +441,114 @@ TEST_F(SessionCoreTest, CreditsMoveTheDeadlineOfAnUpload) {
     EXPECT_THAT(observer.credits, SizeIs(1)) << "it says no more than that the disk is at work";
     advance(4s);
     EXPECT_EQ(answer.count, 0);
-    EXPECT_TRUE(core.sendChunk(transfer, 1000, std::string(65536, 'x')).ok());
-    EXPECT_EQ(core.sendChunk(transfer, 1000, std::string(65537, 'x')).refusal().code, RefusalCode::TooLarge);
+    EXPECT_TRUE(core.commands().sendChunk(transfer, 1000, std::string(65536, 'x')).ok());
+    EXPECT_EQ(core.commands().sendChunk(transfer, 1000, std::string(65537, 'x')).refusal().code,
+              RefusalCode::TooLarge);
     proto::ToClient done;
     done.mutable_resource_done()->set_transfer_id(transfer.bytes());
     done.mutable_resource_done()->mutable_refusal()->set_code(proto::HASH_MISMATCH);
     fromEntity(3, done);
     EXPECT_EQ(answer.refusal.code, RefusalCode::HashMismatch);
-    EXPECT_EQ(core.sendChunk(transfer, 1000, "x").refusal().code, RefusalCode::Cancelled);
+    EXPECT_EQ(core.commands().sendChunk(transfer, 1000, "x").refusal().code, RefusalCode::Cancelled);
 }
 
 // ---- tasks
 
 TEST_F(SessionCoreTest, ATaskGoesThroughItsStates) {
     const auto held = take("Cyton");
-    const auto task = core.run(held, "Driving", {{"Distance", {std::int64_t{1000}}}}, 2s);
-    EXPECT_EQ(core.task(task)->state, TaskState::Queued);
+    const auto task = core.tasks().run(held, "Driving", {{"Distance", {std::int64_t{1000}}}}, 2s);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Queued);
     EXPECT_EQ(link.sent[0].body.task().task_id(), task.bytes());
     EXPECT_DOUBLE_EQ(link.sent[0].body.task().not_after_s(), 2);
-    EXPECT_FALSE(core.task(task)->accepted) << "nobody has answered";
+    EXPECT_FALSE(core.tasks().report(task)->accepted) << "nobody has answered";
     taskEvent(3, task, proto::TASK_DISPATCHED);
-    EXPECT_TRUE(core.task(task)->accepted);
+    EXPECT_TRUE(core.tasks().report(task)->accepted);
     taskEvent(3, task, proto::TASK_RUNNING, -0.0);
-    EXPECT_FALSE(std::signbit(core.task(task)->progress)) << "nobody is at -0 %";
+    EXPECT_FALSE(std::signbit(core.tasks().report(task)->progress)) << "nobody is at -0 %";
     taskEvent(3, task, proto::TASK_RUNNING, 0.25);
-    EXPECT_EQ(core.task(task)->state, TaskState::Running);
-    EXPECT_DOUBLE_EQ(core.task(task)->progress, 0.25);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Running);
+    EXPECT_DOUBLE_EQ(core.tasks().report(task)->progress, 0.25);
     taskEvent(3, task, proto::TASK_PAUSED);
     taskEvent(3, task, proto::TASK_RUNNING);
     taskEvent(3, task, proto::TASK_SUCCEEDED, 1);
-    EXPECT_EQ(core.task(task)->state, TaskState::Succeeded);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Succeeded);
     EXPECT_THAT(observer.tasks, SizeIs(6));
     advance(10s);
-    EXPECT_EQ(core.task(task)->state, TaskState::Succeeded);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Succeeded);
 }
 
 TEST_F(SessionCoreTest, LateAndDuplicateEventsDoNotTurnATaskBack) {
     const auto held = take("Cyton");
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     taskEvent(3, task, proto::TASK_RUNNING, 0.5);
     taskEvent(3, task, proto::TASK_DISPATCHED);
-    EXPECT_EQ(core.task(task)->state, TaskState::Running);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Running);
     taskEvent(3, task, proto::TASK_STOPPED);
     taskEvent(3, task, proto::TASK_RUNNING, 0.7);
     taskEvent(3, task, proto::TASK_SUCCEEDED, 1);
-    EXPECT_EQ(core.task(task)->state, TaskState::Stopped);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Stopped);
     EXPECT_THAT(observer.tasks, SizeIs(2));
 }
 
 TEST_F(SessionCoreTest, AnotherEntityCannotSpeakForATask) {
     const auto held = take("Cyton");
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     taskEvent(1, task, proto::TASK_SUCCEEDED);
-    EXPECT_EQ(core.task(task)->state, TaskState::Queued);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Queued);
 }
 
 TEST_F(SessionCoreTest, ATaskNobodyAnswersBecomesUnknownAndIsCancelled) {
     const auto held = take("Cyton");
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     link.sent.clear();
     advance(5s);
-    EXPECT_EQ(core.task(task)->state, TaskState::Unknown);
-    EXPECT_EQ(core.task(task)->reason.code, RefusalCode::OutcomeUnknown);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Unknown);
+    EXPECT_EQ(core.tasks().report(task)->reason.code, RefusalCode::OutcomeUnknown);
     ASSERT_THAT(link.sent, SizeIs(1));
     EXPECT_EQ(link.sent[0].body.task_control().action(), proto::CANCEL);
     taskEvent(3, task, proto::TASK_RUNNING);
     EXPECT_THAT(link.sent, SizeIs(2)) << "alive after all: it is cancelled again";
-    EXPECT_EQ(core.task(task)->state, TaskState::Unknown);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Unknown);
 }
 
 TEST_F(SessionCoreTest, WhatTheProfileDoesNotHaveIsARefusedTask) {
     const auto held = take("Cyton");
-    const auto unknown = core.run(held, "Flying", {}, {});
-    EXPECT_EQ(core.task(unknown)->state, TaskState::Refused);
-    EXPECT_EQ(core.task(unknown)->reason.code, RefusalCode::UnknownService);
-    const auto far = core.run(held, "Driving", {{"Distance", {std::int64_t{9000}}}}, {});
-    EXPECT_EQ(core.task(far)->reason.code, RefusalCode::OutOfRange);
+    const auto unknown = core.tasks().run(held, "Flying", {}, {});
+    EXPECT_EQ(core.tasks().report(unknown)->state, TaskState::Refused);
+    EXPECT_EQ(core.tasks().report(unknown)->reason.code, RefusalCode::UnknownService);
+    const auto far = core.tasks().run(held, "Driving", {{"Distance", {std::int64_t{9000}}}}, {});
+    EXPECT_EQ(core.tasks().report(far)->reason.code, RefusalCode::OutOfRange);
     EXPECT_THAT(link.sent, IsEmpty());
     EXPECT_FALSE(core.busy());
 }
 
 TEST_F(SessionCoreTest, ControlsAreDoneWhenTheTaskSaysSo) {
     const auto held = take("Cyton");
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     taskEvent(3, task, proto::TASK_RUNNING);
     Answer<void> pause, resume, cancel, late;
-    core.control(task, proto::PAUSE, pause.taker());
+    core.tasks().control(task, proto::PAUSE, pause.taker());
     taskEvent(3, task, proto::TASK_RUNNING, 0.1);
     EXPECT_EQ(pause.count, 0);
     taskEvent(3, task, proto::TASK_PAUSED);
     EXPECT_EQ(pause.count, 1);
-    core.control(task, proto::RESUME, resume.taker());
+    core.tasks().control(task, proto::RESUME, resume.taker());
     taskEvent(3, task, proto::TASK_RUNNING);
     EXPECT_TRUE(resume.refusal.ok());
     EXPECT_EQ(resume.count, 1);
-    core.control(task, proto::CANCEL, cancel.taker());
+    core.tasks().control(task, proto::CANCEL, cancel.taker());
     taskEvent(3, task, proto::TASK_CANCELLED);
     EXPECT_TRUE(cancel.refusal.ok());
-    core.control(task, proto::CANCEL, late.taker());
+    core.tasks().control(task, proto::CANCEL, late.taker());
     EXPECT_EQ(late.refusal.code, RefusalCode::WrongState);
 }
 
 TEST_F(SessionCoreTest, TheReportIsToldBeforeTheControlIsDone) {
     const auto held = take("Cyton");
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     taskEvent(3, task, proto::TASK_RUNNING);
     std::size_t told = 0;
-    core.control(task, proto::PAUSE, [&](const Result<void>&) { told = observer.tasks.size(); });
+    core.tasks().control(task, proto::PAUSE, [&](const Result<void>&) { told = observer.tasks.size(); });
     taskEvent(3, task, proto::TASK_PAUSED);
     EXPECT_EQ(told, 2U);
     EXPECT_EQ(observer.tasks.back().state, TaskState::Paused);
@@ -553,14 +556,14 @@ TEST_F(SessionCoreTest, TheReportIsToldBeforeTheControlIsDone) {
 
 TEST_F(SessionCoreTest, ARefusedPauseLeavesTheTaskRunning) {
     const auto held = take("Cyton");
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     taskEvent(3, task, proto::TASK_RUNNING);
     Answer<void> pause;
-    core.control(task, proto::PAUSE, pause.taker());
+    core.tasks().control(task, proto::PAUSE, pause.taker());
     reply(3, task.bytes(), RefusalCode::NotPausable);
     EXPECT_EQ(pause.refusal.code, RefusalCode::NotPausable);
     reply(3, task.bytes(), RefusalCode::NotPausable);  // of a second one, whose answer has been taken
-    EXPECT_EQ(core.task(task)->state, TaskState::Running);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Running);
 }
 
 // ---- heartbeats and the connection
@@ -570,7 +573,7 @@ TEST_F(SessionCoreTest, HeartbeatsAreFastWhileATaskRuns) {
     EXPECT_THAT(link.beats, SizeIs(1)) << "the first one at once";
     EXPECT_EQ(core.nextHeartbeat(), clock.now() + 2s);
     const auto held = take("Cyton");
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     EXPECT_EQ(core.nextHeartbeat(), clock.now() + 50ms);
     advance(50ms);
     EXPECT_TRUE(link.beats.back().second);
@@ -651,7 +654,7 @@ class WatchedWorld : public CoreWorld {
         EXPECT_LE(link.beats.size() - before, static_cast<std::size_t>(10 * (time / server->timeout()) + 2));
     }
     void task(const Held& held) {
-        const auto task = core.run(held, "Driving", {}, {});
+        const auto task = core.tasks().run(held, "Driving", {}, {});
         live(1ms);
         server->setBusy(true, clock.now());
         live(1ms);  // the status is under way
@@ -707,7 +710,7 @@ TEST(ServersWatchdogs, ABusyEntityThatWasReleasedCountsUntilItHasLetGo) {
     WatchedWorld world({250ms, 10s});
     const auto held = world.take("Cyton");
     world.status(3, EntityState::BUSY, kMe, held.lease);  // by a task of which this process knows nothing
-    world.core.release(held, [](const Result<void>&) {});
+    world.core.leases().release(held, [](const Result<void>&) {});
     world.server->setBusy(true, world.clock.now());
     world.live(2s);
     EXPECT_GE(world.margin, 0.75);
@@ -742,17 +745,17 @@ TEST_F(SessionCoreTest, ASilentServerIsNoticedSoonerWhileARobotMoves) {
 
 TEST_F(SessionCoreTest, ALostConnectionLeavesNothingOpen) {
     const auto held = take("Cyton");
-    const auto task = core.run(held, "Driving", {}, {});
+    const auto task = core.tasks().run(held, "Driving", {}, {});
     taskEvent(3, task, proto::TASK_RUNNING);
     Answer<void> set;
     Answer<std::vector<Held>> check_out;
-    core.set(held, "Driving", {"Distance", {std::int64_t{1}}}, set.taker());
-    core.checkOut({"PeopleBot#2"}, check_out.taker());
+    core.commands().set(held, "Driving", {"Distance", {std::int64_t{1}}}, set.taker());
+    core.checkOuts().checkOut({"PeopleBot#2"}, check_out.taker());
 
     core.onDisconnected("cable cut");
 
-    EXPECT_EQ(core.task(task)->state, TaskState::Unknown);
-    EXPECT_EQ(core.task(task)->reason.code, RefusalCode::OutcomeUnknown);
+    EXPECT_EQ(core.tasks().report(task)->state, TaskState::Unknown);
+    EXPECT_EQ(core.tasks().report(task)->reason.code, RefusalCode::OutcomeUnknown);
     ASSERT_THAT(observer.lost, SizeIs(1));
     EXPECT_EQ(observer.lost[0].second.code, RefusalCode::NotConnected);
     EXPECT_EQ(set.count, 1);
@@ -761,13 +764,13 @@ TEST_F(SessionCoreTest, ALostConnectionLeavesNothingOpen) {
     EXPECT_EQ(core.pendingRequests(), 0U);
     EXPECT_EQ(core.nextDeadline(), TimePoint::max());
     EXPECT_EQ(core.nextHeartbeat(), TimePoint::max());
-    EXPECT_THAT(core.entities(), IsEmpty());
-    EXPECT_EQ(core.find("Cyton").refusal().code, RefusalCode::NotConnected);
-    EXPECT_EQ(core.sendText(held, "x").refusal().code, RefusalCode::NotConnected);
+    EXPECT_THAT(core.entities().list(), IsEmpty());
+    EXPECT_EQ(core.entities().find("Cyton").refusal().code, RefusalCode::NotConnected);
+    EXPECT_EQ(core.commands().sendText(held, "x").refusal().code, RefusalCode::NotConnected);
 }
 
 TEST_F(SessionCoreTest, WatchesComeBackWithTheConnection) {
-    ASSERT_TRUE(core.watch(uuid(3), {"pose"}).ok());
+    ASSERT_TRUE(core.watches().watch(uuid(3), {"pose"}).ok());
     core.onDisconnected("restart");
     link.sent.clear();
     connect();
@@ -777,12 +780,12 @@ TEST_F(SessionCoreTest, WatchesComeBackWithTheConnection) {
 }
 
 TEST_F(SessionCoreTest, TheLastOfSeveralWatchesTurnsAStreamOff) {
-    ASSERT_TRUE(core.watch(uuid(3), {"pose"}).ok());
-    ASSERT_TRUE(core.watch(uuid(3), {"pose", "sonar"}).ok());
+    ASSERT_TRUE(core.watches().watch(uuid(3), {"pose"}).ok());
+    ASSERT_TRUE(core.watches().watch(uuid(3), {"pose", "sonar"}).ok());
     link.sent.clear();
-    core.unwatch(uuid(3), {"pose"});
+    core.watches().unwatch(uuid(3), {"pose"});
     EXPECT_THAT(link.sent, IsEmpty());
-    core.unwatch(uuid(3), {"pose", "sonar"});
+    core.watches().unwatch(uuid(3), {"pose", "sonar"});
     ASSERT_THAT(link.sent, SizeIs(1));
     EXPECT_FALSE(link.sent[0].body.watch().on());
     EXPECT_THAT(link.sent[0].body.watch().streams(), ElementsAre("pose", "sonar"));
@@ -794,7 +797,7 @@ TEST_F(SessionCoreTest, ProfilesThatOvertakeTheHandshakeCount) {
     EXPECT_FALSE(world.core.complete());
     world.core.onConnected(kMe, 1);
     EXPECT_TRUE(world.core.complete());
-    EXPECT_TRUE(world.core.find("PeopleBot").ok());
+    EXPECT_TRUE(world.core.entities().find("PeopleBot").ok());
 }
 
 TEST_F(SessionCoreTest, AnEntityIsThereOnceItsProfileAndItsStatusHaveComeInEitherOrder) {
@@ -809,8 +812,8 @@ TEST_F(SessionCoreTest, AnEntityIsThereOnceItsProfileAndItsStatusHaveComeInEithe
         };
         one(profile_first);
         EXPECT_FALSE(world.core.complete()) << "what is listed now has a state that nobody has told";
-        EXPECT_THAT(world.core.entities(Listed::All), IsEmpty());
-        EXPECT_FALSE(world.core.find("PeopleBot").ok());
+        EXPECT_THAT(world.core.entities().list(Listed::All), IsEmpty());
+        EXPECT_FALSE(world.core.entities().find("PeopleBot").ok());
         EXPECT_THAT(world.observer.entities, IsEmpty());
         one(!profile_first);
         EXPECT_TRUE(world.core.complete());
@@ -834,13 +837,13 @@ TEST_F(SessionCoreTest, MalformedMessagesAreCountedAndChangeNothing) {
     fromEntity(3, message);
     reply(3, "short");
     EXPECT_EQ(core.malformed(), 4U);
-    EXPECT_THAT(core.held(), SizeIs(1));
+    EXPECT_THAT(core.leases().held(), SizeIs(1));
 }
 
 TEST_F(SessionCoreTest, OnlyUtf8IsAText) {
     const auto held = take("Cyton");
-    EXPECT_EQ(core.sendText(held, "\xff").refusal().code, RefusalCode::Malformed);
-    EXPECT_TRUE(core.sendRaw(held, "\xff").ok());
+    EXPECT_EQ(core.commands().sendText(held, "\xff").refusal().code, RefusalCode::Malformed);
+    EXPECT_TRUE(core.commands().sendRaw(held, "\xff").ok());
 }
 
 TEST(RawMessageTest, IsWhatProtobufWouldWrite) {
@@ -881,7 +884,7 @@ TEST(BusyTest, CountsWhatIsHeldAndMoves) {
     EXPECT_FALSE(world.core.busy());
     world.status(3, EntityState::COLLAB, kMe, held.lease);
     EXPECT_TRUE(world.core.busy());
-    world.core.release(held, [](const Result<void>&) {});
+    world.core.leases().release(held, [](const Result<void>&) {});
     EXPECT_TRUE(world.core.busy()) << "the server goes by what the entity says";
     world.status(3, EntityState::IDLE);
     EXPECT_FALSE(world.core.busy());

@@ -10,7 +10,7 @@
 #include <utility>
 #include <vector>
 
-#include "axon/client.hpp"
+#include "axon/types.hpp"
 #include "client/name_index.hpp"
 #include "client/server_link.hpp"
 #include "client/signal_marks.hpp"

@@ -11,13 +11,6 @@
 #include "messages/values.hpp"
 
 namespace axon::client {
-namespace {
-
-bool parse(proto::ToClient& message, std::string_view bytes) {
-    return message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()));
-}
-
-}  // namespace
 
 // ---- how a stop leaves: noted under the lock, collected at its end, sent after it
 

@@ -42,17 +42,17 @@ Result<Proposal> propose(Client::Session& session, const GlobalService& service,
     std::vector<collaboration::Candidate> candidates;
     std::map<int, std::string> choices;
     const auto asked = session.withCore([&](SessionCore& core) -> Result<void> {
-        if (!core.connected()) return core.find("").refusal();
+        if (!core.connected()) return core.entities().find("").refusal();
         for (const auto& [role, name] : chosen) {
-            const auto entity = core.find(name);
+            const auto entity = core.entities().find(name);
             if (!entity) return entity.refusal();
             choices[role] = entity->id;
         }
-        const auto mine = core.held();
-        for (const auto& entity : core.entities()) {
+        const auto mine = core.leases().held();
+        for (const auto& entity : core.entities().list()) {
             auto& candidate = candidates.emplace_back();
             candidate.entity = entity.id;
-            candidate.name = core.callName(entity.id);
+            candidate.name = core.entities().label(entity.id);
             candidate.category = entity.category;
             candidate.type = entity.type;
             candidate.state = entity.state;
@@ -63,8 +63,9 @@ Result<Proposal> propose(Client::Session& session, const GlobalService& service,
         }
         survey = std::make_shared<Answers>(candidates.size());
         for (std::size_t i = 0; i < candidates.size(); ++i) {
-            core.fetchDetails(candidates[i].entity,
-                              [survey, i](Result<Details> details) { survey->put(i, std::move(details)); });
+            core.entities().fetchDetails(candidates[i].entity, [survey, i](Result<Details> details) {
+                survey->put(i, std::move(details));
+            });
         }
         return {};
     });
@@ -88,21 +89,21 @@ Result<RunHistory> runHistory(Client::Session& session, const std::vector<std::s
     std::shared_ptr<Answers> survey;
     std::vector<std::string> called;
     const auto asked = session.withCore([&](SessionCore& core) -> Result<void> {
-        if (!core.connected()) return core.find("").refusal();
+        if (!core.connected()) return core.entities().find("").refusal();
         std::vector<std::string> entities;
         for (const auto& name : names) {
-            const auto entity = core.find(name);
+            const auto entity = core.entities().find(name);
             if (!entity) return entity.refusal();
             if (std::find(entities.begin(), entities.end(), entity->id) == entities.end())
                 entities.push_back(entity->id);
         }
         if (names.empty()) {
-            for (const auto& entity : core.entities()) entities.push_back(entity.id);
+            for (const auto& entity : core.entities().list()) entities.push_back(entity.id);
         }
         survey = std::make_shared<Answers>(entities.size());
         for (std::size_t i = 0; i < entities.size(); ++i) {
-            called.push_back(core.callName(entities[i]));
-            core.fetchRuns(entities[i], most, [survey, i](Result<std::vector<RunRecord>> runs) {
+            called.push_back(core.entities().label(entities[i]));
+            core.runs().fetchRecords(entities[i], most, [survey, i](Result<std::vector<RunRecord>> runs) {
                 survey->put(i, std::move(runs));
             });
         }

@@ -97,7 +97,7 @@ class CoreWorld {
     /// Its profile, and a status where none has come before.
     void join(int number, const std::string& name, const char* type = "MOBILE") {
         announce(number, name, type);
-        if (!core.entity(uuid(number)).ok()) status(number, EntityState::UNAV);
+        if (!core.entities().entity(uuid(number)).ok()) status(number, EntityState::UNAV);
     }
     void announce(int number, const std::string& name, const char* type = "MOBILE") {
         proto::BasicProfile profile;
@@ -163,7 +163,7 @@ class CoreWorld {
     }
     Held take(const std::string& name, int lease = 1, std::chrono::milliseconds grace = {}) {
         Held held;
-        core.checkOut({name}, [&](const Result<std::vector<Held>>& granted) {
+        core.checkOuts().checkOut({name}, [&](const Result<std::vector<Held>>& granted) {
             if (granted) held = granted.value().front();
         });
         answerCheckOut(link.sent.back(), RefusalCode::Ok, lease, grace);

@@ -21,7 +21,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     CoreWorld world;
     world.connect();
     // One it has asked for, and that may answer what it likes.
-    world.core.checkOut({"Cyton"}, [](const auto&) {});
+    world.core.checkOuts().checkOut({"Cyton"}, [](const auto&) {});
     for (std::size_t at = 0; at + 4 <= size && at < 64 * 1024U;) {
         const auto kind = bytes[at];
         const int number = 1 + bytes[at + 1] % 4;
@@ -51,6 +51,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
                 world.core.onEntityMsg(head, message);
         }
     }
-    for (const auto& held : world.core.held()) require(held.entity == uuid(3), "it holds only what it asked for");
+    for (const auto& held : world.core.leases().held()) require(held.entity == uuid(3), "it holds only what it asked for");
     return 0;
 }

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: GPL-2.0-or-later
+#pragma once
+#include <compare>
+#include <cstdint>
+#include <string>
+
+#include "axon/global.hpp"
+#include "axon/types.hpp"
+#include "common/ids.hpp"
+#include "common/refusal.hpp"
+#include "common/routed.hpp"
+
+namespace axon::client {
+
+/// One granted check-out: the lease's number makes the difference between now and an earlier time.
+struct Held {
+    std::string entity;
+    LeaseNumber lease;
+
+    auto operator<=>(const Held&) const = default;
+};
+
+/// Ways to an entity besides the servers, as its lease offers them. Called from inside the core.
+class LeaseWays {
+  public:
+    virtual ~LeaseWays() = default;
+    /// Stops of this lease may be sent to `endpoint` as datagrams, keyed by `key`; empty = not, or no longer.
+    virtual void onDatagrams(const Held& /*held*/, const std::string& /*endpoint*/,
+                             const std::string& /*key*/) {}
+    /// A direct path of this lease may be opened at these endpoints ("host:port"), by its key; empty = not,
+    /// or no longer.
+    virtual void onDirect(const Held& /*held*/, const std::string& /*data_endpoint*/,
+                          const std::string& /*signal_endpoint*/, const std::string& /*key*/) {}
+};
+
+/// What the core tells its owner. Called from inside the core: implementations queue, they do not call back
+/// and do not wait.
+class SessionObserver : public LeaseWays {
+  public:
+    /// Of those that are ready: one that becomes so joins.
+    virtual void onEntity(Presence presence, const Entity& entity) = 0;
+    virtual void onTask(const TaskReport& report) = 0;
+    virtual void onRun(const RunReport& /*report*/) {}
+    virtual void onText(const Held& held, const std::string& text) = 0;
+    virtual void onRaw(const Held& held, const std::string& bytes) = 0;
+    virtual void onService(const Held& held, const Service& service) = 0;
+    /// Not called for a lease that this client released itself.
+    virtual void onLost(const Held& held, const Refusal& why) = 0;
+    /// The connection is lost, or the entity has left, and the lease is not (yet): onResumed or onLost will
+    /// follow.
+    virtual void onOrphaned(const Held&, const std::string& /*reason*/) {}
+    virtual void onResumed(const Held&) {}
+    virtual void onHandOver(const Held&, const HandOverRequest&) {}
+    /// `sample.json` is left empty: rendering it is the owner's affair, outside any lock.
+    virtual void onSample(const Sample& sample) = 0;
+    /// Send of the resource from `offset` up to `limit`.
+    virtual void onTransferCredit(const Id128& transfer, std::uint64_t offset, std::uint64_t limit) = 0;
+    /// What the servers say to people.
+    virtual void onServerText(int code, const std::string& text) = 0;
+};
+
+}  // namespace axon::client
