@@ -190,7 +190,7 @@ Json unitsOf(const Service& service) {
 Json feedbackOf(const Service& service) {
     auto names = Json::array();
     for (const auto& parameter : service.parameters)
-        if (parameter.type == "FEEDBACK") names.push_back(parameter.name);
+        if (parameter.kind == client::ParameterKind::Feedback) names.push_back(parameter.name);
     return names;
 }
 

@@ -154,7 +154,7 @@ TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
 
 TEST_F(Verbs, RunChecksOutForItselfAndReleases) {
     station->services_[0].parameters.emplace_back().name = "Speed";
-    station->services_[0].parameters.back().type = "FEEDBACK";
+    station->services_[0].parameters.back().kind = client::ParameterKind::Feedback;
     station->script = {{TaskState::Running, 0.5, "half way", {}, {}},
                        {TaskState::Succeeded, 1, "", {}, {{"Distance", {std::int64_t{998}}}}}};
     EXPECT_EQ(perform("run", runCyton()), kDone);
