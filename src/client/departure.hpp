@@ -14,7 +14,7 @@ namespace axon::client {
 /// it is given. When the use of the core is over, two named steps of the owner follow:
 ///
 ///   owner.collect(how...)   under the lock: takes out what was noted, and decides which threads have to wake
-///   owner.depart(leaving)   without the lock, on the same thread: sends it, and wakes them
+///   owner.depart(leaving)   without the lock, on the same thread: sends it, and wakes them; noexcept
 ///
 /// Both follow even when the use throws, because what the core gave to send before that counts (a stop above
 /// all). Where in the flow: between the calls of users and connections on one side, and a core on the other.
@@ -43,6 +43,7 @@ class Departure {
         }
         auto leaving = owner_.collect(how...);
         inside.unlock();
+        static_assert(noexcept(owner_.depart(std::move(leaving))), "half a departure would wake nobody");
         owner_.depart(std::move(leaving));
         if (thrown) std::rethrow_exception(thrown);
         if constexpr (!std::is_void_v<Answer>) return std::move(*answer);

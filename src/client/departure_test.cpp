@@ -22,7 +22,7 @@ struct Owner {
         if (!held_at_collect) lock.unlock();
         return std::exchange(noted, {});
     }
-    void depart(const std::vector<std::string>& leaving) {
+    void depart(const std::vector<std::string>& leaving) noexcept {
         free_at_departure = lock.try_lock();
         if (free_at_departure) lock.unlock();
         sent.insert(sent.end(), leaving.begin(), leaving.end());

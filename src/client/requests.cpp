@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "client/requests.hpp"
 
+#include <cassert>
+
 namespace axon::client {
 
 void Requests::await(Id128 id, Pending pending) {
     const Key key{pending.what.index(), id};
+    assert(!pending_.contains(key) && "the id of a request is new");
     if (pending.deadline == TimePoint{}) pending.deadline = clock_.now() + timeout_;
     deadlines_.insert({pending.deadline, key});
     if (pending.sequence != 0) by_sequence_[pending.sequence] = key;

@@ -100,7 +100,7 @@ Client::Session::Leaving Client::Session::collect(Sends sends) {
     return leaving;
 }
 
-void Client::Session::depart(const Leaving& leaving) {
+void Client::Session::depart(const Leaving& leaving) noexcept {
     if (leaving.told) news_.wake();
     messages_.depart(leaving.messages);
     if (leaving.wake_timer) threads_.timer.wake();

@@ -123,7 +123,7 @@ class Client::Session final : public LeaseWays,
         bool told, wake_timer, wake_heartbeat;
     };
     Leaving collect(Sends sends);
-    void depart(const Leaving& leaving);
+    void depart(const Leaving& leaving) noexcept;
     /// For events of the server: nothing when they belong to an earlier attempt.
     template <class Use>
     void onCore(std::uint64_t attempt, Use&& use);

@@ -27,7 +27,7 @@ StopSender::Leaving StopSender::collect() {
     return {std::exchange(noted_, {}), timer_.mustWakeFor(desk_.nextDeadline())};
 }
 
-void StopSender::depart(const Leaving& leaving) {
+void StopSender::depart(const Leaving& leaving) noexcept {
     if (!leaving.stops.empty()) {
         sendByLanes(leaving.stops);
         sendAsDatagrams(leaving.stops);

@@ -75,7 +75,7 @@ class StopSender final : private StopLink {
         bool wake;
     };
     Leaving collect();
-    void depart(const Leaving& leaving);
+    void depart(const Leaving& leaving) noexcept;
     void sendByLanes(const std::vector<Outgoing>& stops) const;
     void sendAsDatagrams(const std::vector<Outgoing>& stops) const;
 
