@@ -173,11 +173,6 @@ void ClientStation::newStatusMsg(std::uint64_t attempt, const EntityStatus& stat
     life_->core.onStatus(status);
     settle();
 }
-void ClientStation::newSvcRecordMsg(std::uint64_t attempt, const Header& head, const std::string& record) {
-    if (!hears(attempt)) return;
-    life_->core.onServiceRecord(head, record);
-    settle();
-}
 void ClientStation::newEntityMsg(std::uint64_t attempt, Lane lane, direct::Keeping keeping,
                                  const Header& head, const std::string& bytes) {
     if (!hears(attempt)) return;

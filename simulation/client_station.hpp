@@ -61,7 +61,6 @@ class ClientStation final : public client::ServerLink,
     void newBasicPrflMsg(std::uint64_t attempt, Presence presence, const Registration& registration,
                          const std::string& profile);
     void newStatusMsg(std::uint64_t attempt, const EntityStatus& status);
-    void newSvcRecordMsg(std::uint64_t attempt, const Header& head, const std::string& record);
     void newEntityMsg(std::uint64_t attempt, Lane lane, direct::Keeping keeping, const Header& head,
                       const std::string& bytes);
     void newRefusalMsg(std::uint64_t attempt, const Header& head, const Refusal& refusal);

@@ -221,9 +221,6 @@ struct DirectLiars::Ears final : public front_end_server::ClientOutbox {
         if (presence != Presence::Left) names[registration.name] = registration.entity;
     }
     void newStatusMsg(const EntityStatus&) override {}
-    bool newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view, QueueShare) override {
-        return true;
-    }
     bool newEntityMsg(Lane, const Header& head, std::string_view message, QueueShare) override {
         proto::ToClient body;
         if (!body.ParseFromArray(message.data(), static_cast<int>(message.size()))) return true;

@@ -30,7 +30,6 @@ struct Liars::Ears final : public front_end_server::ClientOutbox, public entity_
         statuses[status.entity] = status;
         if (!status.holder.id.empty()) people[status.holder.id] = status.holder;
     }
-    bool newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view, QueueShare) override { return true; }
     bool newEntityMsg(Lane, const Header&, std::string_view, QueueShare) override { return true; }
     void newEntityMsgDataSeq(const Header&, std::string_view) override {}
     void newStopAccepted(const Header&, std::int32_t) override {}

@@ -52,14 +52,6 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
         send(Traffic::Control, 0,
              [status](ClientStation& to, std::uint64_t attempt) { to.newStatusMsg(attempt, status); });
     }
-    bool newSvcRecordMsg(const Header& head, std::int32_t, std::int32_t, std::string_view record, QueueShare share) override {
-        return send(
-            Traffic::Control, record.size(),
-            [head, bytes = std::string(record)](ClientStation& to, std::uint64_t attempt) {
-                to.newSvcRecordMsg(attempt, head, bytes);
-            },
-            senderKey(head.entity, share));
-    }
     bool newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) override {
         return entityMsg(lane, direct::Keeping::Kept, head, message,
                          senderKey(head.entity, share));
@@ -251,10 +243,6 @@ struct ServerStation::Life final : public front_end_server::EntityTopic, public 
         front_end.entityBasicPrflUpdate(presence, registration, profile);
     }
     void entityUpdate(const EntityStatus& status, std::int64_t) override { front_end.entityUpdate(status); }
-    void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
-                         std::string_view record) override {
-        front_end.entitySvcRecord(head, record_id, count, record);
-    }
     void entityMsg(Lane lane, const Header& head, std::string_view message) override {
         front_end.entityMsg(lane, head, message);
     }

@@ -18,7 +18,6 @@ class ConnectionEvents {
     virtual void newProfile(std::uint64_t attempt, Presence presence, const Registration& registration,
                             std::string_view profile) = 0;
     virtual void newStatus(std::uint64_t attempt, const EntityStatus& status) = 0;
-    virtual void newServiceRecord(std::uint64_t attempt, const Header& head, std::string_view record) = 0;
     /// `lane`: where it came, and `keeping` of what was sent on the data lane.
     virtual void newEntityMsg(std::uint64_t attempt, Lane lane, direct::Keeping keeping, const Header& head,
                               std::string_view message) = 0;

@@ -130,15 +130,6 @@ void Entities::onOwnStatus(const std::string& id, const proto::EntityStatus& sta
     tellChanged(known->second);
 }
 
-void Entities::onPosition(const std::string& id, const proto::Position& position) {
-    const auto known = entities_.find(id);
-    if (known == entities_.end()) return;
-    known->second.facts.x_mm = position.xpos();
-    known->second.facts.y_mm = position.ypos();
-    known->second.facts.z_mm = position.zpos();
-    tellChanged(known->second);
-}
-
 void Entities::onGranted(const std::string& id, std::int32_t stop_generation, bool latched) {
     auto& facts = entities_[id].facts;
     facts.stop_generation = stop_generation;

@@ -42,7 +42,6 @@ class Entities {
     bool onStatus(const EntityStatus& status);
     /// What the entity itself says.
     void onOwnStatus(const std::string& id, const proto::EntityStatus& status);
-    void onPosition(const std::string& id, const proto::Position& position);
     /// The answer to fetchDetails().
     void onDetails(Id128 request, const proto::EntityStatus& status);
     void onGranted(const std::string& id, std::int32_t stop_generation, bool latched);

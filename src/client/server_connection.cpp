@@ -64,12 +64,6 @@ class CallbackServant final : public slice::ClientCallback {
     void newStatusMsg(Axon::CommUtil::EntityStatus status, const Ice::Current&) override {
         tell([&](auto& events) { events.newStatus(attempt_, transport::fromIce(std::move(status))); });
     }
-    void newSvcRecordMsg(Axon::CommUtil::Header head, int, int, ByteRange record,
-                         const Ice::Current&) override {
-        tell([&](auto& events) {
-            events.newServiceRecord(attempt_, transport::fromIce(std::move(head)), transport::toView(record));
-        });
-    }
     void newEntityMsg(Axon::CommUtil::Header head, ByteRange message, const Ice::Current&) override {
         tell([&](auto& events) {
             events.newEntityMsg(attempt_, lane_, direct::Keeping::Kept, transport::fromIce(std::move(head)),

@@ -410,10 +410,6 @@ void Client::Session::newStatus(std::uint64_t attempt, const EntityStatus& statu
     entities_changed_.notify_all();
 }
 
-void Client::Session::newServiceRecord(std::uint64_t attempt, const Header& head, std::string_view record) {
-    onCore(attempt, [&](SessionCore& core) { core.onServiceRecord(head, record); });
-}
-
 void Client::Session::newEntityMsg(std::uint64_t attempt, Lane lane, direct::Keeping keeping,
                                    const Header& head, std::string_view message) {
     if (stops_.onReceipt(head, message)) return;

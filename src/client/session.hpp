@@ -100,7 +100,6 @@ class Client::Session final : public LeaseWays,
     void newProfile(std::uint64_t attempt, Presence presence, const Registration& registration,
                     std::string_view profile) override;
     void newStatus(std::uint64_t attempt, const EntityStatus& status) override;
-    void newServiceRecord(std::uint64_t attempt, const Header& head, std::string_view record) override;
     void newEntityMsg(std::uint64_t attempt, Lane lane, direct::Keeping keeping, const Header& head,
                       std::string_view message) override;
     void newRefusal(std::uint64_t attempt, const Header& head, const Refusal& refusal) override;

@@ -120,16 +120,6 @@ void SessionCore::onStatus(const EntityStatus& status) {
     if (!joins) entities_.tellChanged(status.entity);
 }
 
-void SessionCore::onServiceRecord(const Header& head, std::string_view record) {
-    server_.feed();
-    proto::Service service;
-    if (!parse(service, record)) {
-        ++context_.malformed;
-        return;
-    }
-    leases_.onService(head.entity, service);
-}
-
 // ---- messages of entities
 
 void SessionCore::onEntityMsg(const Header& head, std::string_view bytes, bool of_server) {
@@ -184,9 +174,6 @@ void SessionCore::onEntityMsg(const Header& head, std::string_view bytes, bool o
         }
         case proto::ToClient::kService:
             leases_.onService(entity, message.service());
-            break;
-        case proto::ToClient::kPosition:
-            entities_.onPosition(entity, message.position());
             break;
         case proto::ToClient::kHandOver:
             leases_.onHandOver(entity, message.hand_over());

@@ -65,8 +65,6 @@ class SessionCore {
     void onDisconnected(const std::string& reason, bool for_good = false);
     void onProfile(Presence presence, const Registration& registration, std::string_view profile);
     void onStatus(const EntityStatus& status);
-    /// A record of a services profile, to be kept for a lease that is held.
-    void onServiceRecord(const Header& head, std::string_view record);
     /// `bytes` is an axon.proto.ToClient; receipts in it are not for this object. `of_server`: the server has
     /// brought it, and lives.
     void onEntityMsg(const Header& head, std::string_view bytes, bool of_server = true);

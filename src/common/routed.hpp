@@ -12,7 +12,7 @@ namespace axon {
 // converts; enumerators and their numbers are the same (transport's conversion test compares them).
 
 enum class Lane : std::uint8_t { Signal, Data };
-enum class ClientChange : std::uint8_t { Lost, Resumed, Ended };
+enum class ClientChange : std::uint8_t { Lost, Ended };
 
 /// Why a stop was given; numbers are those of axon.proto.StopCause.
 enum class StopCause : std::uint8_t {
@@ -50,7 +50,6 @@ struct Header {
     std::int32_t stop_generation = 0;
     std::int64_t sequence = 0;
     std::int64_t sent_at_us = 0;
-    std::string proof;
 };
 
 /// What servers may know of an entity: from its registration …
@@ -61,7 +60,6 @@ struct Registration {
     std::string type;
     std::int32_t heartbeat_busy_ms = 50;
     std::int32_t heartbeat_idle_ms = 2000;
-    std::string direct_endpoint;
     std::string server;  ///< which of several entity servers it is connected to; empty where there is one
 
     bool operator==(const Registration&) const = default;
@@ -126,7 +124,6 @@ inline constexpr const char* kMsgReply = "REPLY";
 inline constexpr const char* kMsgReceipt = "RECEIPT";
 inline constexpr const char* kMsgStream = "STREAM";
 inline constexpr const char* kMsgService = "SERVICE";
-inline constexpr const char* kMsgPosition = "POSITION";
 // … and between an entity server and its Entity Managers: a drill of the server's own, and its answer once
 // the Entity Interfacer has acknowledged. Such a drill is answered to the server alone.
 inline constexpr const char* kMsgDrill = "DRILL";

@@ -557,29 +557,22 @@ void EntityManagerCore::Machine::dropWaitingGrant(const Refusal& reason) {
 
 void EntityManagerCore::Machine::onClientUpdate(const Header& head, ClientChange change) {
     if (quit_) return;
-    Incident incident{Event::ClientResumed, &head};
     const bool lost = change == ClientChange::Lost;
-    if (change != ClientChange::Resumed) {
-        incident.event = lost ? Event::ClientLost : Event::ClientEnded;
-        incident.cause = lost ? StopCause::ClientLost : StopCause::Released;
-        incident.reason = {lost ? RefusalCode::ClientLost : RefusalCode::Stopped,
-                           named(head.sender) + (lost ? " was lost." : " has left."),
-                           {}};
-        streams_.forget(head.sender.id);
-        // Of a client that is not the holder, or is not any more, only what it waits for is left to end.
-        if (holder() != nullptr && holder()->id != head.sender.id) {
-            dismissWaiting(incident);
-            settle();
-            return;
-        }
-        if (lost && holder() != nullptr) {
-            // Of tasks that go on without it the loss is known.
-            if (!lease_.orphaned() || !survivesClientLoss()) loseHolder(incident);
-            settle();
-            return;
-        }
+    Incident incident{lost ? Event::ClientLost : Event::ClientEnded, &head};
+    incident.cause = lost ? StopCause::ClientLost : StopCause::Released;
+    incident.reason = {lost ? RefusalCode::ClientLost : RefusalCode::Stopped,
+                       named(head.sender) + (lost ? " was lost." : " has left."),
+                       {}};
+    streams_.forget(head.sender.id);
+    if (holder() != nullptr && holder()->id != head.sender.id) {
+        // Of a client that is not the holder, or no longer is, only what it waits for is left to end.
+        dismissWaiting(incident);
+    } else if (lost && holder() != nullptr) {
+        // Of tasks that go on without it the loss is known.
+        if (!lease_.orphaned() || !survivesClientLoss()) loseHolder(incident);
+    } else {
+        fire(incident);
     }
-    fire(incident);
     settle();
 }
 

@@ -112,7 +112,6 @@ std::vector<Row> makeRows() {
     rows.add(held, E::HandOver, {A::ConsiderHandOver}, kStay);
     for (const auto event : {E::ClientLost, E::ClientEnded})
         rows.add({S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::ERR}, event, {A::DismissWaiting}, kStay);
-    rows.add(any, E::ClientResumed, {}, kStay);
 
     // The holder's work.
     rows.add(held, E::SetParam, {A::AskParameter}, kStay);
@@ -342,7 +341,6 @@ const char* toString(Event event) {
                                                              "ClientLost",
                                                              "ClientSpared",
                                                              "ClientEnded",
-                                                             "ClientResumed",
                                                              "CheckOutGranted",
                                                              "LeaseResumed",
                                                              "LeaseExpired",

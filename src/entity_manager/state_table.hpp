@@ -34,7 +34,6 @@ enum class Event : std::uint8_t {
     ClientLost,
     ClientSpared,  ///< lost, and all that runs may go on without it for a while
     ClientEnded,
-    ClientResumed,
     CheckOutGranted,
     LeaseResumed,  ///< by its holder, in the grace
     LeaseExpired,  ///< the grace is over

@@ -179,8 +179,7 @@ Result<void> check(const Registration& registration, std::size_t profile_bytes,
                                                 "fix: rename it in the basic profile, such as '" +
                                                 otherName(registration.name) + "'");
     }
-    for (const auto* text :
-         {&registration.name, &registration.category, &registration.type, &registration.direct_endpoint}) {
+    for (const auto* text : {&registration.name, &registration.category, &registration.type}) {
         if (text->size() > kTextMax || validUtf8(*text) != *text) {
             return refuse(RefusalCode::Malformed,
                           "a text of the registration is no UTF-8 or longer than 1024 bytes; mend the basic "
@@ -413,13 +412,6 @@ bool EntityServerCore::flooded(const SessionRef& session) {
 bool EntityServerCore::tooMuchSignal(Session& session, std::string_view message) {
     return message.size() > kSignalBytes ||
            !session.signal_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size() + kSignalOverhead));
-}
-
-void EntityServerCore::sendSvcPrflRecord(const SessionRef& session, Header head, std::int32_t record_id,
-                                         std::int32_t count, std::string_view record) {
-    if (!session->registered || flooded(session)) return;
-    head.entity = session->entity;
-    topic_.entitySvcRecord(head, record_id, count, record);
 }
 
 void EntityServerCore::sendToClient(const SessionRef& session, Lane lane, Header head,

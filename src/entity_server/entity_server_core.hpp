@@ -93,8 +93,6 @@ class EntityServerCore {
     /// An operation that came on the signal lane and belongs on the other: two lanes would overtake each
     /// other.
     void refuseOnSignalLane(const SessionRef& session, const char* msg_type);
-    void sendSvcPrflRecord(const SessionRef& session, Header head, std::int32_t record_id, std::int32_t count,
-                           std::string_view record);
     void sendToClient(const SessionRef& session, Lane lane, Header head, std::string_view message);
     void sendToClientDataSeq(const SessionRef& session, Header head, std::string_view data);
     /// Reaches the peer on the lane it came by; refused to the sender, on that lane, where it does not.

@@ -86,9 +86,6 @@ class FakeTopic final : public FrontEndTopic {
         lines.push_back(std::string("status ") + toString(status.state));
         last = status;
     }
-    void entitySvcRecord(const Header&, std::int32_t, std::int32_t, std::string_view) override {
-        lines.emplace_back("record");
-    }
     void entityMsg(Lane lane, const Header& head, std::string_view message) override {
         lines.push_back((lane == Lane::Signal ? "signal " : "data ") + head.entity.substr(35) + " to " +
                         head.sender.id + " " + std::string(message));

@@ -44,8 +44,6 @@ class FrontEndTopic {
                                        std::string_view profile) = 0;
     /// `number` grows with each; the only server has no need of it. To each that is reached straight, too.
     virtual void entityUpdate(const EntityStatus& status, std::int64_t number) = 0;
-    virtual void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
-                                 std::string_view record) = 0;
     /// What is for one client and does not reach its server is told by clientUnreached(), perhaps before this returns.
     virtual void entityMsg(Lane lane, const Header& head, std::string_view message) = 0;
     virtual void entityMsgDataSeq(const Header& head, std::string_view data) = 0;

@@ -158,14 +158,6 @@ void IceFrontEndTopic::entityUpdate(const EntityStatus& status, std::int64_t num
     front_ends_.neighboursData(Traffic::Control, std::size_t{0}, call);
     front_ends_.data(Traffic::Control, std::size_t{0}, call);
 }
-void IceFrontEndTopic::entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
-                                       std::string_view record) {
-    toOne(
-        Traffic::Control, head, record,
-        [record_id, count](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.entitySvcRecordAsync(h, record_id, count, bytes, std::move(a), std::move(f), std::move(s));
-        });
-}
 void IceFrontEndTopic::entityMsg(Lane lane, const Header& head, std::string_view message) {
     const auto call = [its_lane = toIce(lane)](FrontEndPrx& prx, const IceHeader& h, ByteRange bytes,
                                                Answered a, Failed f, Sent s) {
@@ -334,11 +326,6 @@ void EntitySessionServant::sendStatus(Axon::CommUtil::EntityStatus status, const
     const auto& its_session = session_.of(current);
     if (lane_.lane == Lane::Signal) return lane_.core.refuseOnSignalLane(its_session, kMsgStatus);
     lane_.core.sendStatus(its_session, fromIce(std::move(status)));
-}
-void EntitySessionServant::sendSvcPrflRecord(IceHeader head, int record_id, int count, ByteRange record,
-                                             const Ice::Current& current) {
-    lane_.core.sendSvcPrflRecord(session_.of(current), proper(std::move(head), current), record_id, count,
-                                 toView(record));
 }
 void EntitySessionServant::sendToClient(IceHeader head, ByteRange message, const Ice::Current& current) {
     lane_.core.sendToClient(session_.of(current), lane_.lane, proper(std::move(head), current),

@@ -62,8 +62,6 @@ class IceFrontEndTopic final : public FrontEndTopic {
     void entityBasicPrflUpdate(Presence presence, const Registration& registration,
                                std::string_view profile) override;
     void entityUpdate(const EntityStatus& status, std::int64_t number) override;
-    void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
-                         std::string_view record) override;
     void entityMsg(Lane lane, const Header& head, std::string_view message) override;
     void entityMsgDataSeq(const Header& head, std::string_view data) override;
     void entityRefusal(Lane lane, const Header& head, const Refusal& refusal) override;
@@ -118,8 +116,6 @@ class EntitySessionServant final : public Axon::EntityComm::EntitySession {
     void sendBasicPrfl(Axon::CommUtil::Registration registration, transport::ByteRange profile,
                        transport::ByteRange secret, const Ice::Current& current) override;
     void sendStatus(Axon::CommUtil::EntityStatus status, const Ice::Current& current) override;
-    void sendSvcPrflRecord(Axon::CommUtil::Header head, int record_id, int count, transport::ByteRange record,
-                           const Ice::Current& current) override;
     void sendToClient(Axon::CommUtil::Header head, transport::ByteRange message,
                       const Ice::Current& current) override;
     void sendToClientDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,

@@ -849,13 +849,6 @@ void FrontEndCore::toClientsOf(Lane lane, const Header& head, Send&& send) {
     });
 }
 
-void FrontEndCore::entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
-                                   std::string_view record) {
-    toClientsOf(Lane::Data, head, [&](ClientOutbox& client, QueueShare share) {
-        return client.newSvcRecordMsg(head, record_id, count, record, share);
-    });
-}
-
 void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view message) {
     toClientsOf(lane, head, [&](ClientOutbox& client, QueueShare share) {
         return client.newEntityMsg(lane, head, message, share);

@@ -113,8 +113,6 @@ class FrontEndCore {
     void entityBasicPrflUpdate(Presence presence, Registration registration, std::string_view profile);
     /// `number`: grows with each of its server, and the first copy counts; 0 = there is one copy.
     void entityUpdate(EntityStatus status, std::int64_t number = 0, Way way = Way::Topic);
-    void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
-                         std::string_view record);
     void entityMsg(Lane lane, const Header& head, std::string_view message);
     void entityMsgDataSeq(const Header& head, std::string_view data);
     void entityRefusal(Lane lane, const Header& head, const Refusal& refusal);

@@ -48,11 +48,6 @@ class FakeOutbox final : public ClientOutbox {
     void newStatusMsg(const EntityStatus& status) override {
         lines.push_back(status.entity + " " + toString(status.state));
     }
-    bool newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view, QueueShare share) override {
-        if (slow && share == QueueShare::OfSender) return false;
-        lines.emplace_back("record");
-        return true;
-    }
     bool newEntityMsg(Lane, const Header& head, std::string_view message, QueueShare share) override {
         last_head = head;
         if (slow && share == QueueShare::OfSender) return false;
@@ -270,7 +265,6 @@ TEST_F(FrontEndTest, AnEntityThatAClientHasNotAskedMayLeaveLittleForIt) {
     auto to_all = to("e1");
     to_all.sender = {};
     for (int i = 0; i < 100; ++i) core.entityMsg(Lane::Data, to_all, "word");
-    core.entitySvcRecord(to_all, 1, 1, "record");
     EXPECT_THAT(other.data->take(), IsEmpty());
     EXPECT_THAT(notes.back(), HasSubstr("client2 reads slowly"));
     EXPECT_LE(std::count_if(notes.begin(), notes.end(), [](const auto& line) { return line.find("slowly") != std::string::npos; }), 8);

@@ -22,10 +22,8 @@ class ClientOutbox {
     virtual void newBasicPrflMsg(Presence presence, const Registration& registration,
                                  std::string_view profile) = 0;
     virtual void newStatusMsg(const EntityStatus& status) = 0;
-    /// This and the next return false, and send nothing, when the message is beyond its share of the queue.
-    virtual bool newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
-                                 std::string_view record, QueueShare share) = 0;
-    /// `lane`: a receipt on the signal lane never waits behind other messages.
+    /// False, and nothing is sent, when the message is beyond its share of the queue. `lane`: a receipt on the signal lane never
+    /// waits behind other messages.
     virtual bool newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) = 0;
     virtual void newEntityMsgDataSeq(const Header& head, std::string_view data) = 0;
     virtual void newRefusalMsg(const Header& head, const Refusal& refusal) = 0;

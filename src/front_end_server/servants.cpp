@@ -47,16 +47,6 @@ void IceClientOutbox::newStatusMsg(const EntityStatus& status) {
     });
 }
 
-bool IceClientOutbox::newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
-                                      std::string_view record, QueueShare share) {
-    return sender_.send(
-        Traffic::Control, head, record,
-        [record_id, count](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.newSvcRecordMsgAsync(h, record_id, count, bytes, std::move(a), std::move(f), std::move(s));
-        },
-        senderKey(head.entity, share));
-}
-
 bool IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) {
     return sender_.send(
         lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
@@ -333,10 +323,6 @@ void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence pre
 }
 void EntityToFrontEndServant::entityUpdate(Axon::CommUtil::EntityStatus status, double number, const Ice::Current&) {
     core_.entityUpdate(fromIce(std::move(status)), transport::whole(number), way_);
-}
-void EntityToFrontEndServant::entitySvcRecord(IceHeader head, int record_id, int count, ByteRange record,
-                                              const Ice::Current&) {
-    core_.entitySvcRecord(fromIce(std::move(head)), record_id, count, toView(record));
 }
 void EntityToFrontEndServant::entityMsg(Axon::CommUtil::Lane lane, IceHeader head, ByteRange message,
                                         const Ice::Current&) {

@@ -25,8 +25,6 @@ class IceClientOutbox final : public ClientOutbox {
     void newBasicPrflMsg(Presence presence, const Registration& registration,
                          std::string_view profile) override;
     void newStatusMsg(const EntityStatus& status) override;
-    bool newSvcRecordMsg(const Header& head, std::int32_t record_id, std::int32_t count,
-                         std::string_view record, QueueShare share) override;
     bool newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) override;
     void newEntityMsgDataSeq(const Header& head, std::string_view data) override;
     void newRefusalMsg(const Header& head, const Refusal& refusal) override;
@@ -161,8 +159,6 @@ class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndC
     void entityBasicPrflUpdate(Axon::CommUtil::Presence presence, Axon::CommUtil::Registration registration,
                                transport::ByteRange profile, const Ice::Current&) override;
     void entityUpdate(Axon::CommUtil::EntityStatus status, double number, const Ice::Current&) override;
-    void entitySvcRecord(Axon::CommUtil::Header head, int record_id, int count, transport::ByteRange record,
-                         const Ice::Current&) override;
     void entityMsg(Axon::CommUtil::Lane lane, Axon::CommUtil::Header head, transport::ByteRange message,
                    const Ice::Current&) override;
     void entityMsgDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,

@@ -210,10 +210,6 @@ class ClientsHere final : public entity_server::FrontEndTopic {
         core_->entityBasicPrflUpdate(presence, registration, profile);
     }
     void entityUpdate(const EntityStatus& status, std::int64_t) override { core_->entityUpdate(status); }
-    void entitySvcRecord(const Header& head, std::int32_t record_id, std::int32_t count,
-                         std::string_view record) override {
-        core_->entitySvcRecord(head, record_id, count, record);
-    }
     void entityMsg(Lane lane, const Header& head, std::string_view message) override {
         core_->entityMsg(lane, head, message);
     }

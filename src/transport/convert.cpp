@@ -10,8 +10,8 @@ namespace axon::transport {
 namespace {
 
 template <class Head>
-std::array<decltype(&std::declval<Head&>().entity), 5> stringsOf(Head& head) {
-    return {&head.sender.id, &head.sender.name, &head.entity, &head.msg_type, &head.proof};
+std::array<decltype(&std::declval<Head&>().entity), 4> stringsOf(Head& head) {
+    return {&head.sender.id, &head.sender.name, &head.entity, &head.msg_type};
 }
 
 }  // namespace
@@ -52,7 +52,6 @@ Header fromIce(ice::Header&& head) {
     out.stop_generation = head.stopGeneration;
     out.sequence = whole(head.seq);
     out.sent_at_us = whole(head.sentAt);
-    out.proof.assign(head.proof.begin(), head.proof.end());
     return out;
 }
 
@@ -60,7 +59,7 @@ Registration fromIce(ice::Registration&& registration) {
     return {std::move(registration.entity),        std::move(registration.name),
             std::move(registration.category),      std::move(registration.type),
             registration.heartbeatBusyMs,          registration.heartbeatIdleMs,
-            std::move(registration.directEndpoint), std::move(registration.server)};
+            std::move(registration.server)};
 }
 
 EntityStatus fromIce(ice::EntityStatus&& status) {
@@ -93,8 +92,7 @@ ice::Header toIce(const Header& head) {
             {head.held.epoch, head.held.number},
             head.stop_generation,
             static_cast<double>(head.sequence),
-            static_cast<double>(head.sent_at_us),
-            {head.proof.begin(), head.proof.end()}};
+            static_cast<double>(head.sent_at_us)};
 }
 
 ice::Registration toIce(const Registration& registration) {
@@ -104,7 +102,6 @@ ice::Registration toIce(const Registration& registration) {
             registration.type,
             registration.heartbeat_busy_ms,
             registration.heartbeat_idle_ms,
-            registration.direct_endpoint,
             registration.server};
 }
 

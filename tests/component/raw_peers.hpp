@@ -317,10 +317,6 @@ class RawClient : public RawPeer<Axon::FrontEndComm::ClientGatePrx, Axon::FrontE
             if (status.stopLatencyUs > 0)
                 client_.log.add("a stop takes " + std::to_string(status.stopLatencyUs));
         }
-        void newSvcRecordMsg(Axon::CommUtil::Header, int id, int count, ByteRange,
-                             const Ice::Current&) override {
-            client_.log.add("record " + std::to_string(id) + "/" + std::to_string(count));
-        }
         void newEntityMsg(Axon::CommUtil::Header head, ByteRange message, const Ice::Current&) override {
             wait();
             client_.log.add(lane_ + " msg " + head.entity + " " + std::string(toView(message)));

@@ -64,7 +64,6 @@ class Callback extends FrontEndComm.ClientCallback {
     newStopAccepted(head, count) {
         hear({ head, accepted: count });
     }
-    newSvcRecordMsg() {}
     newUpdateMsg() {}
     newHeartbeat() {}
 }

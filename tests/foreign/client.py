@@ -66,7 +66,6 @@ class Callback(FrontEndComm.ClientCallback):
             self.client.arrived.append((self.lane, head, entities))
             self.client.news.notify_all()
 
-    def newSvcRecordMsg(self, head, recordId, count, svcRecord, current): pass
     def newUpdateMsg(self, code, text, current): pass
     def newHeartbeat(self, seq, current): pass
 

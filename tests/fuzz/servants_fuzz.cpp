@@ -37,7 +37,6 @@ class Anybody final : public transport::PeerConnection {
 struct HonestClient final : front_end_server::ClientOutbox {
     void newBasicPrflMsg(Presence, const Registration&, std::string_view) override {}
     void newStatusMsg(const EntityStatus& status) override { statuses[status.entity] = status; }
-    bool newSvcRecordMsg(const Header&, std::int32_t, std::int32_t, std::string_view, QueueShare share) override { return takes(share); }
     bool newEntityMsg(Lane, const Header&, std::string_view, QueueShare share) override { return takes(share); }
     void newEntityMsgDataSeq(const Header&, std::string_view) override {}
     void newRefusalMsg(const Header&, const Refusal&) override {}
@@ -85,9 +84,6 @@ struct Servers final : front_end_server::EntityTopic, entity_server::FrontEndTop
         clients.entityBasicPrflUpdate(presence, registration, profile);
     }
     void entityUpdate(const EntityStatus& status, std::int64_t) override { clients.entityUpdate(status); }
-    void entitySvcRecord(const Header& head, std::int32_t id, std::int32_t count, std::string_view record) override {
-        clients.entitySvcRecord(head, id, count, record);
-    }
     void entityMsg(Lane lane, const Header& head, std::string_view message) override { clients.entityMsg(lane, head, message); }
     void entityMsgDataSeq(const Header& head, std::string_view data) override { clients.entityMsgDataSeq(head, data); }
     void entityRefusal(Lane lane, const Header& head, const Refusal& refusal) override { clients.entityRefusal(lane, head, refusal); }
@@ -101,7 +97,7 @@ struct Servers final : front_end_server::EntityTopic, entity_server::FrontEndTop
 const std::vector<std::string> kOperations{
     "sendStopSignal", "sendStopSignals", "sendToEntity",   "sendToEntityDataSeq", "sendRequest",         "sendResetSignal",
     "sendClearSignal", "setCallback",    "attachSignalLane", "keepAlive",         "leave",               "destroy",
-    "sendBasicPrfl",  "sendStatus",      "sendToClient",   "sendToClientDataSeq", "sendToPeer",          "sendSvcPrflRecord"};
+    "sendBasicPrfl",  "sendStatus",      "sendToClient",   "sendToClientDataSeq", "sendToPeer"};
 
 Ice::Communicator& communicator() {
     static const Ice::CommunicatorHolder holder = [] {

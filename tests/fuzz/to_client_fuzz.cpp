@@ -37,9 +37,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
             case 0:
                 world.core.onProfile(Presence::Changed, {uuid(number), "Robot", "ROBOT", "MOBILE"}, message);
                 break;
-            case 1:
-                world.core.onServiceRecord(head, message);
-                break;
             case 2:
                 world.clock.advance(std::chrono::milliseconds{kind});
                 world.core.onTimer();

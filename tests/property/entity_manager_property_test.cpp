@@ -453,10 +453,9 @@ class World {
         if (!running_.empty()) broken("tasks run on after a stop");
     }
     void lose(const std::string& client) {
-        const auto change =
-            any<ClientChange>({ClientChange::Lost, ClientChange::Ended, ClientChange::Resumed});
-        last_ += client + " is lost, ended or resumed: " + std::to_string(static_cast<int>(change));
-        if (change != ClientChange::Resumed) believes_.erase(client);
+        const auto change = any<ClientChange>({ClientChange::Lost, ClientChange::Ended});
+        last_ += client + (change == ClientChange::Lost ? " is lost" : " is ended");
+        believes_.erase(client);
         rig_.core().onClientUpdate(rig_.headOf(client), change);
     }
     void links() {

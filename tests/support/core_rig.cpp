@@ -562,8 +562,6 @@ std::string shown(const proto::ToClient& message) {
                    std::to_string(message.sample().sequence());
         case proto::ToClient::kService:
             return "Service " + shown(message.service());
-        case proto::ToClient::kPosition:
-            return "Position";
         case proto::ToClient::kHandOver: {
             const auto& question = message.hand_over();
             char within[32];
