@@ -21,10 +21,10 @@
 #include <utility>
 #include <vector>
 
-#include "radio/datagram_lane.hpp"
-#include "radio/signal_socket.hpp"
-#include "radio/stop_repeater.hpp"
-#include "radio/stop_sentry.hpp"
+#include "datagrams/datagram_lane.hpp"
+#include "datagrams/signal_socket.hpp"
+#include "datagrams/stop_repeater.hpp"
+#include "datagrams/stop_sentry.hpp"
 
 namespace axon::faults {
 namespace {
@@ -68,7 +68,7 @@ class Socket {
 void prepare(int fd, const Way& way) {
     const int on = 1;
     ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
-    if (way.options) radio::prepareSignalSocket(fd);
+    if (way.options) datagrams::prepareSignalSocket(fd);
 }
 
 bool readable(int fd, Duration time) {
@@ -205,9 +205,9 @@ class Datagrams {
         : sentries_(flows), ledger_(ledger), repeater_(clock_) {
         const Sender sender{Id128::uuid(random).toString(), "client1", Role::Operator};
         sides.enter(Side::Right);
-        right_ = std::make_unique<radio::DatagramLane>(
-            "right", radio::Endpoint{*radio::parseAddress(TwoSides::kRight), 0}, clock_,
-            [this](const radio::DatagramLane& lane, const radio::Endpoint& from, std::string_view bytes) {
+        right_ = std::make_unique<datagrams::DatagramLane>(
+            "right", datagrams::Endpoint{*datagrams::parseAddress(TwoSides::kRight), 0}, clock_,
+            [this](const datagrams::DatagramLane& lane, const datagrams::Endpoint& from, std::string_view bytes) {
                 return received(lane, from, bytes);
             },
             nullptr);
@@ -218,13 +218,13 @@ class Datagrams {
             sentries_[flow].hold(lease, key, sender);
             repeater_.admit(std::to_string(flow), {right_->local(), lease, key, *Id128::parse(sender.id)});
         }
-        left_ = std::make_unique<radio::DatagramLane>(
-            "left", radio::Endpoint{*radio::parseAddress(TwoSides::kLeft), 0}, clock_,
-            [this](const radio::DatagramLane&, const radio::Endpoint& from, std::string_view bytes) {
+        left_ = std::make_unique<datagrams::DatagramLane>(
+            "left", datagrams::Endpoint{*datagrams::parseAddress(TwoSides::kLeft), 0}, clock_,
+            [this](const datagrams::DatagramLane&, const datagrams::Endpoint& from, std::string_view bytes) {
                 const std::lock_guard lock(mutex_);
                 return repeater_.onDatagram(from, bytes).has_value();
             },
-            [this](const radio::DatagramLane& lane) {
+            [this](const datagrams::DatagramLane& lane) {
                 const std::lock_guard lock(mutex_);
                 repeater_.onTimer();
                 send(lane);
@@ -242,33 +242,33 @@ class Datagrams {
     std::size_t copies() const { return copies_; }
 
   private:
-    void send(const radio::DatagramLane& lane) {
+    void send(const datagrams::DatagramLane& lane) {
         for (const auto& out : repeater_.take()) {
             ++copies_;
             lane.send(out.to, {out.bytes.data(), out.bytes.size()});
         }
     }
-    bool received(const radio::DatagramLane& lane, const radio::Endpoint& from, std::string_view bytes) {
-        const auto lease = radio::leaseOf(bytes);
+    bool received(const datagrams::DatagramLane& lane, const datagrams::Endpoint& from, std::string_view bytes) {
+        const auto lease = datagrams::leaseOf(bytes);
         if (!lease || static_cast<std::size_t>(lease->number) > sentries_.size()) return false;
         const auto flow = static_cast<std::size_t>(lease->number) - 1;
         const auto judged = sentries_[flow].judge(bytes);
-        if (judged.verdict == radio::StopSentry::Verdict::Refused) return false;
+        if (judged.verdict == datagrams::StopSentry::Verdict::Refused) return false;
         ledger_.arrived(flow, static_cast<std::size_t>(judged.datagram.sequence) - 1, clock_.now());
         auto ack = judged.datagram;
-        ack.kind = radio::StopDatagram::Kind::Ack;
-        const auto answer = radio::encode(ack, judged.key);
+        ack.kind = datagrams::StopDatagram::Kind::Ack;
+        const auto answer = datagrams::encode(ack, judged.key);
         lane.send(from, {answer.data(), answer.size()});
         return true;
     }
 
     const SteadyClock clock_;
-    std::vector<radio::StopSentry> sentries_;
+    std::vector<datagrams::StopSentry> sentries_;
     Ledger& ledger_;
     std::mutex mutex_;
-    radio::StopRepeater repeater_;  // guarded by mutex_
+    datagrams::StopRepeater repeater_;  // guarded by mutex_
     std::atomic<std::size_t> copies_{0};
-    std::unique_ptr<radio::DatagramLane> right_, left_;
+    std::unique_ptr<datagrams::DatagramLane> right_, left_;
 };
 
 double percentile(const std::vector<double>& sorted, double share) {

@@ -19,7 +19,7 @@ DatagramSender::~DatagramSender() {
 
 void DatagramSender::admit(const std::string& entity, LeaseNumber lease, std::string_view endpoint,
                            const std::string& key, std::string_view sender) {
-    const auto to = radio::Endpoint::parse(endpoint);
+    const auto to = datagrams::Endpoint::parse(endpoint);
     const auto self = Id128::parse(uuidOf(sender));
     if (!to || to->port == 0 || !self) return forget(entity, lease);
     if (!lane()) return;
@@ -33,19 +33,19 @@ void DatagramSender::forget(const std::string& entity, LeaseNumber lease) {
 }
 
 /// The socket and its thread, made outside the lock.
-std::shared_ptr<radio::DatagramLane> DatagramSender::lane() {
+std::shared_ptr<datagrams::DatagramLane> DatagramSender::lane() {
     {
         const std::lock_guard lock(mutex_);
         if (lane_ || failed_ || closed_) return lane_;
     }
-    std::shared_ptr<radio::DatagramLane> made;
+    std::shared_ptr<datagrams::DatagramLane> made;
     try {
-        made = std::make_shared<radio::DatagramLane>(
-            "axon-datagrams", radio::Endpoint{}, clock_,
-            [this](const radio::DatagramLane&, const radio::Endpoint& from, std::string_view bytes) {
+        made = std::make_shared<datagrams::DatagramLane>(
+            "axon-datagrams", datagrams::Endpoint{}, clock_,
+            [this](const datagrams::DatagramLane&, const datagrams::Endpoint& from, std::string_view bytes) {
                 return received(from, bytes);
             },
-            [this](const radio::DatagramLane& lane) { return onDue(lane); });
+            [this](const datagrams::DatagramLane& lane) { return onDue(lane); });
     } catch (const std::system_error& error) {
         log().warn("stops are not sent as datagrams: {}", error.what());
     }
@@ -56,8 +56,8 @@ std::shared_ptr<radio::DatagramLane> DatagramSender::lane() {
 }
 
 void DatagramSender::stop(const std::string& entity, std::int64_t sequence, std::int32_t generation) {
-    std::vector<radio::StopRepeater::Outgoing> outgoing;
-    std::shared_ptr<radio::DatagramLane> lane;
+    std::vector<datagrams::StopRepeater::Outgoing> outgoing;
+    std::shared_ptr<datagrams::DatagramLane> lane;
     {
         const std::lock_guard lock(mutex_);
         if (!lane_ || repeater_.empty()) return;
@@ -70,8 +70,8 @@ void DatagramSender::stop(const std::string& entity, std::int64_t sequence, std:
     lane->wake();
 }
 
-bool DatagramSender::received(const radio::Endpoint& from, std::string_view bytes) {
-    std::optional<radio::StopRepeater::Acknowledged> acknowledged;
+bool DatagramSender::received(const datagrams::Endpoint& from, std::string_view bytes) {
+    std::optional<datagrams::StopRepeater::Acknowledged> acknowledged;
     {
         const std::lock_guard lock(mutex_);
         acknowledged = repeater_.onDatagram(from, bytes);
@@ -80,8 +80,8 @@ bool DatagramSender::received(const radio::Endpoint& from, std::string_view byte
     return acknowledged.has_value();
 }
 
-TimePoint DatagramSender::onDue(const radio::DatagramLane& lane) {
-    std::vector<radio::StopRepeater::Outgoing> outgoing;
+TimePoint DatagramSender::onDue(const datagrams::DatagramLane& lane) {
+    std::vector<datagrams::StopRepeater::Outgoing> outgoing;
     TimePoint next;
     {
         const std::lock_guard lock(mutex_);
@@ -94,7 +94,7 @@ TimePoint DatagramSender::onDue(const radio::DatagramLane& lane) {
 }
 
 void DatagramSender::close() {
-    std::shared_ptr<radio::DatagramLane> ended;
+    std::shared_ptr<datagrams::DatagramLane> ended;
     {
         const std::lock_guard lock(mutex_);
         closed_ = true;

@@ -9,8 +9,8 @@
 
 #include "common/clock.hpp"
 #include "common/routed.hpp"
-#include "radio/datagram_lane.hpp"
-#include "radio/stop_repeater.hpp"
+#include "datagrams/datagram_lane.hpp"
+#include "datagrams/stop_repeater.hpp"
 
 namespace axon::client {
 
@@ -24,7 +24,7 @@ namespace axon::client {
 /// stops travel by TCP in any case.
 class DatagramSender {
   public:
-    using Acknowledged = std::function<void(const radio::StopRepeater::Acknowledged&)>;
+    using Acknowledged = std::function<void(const datagrams::StopRepeater::Acknowledged&)>;
 
     DatagramSender(const Clock& clock, Acknowledged acknowledged);
     ~DatagramSender();
@@ -42,16 +42,16 @@ class DatagramSender {
     void close();
 
   private:
-    bool received(const radio::Endpoint& from, std::string_view bytes);
-    TimePoint onDue(const radio::DatagramLane& lane);
-    std::shared_ptr<radio::DatagramLane> lane();
+    bool received(const datagrams::Endpoint& from, std::string_view bytes);
+    TimePoint onDue(const datagrams::DatagramLane& lane);
+    std::shared_ptr<datagrams::DatagramLane> lane();
 
     const Clock& clock_;
     const Acknowledged acknowledged_;
     std::mutex mutex_;
     // Guarded by mutex_:
-    radio::StopRepeater repeater_;
-    std::shared_ptr<radio::DatagramLane> lane_;
+    datagrams::StopRepeater repeater_;
+    std::shared_ptr<datagrams::DatagramLane> lane_;
     bool failed_ = false;
     bool closed_ = false;
 };

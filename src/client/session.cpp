@@ -73,7 +73,7 @@ Client::Session::Session(Options options, std::shared_ptr<const Clock> clock)
       messages_(
           *clock_, direct_, [this] { threads_.sender.wake(); }, [this] { threads_.heartbeat.wake(); }),
       datagrams_(*clock_,
-                 [this](const radio::StopRepeater::Acknowledged& stop) {
+                 [this](const datagrams::StopRepeater::Acknowledged& stop) {
                      stops_.onDatagramAcknowledged(stop.entity, stop.sender.toString(), stop.sequence,
                                                    stop.generation);
                  }),

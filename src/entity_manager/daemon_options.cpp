@@ -91,12 +91,12 @@ DatagramSettings datagramsOf(const std::string& text) {
     if (text == "off") return settings;
     settings.offered = true;
     if (text == "on") return settings;
-    if (const auto both = radio::Endpoint::parse(text)) {
+    if (const auto both = datagrams::Endpoint::parse(text)) {
         settings.address = text.substr(0, text.rfind(':'));
         settings.port = both->port;
-    } else if (radio::parseAddress(text)) {
+    } else if (datagrams::parseAddress(text)) {
         settings.address = text;
-    } else if (const auto port = radio::Endpoint::parse("0.0.0.0:" + text)) {
+    } else if (const auto port = datagrams::Endpoint::parse("0.0.0.0:" + text)) {
         settings.port = port->port;
     } else {
         throw std::runtime_error("Axon.Datagrams: expected on, off, an address of four numbers, a port, or ADDRESS:PORT, as "
@@ -118,15 +118,15 @@ DirectSettings directOf(const std::string& text) {
     const auto colon = text.find(':');
     auto ports = colon == std::string::npos ? text : text.substr(colon + 1);
     if (colon != std::string::npos) settings.address = text.substr(0, colon);
-    if (colon == std::string::npos && radio::parseAddress(text)) {
+    if (colon == std::string::npos && datagrams::parseAddress(text)) {
         settings.address = text;
         return settings;
     }
-    if (!settings.address.empty() && !radio::parseAddress(settings.address)) fail();
+    if (!settings.address.empty() && !datagrams::parseAddress(settings.address)) fail();
     const auto dash = ports.find('-');
     if (dash == std::string::npos) fail();
     const auto port = [&](const std::string& digits) {
-        const auto number = radio::Endpoint::parse("0.0.0.0:" + digits);
+        const auto number = datagrams::Endpoint::parse("0.0.0.0:" + digits);
         if (!number || number->port < 1024) fail();
         return number->port;
     };

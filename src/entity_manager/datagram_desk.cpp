@@ -17,15 +17,15 @@ DatagramDesk::DatagramDesk(DatagramSettings settings, const Clock& clock, StopGa
 
 std::string DatagramDesk::open(const std::string& way_to_server) {
     if (!settings_.offered) return {};
-    const auto address = radio::parseAddress(settings_.address.empty() ? way_to_server : settings_.address);
+    const auto address = datagrams::parseAddress(settings_.address.empty() ? way_to_server : settings_.address);
     if (!address) return {};
-    const radio::Endpoint wanted{*address, settings_.port};
+    const datagrams::Endpoint wanted{*address, settings_.port};
     if (lane_ && bound_ == wanted) return lane_->local().toString();
     lane_.reset();
     try {
-        lane_ = std::make_unique<radio::DatagramLane>(
+        lane_ = std::make_unique<datagrams::DatagramLane>(
             "axon-datagrams", wanted, clock_,
-            [this](const radio::DatagramLane& lane, const radio::Endpoint& from, std::string_view bytes) {
+            [this](const datagrams::DatagramLane& lane, const datagrams::Endpoint& from, std::string_view bytes) {
                 return received(lane, from, bytes);
             },
             nullptr);
@@ -57,7 +57,7 @@ void DatagramDesk::hold(const LeaseBook::Held* held) {
 /// Of the lease that ends: refused ones may be somebody's attempt, or a network that is set up wrongly.
 void DatagramDesk::tellCounts() {
     const auto now = sentry_.counters();
-    const auto refused = [](const radio::StopSentry::Counters& of) {
+    const auto refused = [](const datagrams::StopSentry::Counters& of) {
         return of.unreadable + of.foreign + of.old;
     };
     const auto stops = now.accepted - told_.accepted, copies = now.again - told_.again;
@@ -71,12 +71,12 @@ void DatagramDesk::close() {
     lane_.reset();
 }
 
-bool DatagramDesk::received(const radio::DatagramLane& lane, const radio::Endpoint& from,
+bool DatagramDesk::received(const datagrams::DatagramLane& lane, const datagrams::Endpoint& from,
                             std::string_view bytes) {
     const auto judged = sentry_.judge(bytes);
-    if (judged.verdict == radio::StopSentry::Verdict::Refused) return false;
+    if (judged.verdict == datagrams::StopSentry::Verdict::Refused) return false;
     const auto& datagram = judged.datagram;
-    if (judged.verdict == radio::StopSentry::Verdict::New) {
+    if (judged.verdict == datagrams::StopSentry::Verdict::New) {
         Header head;
         head.sender = judged.sender;
         head.entity = entity_;
@@ -87,12 +87,12 @@ bool DatagramDesk::received(const radio::DatagramLane& lane, const radio::Endpoi
         stop_(std::move(head), datagram.cause);
     }
     auto answer = datagram;
-    answer.kind = radio::StopDatagram::Kind::Ack;
+    answer.kind = datagrams::StopDatagram::Kind::Ack;
     answer.generation = gate_.raisedBy(judged.sender.id, datagram.sequence).value_or(0);
-    const auto encoded = radio::encode(answer, judged.key);
+    const auto encoded = datagrams::encode(answer, judged.key);
     lane.send(from, {encoded.data(), encoded.size()});
     // Copies without end are a flood as well: whoever replays one must not keep this thread from resting.
-    return judged.verdict == radio::StopSentry::Verdict::New;
+    return judged.verdict == datagrams::StopSentry::Verdict::New;
 }
 
 }  // namespace axon::entity_manager

@@ -10,8 +10,8 @@
 #include "common/routed.hpp"
 #include "entity_manager/lease_book.hpp"
 #include "entity_manager/stop_gate.hpp"
-#include "radio/datagram_lane.hpp"
-#include "radio/stop_sentry.hpp"
+#include "datagrams/datagram_lane.hpp"
+#include "datagrams/stop_sentry.hpp"
 
 namespace axon::entity_manager {
 
@@ -45,24 +45,24 @@ class DatagramDesk {
     void hold(const LeaseBook::Held* held);
     void close();
 
-    radio::StopSentry::Counters counters() const { return sentry_.counters(); }
+    datagrams::StopSentry::Counters counters() const { return sentry_.counters(); }
 
   private:
     void tellCounts();
-    bool received(const radio::DatagramLane& lane, const radio::Endpoint& from, std::string_view bytes);
+    bool received(const datagrams::DatagramLane& lane, const datagrams::Endpoint& from, std::string_view bytes);
 
     const DatagramSettings settings_;
     const Clock& clock_;
     StopGate& gate_;
     const std::string entity_;
     const Stop stop_;
-    radio::StopSentry sentry_;
+    datagrams::StopSentry sentry_;
     // Confined to the strand.
-    radio::Endpoint bound_;
-    radio::StopSentry::Counters told_;
+    datagrams::Endpoint bound_;
+    datagrams::StopSentry::Counters told_;
     LeaseNumber held_;
     std::string holder_;
-    std::unique_ptr<radio::DatagramLane> lane_;
+    std::unique_ptr<datagrams::DatagramLane> lane_;
 };
 
 }  // namespace axon::entity_manager

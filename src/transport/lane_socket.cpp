@@ -14,7 +14,7 @@
 #include <memory>
 #include <optional>
 
-#include "radio/signal_socket.hpp"
+#include "datagrams/signal_socket.hpp"
 
 namespace axon::transport {
 namespace {
@@ -98,7 +98,7 @@ int socketOf(const Ice::Connection& connection) {
 bool prepareSignalLane(const Ice::Connection& connection) {
     const int fd = socketOf(connection);
     if (fd < 0) return false;
-    sayOnce(radio::prepareSignalSocket(fd));
+    sayOnce(datagrams::prepareSignalSocket(fd));
     return true;
 }
 

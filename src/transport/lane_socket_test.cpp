@@ -11,7 +11,7 @@
 #include <future>
 #include <vector>
 
-#include "radio/signal_socket.hpp"
+#include "datagrams/signal_socket.hpp"
 #include "support/loopback.hpp"
 #include "transport/adapter.hpp"
 #include "transport/communicator.hpp"
@@ -81,7 +81,7 @@ TEST_F(LaneSocketTest, OptionsOfTheSignalLaneAreSetOnBothEnds) {
         EXPECT_EQ(option(fd, IPPROTO_TCP, TCP_USER_TIMEOUT), 10'000);
         EXPECT_EQ(option(fd, IPPROTO_IP, IP_TOS), 46 << 2);
         EXPECT_EQ(option(fd, SOL_SOCKET, SO_PRIORITY), 6);
-        const auto missing = radio::prepareSignalSocket(fd);
+        const auto missing = datagrams::prepareSignalSocket(fd);
         const bool has_minimum = std::find(missing.begin(), missing.end(), "TCP_RTO_MIN_US") == missing.end();
         EXPECT_TRUE(!has_minimum || option(fd, IPPROTO_TCP, 45) <= 20'000) << "rounded up to the kernel's ticks";
     }

@@ -9,13 +9,13 @@
 #include <cstring>
 #include <string>
 
-#include "radio/stop_datagram.hpp"
-#include "radio/stop_sentry.hpp"
+#include "datagrams/stop_datagram.hpp"
+#include "datagrams/stop_sentry.hpp"
 
 namespace {
 
 using namespace axon;
-using namespace axon::radio;
+using namespace axon::datagrams;
 
 const std::string kKey = "0123456789abcdef";
 const std::string kOtherKey = "fedcba9876543210";

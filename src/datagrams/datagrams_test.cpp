@@ -6,14 +6,14 @@
 #include <limits>
 #include <memory>
 
-#include "radio/datagram_lane.hpp"
-#include "radio/endpoint.hpp"
-#include "radio/stop_datagram.hpp"
-#include "radio/stop_repeater.hpp"
-#include "radio/stop_sentry.hpp"
+#include "datagrams/datagram_lane.hpp"
+#include "datagrams/endpoint.hpp"
+#include "datagrams/stop_datagram.hpp"
+#include "datagrams/stop_repeater.hpp"
+#include "datagrams/stop_sentry.hpp"
 #include "support/loopback.hpp"
 
-namespace axon::radio {
+namespace axon::datagrams {
 namespace {
 
 using namespace std::chrono_literals;
@@ -410,4 +410,4 @@ TEST(DatagramLane, AnAddressOfAnotherMachineIsAMisconfiguration) {
 }
 
 }  // namespace
-}  // namespace axon::radio
+}  // namespace axon::datagrams

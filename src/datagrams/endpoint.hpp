@@ -6,7 +6,7 @@
 #include <string>
 #include <string_view>
 
-namespace axon::radio {
+namespace axon::datagrams {
 
 /// An IPv4 address and a port, as numbers in the machine's order. Never a name: the way of a stop asks no
 /// resolver.
@@ -23,4 +23,4 @@ struct Endpoint {
 /// "127.0.0.1" without a port.
 std::optional<std::uint32_t> parseAddress(std::string_view text);
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

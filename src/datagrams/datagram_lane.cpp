@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "radio/datagram_lane.hpp"
+#include "datagrams/datagram_lane.hpp"
 
 #include <netinet/in.h>
 #include <poll.h>
@@ -14,9 +14,9 @@
 #include <cerrno>
 #include <system_error>
 
-#include "radio/signal_socket.hpp"
+#include "datagrams/signal_socket.hpp"
 
-namespace axon::radio {
+namespace axon::datagrams {
 namespace {
 
 using namespace std::chrono_literals;
@@ -133,4 +133,4 @@ void DatagramLane::rest(Duration time) const {
     (void)::ppoll(&waiting, 1, &rest, nullptr);
 }
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "radio/endpoint.hpp"
+#include "datagrams/endpoint.hpp"
 
 #include <charconv>
 
-namespace axon::radio {
+namespace axon::datagrams {
 namespace {
 
 /// A decimal number without sign or leading zeros, which some readers take for octal.
@@ -46,4 +46,4 @@ std::string Endpoint::toString() const {
     return text + std::to_string(port);
 }
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

@@ -7,9 +7,9 @@
 #include <thread>
 
 #include "common/clock.hpp"
-#include "radio/endpoint.hpp"
+#include "datagrams/endpoint.hpp"
 
-namespace axon::radio {
+namespace axon::datagrams {
 
 /// A UDP socket with a thread that reads it and calls at times, for either end of the stop as a datagram.
 ///
@@ -55,4 +55,4 @@ class DatagramLane {
     std::thread thread_;
 };
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

@@ -9,10 +9,10 @@
 #include <map>
 #include <set>
 
-#include "radio/stop_repeater.hpp"
-#include "radio/stop_sentry.hpp"
+#include "datagrams/stop_repeater.hpp"
+#include "datagrams/stop_sentry.hpp"
 
-namespace axon::radio {
+namespace axon::datagrams {
 namespace {
 
 using namespace std::chrono_literals;
@@ -180,4 +180,4 @@ TEST(StopByDatagram, IsExecutedAtMostOnceAndOnlyWhenGiven) {
 }
 
 }  // namespace
-}  // namespace axon::radio
+}  // namespace axon::datagrams

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "radio/stop_datagram.hpp"
+#include "datagrams/stop_datagram.hpp"
 
 #include <sodium.h>
 
@@ -7,7 +7,7 @@
 #include <limits>
 #include <string>
 
-namespace axon::radio {
+namespace axon::datagrams {
 namespace {
 
 constexpr std::string_view kMagic = "AxSt";
@@ -98,4 +98,4 @@ std::optional<StopDatagram> decode(std::string_view bytes, std::string_view key)
     return datagram;
 }
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

@@ -14,10 +14,10 @@
 #include "common/clock.hpp"
 #include "common/ids.hpp"
 #include "common/routed.hpp"
-#include "radio/endpoint.hpp"
-#include "radio/stop_datagram.hpp"
+#include "datagrams/endpoint.hpp"
+#include "datagrams/stop_datagram.hpp"
 
-namespace axon::radio {
+namespace axon::datagrams {
 
 /// When the copies of a stop are sent, counted from the first (safety.md, "Lossy radio links"). Close
 /// together at first, because most losses are single, and then further apart, because an outage lasts.
@@ -91,4 +91,4 @@ class StopRepeater {
     std::vector<Outgoing> outgoing_;
 };
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

@@ -9,7 +9,7 @@
 #include "common/ids.hpp"
 #include "common/routed.hpp"
 
-namespace axon::radio {
+namespace axon::datagrams {
 
 /// The stop, and its acknowledgement, as one datagram of a fixed size
 /// (docs/reference/datagrams.md has the layout).
@@ -48,4 +48,4 @@ std::optional<LeaseNumber> leaseOf(std::string_view bytes);
 /// Compares in constant time.
 std::optional<StopDatagram> decode(std::string_view bytes, std::string_view key);
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

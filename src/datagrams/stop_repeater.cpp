@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "radio/stop_repeater.hpp"
+#include "datagrams/stop_repeater.hpp"
 
 #include <algorithm>
 
-namespace axon::radio {
+namespace axon::datagrams {
 namespace {
 
 constexpr std::size_t kAcknowledgedKept = 16;
@@ -104,4 +104,4 @@ TimePoint StopRepeater::nextDeadline() const {
     return next;
 }
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

@@ -23,8 +23,8 @@ using namespace std::chrono_literals;
 using client::DatagramSender;
 using entity_manager::BackEndEvents;
 using entity_manager::EntityManager;
-using radio::DatagramLane;
-using radio::Endpoint;
+using datagrams::DatagramLane;
+using datagrams::Endpoint;
 using test::RawClient;
 using test::waitUntil;
 
@@ -147,7 +147,7 @@ class DatagramsTest : public ::testing::Test {
         return {static_cast<std::int32_t>(reply.lease().epoch()),
                 static_cast<std::int32_t>(reply.lease().number())};
     }
-    radio::StopSentry::Counters counters() const { return manager_->datagrams()->counters(); }
+    datagrams::StopSentry::Counters counters() const { return manager_->datagrams()->counters(); }
 
     SteadyClock clock_;
     SystemRandom random_;
@@ -165,11 +165,11 @@ TEST_F(DatagramsTest, AStopArrivesByDatagramAloneThoughHalfOfThemAreLost) {
     const auto granted = take(raw);
     const auto to = Endpoint::parse(granted.datagram_endpoint());
     ASSERT_TRUE(to) << granted.datagram_endpoint();
-    EXPECT_EQ(to->address, radio::parseAddress("127.0.0.1")) << "the way to the server begins there";
+    EXPECT_EQ(to->address, datagrams::parseAddress("127.0.0.1")) << "the way to the server begins there";
     Relay relay(*to, to->address, 50);
     std::atomic<int> acknowledged{0};
     std::atomic<std::uint32_t> generation{0};
-    DatagramSender sender(clock_, [&](const radio::StopRepeater::Acknowledged& its) {
+    DatagramSender sender(clock_, [&](const datagrams::StopRepeater::Acknowledged& its) {
         generation = its.generation;
         ++acknowledged;
     });
@@ -199,7 +199,7 @@ TEST_F(DatagramsTest, ReplayedForgedAndForeignDatagramsAreNotExecuted) {
     const auto to = Endpoint::parse(granted.datagram_endpoint()).value();
     Relay relay(to, to.address, 0);
     std::atomic<int> acknowledged{0};
-    DatagramSender sender(clock_, [&](const radio::StopRepeater::Acknowledged&) { ++acknowledged; });
+    DatagramSender sender(clock_, [&](const datagrams::StopRepeater::Acknowledged&) { ++acknowledged; });
     sender.admit(manager_->uuid(), numberOf(granted), relay.endpoint().toString(), granted.lease().key(),
                  raw.facts.me.id);
     constexpr int kStops = 70;  // more than a StopGate remembers, and than the sentry's window
@@ -233,12 +233,12 @@ TEST_F(DatagramsTest, ReplayedForgedAndForeignDatagramsAreNotExecuted) {
         forged[i % forged.size()] ^= static_cast<char>(1U << i % 8);
         give(forged);
     }
-    radio::StopDatagram foreign;  // of another lease, and of this one under another key or sender
+    datagrams::StopDatagram foreign;  // of another lease, and of this one under another key or sender
     foreign.lease = numberOf(granted);
     foreign.sequence = kStops + 1;
     foreign.sender = Id128::uuid(random_);
-    const auto inject = [&](const radio::StopDatagram& datagram, const std::string& key) {
-        const auto bytes = radio::encode(datagram, key);
+    const auto inject = [&](const datagrams::StopDatagram& datagram, const std::string& key) {
+        const auto bytes = datagrams::encode(datagram, key);
         give({bytes.data(), bytes.size()});
     };
     inject(foreign, granted.lease().key());
@@ -272,11 +272,11 @@ TEST_F(DatagramsTest, TheEndOfTheLeaseEndsItsDatagrams) {
     DatagramLane lane(
         "test", {to.address, 0}, clock_,
         [](const DatagramLane&, const Endpoint&, std::string_view) { return true; }, nullptr);
-    radio::StopDatagram stop;
+    datagrams::StopDatagram stop;
     stop.lease = numberOf(granted);
     stop.sequence = 1;
     stop.sender = Id128::parse(raw.facts.me.id).value();
-    const auto datagram = radio::encode(stop, granted.lease().key());
+    const auto datagram = datagrams::encode(stop, granted.lease().key());
     const auto refused = counters().foreign;
     lane.send(to, {datagram.data(), datagram.size()});
     EXPECT_TRUE(waitUntil([&] { return counters().foreign > refused; }));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "radio/signal_socket.hpp"
+#include "datagrams/signal_socket.hpp"
 
 #include <netinet/in.h>
 #include <netinet/ip.h>
@@ -8,7 +8,7 @@
 
 #include <array>
 
-namespace axon::radio {
+namespace axon::datagrams {
 namespace {
 
 struct Option {
@@ -66,4 +66,4 @@ std::vector<std::string> prepareDatagramSocket(int fd) {
     return missing;
 }
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

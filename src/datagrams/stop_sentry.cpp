@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-#include "radio/stop_sentry.hpp"
+#include "datagrams/stop_sentry.hpp"
 
 #include <algorithm>
 
-namespace axon::radio {
+namespace axon::datagrams {
 
 void StopSentry::hold(LeaseNumber lease, std::string_view key, const Sender& holder) {
     if (told_ && told_->lease == lease && told_->holders.front().sender.id == holder.id) return;
@@ -92,4 +92,4 @@ StopSentry::Counters StopSentry::counters() const {
     return {accepted_.load(), again_.load(), unreadable_.load(), foreign_.load(), old_.load()};
 }
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

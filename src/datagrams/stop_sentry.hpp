@@ -11,9 +11,9 @@
 #include "common/ids.hpp"
 #include "common/routed.hpp"
 #include "common/snapshot.hpp"
-#include "radio/stop_datagram.hpp"
+#include "datagrams/stop_datagram.hpp"
 
-namespace axon::radio {
+namespace axon::datagrams {
 
 /// Decides which datagram is a stop that the Entity Manager obeys.
 ///
@@ -82,4 +82,4 @@ class StopSentry {
     std::atomic<std::uint64_t> accepted_{0}, again_{0}, unreadable_{0}, foreign_{0}, old_{0};
 };
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-namespace axon::radio {
+namespace axon::datagrams {
 
 /// Options that a signal lane's TCP socket gets, on either end (docs/reference/datagrams.md, "Socket
 /// options"): no delay; a minimum retransmission time-out of 10 ms instead of 200, a maximum of 1 s instead
@@ -16,4 +16,4 @@ std::vector<std::string> prepareSignalSocket(int fd);
 /// The marks alone: DSCP and priority, and no more than 64 KiB waiting to be read.
 std::vector<std::string> prepareDatagramSocket(int fd);
 
-}  // namespace axon::radio
+}  // namespace axon::datagrams
