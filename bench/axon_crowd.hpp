@@ -15,8 +15,8 @@
 
 namespace axon::bench {
 
-/// axon-server on ports of its own: on loopback, or for Entity Managers on the wired side of a radio link, with users and
-/// passwords then.
+/// axon-server on ports of its own: on loopback, or for Entity Managers on the wired side of a radio link,
+/// with users and passwords then.
 class AxonServer {
   public:
     /// Throws std::runtime_error with the log.
@@ -33,18 +33,20 @@ class AxonServer {
     std::string client_, entity_;
 };
 
-/// Servers that run already: the configuration files of a client and of an Entity Manager, as axon-cluster writes them.
+/// Servers that run already: the configuration files of a client and of an Entity Manager, as axon-cluster
+/// writes them.
 struct Running {
     std::string client_config, entity_config;
 };
 
-/// N Entity Managers in a process of their own (crowd.hpp), or in as few as the limit of descriptors permits, named PREFIX-0 …
-/// PREFIX-N-1. With a radio link the second half is in other processes beyond it.
+/// N Entity Managers in a process of their own (crowd.hpp), or in as few as the limit of descriptors permits,
+/// named PREFIX-0 … PREFIX-N-1. With a radio link the second half is in other processes beyond it.
 class Entities {
   public:
-    /// `server`: HOST:PORT, or the configuration file of an Entity Manager. Throws std::runtime_error with the log.
-    Entities(const std::filesystem::path& folder, const std::string& prefix, std::size_t n, const std::string& server,
-             const Radio* radio = nullptr, Variant variant = Variant::Relayed);
+    /// `server`: HOST:PORT, or the configuration file of an Entity Manager. Throws std::runtime_error with
+    /// the log.
+    Entities(const std::filesystem::path& folder, const std::string& prefix, std::size_t n,
+             const std::string& server, const Radio* radio = nullptr, Variant variant = Variant::Relayed);
     Board& board() { return board_; }
     /// Where the robot applications note; null where there are none.
     Board* robots() { return robots_ ? &*robots_ : nullptr; }
@@ -69,17 +71,20 @@ std::unique_ptr<client::Client> connectClient(client::Options options);
 std::unique_ptr<client::Client> connectClient(const std::string& server, Variant variant = Variant::Relayed);
 /// Waits until they are there, and checks them out. Throws std::runtime_error with the refusal.
 std::vector<client::CheckOut> holdAll(client::Client& client, const std::vector<std::string>& names);
-/// How many entities have left the server from now on, as it tells this client. Shared with the callback, which the client may still call while it closes.
+/// How many entities have left the server from now on, as it tells this client. Shared with the callback,
+/// which the client may still call while it closes.
 std::shared_ptr<std::atomic<std::size_t>> countLeft(client::Client& client);
 
-/// A server, unless one runs already, N entities, and a client that holds all of them; by direct paths only where each has opened.
-/// The constructors throw NotPermitted, before they start anything, where the client's process may not have as many descriptors as its direct
-/// paths need.
+/// A server, unless one runs already, N entities, and a client that holds all of them; by direct paths only
+/// where each has opened. The constructors throw NotPermitted, before they start anything, where the client's
+/// process may not have as many descriptors as its direct paths need.
 class AxonCrowd {
   public:
-    AxonCrowd(const std::filesystem::path& folder, std::size_t n, Variant variant = Variant::Relayed, const Running* running = nullptr, const Radio* radio = nullptr);
+    AxonCrowd(const std::filesystem::path& folder, std::size_t n, Variant variant = Variant::Relayed,
+              const Running* running = nullptr, const Radio* radio = nullptr);
     /// Through this server, which outlives it, with entities of another name than others that it has.
-    AxonCrowd(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n, Variant variant = Variant::Relayed);
+    AxonCrowd(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix,
+              std::size_t n, Variant variant = Variant::Relayed);
     Board& board() { return entities_->board(); }
     Board* robots() { return entities_->robots(); }
     client::Client& client() { return *client_; }

@@ -137,7 +137,9 @@ TEST(BenchSeries, QuantilesAreOfTheNearestRank) {
 class FakeSubject final : public Subject {
   public:
     using Arrive = std::function<void(Board&, Kind, std::int64_t called)>;
-    explicit FakeSubject(Arrive arrive) : arrive_(std::move(arrive)), board_(file(), 2, true) { std::filesystem::remove(file()); }
+    explicit FakeSubject(Arrive arrive) : arrive_(std::move(arrive)), board_(file(), 2, true) {
+        std::filesystem::remove(file());
+    }
     Board& board() override { return board_; }
     bool numbered(Kind kind) const override { return kind == Kind::Data; }
     void send(Message message, const std::string&, std::vector<std::int64_t>& called) override {
@@ -184,7 +186,9 @@ TEST(BenchContender, AStopLostForGoodShiftsNothingAfterAPause) {
 }
 
 TEST(BenchContender, WhatIsLateFromDueStaysOnTimeFromCall) {
-    Contender one("fake", std::make_unique<FakeSubject>([](Board& board, Kind kind, std::int64_t called) { bothNote(board, kind, 0, called + 1'000'000); }));
+    Contender one("fake", std::make_unique<FakeSubject>([](Board& board, Kind kind, std::int64_t called) {
+                      bothNote(board, kind, 0, called + 1'000'000);
+                  }));
     auto bytes = content(kSmallBytes);
     const auto batch = one.send(Message::Data, bytes, nowNs() - 100'000'000);
     Series from_begin, from_call;
@@ -201,7 +205,8 @@ TEST(BenchContender, OverlappingStopsKeepTheirRowsAndThoseThatWarmUpDoNotCount) 
     Contender one("fake", std::make_unique<FakeSubject>([&](Board& board, Kind kind, std::int64_t) {
                       if (++sent < kWarm + kCounted) return;
                       arrived = nowNs();
-                      for (std::uint32_t number = 0; number < sent; ++number) bothNote(board, kind, number, arrived);
+                      for (std::uint32_t number = 0; number < sent; ++number)
+                          bothNote(board, kind, number, arrived);
                   }));
     auto bytes = content(kSmallBytes);
     std::vector<Figures> figures{{0, 2, {}, {}, {}}};
@@ -211,7 +216,8 @@ TEST(BenchContender, OverlappingStopsKeepTheirRowsAndThoseThatWarmUpDoNotCount) 
     EXPECT_EQ(from_batch.json()["n"], 2 * kCounted);
     EXPECT_EQ(from_batch.lost(), 0U);
     ASSERT_EQ(from_batch.lasts().size(), std::size_t{kCounted});
-    for (int i = 0; i + 1 < kCounted; ++i) EXPECT_NEAR(from_batch.lasts()[i] - from_batch.lasts()[i + 1], 1, 1e-6) << "a period of 1 ms";
+    for (int i = 0; i + 1 < kCounted; ++i)
+        EXPECT_NEAR(from_batch.lasts()[i] - from_batch.lasts()[i + 1], 1, 1e-6) << "a period of 1 ms";
     EXPECT_EQ(one.relayed, 1U) << "for a while one path was not there";
 }
 
@@ -219,7 +225,10 @@ TEST(BenchChild, InheritsNothingOfOurs) {
     int pipe[2];
     ASSERT_EQ(::pipe(pipe), 0);
     const WorkFolder folder;
-    const Child child({"sh", "-c", "test -e /proc/$$/fd/" + std::to_string(pipe[0]) + " && echo open || echo closed; exec sleep 60"}, folder.sub("child") / "log");
+    const Child child(
+        {"sh", "-c",
+         "test -e /proc/$$/fd/" + std::to_string(pipe[0]) + " && echo open || echo closed; exec sleep 60"},
+        folder.sub("child") / "log");
     EXPECT_NO_THROW(child.waitForLine("closed"));
     ::close(pipe[0]);
     ::close(pipe[1]);
@@ -252,7 +261,8 @@ TEST(BenchInbox, TakesMessagesThatComeInPiecesAndAreLongerThanTheBuffer) {
             std::fill(shared.begin(), shared.end(), '\n');  // what another connection has left there
             inbox.take(from, shared, [&](std::string_view received) {
                 std::size_t used = 0;
-                for (auto end = received.find('\n'); end != std::string_view::npos; end = received.find('\n', used)) {
+                for (auto end = received.find('\n'); end != std::string_view::npos;
+                     end = received.find('\n', used)) {
                     lines.emplace_back(received.substr(used, end - used));
                     used = end + 1;
                 }
@@ -292,8 +302,9 @@ TEST(BenchNats, TakesWholeMessagesAndLeavesTheRest) {
 }
 
 TEST(BenchDdsperf, ReadsASecondOfIt) {
-    const auto second =
-        readDdsperf("[4711] 2.001  host:4710 size 60 mean 38.123us min 20.000us 50% 36.500us 90% 45.000us 99% 80.250us max 310.000us cnt 12345");
+    const auto second = readDdsperf(
+        "[4711] 2.001  host:4710 size 60 mean 38.123us min 20.000us 50% 36.500us 90% 45.000us 99% 80.250us "
+        "max 310.000us cnt 12345");
     ASSERT_TRUE(second);
     EXPECT_DOUBLE_EQ(second->mean_us, 38.123);
     EXPECT_DOUBLE_EQ(second->p50_us, 36.5);

@@ -13,7 +13,9 @@
 namespace axon::bench {
 
 namespace {
-[[noreturn]] void fail(const char* what) { throw std::system_error(errno, std::generic_category(), what); }
+[[noreturn]] void fail(const char* what) {
+    throw std::system_error(errno, std::generic_category(), what);
+}
 
 // One string on the wire: its tag, its length, its characters.
 constexpr std::size_t kString = 7, kNumberAt = 2;
@@ -30,7 +32,9 @@ MappedFile::MappedFile(const std::string& file, std::size_t size, bool create) :
     memory_ = static_cast<char*>(memory);
 }
 
-MappedFile::~MappedFile() { ::munmap(memory_, size_); }
+MappedFile::~MappedFile() {
+    ::munmap(memory_, size_);
+}
 
 void Slot::arrived(Kind kind, std::int64_t when, const char* bytes, std::size_t size) {
     auto& row = of(kind);
@@ -64,7 +68,8 @@ std::string content(std::size_t bytes) {
 
 void setNumber(std::string& content, std::uint32_t number) {
     for (int digit = 0; digit < kNumberDigits; ++digit, number >>= kBitsOfDigit)
-        content[kNumberAt + static_cast<std::size_t>(digit)] = static_cast<char>('0' + (number & ((1U << kBitsOfDigit) - 1)));
+        content[kNumberAt + static_cast<std::size_t>(digit)] =
+            static_cast<char>('0' + (number & ((1U << kBitsOfDigit) - 1)));
 }
 
 std::optional<std::uint32_t> readContent(const char* begin, std::size_t size) {
@@ -76,7 +81,8 @@ std::optional<std::uint32_t> readContent(const char* begin, std::size_t size) {
         return std::nullopt;
     std::uint32_t number = 0;
     for (int digit = kNumberDigits - 1; digit >= 0; --digit) {
-        const auto value = static_cast<std::uint32_t>(begin[kNumberAt + static_cast<std::size_t>(digit)] - '0');
+        const auto value =
+            static_cast<std::uint32_t>(begin[kNumberAt + static_cast<std::size_t>(digit)] - '0');
         if (value >= 1U << kBitsOfDigit) return std::nullopt;
         number = number << kBitsOfDigit | value;
     }

@@ -37,8 +37,8 @@ void takeInterrupts() {
     ::sigaction(SIGTERM, &act, nullptr);
 }
 
-Child::Child(const std::vector<std::string>& words, const fs::path& log, const std::vector<std::string>& environment,
-             const std::function<void()>& prepare)
+Child::Child(const std::vector<std::string>& words, const fs::path& log,
+             const std::vector<std::string>& environment, const std::function<void()>& prepare)
     : log_(log) {
     std::fflush(nullptr);  // or the child would print our buffers again
     std::vector<char*> arguments;
@@ -52,7 +52,9 @@ Child::Child(const std::vector<std::string>& words, const fs::path& log, const s
         ::prctl(PR_SET_PDEATHSIG, SIGKILL);
         ::close_range(3, ~0U, CLOSE_RANGE_CLOEXEC);  // Ice's sockets and pipes, which would be every child's
         for (const auto& one : environment) ::putenv(const_cast<char*>(one.c_str()));
-        if (std::freopen(log.c_str(), "w", stdout) == nullptr || std::freopen(log.c_str(), "a", stderr) == nullptr) ::_exit(127);
+        if (std::freopen(log.c_str(), "w", stdout) == nullptr ||
+            std::freopen(log.c_str(), "a", stderr) == nullptr)
+            ::_exit(127);
         try {
             if (prepare) prepare();
         } catch (const std::exception& problem) {
@@ -74,11 +76,14 @@ Child::~Child() {
 
 bool Child::running() const {
     int status = 0;
-    if (!status_ && ::waitpid(pid_, &status, WNOHANG) == pid_) status_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+    if (!status_ && ::waitpid(pid_, &status, WNOHANG) == pid_)
+        status_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
     return !status_;
 }
 
-std::string Child::complaint(const std::string& what) const { return what + see(log_); }
+std::string Child::complaint(const std::string& what) const {
+    return what + see(log_);
+}
 
 std::string see(const fs::path& log) {
     log_named = true;
@@ -105,7 +110,8 @@ std::string Child::waitForLine(const std::string& begin) const {
     return found;
 }
 
-void Child::waitUntil(const std::function<bool()>& condition, const std::string& what, std::chrono::seconds time) const {
+void Child::waitUntil(const std::function<bool()>& condition, const std::string& what,
+                      std::chrono::seconds time) const {
     const auto end = std::chrono::steady_clock::now() + time;
     while (!condition()) {
         if (interrupted) throw std::runtime_error("interrupted");
@@ -140,7 +146,8 @@ std::string findProgram(const std::string& name) {
 
 std::size_t descriptorsPermitted() {
     rlimit limit{};
-    if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) throw std::system_error(errno, std::generic_category(), "getrlimit");
+    if (::getrlimit(RLIMIT_NOFILE, &limit) != 0)
+        throw std::system_error(errno, std::generic_category(), "getrlimit");
     if (limit.rlim_cur < limit.rlim_max) {
         limit.rlim_cur = limit.rlim_max;
         ::setrlimit(RLIMIT_NOFILE, &limit);
@@ -149,7 +156,9 @@ std::size_t descriptorsPermitted() {
     return limit.rlim_cur;
 }
 
-fs::path programs() { return fs::canonical("/proc/self/exe").parent_path(); }
+fs::path programs() {
+    return fs::canonical("/proc/self/exe").parent_path();
+}
 
 std::vector<std::string> ourselves(const std::string& process, const std::vector<std::string>& arguments) {
     std::vector<std::string> command{(programs() / "axon-bench").string(), process};
@@ -170,7 +179,9 @@ std::uint16_t freePort() {
     return ntohs(address.sin_port);
 }
 
-WorkFolder::WorkFolder() : path_(fs::temp_directory_path() / ("axon-bench-" + std::to_string(::getpid()))) { fs::create_directories(path_); }
+WorkFolder::WorkFolder() : path_(fs::temp_directory_path() / ("axon-bench-" + std::to_string(::getpid()))) {
+    fs::create_directories(path_);
+}
 
 WorkFolder::~WorkFolder() {
     if (log_named && !interrupted) return;

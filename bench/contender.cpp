@@ -21,7 +21,8 @@ Contender::Contender(std::string its_name, std::unique_ptr<Subject> subject)
     : name(std::move(its_name)), subject_(std::move(subject)), next_counted_(board().size(), 0) {}
 
 Batch Contender::send(Message message, std::string& bytes, std::int64_t begin) {
-    Batch batch{kindOf(message), begin, std::vector<std::int64_t>(board().size()), std::vector<std::uint32_t>(board().size())};
+    Batch batch{kindOf(message), begin, std::vector<std::int64_t>(board().size()),
+                std::vector<std::uint32_t>(board().size())};
     if (subject_->numbered(batch.kind)) {
         const auto number = next_number_[batch.kind == Kind::Stop ? 0 : 1]++;
         setNumber(bytes, number);
@@ -39,7 +40,8 @@ Batch Contender::send(Message message, std::string& bytes, std::int64_t begin) {
     } catch (const std::exception& problem) {
         if (ended().empty()) ended_ = problem.what();
         for (auto& called : batch.called)
-            if (called == 0) called = std::numeric_limits<std::int64_t>::max();  // nothing has arrived after that
+            if (called == 0)
+                called = std::numeric_limits<std::int64_t>::max();  // nothing has arrived after that
     }
     quiet_after_ = nowNs() + kPatience_ns;
     return batch;
@@ -51,7 +53,9 @@ std::int64_t Contender::arrivedAt(const Batch& batch, std::size_t i) const {
 }
 
 std::size_t Contender::firstMissing(const Batch& batch, std::size_t from) const {
-    while (from < batch.awaited.size() && arrivedAt(batch, from) != 0 && (!hasRobots() || calledBackAt(batch, from) != 0)) ++from;
+    while (from < batch.awaited.size() && arrivedAt(batch, from) != 0 &&
+           (!hasRobots() || calledBackAt(batch, from) != 0))
+        ++from;
     return from;
 }
 
@@ -65,15 +69,18 @@ void Contender::await(const Batch& batch, std::int64_t until) const {
 std::int64_t Contender::calledBackAt(const Batch& batch, std::size_t i) const {
     if (arrivedAt(batch, i) == 0) return 0;
     const auto& robot = (*subject_->robots())[i];
-    const auto at = batch.kind == Kind::Stop ? robot.reached(batch.awaited[i], subject_->board()[i]) : robot.data.of(batch.awaited[i]);
+    const auto at = batch.kind == Kind::Stop ? robot.reached(batch.awaited[i], subject_->board()[i])
+                                             : robot.data.of(batch.awaited[i]);
     return at >= batch.called[i] ? at : 0;
 }
 
-void Contender::collect(const Batch& batch, std::size_t first, std::size_t end, Series& from_begin, Series* from_call, Series* at_callback) const {
+void Contender::collect(const Batch& batch, std::size_t first, std::size_t end, Series& from_begin,
+                        Series* from_call, Series* at_callback) const {
     for (auto i = first; i < end; ++i) {
         const auto arrived = arrivedAt(batch, i);
-        for (const auto& [to, since, at] : {std::tuple{&from_begin, batch.begin, arrived}, std::tuple{from_call, batch.called[i], arrived},
-                                            std::tuple{at_callback, batch.begin, at_callback != nullptr ? calledBackAt(batch, i) : 0}}) {
+        for (const auto& [to, since, at] :
+             {std::tuple{&from_begin, batch.begin, arrived}, std::tuple{from_call, batch.called[i], arrived},
+              std::tuple{at_callback, batch.begin, at_callback != nullptr ? calledBackAt(batch, i) : 0}}) {
             if (to == nullptr) continue;
             if (at == 0 || at > batch.begin + kPatience_ns) {
                 to->lose();
@@ -110,19 +117,23 @@ const std::string& Contender::ended() {
     return ended_;
 }
 
-void measurePaced(Contender& contender, Message message, std::string& bytes, const Pace& pace, std::vector<Figures>& figures) {
+void measurePaced(Contender& contender, Message message, std::string& bytes, const Pace& pace,
+                  std::vector<Figures>& figures) {
     std::deque<std::pair<Batch, bool>> under_way;
     const auto settle = [&](bool all) {
-        for (; !under_way.empty() && (all || nowNs() > under_way.front().first.begin + kPatience_ns); under_way.pop_front()) {
+        for (; !under_way.empty() && (all || nowNs() > under_way.front().first.begin + kPatience_ns);
+             under_way.pop_front()) {
             const auto& [batch, counts] = under_way.front();
-            // The last ones have the time that the others had, and more, so that they are not in the next system's way.
+            // The last ones have the time that the others had, and more, so that they are not in the next
+            // system's way.
             if (all) contender.await(batch, batch.begin + kPatience_ns + pace.late_ns);
             if (!counts || interrupted) continue;
             for (auto& its : figures) {
                 its.from_batch.beginBatch();
                 its.from_call.beginBatch();
                 if (contender.hasRobots()) its.at_callback.beginBatch();
-                contender.collect(batch, its.first, its.end, its.from_batch, &its.from_call, contender.hasRobots() ? &its.at_callback : nullptr);
+                contender.collect(batch, its.first, its.end, its.from_batch, &its.from_call,
+                                  contender.hasRobots() ? &its.at_callback : nullptr);
             }
         }
     };

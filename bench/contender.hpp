@@ -34,28 +34,34 @@ class Contender {
 
     Board& board() { return subject_->board(); }
     Subject& subject() { return *subject_; }
-    /// Latency counts from `begin`, which may be earlier than now: when it was due. Stops are awaited by their number in a
-    /// row where the system does not number them, so they may overlap, as long as none is lost for good.
+    /// Latency counts from `begin`, which may be earlier than now: when it was due. Stops are awaited by
+    /// their number in a row where the system does not number them, so they may overlap, as long as none is
+    /// lost for good.
     Batch send(Message message, std::string& bytes, std::int64_t begin);
-    /// The first receiver from this one on whose message has not arrived; board().size() when there is none. Who asks again
-    /// begins where it was, so that it does not fetch every receiver's memory again and again while they write it.
+    /// The first receiver from this one on whose message has not arrived; board().size() when there is none.
+    /// Who asks again begins where it was, so that it does not fetch every receiver's memory again and again
+    /// while they write it.
     std::size_t firstMissing(const Batch& batch, std::size_t from = 0) const;
     void lookAtPaths() { relayed = std::max(relayed, subject_->relayed()); }
     /// Until all of it has arrived, or `until`, or Ctrl-C.
     void await(const Batch& batch, std::int64_t until) const;
     bool hasRobots() const { return subject_->robots() != nullptr; }
     /// From the begin of the batch, of all receivers.
-    void collect(const Batch& batch, Series& from_begin) const { collect(batch, 0, batch.awaited.size(), from_begin, nullptr, nullptr); }
-    /// Of the receivers from `first` to before `end`; from each call, too, and from the begin of the batch to the callback of the robot application.
-    void collect(const Batch& batch, std::size_t first, std::size_t end, Series& from_begin, Series* from_call, Series* at_callback) const;
+    void collect(const Batch& batch, Series& from_begin) const {
+        collect(batch, 0, batch.awaited.size(), from_begin, nullptr, nullptr);
+    }
+    /// Of the receivers from `first` to before `end`; from each call, too, and from the begin of the batch to
+    /// the callback of the robot application.
+    void collect(const Batch& batch, std::size_t first, std::size_t end, Series& from_begin,
+                 Series* from_call, Series* at_callback) const;
     /// What was not as it was sent, or not in its place, at all receivers.
     std::uint64_t bad() const;
     /// Of these, what was not as it was sent.
     std::uint64_t corrupt() const;
     /// Likewise, at the callbacks of robot applications.
     std::uint64_t corruptAtCallback() const;
-    /// Why it takes part no more: its server or its receivers have ended, or it can be sent nothing. Empty while it does. What is sent
-    /// from then on is lost.
+    /// Why it takes part no more: its server or its receivers have ended, or it can be sent nothing. Empty
+    /// while it does. What is sent from then on is lost.
     const std::string& ended();
 
   private:
@@ -85,14 +91,17 @@ struct Figures {
 };
 
 struct Pace {
-    std::int64_t period_ns;  ///< so that fewer than Arrivals::kRemembered batches are under way within kPatience_ns
+    std::int64_t
+        period_ns;  ///< so that fewer than Arrivals::kRemembered batches are under way within kPatience_ns
     int periods, warm_up;
     std::int64_t late_ns = kLate_ns;  ///< 0 where no other system is measured after it
 };
 
-/// A batch each period, whether those before have arrived or not; latency counts from when it was due, so that a sender that
-/// is held up makes the figures worse, not fewer. Those that warm up come first and are not counted. Returns when all has arrived, or
-/// kPatience_ns and kLate_ns have passed. Looks at the paths before each batch.
-void measurePaced(Contender& contender, Message message, std::string& bytes, const Pace& pace, std::vector<Figures>& figures);
+/// A batch each period, whether those before have arrived or not; latency counts from when it was due, so
+/// that a sender that is held up makes the figures worse, not fewer. Those that warm up come first and are
+/// not counted. Returns when all has arrived, or kPatience_ns and kLate_ns have passed. Looks at the paths
+/// before each batch.
+void measurePaced(Contender& contender, Message message, std::string& bytes, const Pace& pace,
+                  std::vector<Figures>& figures);
 
 }  // namespace axon::bench

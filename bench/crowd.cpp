@@ -80,7 +80,8 @@ class MemoryLink final : public BackEndPort {
         }
         if (!message.has_raw()) return true;
         const auto now = nowNs();  // before the content is checked, as with the others' receivers
-        for (const auto& block : message.raw().data()) slot_.arrived(Kind::Data, now, block.data(), block.size());
+        for (const auto& block : message.raw().data())
+            slot_.arrived(Kind::Data, now, block.data(), block.size());
         return true;
     }
     void setBusy(bool) override {}
@@ -113,8 +114,10 @@ class NotingLink final : public BackEndPort {
     bool send(const proto::EmToEi& message) override {
         const auto now = nowNs();
         const bool sent = link_->send(message);
-        if (message.has_raw())  // checked when it is on its way, so that the second column does not wait for the first one's check
-            for (const auto& block : message.raw().data()) slot_.arrived(Kind::Data, now, block.data(), block.size());
+        if (message.has_raw())  // checked when it is on its way, so that the second column does not wait for
+                                // the first one's check
+            for (const auto& block : message.raw().data())
+                slot_.arrived(Kind::Data, now, block.data(), block.size());
         return sent;
     }
     void setBusy(bool busy) override { link_->setBusy(busy); }
@@ -147,7 +150,9 @@ class MemoryStorage final : public Storage, public ResourceStore {
     std::optional<std::string> find(std::string_view, std::string_view) override { return std::nullopt; }
 
   private:
-    static Refusal refused() { return {RefusalCode::NotSupported, "a benchmark's entity keeps no files", {}}; }
+    static Refusal refused() {
+        return {RefusalCode::NotSupported, "a benchmark's entity keeps no files", {}};
+    }
     std::map<std::string, std::string> values_;
 };
 
@@ -190,16 +195,19 @@ int runCrowd(const CrowdWish& wish) {
         settings.application = name;
         member.manager = EntityManager::create(
             executor.get_executor(), ice, settings, server,
-            [&](const EntityManager::Strand& strand, const StopGate& gate, const Clock&, BackEndEvents& events) {
+            [&](const EntityManager::Strand& strand, const StopGate& gate, const Clock&,
+                BackEndEvents& events) {
                 if (wish.variant == Variant::Robots) {
                     BackEndSettings settings_of_link;
                     settings_of_link.application = name;
                     settings_of_link.manager = name;
                     const auto place = robotPlace(::getppid(), index);
                     settings_of_link.where = {{place.port, place.port}, place.address};
-                    auto tcp = std::make_unique<BackEndInterface>(strand, std::move(settings_of_link), gate, clock, member.random, events);
+                    auto tcp = std::make_unique<BackEndInterface>(strand, std::move(settings_of_link), gate,
+                                                                  clock, member.random, events);
                     auto* const at = tcp.get();
-                    return EntityManager::BackEnd{std::make_unique<NotingLink>(std::move(tcp), slot), [at] { at->start(); }, [at] { at->close(); }};
+                    return EntityManager::BackEnd{std::make_unique<NotingLink>(std::move(tcp), slot),
+                                                  [at] { at->start(); }, [at] { at->close(); }};
                 }
                 auto link = std::make_unique<MemoryLink>(strand, events, name, slot);
                 auto* const at = link.get();
@@ -218,14 +226,16 @@ int runCrowd(const CrowdWish& wish) {
         auto member = std::make_unique<Member>();
         const auto name = wish.prefix + "-" + std::to_string(wish.first + i);
         if (wish.variant == Variant::Open) {
-            member->open = OpenEntity::create(executor.get_executor(), ice, server, clock, member->random, name, board[wish.first + i]);
+            member->open = OpenEntity::create(executor.get_executor(), ice, server, clock, member->random,
+                                              name, board[wish.first + i]);
             member->open->start();
         } else {
             startManager(*member, wish.first + i, name);
         }
         members.push_back(std::move(member));
         // Logging in costs the server; 32 at a time keeps every handshake within its time-out.
-        while (i >= 32 && !members[i - 32]->ready()) std::this_thread::sleep_for(std::chrono::milliseconds{1});
+        while (i >= 32 && !members[i - 32]->ready())
+            std::this_thread::sleep_for(std::chrono::milliseconds{1});
     }
     for (const auto& member : members)
         while (!member->ready()) std::this_thread::sleep_for(std::chrono::milliseconds{1});
@@ -233,7 +243,8 @@ int runCrowd(const CrowdWish& wish) {
 
     const auto parent = ::getppid();
     const auto bytes = content(kSmallBytes);
-    for (std::int64_t due = 0; ::getppid() == parent; std::this_thread::sleep_for(std::chrono::milliseconds{20})) {
+    for (std::int64_t due = 0; ::getppid() == parent;
+         std::this_thread::sleep_for(std::chrono::milliseconds{20})) {
         if (board.go() == 0 || nowNs() < due) continue;
         due = (due == 0 ? nowNs() : due) + kSpeakPeriod_ns;
         for (const auto& member : members)

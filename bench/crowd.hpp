@@ -9,22 +9,24 @@ namespace axon::bench {
 enum class Variant : std::uint8_t {
     Relayed,  ///< by the servers; the link to the robot application is in memory
     Direct,   ///< they offer a direct path, and the client takes it
-    Robots,   ///< as Relayed, and each has a robot application with a real Entity Interfacer, in another process
+    Robots,   ///< as Relayed, and each has a robot application with a real Entity Interfacer, in another
+              ///< process
     Open,     ///< no Entity Managers but OpenEntity, which many clients hold at once
 };
 
 struct CrowdWish {
     std::string board_file;
-    std::size_t slots = 0;         ///< of the board
+    std::size_t slots = 0;             ///< of the board
     std::size_t first = 0, count = 0;  ///< of them, those of this process
-    std::string server;            ///< HOST:PORT, or the configuration file of an Entity Manager
+    std::string server;                ///< HOST:PORT, or the configuration file of an Entity Manager
     std::string prefix;
     Variant variant = Variant::Relayed;
 };
 
-/// N Entity Managers (the library the daemon is made of, with real sessions over real sockets) in one process, each
-/// with a robot application in memory that notes the arrival of stops and data on the board. Named PREFIX-FIRST …
-/// Open ones send 60 bytes to each who holds them every 500 ms while the board says go. Runs until its parent dies or kills it.
+/// N Entity Managers (the library the daemon is made of, with real sessions over real sockets) in one
+/// process, each with a robot application in memory that notes the arrival of stops and data on the board.
+/// Named PREFIX-FIRST … Open ones send 60 bytes to each who holds them every 500 ms while the board says go.
+/// Runs until its parent dies or kills it.
 int runCrowd(const CrowdWish& wish);
 
 }  // namespace axon::bench

@@ -3,9 +3,10 @@
 #include <CLI/CLI.hpp>
 #include <functional>
 
-/// One file for each experiment. It declares its subcommand, with examples, and gives what runs it and returns the exit
-/// status as conclude() gives it: 0 done, 1 something of Axon's was lost, corrupt, disconnected or has ended, something did not start, or it
-/// was interrupted. What it throws makes the status 1, too.
+/// One file for each experiment. It declares its subcommand, with examples, and gives what runs it and
+/// returns the exit status as conclude() gives it: 0 done, 1 something of Axon's was lost, corrupt,
+/// disconnected or has ended, something did not start, or it was interrupted. What it throws makes the status
+/// 1, too.
 namespace axon::bench {
 
 struct Experiment {
@@ -19,7 +20,8 @@ Experiment declareSaturation(CLI::App& app);
 Experiment declareGrowth(CLI::App& app);
 Experiment declareRuns(CLI::App& app);
 
-/// Processes that an experiment starts: the receiving side of each system, and the like. Not shown in the help.
+/// Processes that an experiment starts: the receiving side of each system, and the like. Not shown in the
+/// help.
 std::vector<Experiment> declareProcesses(CLI::App& app);
 
 }  // namespace axon::bench

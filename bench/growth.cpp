@@ -105,7 +105,8 @@ class EntitiesThere {
 class ClientsThere {
   public:
     ClientsThere(const AxonServer& server, const std::filesystem::path& folder, std::size_t n)
-        : speaker_(folder, "speaker", 1, server.entityAddress(), nullptr, Variant::Open), herd_(folder, n, server, "speaker", 1, true) {}
+        : speaker_(folder, "speaker", 1, server.entityAddress(), nullptr, Variant::Open),
+          herd_(folder, n, server, "speaker", 1, true) {}
     void begin() { speaker_.board().go() = 1; }
     void work(std::int64_t until) { sleepUntil(until); }
     std::uint64_t arrived() { return herd_.sums().received; }
@@ -125,8 +126,11 @@ class Growth {
     Growth(const Wish& wish, Report& report) : wish_(wish), report_(report) {}
 
     void run() {
-        std::printf("The server with N entities, or M clients; memory above that of an empty one, processor in %% of a core. Active: each takes 60 bytes every 500 ms.\n");
-        std::printf("%9s %9s %9s %12s | %10s %9s %9s | %10s %9s %9s | %8s\n", "", "N", "ready s", "all there s", "idle MiB", "KiB each", "CPU %", "active MiB", "KiB each", "CPU %",
+        std::printf(
+            "The server with N entities, or M clients; memory above that of an empty one, processor in %% of "
+            "a core. Active: each takes 60 bytes every 500 ms.\n");
+        std::printf("%9s %9s %9s %12s | %10s %9s %9s | %10s %9s %9s | %8s\n", "", "N", "ready s",
+                    "all there s", "idle MiB", "KiB each", "CPU %", "active MiB", "KiB each", "CPU %",
                     "threads");
         for (const auto n : wish_.entities) row<EntitiesThere>("entities", n);
         for (const auto n : wish_.clients) row<ClientsThere>("clients", n);
@@ -142,17 +146,20 @@ class Growth {
         const auto folder = work_.sub(std::string(what) + "-" + std::to_string(n));
         const auto begin = nowNs();
         AxonServer server(folder);
-        nlohmann::json its{{"what", what}, {"n", n}, {"server_ready_s", static_cast<double>(nowNs() - begin) / 1e9}};
+        nlohmann::json its{
+            {"what", what}, {"n", n}, {"server_ready_s", static_cast<double>(nowNs() - begin) / 1e9}};
         sleepUntil(nowNs() + 1'000'000'000);
         try {
             measure<There>(server, folder, n, its);
         } catch (const std::exception& problem) {
-            // So many cannot be had here; what there is of the others counts. A server that ends is another matter.
+            // So many cannot be had here; what there is of the others counts. A server that ends is another
+            // matter.
             if (interrupted) throw;
             its["not_measured"] = problem.what();
         }
         if (interrupted) return;
-        if (const auto ended = whichHasEnded({{"axon-server", &server.process()}}); !ended.empty()) its["ended"] = ended;
+        if (const auto ended = whichHasEnded({{"axon-server", &server.process()}}); !ended.empty())
+            its["ended"] = ended;
         if (its["disconnected"].is_number() && its["disconnected"] > 0) sound_ = false;
         if (its.value("ended", std::string()) != "") sound_ = false;
         say(its);
@@ -160,14 +167,17 @@ class Growth {
     }
 
     template <class There>
-    void measure(const AxonServer& server, const std::filesystem::path& folder, std::size_t n, nlohmann::json& its) {
+    void measure(const AxonServer& server, const std::filesystem::path& folder, std::size_t n,
+                 nlohmann::json& its) {
         const auto pid = server.process().pid();
         const auto empty = useOf(pid);
         its["empty_own_kb"] = empty.own_kb;
         const auto begin = nowNs();
         There there(server, folder, n);
         its["all_there_s"] = static_cast<double>(nowNs() - begin) / 1e9;
-        const auto settled = [&] { return nowNs() + static_cast<std::int64_t>(std::min(wish_.seconds, 3.0) * 1e9); };  // what joining or beginning has stirred up
+        const auto settled = [&] {
+            return nowNs() + static_cast<std::int64_t>(std::min(wish_.seconds, 3.0) * 1e9);
+        };  // what joining or beginning has stirred up
         const auto take = [&](nlohmann::json& to, const auto& work) {
             to["cpu_share"] = cpuShare(pid, wish_.seconds, work);
             const auto use = useOf(pid);
@@ -183,7 +193,8 @@ class Growth {
         const auto before = there.arrived();
         take(its["active"], [&](std::int64_t until) { there.work(until); });
         // Of those that were due in this time, one more or less for each.
-        const auto due = static_cast<std::size_t>(wish_.seconds * 1e9 / kPeriod_ns) * n, arrived = there.arrived() - before;
+        const auto due = static_cast<std::size_t>(wish_.seconds * 1e9 / kPeriod_ns) * n,
+                   arrived = there.arrived() - before;
         its["active"]["due"] = due;
         its["active"]["arrived"] = arrived;
         if (arrived + n < due && !interrupted) sound_ = false;
@@ -196,19 +207,29 @@ class Growth {
         const auto what = its["what"].get<std::string>();
         const auto n = its["n"].get<std::size_t>();
         if (its.contains("active")) {
-            std::printf("%9s %9zu %9.3f %12.3f", what.c_str(), n, its["server_ready_s"].get<double>(), its["all_there_s"].get<double>());
+            std::printf("%9s %9zu %9.3f %12.3f", what.c_str(), n, its["server_ready_s"].get<double>(),
+                        its["all_there_s"].get<double>());
             for (const auto* key : {"idle", "active"})
-                std::printf(" | %10.1f %9.1f %9.2f", static_cast<double>(its[key]["own_kb"].get<long>() - its["empty_own_kb"].get<long>()) / 1024, its[key]["kb_each"].get<double>(),
-                            its[key]["cpu_share"].get<double>() * 100);
+                std::printf(
+                    " | %10.1f %9.1f %9.2f",
+                    static_cast<double>(its[key]["own_kb"].get<long>() - its["empty_own_kb"].get<long>()) /
+                        1024,
+                    its[key]["kb_each"].get<double>(), its[key]["cpu_share"].get<double>() * 100);
             std::printf(" | %8ld\n", its["active"]["threads"].get<long>());
-            if (const auto due = its["active"]["due"].get<std::size_t>(), arrived = its["active"]["arrived"].get<std::size_t>(); arrived + n < due)
-                std::printf("%9s %9zu: OF %zu MESSAGES THAT WERE DUE ONLY %zu ARRIVED.\n", what.c_str(), n, due, arrived);
+            if (const auto due = its["active"]["due"].get<std::size_t>(),
+                arrived = its["active"]["arrived"].get<std::size_t>();
+                arrived + n < due)
+                std::printf("%9s %9zu: OF %zu MESSAGES THAT WERE DUE ONLY %zu ARRIVED.\n", what.c_str(), n,
+                            due, arrived);
         } else {
-            std::printf("%9s %9zu is not measured: %s\n", what.c_str(), n, its.value("not_measured", std::string()).c_str());
+            std::printf("%9s %9zu is not measured: %s\n", what.c_str(), n,
+                        its.value("not_measured", std::string()).c_str());
         }
         if (its.contains("disconnected") && its["disconnected"] > 0)
-            std::printf("%9s %9zu: %llu TIMES ONE OF THEM LOST ITS CONNECTION.\n", what.c_str(), n, its["disconnected"].get<unsigned long long>());
-        if (its.value("ended", std::string()) != "") std::printf("%9s %9zu: %s\n", what.c_str(), n, its["ended"].get<std::string>().c_str());
+            std::printf("%9s %9zu: %llu TIMES ONE OF THEM LOST ITS CONNECTION.\n", what.c_str(), n,
+                        its["disconnected"].get<unsigned long long>());
+        if (its.value("ended", std::string()) != "")
+            std::printf("%9s %9zu: %s\n", what.c_str(), n, its["ended"].get<std::string>().c_str());
         std::fflush(stdout);
     }
 
@@ -219,23 +240,40 @@ class Growth {
 };
 
 int run(const Wish& wish) {
-    Report report(wish.json, "growth", {{"entities", wish.entities}, {"clients", wish.clients}, {"seconds", wish.seconds}});
+    Report report(wish.json, "growth",
+                  {{"entities", wish.entities}, {"clients", wish.clients}, {"seconds", wish.seconds}});
     reportPeers(report, {});
     Growth growth(wish, report);
     carryOut([&] { growth.run(); });
-    return conclude(report, growth.sound() ? "" : "SOMETHING OF AXON'S WAS LOST OR DISCONNECTED, OR HAS ENDED.");
+    return conclude(report,
+                    growth.sound() ? "" : "SOMETHING OF AXON'S WAS LOST OR DISCONNECTED, OR HAS ENDED.");
 }
 
 }  // namespace
 
 Experiment declareGrowth(CLI::App& app) {
     const auto wish = std::make_shared<Wish>();
-    auto* command = app.add_subcommand("growth", "Memory and processor of the server for each entity and client, idle and active");
-    command->footer("Examples:\n  axon-bench growth --json growth.json\n  axon-bench growth --entities 5000 --clients 0\n");
-    command->add_option("--entities", wish->entities, "One server for each number [64,512,2048,5000]; 0 = none")->delimiter(',')->check(CLI::Range(0, 16384).description(""))->type_name("N,…");
-    command->add_option("--clients", wish->clients, "Likewise [64,512,2048]; 0 = none")->delimiter(',')->check(CLI::Range(0, 4096).description(""))->type_name("M,…");
-    command->add_option("--seconds", wish->seconds, "For which the processor's time is taken, idle and active [10]")->check(CLI::Range(0.5, 1e5).description(""))->type_name("S");
-    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
+    auto* command = app.add_subcommand(
+        "growth", "Memory and processor of the server for each entity and client, idle and active");
+    command->footer(
+        "Examples:\n  axon-bench growth --json growth.json\n  axon-bench growth --entities 5000 --clients "
+        "0\n");
+    command
+        ->add_option("--entities", wish->entities, "One server for each number [64,512,2048,5000]; 0 = none")
+        ->delimiter(',')
+        ->check(CLI::Range(0, 16384).description(""))
+        ->type_name("N,…");
+    command->add_option("--clients", wish->clients, "Likewise [64,512,2048]; 0 = none")
+        ->delimiter(',')
+        ->check(CLI::Range(0, 4096).description(""))
+        ->type_name("M,…");
+    command
+        ->add_option("--seconds", wish->seconds,
+                     "For which the processor's time is taken, idle and active [10]")
+        ->check(CLI::Range(0.5, 1e5).description(""))
+        ->type_name("S");
+    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")
+        ->type_name("FILE");
     return {command, [wish] {
                 std::erase(wish->entities, 0U);
                 std::erase(wish->clients, 0U);

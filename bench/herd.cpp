@@ -21,7 +21,8 @@ constexpr std::chrono::seconds kJoinTime{300};
 /// A standard client: its thread.
 class StandardClient {
   public:
-    StandardClient(const std::string& server, std::vector<std::string> names, HerdSlot& slot, std::uint64_t seed, bool open)
+    StandardClient(const std::string& server, std::vector<std::string> names, HerdSlot& slot,
+                   std::uint64_t seed, bool open)
         : open_(open), names_(std::move(names)), numbers_(names_.size(), 0), slot_(slot), random_(seed) {
         client_ = connectClient(server);
         client_->onConnection([&its = slot_](bool connected, const std::string&) {
@@ -63,7 +64,8 @@ class StandardClient {
                 break;
             default:
                 // A stop latches; without the second call every later datum would be refused.
-                if (count(client_->stop({names_[i]}), slot_.signals) && !open_ && !client_->rearm(names_[i])) ++slot_.refused;
+                if (count(client_->stop({names_[i]}), slot_.signals) && !open_ && !client_->rearm(names_[i]))
+                    ++slot_.refused;
         }
     }
 
@@ -79,8 +81,8 @@ class StandardClient {
 
 }  // namespace
 
-int runHerd(const std::string& board_file, std::size_t clients, const std::string& server, const std::string& prefix, std::size_t entities,
-            std::uint64_t seed, bool open) {
+int runHerd(const std::string& board_file, std::size_t clients, const std::string& server,
+            const std::string& prefix, std::size_t entities, std::uint64_t seed, bool open) {
     HerdBoard board(board_file, clients, false);
     const auto parent = ::getppid();
     std::vector<std::unique_ptr<StandardClient>> all(clients);
@@ -90,7 +92,8 @@ int runHerd(const std::string& board_file, std::size_t clients, const std::strin
         logins.push_back(std::async(std::launch::async, [&] {
             for (std::size_t i = next++; i < clients; i = next++) {
                 std::vector<std::string> names;
-                for (auto its = open ? 0 : i; its < entities; its += open ? 1 : clients) names.push_back(prefix + "-" + std::to_string(its));
+                for (auto its = open ? 0 : i; its < entities; its += open ? 1 : clients)
+                    names.push_back(prefix + "-" + std::to_string(its));
                 all[i] = std::make_unique<StandardClient>(server, std::move(names), board[i], seed + i, open);
                 ++board.ready();
             }
@@ -101,7 +104,8 @@ int runHerd(const std::string& board_file, std::size_t clients, const std::strin
     for (const auto& client : all)
         threads.emplace_back([&client = *client, parent] {
             for (auto due = nowNs() + client.phase(); ::getppid() == parent; due += kPeriod_ns) {
-                if (const auto left = due - nowNs(); left > 0) std::this_thread::sleep_for(std::chrono::nanoseconds(left));
+                if (const auto left = due - nowNs(); left > 0)
+                    std::this_thread::sleep_for(std::chrono::nanoseconds(left));
                 client.tick();
             }
         });
@@ -109,15 +113,20 @@ int runHerd(const std::string& board_file, std::size_t clients, const std::strin
     return 0;
 }
 
-Herd::Herd(const std::filesystem::path& folder, std::size_t clients, const AxonServer& server, const std::string& prefix, std::size_t entities, bool open)
+Herd::Herd(const std::filesystem::path& folder, std::size_t clients, const AxonServer& server,
+           const std::string& prefix, std::size_t entities, bool open)
     : board_((folder / "herd.board").string(), clients, true),
-      child_(ourselves("herd", {(folder / "herd.board").string(), std::to_string(clients), server.clientAddress(), prefix, std::to_string(entities), "1", open ? "open" : "partitioned"}),
+      child_(ourselves("herd",
+                       {(folder / "herd.board").string(), std::to_string(clients), server.clientAddress(),
+                        prefix, std::to_string(entities), "1", open ? "open" : "partitioned"}),
              folder / "herd.log") {
     try {
-        child_.waitUntil([this] { return board_.ready() >= board_.size(); }, "the clients did not start", kJoinTime);
+        child_.waitUntil([this] { return board_.ready() >= board_.size(); }, "the clients did not start",
+                         kJoinTime);
     } catch (const std::exception& problem) {
         if (interrupted || !child_.running()) throw;
-        throw std::runtime_error("only " + std::to_string(board_.ready()) + " of " + std::to_string(board_.size()) + " clients were there within " +
+        throw std::runtime_error("only " + std::to_string(board_.ready()) + " of " +
+                                 std::to_string(board_.size()) + " clients were there within " +
                                  std::to_string(kJoinTime.count()) + " s");
     }
 }

@@ -19,18 +19,21 @@ struct alignas(64) HerdSlot {
 };
 using HerdBoard = SharedArray<HerdSlot>;
 
-/// The standard clients of tables 5.3 and 5.4, in a process of their own, each with its two connections and a thread: among
-/// them the entities PREFIX-0 … are partitioned, each held by one. When the board says go, each client sends to each of its
-/// own entities every 500 ms, at random data or a signal (reset, clear, or a stop, after which it rearms). More clients than
-/// entities: the last ones are connected and hold nothing. `open`: the entities are OpenEntity, each client holds all of them, and
-/// nothing needs to be rearmed. Runs until its parent dies.
-int runHerd(const std::string& board_file, std::size_t clients, const std::string& server, const std::string& prefix, std::size_t entities,
-            std::uint64_t seed, bool open);
+/// The standard clients of tables 5.3 and 5.4, in a process of their own, each with its two connections and a
+/// thread: among them the entities PREFIX-0 … are partitioned, each held by one. When the board says go, each
+/// client sends to each of its own entities every 500 ms, at random data or a signal (reset, clear, or a
+/// stop, after which it rearms). More clients than entities: the last ones are connected and hold nothing.
+/// `open`: the entities are OpenEntity, each client holds all of them, and nothing needs to be rearmed. Runs
+/// until its parent dies.
+int runHerd(const std::string& board_file, std::size_t clients, const std::string& server,
+            const std::string& prefix, std::size_t entities, std::uint64_t seed, bool open);
 
 class Herd {
   public:
-    /// Returns when all have connected and hold theirs. Throws std::runtime_error with the log, or how many were there in time.
-    Herd(const std::filesystem::path& folder, std::size_t clients, const AxonServer& server, const std::string& prefix, std::size_t entities, bool open = false);
+    /// Returns when all have connected and hold theirs. Throws std::runtime_error with the log, or how many
+    /// were there in time.
+    Herd(const std::filesystem::path& folder, std::size_t clients, const AxonServer& server,
+         const std::string& prefix, std::size_t entities, bool open = false);
     void go() { board_.go() = 1; }
     /// As Subject::ended().
     std::string ended() const { return whichHasEnded({{"the clients' process", &child_}}); }

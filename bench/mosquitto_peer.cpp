@@ -32,7 +32,8 @@ constexpr int kKeepAlive_s = 65535;
 constexpr int kUnbounded = 65535;
 
 void check(int code, const char* what) {
-    if (code != MOSQ_ERR_SUCCESS) throw std::runtime_error(std::string(what) + ": " + mosquitto_strerror(code));
+    if (code != MOSQ_ERR_SUCCESS)
+        throw std::runtime_error(std::string(what) + ": " + mosquitto_strerror(code));
 }
 
 void onMessage(mosquitto*, void* object, const mosquitto_message* message) {
@@ -40,7 +41,8 @@ void onMessage(mosquitto*, void* object, const mosquitto_message* message) {
     auto& receiver = *static_cast<Receiver*>(object);
     auto& slot = (*receiver.board)[receiver.index];
     const auto kind = message->topic[0] == 's' ? Kind::Stop : Kind::Data;  // "s/17" or "d/17"
-    slot.arrived(kind, now, static_cast<const char*>(message->payload), static_cast<std::size_t>(message->payloadlen));
+    slot.arrived(kind, now, static_cast<const char*>(message->payload),
+                 static_cast<std::size_t>(message->payloadlen));
 }
 
 void onConnect(mosquitto* client, void* object, int) {
@@ -56,7 +58,8 @@ void onSubscribe(mosquitto*, void* object, int mid, int, const int*) {
 
 }  // namespace
 
-int runMosquittoReceivers(const std::string& board_file, std::size_t count, std::uint16_t port, int qos, std::size_t first) {
+int runMosquittoReceivers(const std::string& board_file, std::size_t count, std::uint16_t port, int qos,
+                          std::size_t first) {
     Board board(board_file, count, false);
     mosquitto_lib_init();
     const int epoll = ::epoll_create1(0);
@@ -92,14 +95,22 @@ int runMosquittoReceivers(const std::string& board_file, std::size_t count, std:
 }
 
 MosquittoBroker::MosquittoBroker(const std::filesystem::path& folder, bool bounded)
-    : port_(freePort()), child_([this, &folder, bounded] {
-          std::ofstream(folder / "mosquitto.conf") << "listener " << port_ << " 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\n"
-                                                   // As another user it would outlive us: who changes it is no longer told that its parent dies.
-                                                   << (::geteuid() == 0 ? "user root\n" : "")
-                                                   << (bounded ? "" : "max_queued_messages 0\n") << "max_inflight_messages 0\npersistence false\n";
-          return std::vector<std::string>{findProgram("mosquitto"), "-c", (folder / "mosquitto.conf").string()};
-      }(), folder / "mosquitto.log") {
-    child_.waitUntil([this] { return tcp::listens(port_); }, "mosquitto did not start", std::chrono::seconds{10});
+    : port_(freePort()),
+      child_(
+          [this, &folder, bounded] {
+              std::ofstream(folder / "mosquitto.conf")
+                  << "listener " << port_
+                  << " 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\n"
+                  // As another user it would outlive us: who changes it is no longer told that its parent
+                  // dies.
+                  << (::geteuid() == 0 ? "user root\n" : "") << (bounded ? "" : "max_queued_messages 0\n")
+                  << "max_inflight_messages 0\npersistence false\n";
+              return std::vector<std::string>{findProgram("mosquitto"), "-c",
+                                              (folder / "mosquitto.conf").string()};
+          }(),
+          folder / "mosquitto.log") {
+    child_.waitUntil([this] { return tcp::listens(port_); }, "mosquitto did not start",
+                     std::chrono::seconds{10});
 }
 
 MosquittoSender::MosquittoSender(std::uint16_t port, int qos) : qos_(qos) {
@@ -119,7 +130,9 @@ MosquittoSender::~MosquittoSender() {
 
 void MosquittoSender::send(std::size_t receiver, Kind kind, const std::string& bytes) {
     const auto topic = (kind == Kind::Stop ? "s/" : "d/") + std::to_string(receiver);
-    check(mosquitto_publish(client_, nullptr, topic.c_str(), static_cast<int>(bytes.size()), bytes.data(), qos_, false), "mosquitto_publish");
+    check(mosquitto_publish(client_, nullptr, topic.c_str(), static_cast<int>(bytes.size()), bytes.data(),
+                            qos_, false),
+          "mosquitto_publish");
     // Without the library's thread it has written by itself what the socket took.
     while (qos_ == 0 && mosquitto_want_write(client_) && !interrupted) {
         pollfd wish{mosquitto_socket(client_), POLLOUT, 0};
@@ -135,14 +148,18 @@ class MosquittoSubject final : public Subject {
     MosquittoSubject(const std::filesystem::path& folder, std::size_t n, int qos)
         : board_((folder / "board").string(), n, true),
           broker_(folder, false),
-          receivers_(ourselves("mosquitto-receivers", {(folder / "board").string(), std::to_string(n), std::to_string(broker_.port()), std::to_string(qos), "0"}),
-                     folder / "receivers.log") {
-        receivers_.waitUntil([this] { return board_.ready() >= board_.size(); }, "mosquitto's receivers did not start",
-                             std::chrono::seconds{60});
+          receivers_(
+              ourselves("mosquitto-receivers", {(folder / "board").string(), std::to_string(n),
+                                                std::to_string(broker_.port()), std::to_string(qos), "0"}),
+              folder / "receivers.log") {
+        receivers_.waitUntil([this] { return board_.ready() >= board_.size(); },
+                             "mosquitto's receivers did not start", std::chrono::seconds{60});
         sender_ = std::make_unique<MosquittoSender>(broker_.port(), qos);
     }
     Board& board() override { return board_; }
-    std::string ended() const override { return whichHasEnded({{"mosquitto", &broker_.process()}, {"its receivers' process", &receivers_}}); }
+    std::string ended() const override {
+        return whichHasEnded({{"mosquitto", &broker_.process()}, {"its receivers' process", &receivers_}});
+    }
     void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
         for (std::size_t i = 0; i < board_.size(); ++i) {
             called[i] = nowNs();

@@ -10,7 +10,9 @@ namespace axon::bench {
 
 namespace {
 
-constexpr const char* kConnect = "CONNECT {\"verbose\":false,\"pedantic\":false,\"lang\":\"c++\",\"version\":\"1\",\"name\":\"axon-bench\"}\r\n";
+constexpr const char* kConnect =
+    "CONNECT "
+    "{\"verbose\":false,\"pedantic\":false,\"lang\":\"c++\",\"version\":\"1\",\"name\":\"axon-bench\"}\r\n";
 constexpr std::string_view kEndOfLine = "\r\n";
 
 /// The last word of "MSG SUBJECT SID SIZE".
@@ -35,8 +37,8 @@ std::string NatsReceiver::hello(std::size_t index) const {
     return kConnect + ("SUB s." + name + " 1\r\nSUB d." + name + " 2\r\nPING\r\n");
 }
 
-std::size_t NatsReceiver::consume(const tcp::Connection& connection, std::string_view received, std::int64_t when, Slot& slot,
-                                  const std::function<void()>& ready) const {
+std::size_t NatsReceiver::consume(const tcp::Connection& connection, std::string_view received,
+                                  std::int64_t when, Slot& slot, const std::function<void()>& ready) const {
     std::size_t used = 0;
     for (;;) {
         const auto left = received.substr(used);
@@ -65,20 +67,28 @@ class NatsSubject final : public Subject {
     NatsSubject(const std::filesystem::path& folder, std::size_t n)
         : board_((folder / "board").string(), n, true),
           port_(freePort()),
-          server_({findProgram("nats-server"), "-a", "127.0.0.1", "-p", std::to_string(port_)}, folder / "nats.log") {
-        server_.waitUntil([this] { return tcp::listens(port_); }, "nats-server did not start", std::chrono::seconds{10});
-        receivers_ = std::make_unique<Child>(ourselves("nats-receivers", {(folder / "board").string(), std::to_string(n), std::to_string(port_)}), folder / "receivers.log");
-        receivers_->waitUntil([this] { return board_.ready() >= board_.size(); }, "the receivers of NATS did not start",
-                              std::chrono::seconds{60});
+          server_({findProgram("nats-server"), "-a", "127.0.0.1", "-p", std::to_string(port_)},
+                  folder / "nats.log") {
+        server_.waitUntil([this] { return tcp::listens(port_); }, "nats-server did not start",
+                          std::chrono::seconds{10});
+        receivers_ = std::make_unique<Child>(
+            ourselves("nats-receivers",
+                      {(folder / "board").string(), std::to_string(n), std::to_string(port_)}),
+            folder / "receivers.log");
+        receivers_->waitUntil([this] { return board_.ready() >= board_.size(); },
+                              "the receivers of NATS did not start", std::chrono::seconds{60});
         sender_ = std::make_unique<tcp::Connection>(port_);
         sender_->write({kConnect});
     }
     Board& board() override { return board_; }
-    std::string ended() const override { return whichHasEnded({{"nats-server", &server_}, {"its receivers' process", receivers_.get()}}); }
+    std::string ended() const override {
+        return whichHasEnded({{"nats-server", &server_}, {"its receivers' process", receivers_.get()}});
+    }
     void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
         inbox_.take(*sender_, buffer_, [this](std::string_view received) {
             std::size_t used = 0;
-            for (auto end = received.find(kEndOfLine); end != std::string_view::npos; end = received.find(kEndOfLine, used)) {
+            for (auto end = received.find(kEndOfLine); end != std::string_view::npos;
+                 end = received.find(kEndOfLine, used)) {
                 takeLine(*sender_, received.substr(used, end - used));
                 used = end + kEndOfLine.size();
             }
@@ -87,7 +97,8 @@ class NatsSubject final : public Subject {
         const auto size = " " + std::to_string(bytes.size()) + "\r\n";
         for (std::size_t i = 0; i < board_.size(); ++i) {
             called[i] = nowNs();
-            sender_->write({(message == Message::Stop ? "PUB s." : "PUB d.") + std::to_string(i) + size, bytes, kEndOfLine});
+            sender_->write({(message == Message::Stop ? "PUB s." : "PUB d.") + std::to_string(i) + size,
+                            bytes, kEndOfLine});
         }
     }
 

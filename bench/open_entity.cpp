@@ -15,9 +15,12 @@ using namespace axon::entity_manager;
 OpenEntity::OpenEntity(const asio::any_io_executor& executor, std::string name, std::string uuid, Slot& slot)
     : strand_(asio::make_strand(executor)), name_(std::move(name)), uuid_(std::move(uuid)), slot_(slot) {}
 
-std::shared_ptr<OpenEntity> OpenEntity::create(const asio::any_io_executor& executor, std::shared_ptr<ServerCommunicators> ice, const ServerAddress& server,
-                                               const Clock& clock, RandomSource& random, std::string name, Slot& slot) {
-    const std::shared_ptr<OpenEntity> self(new OpenEntity(executor, std::move(name), Id128::uuid(random).toString(), slot));
+std::shared_ptr<OpenEntity> OpenEntity::create(const asio::any_io_executor& executor,
+                                               std::shared_ptr<ServerCommunicators> ice,
+                                               const ServerAddress& server, const Clock& clock,
+                                               RandomSource& random, std::string name, Slot& slot) {
+    const std::shared_ptr<OpenEntity> self(
+        new OpenEntity(executor, std::move(name), Id128::uuid(random).toString(), slot));
     self->server_ = std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), server, clock, self);
     return self;
 }
@@ -38,8 +41,8 @@ void OpenEntity::serverUp() {
     profile.set_category(proto::MACHINE);
     profile.set_type(proto::STATIONARY);
     server_->sendBasicPrfl(registration, profile);
-    // Registered with a client, but which one it does not say: a client that holds it concludes from IDLE that its lease has ended, and from
-    // a holder that the entity was given to that one.
+    // Registered with a client, but which one it does not say: a client that holds it concludes from IDLE
+    // that its lease has ended, and from a holder that the entity was given to that one.
     EntityStatus status;
     status.entity = uuid_;
     status.state = EntityState::REG;
@@ -47,10 +50,14 @@ void OpenEntity::serverUp() {
     joined_ = true;
 }
 
-void OpenEntity::serverDown(const std::string& reason) { spdlog::error("{}: {}", name_, reason); }
+void OpenEntity::serverDown(const std::string& reason) {
+    spdlog::error("{}: {}", name_, reason);
+}
 
 void OpenEntity::clientMsg(Lane, Header head, std::string bytes) {
-    asio::post(strand_, [self = shared_from_this(), head = std::move(head), bytes = std::move(bytes)] { self->answer(head, bytes); });
+    asio::post(strand_, [self = shared_from_this(), head = std::move(head), bytes = std::move(bytes)] {
+        self->answer(head, bytes);
+    });
 }
 
 void OpenEntity::clientMsgDataSeq(Header, std::string bytes) {
@@ -119,7 +126,8 @@ void OpenEntity::speak(const std::string& bytes) {
     asio::post(strand_, [self = shared_from_this(), bytes] {
         proto::ToClient message;
         message.mutable_raw()->add_data(bytes);
-        for (const auto& [id, holder] : self->holders_) self->server_->sendToClientDataSeq(self->headFor(holder, kMsgRaw), message);
+        for (const auto& [id, holder] : self->holders_)
+            self->server_->sendToClientDataSeq(self->headFor(holder, kMsgRaw), message);
     });
 }
 

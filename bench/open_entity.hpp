@@ -14,19 +14,21 @@
 
 namespace axon::bench {
 
-/// What the thesis' changed server let clients do: everybody sends to it. An entity of the benchmark, with the real sessions of an
-/// Entity Manager and none of its core: it grants every check-out to whoever asks, so many clients hold it at once, takes everybody's
-/// data and signals and notes them on the board, and latches nothing. There is no link to a robot application in it, so it can never
-/// be in front of a robot.
+/// What the thesis' changed server let clients do: everybody sends to it. An entity of the benchmark, with
+/// the real sessions of an Entity Manager and none of its core: it grants every check-out to whoever asks, so
+/// many clients hold it at once, takes everybody's data and signals and notes them on the board, and latches
+/// nothing. There is no link to a robot application in it, so it can never be in front of a robot.
 ///
 /// To the servers it is held by nobody, for its status names no holder: they route to it as to any other.
-/// Threads: confined to the strand, but what the server pushes, on Ice's, one for each lane. Ownership: shared, for pushes may be
-/// under way while it ends.
-class OpenEntity final : public entity_manager::ServerEvents, public std::enable_shared_from_this<OpenEntity> {
+/// Threads: confined to the strand, but what the server pushes, on Ice's, one for each lane. Ownership:
+/// shared, for pushes may be under way while it ends.
+class OpenEntity final : public entity_manager::ServerEvents,
+                         public std::enable_shared_from_this<OpenEntity> {
   public:
-    static std::shared_ptr<OpenEntity> create(const asio::any_io_executor& executor, std::shared_ptr<entity_manager::ServerCommunicators> ice,
-                                              const entity_manager::ServerAddress& server, const Clock& clock, RandomSource& random, std::string name,
-                                              Slot& slot);
+    static std::shared_ptr<OpenEntity> create(const asio::any_io_executor& executor,
+                                              std::shared_ptr<entity_manager::ServerCommunicators> ice,
+                                              const entity_manager::ServerAddress& server, const Clock& clock,
+                                              RandomSource& random, std::string name, Slot& slot);
     void start();
     /// Sends this to each who holds it.
     void speak(const std::string& bytes);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include <algorithm>
-#include <cstdio>
 #include <condition_variable>
+#include <cstdio>
 #include <iostream>
 #include <limits>
 #include <map>
@@ -18,8 +18,9 @@
 #include "raw_router.hpp"
 #include "report.hpp"
 
-// The same work for Axon and for each peer, in the same run, in turns: one sender, N receivers, a message to each of them back to
-// back, latency of each from the start of the batch. Method: docs/reference/benchmarks.md.
+// The same work for Axon and for each peer, in the same run, in turns: one sender, N receivers, a message to
+// each of them back to back, latency of each from the start of the batch. Method:
+// docs/reference/benchmarks.md.
 
 namespace axon::bench {
 
@@ -47,11 +48,16 @@ struct Wish {
     std::string json, plot;
 };
 
-bool isAxon(const std::string& name) { return name == "axon" || name == "axon-direct" || name == "other"; }
+bool isAxon(const std::string& name) {
+    return name == "axon" || name == "axon-direct" || name == "other";
+}
 /// What the ratios of this row to the peers are called.
-const char* ratioOf(const std::string& axon) { return axon == "axon-direct" ? "ratio_direct" : "ratio"; }
+const char* ratioOf(const std::string& axon) {
+    return axon == "axon-direct" ? "ratio_direct" : "ratio";
+}
 
-/// Sends one batch, and waits until all of it has arrived or can be in nobody's way any more. Of a system that has ended it is lost.
+/// Sends one batch, and waits until all of it has arrived or can be in nobody's way any more. Of a system
+/// that has ended it is lost.
 void runBatch(Contender& contender, Message message, std::string& bytes, bool counts) {
     if (!contender.ended().empty()) {
         if (!counts) return;
@@ -69,20 +75,28 @@ void runBatch(Contender& contender, Message message, std::string& bytes, bool co
 
 class Comparison {
   public:
-    Comparison(const Wish& wish, Report& report, const WorkFolder& work) : wish_(wish), report_(report), work_(work) {}
+    Comparison(const Wish& wish, Report& report, const WorkFolder& work)
+        : wish_(wish), report_(report), work_(work) {}
 
     void run() {
-        std::printf("Latency in ms from the start of a batch of one message to each of N; %s for each, in turns, %d to warm up.\n",
-                    wish_.seconds > 0 ? "a while" : (std::to_string(wish_.batches) + " batches").c_str(), kWarmUp);
-        std::printf("%6s %-5s %-15s %9s %9s %9s %9s %9s %9s %6s   Axon / it: mean, last (10 to 90 %% of the batches); by direct paths\n", "N", "what", "", "mean",
-                    "p50", "p99", "p99.9", "max", "last", "lost");
+        std::printf(
+            "Latency in ms from the start of a batch of one message to each of N; %s for each, in turns, %d "
+            "to warm up.\n",
+            wish_.seconds > 0 ? "a while" : (std::to_string(wish_.batches) + " batches").c_str(), kWarmUp);
+        std::printf(
+            "%6s %-5s %-15s %9s %9s %9s %9s %9s %9s %6s   Axon / it: mean, last (10 to 90 %% of the "
+            "batches); by direct paths\n",
+            "N", "what", "", "mean", "p50", "p99", "p99.9", "max", "last", "lost");
         for (const auto n : wish_.sizes) {
             if (interrupted) return;
             const auto all = start(n);
             if (all.empty()) continue;
-            for (const auto message : {Message::Small, Message::Data, Message::Stop}) {  // a stopped entity refuses data
+            for (const auto message :
+                 {Message::Small, Message::Data, Message::Stop}) {  // a stopped entity refuses data
                 if (interrupted) break;
-                if (!wish_.of.empty() && std::find(wish_.of.begin(), wish_.of.end(), nameOf(message)) == wish_.of.end()) continue;
+                if (!wish_.of.empty() &&
+                    std::find(wish_.of.begin(), wish_.of.end(), nameOf(message)) == wish_.of.end())
+                    continue;
                 measure(n, message, all);
             }
             for (const auto& one : all) {
@@ -91,12 +105,14 @@ class Comparison {
                 if (one->ended().empty()) continue;
                 ended_.push_back({{"system", one->name}, {"n", n}, {"reason", one->ended()}});
                 if (isAxon(one->name)) sound_ = false;
-                std::printf("%6zu %s: %s. What was sent to it from then on is lost.\n", n, one->name.c_str(), one->ended().c_str());
+                std::printf("%6zu %s: %s. What was sent to it from then on is lost.\n", n, one->name.c_str(),
+                            one->ended().c_str());
             }
         }
     }
 
-    /// {peer: {message: {"mean", "last", "n": {"mean": […], "last": […]}}}}: over which N. Null where one of them has no finite ratio.
+    /// {peer: {message: {"mean", "last", "n": {"mean": […], "last": […]}}}}: over which N. Null where one of
+    /// them has no finite ratio.
     nlohmann::json geometric(const std::string& axon) const {
         nlohmann::json all = nlohmann::json::object();
         for (const auto& [key, its] : ratios_) {
@@ -111,7 +127,8 @@ class Comparison {
     const std::map<std::string, std::uint64_t>& bad() const { return bad_; }
     const std::map<std::string, std::uint64_t>& corrupt() const { return corrupt_; }
     const nlohmann::json& ended() const { return ended_; }
-    /// Nothing of Axon's was lost or has ended, no direct path was missing, and everything has started that this machine permits.
+    /// Nothing of Axon's was lost or has ended, no direct path was missing, and everything has started that
+    /// this machine permits.
     bool sound() const { return sound_; }
 
   private:
@@ -120,7 +137,8 @@ class Comparison {
         const auto add = [&](const std::string& name, auto&& make) {
             progress("peers: " + std::to_string(n) + " receivers: starting " + name);
             try {
-                all.push_back(std::make_unique<Contender>(name, make(work_.sub(name + "-" + std::to_string(n)))));
+                all.push_back(
+                    std::make_unique<Contender>(name, make(work_.sub(name + "-" + std::to_string(n)))));
             } catch (const std::exception& problem) {
                 if (interrupted) throw;
                 reportSkipped(report_, name, "", std::to_string(n) + " receivers: " + problem.what());
@@ -131,12 +149,15 @@ class Comparison {
             if (!wish_.beside.empty() && peer.name != "axon") break;
             const bool named = std::find(wish_.only.begin(), wish_.only.end(), peer.name) != wish_.only.end();
             if (!peer.missing.empty() || (!wish_.only.empty() && peer.name != "axon" && !named)) continue;
-            // Thousands of direct paths beat while the others are measured, and no client has as many unless it is told to.
+            // Thousands of direct paths beat while the others are measured, and no client has as many unless
+            // it is told to.
             if (peer.name == "axon-direct" && n > kDirectPaths && !named) continue;
             add(peer.name, [&](const fs::path& folder) { return peer.start(folder, n); });
         }
         if (!wish_.beside.empty())
-            add("other", [&](const fs::path& folder) { return axonThrough({wish_.beside[0], wish_.beside[1]}, folder, n); });
+            add("other", [&](const fs::path& folder) {
+                return axonThrough({wish_.beside[0], wish_.beside[1]}, folder, n);
+            });
         return all;
     }
 
@@ -149,8 +170,10 @@ class Comparison {
         std::vector<std::size_t> order(all.size());
         std::iota(order.begin(), order.end(), std::size_t{0});
         const auto end = wish_.seconds > 0 ? nowNs() + static_cast<std::int64_t>(wish_.seconds * 1e9) : 0;
-        for (int round = -kWarmUp; !interrupted && (round <= 0 || (end != 0 ? nowNs() < end : round < wish_.batches)); ++round) {
-            progress("peers: " + std::to_string(n) + " receivers, " + nameOf(message) + ": batch " + std::to_string(std::max(round + 1, 0)) +
+        for (int round = -kWarmUp;
+             !interrupted && (round <= 0 || (end != 0 ? nowNs() < end : round < wish_.batches)); ++round) {
+            progress("peers: " + std::to_string(n) + " receivers, " + nameOf(message) + ": batch " +
+                     std::to_string(std::max(round + 1, 0)) +
                      (end != 0 ? "" : " of " + std::to_string(wish_.batches)));
             // In another order each time: nobody is always behind the same one.
             std::shuffle(order.begin(), order.end(), random_);
@@ -163,26 +186,31 @@ class Comparison {
         nlohmann::json row{{"n", n}, {"what", nameOf(message)}, {"bytes", bytes.size()}};
         for (const auto& one : all) {
             auto its = one->series.json();
-            std::printf("%6zu %-5s %-15s %s %s %s %s %s %s %6zu", n, nameOf(message), one->name.c_str(), figure(its, "mean").c_str(),
-                        figure(its, "p50").c_str(), figure(its, "p99").c_str(), figure(its, "p99.9").c_str(), figure(its, "max").c_str(),
-                        figure(its, "last").c_str(), one->series.lost());
+            std::printf("%6zu %-5s %-15s %s %s %s %s %s %s %6zu", n, nameOf(message), one->name.c_str(),
+                        figure(its, "mean").c_str(), figure(its, "p50").c_str(), figure(its, "p99").c_str(),
+                        figure(its, "p99.9").c_str(), figure(its, "max").c_str(), figure(its, "last").c_str(),
+                        one->series.lost());
             if (isAxon(one->name) && one->series.lost() > 0) sound_ = false;
             if (variantOf(one->name) == Variant::Direct) its["relayed"] = one->relayed;
             for (const auto& axon : all) {
-                if (!isAxon(axon->name) || (isAxon(one->name) && (axon != all.front() || one == axon))) continue;
+                if (!isAxon(axon->name) || (isAxon(one->name) && (axon != all.front() || one == axon)))
+                    continue;
                 if (axon != all.front()) std::printf("  |");
-                for (const auto& [what, ours, theirs] : {std::tuple{"mean", &axon->series.means(), &one->series.means()},
-                                                         std::tuple{"last", &axon->series.lasts(), &one->series.lasts()}}) {
+                for (const auto& [what, ours, theirs] :
+                     {std::tuple{"mean", &axon->series.means(), &one->series.means()},
+                      std::tuple{"last", &axon->series.lasts(), &one->series.lasts()}}) {
                     const auto ratio = spread(ratios(*ours, *theirs));
                     its[ratioOf(axon->name)][what] = ratio;
                     if (ours->empty() || theirs->empty()) continue;  // interrupted before
                     ratios_[{axon->name, one->name, nameOf(message), what}].add(n, ratio);
-                    std::printf("   %s (%s to %s)", figure(ratio, "median", 0).c_str(), figure(ratio, "p10", 0).c_str(), figure(ratio, "p90", 0).c_str());
+                    std::printf("   %s (%s to %s)", figure(ratio, "median", 0).c_str(),
+                                figure(ratio, "p10", 0).c_str(), figure(ratio, "p90", 0).c_str());
                 }
             }
             std::printf("\n");
             if (one->relayed > 0) {
-                std::printf("%6zu %-5s %s: UP TO %zu WERE REACHED BY THE SERVERS.\n", n, nameOf(message), one->name.c_str(), one->relayed);
+                std::printf("%6zu %-5s %s: UP TO %zu WERE REACHED BY THE SERVERS.\n", n, nameOf(message),
+                            one->name.c_str(), one->relayed);
                 sound_ = false;
             }
             row[one->name] = std::move(its);
@@ -194,15 +222,17 @@ class Comparison {
     const Wish& wish_;
     Report& report_;
     const WorkFolder& work_;
-    std::map<std::tuple<std::string, std::string, std::string, std::string>, MeanOverN> ratios_;  // Axon's, peer, message, mean or last
+    std::map<std::tuple<std::string, std::string, std::string, std::string>, MeanOverN>
+        ratios_;  // Axon's, peer, message, mean or last
     std::map<std::string, std::uint64_t> bad_, corrupt_;
     nlohmann::json ended_ = nlohmann::json::array();
     bool sound_ = true;
     std::mt19937_64 random_{kSeed};
 };
 
-/// Round trips of one pair: CycloneDDS's ping and pong, those of two processes that do nothing else, and of Axon, by the servers and by a direct path, a text that the robot
-/// application sends back, and a drill, which goes all ways of a stop to the application and back. In turns.
+/// Round trips of one pair: CycloneDDS's ping and pong, those of two processes that do nothing else, and of
+/// Axon, by the servers and by a direct path, a text that the robot application sends back, and a drill,
+/// which goes all ways of a stop to the application and back. In turns.
 struct Pairs {
     nlohmann::json figures;
     bool lost = false;        ///< something of Axon's
@@ -223,11 +253,13 @@ std::string drills(AxonCrowd& axon, int count, std::vector<double>& times) {
     return {};
 }
 
-/// Likewise: a text of so many bytes there and back, one after the other, the next one sent by the callback of the one before, as
-/// ddsperf does. Each has its number; what does not come back as the one that is under way ends them, and the rest is lost.
+/// Likewise: a text of so many bytes there and back, one after the other, the next one sent by the callback
+/// of the one before, as ddsperf does. Each has its number; what does not come back as the one that is under
+/// way ends them, and the rest is lost.
 std::string texts(AxonCrowd& axon, std::size_t bytes, std::size_t count, std::vector<double>& times) {
     struct Game {
-        Game(client::CheckOut whom, std::size_t bytes, std::size_t how_many) : held(std::move(whom)), count(how_many), text(content(bytes)) {}
+        Game(client::CheckOut whom, std::size_t bytes, std::size_t how_many)
+            : held(std::move(whom)), count(how_many), text(content(bytes)) {}
         const client::CheckOut held;
         const std::size_t count;
         std::mutex mutex;  // of all below
@@ -265,7 +297,8 @@ std::string texts(AxonCrowd& axon, std::size_t bytes, std::size_t count, std::ve
     {
         std::unique_lock lock(game->mutex);
         game->serve();
-        for (const auto late = nowNs() + kPatience_ns + static_cast<std::int64_t>(count) * 10'000'000; !game->ended && !interrupted;) {
+        for (const auto late = nowNs() + kPatience_ns + static_cast<std::int64_t>(count) * 10'000'000;
+             !game->ended && !interrupted;) {
             if (nowNs() > late) game->end("a text did not come back");
             game->over.wait_for(lock, 50ms, [&] { return game->ended; });
         }
@@ -285,7 +318,8 @@ Pairs pairs(const WorkFolder& work, int rounds, bool with_dds) {
     std::map<std::string, std::vector<double>> trips;
     constexpr int kSeconds = 2, kTrips = 500, kWarm = 100;
     for (int round = 0; round < rounds && !interrupted; ++round) {
-        progress("peers: round trips of a pair: round " + std::to_string(round + 1) + " of " + std::to_string(rounds));
+        progress("peers: round trips of a pair: round " + std::to_string(round + 1) + " of " +
+                 std::to_string(rounds));
         for (const auto bytes : {kSmallBytes, kDataBytes}) {
             if (interrupted || !with_dds || !out.no_dds.empty()) break;
             try {
@@ -305,7 +339,9 @@ Pairs pairs(const WorkFolder& work, int rounds, bool with_dds) {
             std::vector<double> warm;
             for (const auto bytes : {kSmallBytes, kDataBytes}) {
                 if (out.bad.empty()) out.bad = texts(*crowd, bytes, kWarm, warm);
-                if (out.bad.empty()) out.bad = texts(*crowd, bytes, kTrips, trips[std::string(way) + " text, " + std::to_string(bytes) + " bytes"]);
+                if (out.bad.empty())
+                    out.bad = texts(*crowd, bytes, kTrips,
+                                    trips[std::string(way) + " text, " + std::to_string(bytes) + " bytes"]);
             }
             if (out.bad.empty()) out.bad = drills(*crowd, kWarm, warm);
             if (out.bad.empty()) out.bad = drills(*crowd, kTrips, trips[std::string(way) + " drill"]);
@@ -333,23 +369,28 @@ Pairs pairs(const WorkFolder& work, int rounds, bool with_dds) {
         if (p50.empty()) continue;
         std::sort(p50.begin(), p50.end());
         std::sort(p99.begin(), p99.end());
-        auto& its = row("cyclonedds, " + std::to_string(bytes) + " bytes", count, quantile(p50, 0.5), quantile(p99, 0.5));
-        // One round trip after the other: together they take the time that has passed, or these are not round trips.
+        auto& its = row("cyclonedds, " + std::to_string(bytes) + " bytes", count, quantile(p50, 0.5),
+                        quantile(p99, 0.5));
+        // One round trip after the other: together they take the time that has passed, or these are not round
+        // trips.
         its["seconds"] = seconds.size();
         its["busy_seconds"] = busy;
     }
-    const std::string to = "cyclonedds, " + std::to_string(kSmallBytes) + " bytes", to_data = "cyclonedds, " + std::to_string(kDataBytes) + " bytes";
+    const std::string to = "cyclonedds, " + std::to_string(kSmallBytes) + " bytes",
+                      to_data = "cyclonedds, " + std::to_string(kDataBytes) + " bytes";
     for (auto& [name, times] : trips) {
         std::sort(times.begin(), times.end());
         auto& its = row(name, times.size(), quantile(times, 0.5), quantile(times, 0.99));
         its["lost"] = std::count(times.begin(), times.end(), kNever);
         if (its["lost"] > 0) out.lost = true;
         const auto& beside = name.ends_with(std::to_string(kDataBytes) + " bytes") ? to_data : to;
-        if (all.contains(beside)) its["by_cyclonedds"] = its["p50_us"].get<double>() / all[beside]["p50_us"].get<double>();
+        if (all.contains(beside))
+            its["by_cyclonedds"] = its["p50_us"].get<double>() / all[beside]["p50_us"].get<double>();
     }
     std::printf("Round trip of one pair, us                 p50       p99   it / CycloneDDS, p50\n");
     for (const auto& [name, its] : all.items()) {
-        std::printf("%-36s %9.1f %9.1f", name.c_str(), its["p50_us"].get<double>(), its["p99_us"].get<double>());
+        std::printf("%-36s %9.1f %9.1f", name.c_str(), its["p50_us"].get<double>(),
+                    its["p99_us"].get<double>());
         if (its.contains("by_cyclonedds")) std::printf("   %.2f", its["by_cyclonedds"].get<double>());
         std::printf("\n");
     }
@@ -357,9 +398,16 @@ Pairs pairs(const WorkFolder& work, int rounds, bool with_dds) {
 }
 
 int run(const Wish& wish) {
-    Report report(wish.json, "peers", {{"entities", wish.sizes}, {"batches", wish.batches}, {"seconds", wish.seconds}, {"warm_up", kWarmUp}, {"patience_s", 2}, {"seed", kSeed}});
+    Report report(wish.json, "peers",
+                  {{"entities", wish.sizes},
+                   {"batches", wish.batches},
+                   {"seconds", wish.seconds},
+                   {"warm_up", kWarmUp},
+                   {"patience_s", 2},
+                   {"seed", kSeed}});
     const auto wants = [&wish](const std::string& name) {
-        return wish.beside.empty() && (wish.only.empty() || std::find(wish.only.begin(), wish.only.end(), name) != wish.only.end());
+        return wish.beside.empty() &&
+               (wish.only.empty() || std::find(wish.only.begin(), wish.only.end(), name) != wish.only.end());
     };
     std::vector<std::string> wanted;
     for (const auto& peer : peers())
@@ -374,7 +422,8 @@ int run(const Wish& wish) {
     bool sound = comparison.sound();
     if (wants_pairs && !interrupted) {
         try {
-            const auto its = pairs(work, wish.pair_rounds, report.all().at("versions").contains("cyclonedds"));
+            const auto its =
+                pairs(work, wish.pair_rounds, report.all().at("versions").contains("cyclonedds"));
             report.set("pairs", its.figures);
             if (!its.no_dds.empty()) reportSkipped(report, "cyclonedds", "cyclonedds-tools", its.no_dds);
             if (!its.bad.empty()) std::cerr << "round trips of a pair: " << its.bad << "\n";
@@ -394,20 +443,27 @@ int run(const Wish& wish) {
         report.set(axon == "axon" ? "geometric_mean_over_n" : "geometric_mean_over_n_direct", geometric);
         for (const auto& [name, of] : geometric.items())
             for (const auto& [what, its] : of.items())
-                std::printf("%-11s / %-15s %-5s geometric mean over N: mean %s, last %s; of N in %s\n", axon.c_str(), name.c_str(), what.c_str(),
-                            figure(its, "mean", 5).c_str(), figure(its, "last", 5).c_str(), its["n"]["last"].dump().c_str());
+                std::printf("%-11s / %-15s %-5s geometric mean over N: mean %s, last %s; of N in %s\n",
+                            axon.c_str(), name.c_str(), what.c_str(), figure(its, "mean", 5).c_str(),
+                            figure(its, "last", 5).c_str(), its["n"]["last"].dump().c_str());
     }
     std::uint64_t axon_bad = 0;
     for (const auto& [name, count] : comparison.bad()) {
-        if (count > 0) std::printf("%s: %llu messages were corrupt, doubled, lost or out of order.\n", name.c_str(), static_cast<unsigned long long>(count));
+        if (count > 0)
+            std::printf("%s: %llu messages were corrupt, doubled, lost or out of order.\n", name.c_str(),
+                        static_cast<unsigned long long>(count));
         if (isAxon(name)) axon_bad += count;
     }
     report.set("corrupt_or_misplaced", comparison.bad());
     report.set("corrupt", comparison.corrupt());
     report.set("ended", comparison.ended());
-    std::printf("Below 1 Axon is faster. %s\n", axon_bad == 0 ? "Every byte of what Axon brought was as it was sent." : "SOME CONTENT ARRIVED CORRUPT OR OUT OF ORDER.");
+    std::printf("Below 1 Axon is faster. %s\n", axon_bad == 0
+                                                    ? "Every byte of what Axon brought was as it was sent."
+                                                    : "SOME CONTENT ARRIVED CORRUPT OR OUT OF ORDER.");
     if (axon_bad > 0) sound = false;
-    const int status = conclude(report, sound ? "" : "SOMETHING OF AXON'S WAS LOST OR CORRUPT, WENT ANOTHER WAY OR HAS ENDED, OR A SYSTEM DID NOT START.");
+    const int status = conclude(report, sound ? ""
+                                              : "SOMETHING OF AXON'S WAS LOST OR CORRUPT, WENT ANOTHER WAY "
+                                                "OR HAS ENDED, OR A SYSTEM DID NOT START.");
     if (!wish.plot.empty()) drawPeers(report.all(), wish.plot);
     return status;
 }
@@ -416,36 +472,58 @@ int run(const Wish& wish) {
 
 Experiment declarePeers(CLI::App& app) {
     const auto wish = std::make_shared<Wish>();
-    auto* command = app.add_subcommand("peers", "The same work beside Mosquitto, NATS, CycloneDDS and a raw router, in turns");
+    auto* command = app.add_subcommand(
+        "peers", "The same work beside Mosquitto, NATS, CycloneDDS and a raw router, in turns");
     std::vector<std::string> names{"cyclonedds"};
     std::string list;
     for (const auto& peer : peers()) {
         if (peer.name != "axon") names.push_back(peer.name);
-        list += "  " + peer.name + std::string(16 - std::min<std::size_t>(15, peer.name.size()), ' ') + peer.what + "\n";
+        list += "  " + peer.name + std::string(16 - std::min<std::size_t>(15, peer.name.size()), ' ') +
+                peer.what + "\n";
     }
-    command->footer("Systems, each started by the benchmark:\n" + list +
-                    "  cyclonedds       ddsperf's ping and pong: round trips of one pair\n"
-                    "Messages: small (60 bytes), data (35,000 bytes), stop (60 bytes; of Axon one call for all of them).\n\n"
-                    "Examples:\n  axon-bench peers --entities 1,64 --batches 20\n  axon-bench peers --only mosquitto-qos0 --of stop --json stop.json\n"
-                    "  axon-bench peers --entities 1,8 --of data --beside clientgl2.cfg entitygl2client.cfg\n");
-    command->add_option("--entities", wish->sizes, "How many receivers, one after the other [1,64,256,1024,2048]")
+    command->footer(
+        "Systems, each started by the benchmark:\n" + list +
+        "  cyclonedds       ddsperf's ping and pong: round trips of one pair\n"
+        "Messages: small (60 bytes), data (35,000 bytes), stop (60 bytes; of Axon one call for all of "
+        "them).\n\n"
+        "Examples:\n  axon-bench peers --entities 1,64 --batches 20\n  axon-bench peers --only "
+        "mosquitto-qos0 --of stop --json stop.json\n"
+        "  axon-bench peers --entities 1,8 --of data --beside clientgl2.cfg entitygl2client.cfg\n");
+    command
+        ->add_option("--entities", wish->sizes,
+                     "How many receivers, one after the other [1,64,256,1024,2048]")
         ->delimiter(',')
         ->check(CLI::Range(1, 4096).description(""))
         ->type_name("N,…");
-    command->add_option("--batches", wish->batches, "Batches of each kind for each system [30]")->check(CLI::Range(1, 100000).description(""))->type_name("COUNT");
-    command->add_option("--seconds", wish->seconds, "In place of --batches: so long for each N and kind, all systems together")
+    command->add_option("--batches", wish->batches, "Batches of each kind for each system [30]")
+        ->check(CLI::Range(1, 100000).description(""))
+        ->type_name("COUNT");
+    command
+        ->add_option("--seconds", wish->seconds,
+                     "In place of --batches: so long for each N and kind, all systems together")
         ->check(CLI::Range(0.1, 1e6).description(""))
         ->type_name("S");
-    command->add_option("--of", wish->of, "Only these messages: small, data, stop")->delimiter(',')->check(CLI::IsMember({"small", "data", "stop"}).description(""))->type_name("KIND,…");
-    command->add_option("--only", wish->only, "Only these peers")->delimiter(',')->check(CLI::IsMember(names).description(""))->type_name("PEER,…");
-    command->add_option("--pair-rounds", wish->pair_rounds, "Of round trips beside ddsperf; 0 = none [3]")->check(CLI::Range(0, 1000).description(""))->type_name("COUNT");
-    command->add_option("--beside", wish->beside,
-                        "In place of the peers: Axon through servers that run already, by the configuration files of a client and of an Entity "
-                        "Manager, as axon-cluster status names them")
+    command->add_option("--of", wish->of, "Only these messages: small, data, stop")
+        ->delimiter(',')
+        ->check(CLI::IsMember({"small", "data", "stop"}).description(""))
+        ->type_name("KIND,…");
+    command->add_option("--only", wish->only, "Only these peers")
+        ->delimiter(',')
+        ->check(CLI::IsMember(names).description(""))
+        ->type_name("PEER,…");
+    command->add_option("--pair-rounds", wish->pair_rounds, "Of round trips beside ddsperf; 0 = none [3]")
+        ->check(CLI::Range(0, 1000).description(""))
+        ->type_name("COUNT");
+    command
+        ->add_option("--beside", wish->beside,
+                     "In place of the peers: Axon through servers that run already, by the configuration "
+                     "files of a client and of an Entity "
+                     "Manager, as axon-cluster status names them")
         ->expected(2)
         ->check(CLI::ExistingFile.description(""))
         ->type_name("FILE FILE");
-    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
+    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")
+        ->type_name("FILE");
     command->add_option("--plot", wish->plot, "Draw them (PNG, by gnuplot)")->type_name("FILE");
     return {command, [wish] { return run(*wish); }};
 }

@@ -23,7 +23,9 @@ struct Arguments {
     Variant variant = Variant::Relayed;
 };
 
-CLI::App* hidden(CLI::App& app, const char* name, const char* what) { return app.add_subcommand(name, what)->group(""); }
+CLI::App* hidden(CLI::App& app, const char* name, const char* what) {
+    return app.add_subcommand(name, what)->group("");
+}
 
 }  // namespace
 
@@ -47,10 +49,14 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     auto* crowd = beginPart("crowd", "Entity Managers that receive");
     crowd->add_option("server", its->server)->required();
     crowd->add_option("variant", its->variant)->required();
-    all.push_back({crowd, [its] { return runCrowd({its->board, its->other, its->first, its->count, its->server, its->prefix, its->variant}); }});
+    all.push_back({crowd, [its] {
+                       return runCrowd({its->board, its->other, its->first, its->count, its->server,
+                                        its->prefix, its->variant});
+                   }});
 
     auto* robots = beginPart("robots", "robot applications");
-    all.push_back({robots, [its] { return runRobots(its->board, its->other, its->first, its->count, its->prefix); }});
+    all.push_back(
+        {robots, [its] { return runRobots(its->board, its->other, its->first, its->count, its->prefix); }});
 
     auto* herd = begin("herd", "standard clients");
     herd->add_option("count", its->count)->required();
@@ -59,30 +65,38 @@ std::vector<Experiment> declareProcesses(CLI::App& app) {
     herd->add_option("entities", its->other)->required();
     herd->add_option("seed", its->seed)->required();
     herd->add_option("mode", its->mode)->required();
-    all.push_back({herd, [its] { return runHerd(its->board, its->count, its->server, its->prefix, its->other, its->seed, its->mode == "open"); }});
+    all.push_back({herd, [its] {
+                       return runHerd(its->board, its->count, its->server, its->prefix, its->other, its->seed,
+                                      its->mode == "open");
+                   }});
 
     auto* axon_stream = begin("axon-stream", "a client that sends data as fast as it can");
     axon_stream->add_option("server", its->server)->required();
     axon_stream->add_option("readers", its->count)->required();
     axon_stream->add_option("stalled", its->other)->required();
-    all.push_back({axon_stream, [its] { return runAxonStream(its->board, its->server, its->count, its->other); }});
+    all.push_back(
+        {axon_stream, [its] { return runAxonStream(its->board, its->server, its->count, its->other); }});
 
     auto* mosquitto_stream = begin("mosquitto-stream", "a publisher that sends data as fast as it can");
     mosquitto_stream->add_option("port", its->port)->required();
     mosquitto_stream->add_option("count", its->count)->required();
-    all.push_back({mosquitto_stream, [its] { return runMosquittoStream(its->board, its->port, its->count); }});
+    all.push_back(
+        {mosquitto_stream, [its] { return runMosquittoStream(its->board, its->port, its->count); }});
 
     auto* mosquitto = begin("mosquitto-receivers", "MQTT clients that receive");
     mosquitto->add_option("count", its->count)->required();
     mosquitto->add_option("port", its->port)->required();
     mosquitto->add_option("qos", its->qos)->required();
     mosquitto->add_option("first", its->first)->required();
-    all.push_back({mosquitto, [its] { return runMosquittoReceivers(its->board, its->count, its->port, its->qos, its->first); }});
+    all.push_back({mosquitto, [its] {
+                       return runMosquittoReceivers(its->board, its->count, its->port, its->qos, its->first);
+                   }});
 
     auto* nats = begin("nats-receivers", "clients of NATS that receive");
     nats->add_option("count", its->count)->required();
     nats->add_option("port", its->port)->required();
-    all.push_back({nats, [its] { return runTcpReceivers(NatsReceiver(), its->board, its->count, its->port); }});
+    all.push_back(
+        {nats, [its] { return runTcpReceivers(NatsReceiver(), its->board, its->count, its->port); }});
 
     auto* raw = begin("raw-receivers", "clients of the raw router that receive");
     raw->add_option("count", its->count)->required();

@@ -9,7 +9,8 @@ namespace {
 
 using namespace std::chrono_literals;
 
-// The bad radio of docs/reference/datagrams.md: losses by themselves, no limit of the rate, which would only measure itself.
+// The bad radio of docs/reference/datagrams.md: losses by themselves, no limit of the rate, which would only
+// measure itself.
 constexpr double kLoss = 0.022;
 constexpr auto kDelay = 2ms;
 constexpr std::uint64_t kSeed = 1;
@@ -37,8 +38,12 @@ std::function<void()> Radio::enterWireless() const {
     return [this] { sides_->enter(faults::Side::Left); };
 }
 
-const char* Radio::address() { return faults::TwoSides::kRight; }
+const char* Radio::address() {
+    return faults::TwoSides::kRight;
+}
 
-nlohmann::json Radio::settings() { return {{"loss", kLoss}, {"delay_ms", kDelay.count()}, {"seed", kSeed}}; }
+nlohmann::json Radio::settings() {
+    return {{"loss", kLoss}, {"delay_ms", kDelay.count()}, {"seed", kSeed}};
+}
 
 }  // namespace axon::bench

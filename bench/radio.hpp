@@ -10,8 +10,9 @@ class TwoSides;
 
 namespace axon::bench {
 
-/// A radio link in this process, by axon-channel's parts: two network namespaces with a channel in between that loses and delays
-/// packets. This process, and what it starts, is on the wired side from now on; what is started with enterWireless() is beyond the link.
+/// A radio link in this process, by axon-channel's parts: two network namespaces with a channel in between
+/// that loses and delays packets. This process, and what it starts, is on the wired side from now on; what is
+/// started with enterWireless() is beyond the link.
 ///
 /// Construct it before any thread; throws std::runtime_error where the machine does not permit it.
 class Radio {

@@ -30,7 +30,9 @@ struct Frame {
 constexpr std::uint32_t kSender = 0xffffffff;
 constexpr std::size_t kBuffer = 256 * 1024;
 
-std::string_view bytesOfFrame(const Frame& frame) { return {reinterpret_cast<const char*>(&frame), sizeof(frame)}; }
+std::string_view bytesOfFrame(const Frame& frame) {
+    return {reinterpret_cast<const char*>(&frame), sizeof(frame)};
+}
 
 /// Calls take(frame, message with its frame) for each whole one; how many bytes they were.
 template <class Take>
@@ -48,7 +50,9 @@ std::size_t eachFrame(std::string_view received, const Take& take) {
 
 class Router {
   public:
-    explicit Router(int listener) : listener_(listener), epoll_(::epoll_create1(0)) { watch(listener_, nullptr, EPOLLIN, EPOLL_CTL_ADD); }
+    explicit Router(int listener) : listener_(listener), epoll_(::epoll_create1(0)) {
+        watch(listener_, nullptr, EPOLLIN, EPOLL_CTL_ADD);
+    }
 
     void turn() {
         std::array<epoll_event, 256> events{};
@@ -56,7 +60,10 @@ class Router {
         for (int i = 0; i < ready; ++i) {
             const auto& event = events[static_cast<std::size_t>(i)];
             if (event.data.ptr == nullptr) {
-                auto& peer = peers_.emplace_back(Peer{tcp::Connection(::accept4(listener_, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC)), {}, {}});
+                auto& peer = peers_.emplace_back(Peer{
+                    tcp::Connection(::accept4(listener_, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC)),
+                    {},
+                    {}});
                 watch(peer.connection.fd(), &peer, EPOLLIN, EPOLL_CTL_ADD);
                 continue;
             }
@@ -78,7 +85,8 @@ class Router {
             peer.inbox.take(peer.connection, buffer_, [this, &peer](std::string_view received) {
                 return eachFrame(received, [&](const Frame& frame, std::string_view message) {
                     if (frame.kind != kWelcome) {
-                        if (frame.receiver < receivers_.size() && receivers_[frame.receiver] != nullptr) send(*receivers_[frame.receiver], message);
+                        if (frame.receiver < receivers_.size() && receivers_[frame.receiver] != nullptr)
+                            send(*receivers_[frame.receiver], message);
                         return;
                     }
                     if (frame.receiver != kSender) {
@@ -128,7 +136,8 @@ class Router {
 
 /// called[i] becomes the time before receiver i's frame is written to connectionOf(i).
 template <class ConnectionOf>
-void sendToAll(Message message, const std::string& bytes, std::vector<std::int64_t>& called, const ConnectionOf& connectionOf) {
+void sendToAll(Message message, const std::string& bytes, std::vector<std::int64_t>& called,
+               const ConnectionOf& connectionOf) {
     Frame frame{0, message == Message::Stop ? kStop : kData, static_cast<std::uint32_t>(bytes.size())};
     for (; frame.receiver < called.size(); ++frame.receiver) {
         called[frame.receiver] = nowNs();
@@ -136,7 +145,9 @@ void sendToAll(Message message, const std::string& bytes, std::vector<std::int64
     }
 }
 
-std::string portOf(const Child& router) { return field(router.waitForLine("ready "), "port"); }
+std::string portOf(const Child& router) {
+    return field(router.waitForLine("ready "), "port");
+}
 
 /// A connection to the router, known there as this receiver (or kSender).
 tcp::Connection connectTo(const Child& router, std::uint32_t receiver) {
@@ -150,14 +161,19 @@ tcp::Connection connectTo(const Child& router, std::uint32_t receiver) {
 class RawSubject final : public Subject {
   public:
     RawSubject(const std::filesystem::path& folder, std::size_t n)
-        : board_((folder / "board").string(), n, true), router_(ourselves("raw-router"), folder / "router.log") {
-        receivers_ = std::make_unique<Child>(ourselves("raw-receivers", {(folder / "board").string(), std::to_string(n), portOf(router_)}), folder / "receivers.log");
-        receivers_->waitUntil([this] { return board_.ready() >= board_.size(); }, "the receivers of the raw router did not start",
-                              std::chrono::seconds{60});
+        : board_((folder / "board").string(), n, true),
+          router_(ourselves("raw-router"), folder / "router.log") {
+        receivers_ = std::make_unique<Child>(
+            ourselves("raw-receivers", {(folder / "board").string(), std::to_string(n), portOf(router_)}),
+            folder / "receivers.log");
+        receivers_->waitUntil([this] { return board_.ready() >= board_.size(); },
+                              "the receivers of the raw router did not start", std::chrono::seconds{60});
         sender_ = std::make_unique<tcp::Connection>(connectTo(router_, kSender));
     }
     Board& board() override { return board_; }
-    std::string ended() const override { return whichHasEnded({{"the router", &router_}, {"its receivers' process", receivers_.get()}}); }
+    std::string ended() const override {
+        return whichHasEnded({{"the router", &router_}, {"its receivers' process", receivers_.get()}});
+    }
     void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
         sendToAll(message, bytes, called, [this](std::size_t) -> const tcp::Connection& { return *sender_; });
     }
@@ -172,25 +188,32 @@ class RawSubject final : public Subject {
 /// Without the router: a connection from the sender to each receiver.
 class RawDirectSubject final : public Subject {
   public:
-    RawDirectSubject(const std::filesystem::path& folder, std::size_t n) : board_((folder / "board").string(), n, true), to_(n) {
+    RawDirectSubject(const std::filesystem::path& folder, std::size_t n)
+        : board_((folder / "board").string(), n, true), to_(n) {
         std::uint16_t port = 0;
         const tcp::Connection listener(tcp::listen(port));
-        receivers_ = std::make_unique<Child>(ourselves("raw-receivers", {(folder / "board").string(), std::to_string(n), std::to_string(port)}),
-                                             folder / "receivers.log");
-        receivers_->waitUntil([&] { return take(listener) && board_.ready() >= board_.size(); }, "the receivers of the raw connections did not start",
-                              std::chrono::seconds{60});
+        receivers_ = std::make_unique<Child>(
+            ourselves("raw-receivers",
+                      {(folder / "board").string(), std::to_string(n), std::to_string(port)}),
+            folder / "receivers.log");
+        receivers_->waitUntil([&] { return take(listener) && board_.ready() >= board_.size(); },
+                              "the receivers of the raw connections did not start", std::chrono::seconds{60});
     }
     Board& board() override { return board_; }
-    std::string ended() const override { return whichHasEnded({{"its receivers' process", receivers_.get()}}); }
+    std::string ended() const override {
+        return whichHasEnded({{"its receivers' process", receivers_.get()}});
+    }
     void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) override {
-        sendToAll(message, bytes, called, [this](std::size_t receiver) -> const tcp::Connection& { return *to_[receiver]; });
+        sendToAll(message, bytes, called,
+                  [this](std::size_t receiver) -> const tcp::Connection& { return *to_[receiver]; });
     }
 
   private:
     /// Those who have called by now; true.
     bool take(const tcp::Connection& listener) {
         for (pollfd wish{listener.fd(), POLLIN, 0}; ::poll(&wish, 1, 0) > 0;) {
-            auto caller = std::make_unique<tcp::Connection>(::accept4(listener.fd(), nullptr, nullptr, SOCK_CLOEXEC));
+            auto caller =
+                std::make_unique<tcp::Connection>(::accept4(listener.fd(), nullptr, nullptr, SOCK_CLOEXEC));
             Frame hello;
             caller->readAll(reinterpret_cast<char*>(&hello), sizeof(hello));
             caller->write({bytesOfFrame(hello)});
@@ -219,11 +242,12 @@ std::string RawReceiver::hello(std::size_t index) const {
     return std::string(bytesOfFrame({static_cast<std::uint32_t>(index), kWelcome, 0}));
 }
 
-std::size_t RawReceiver::consume(const tcp::Connection&, std::string_view received, std::int64_t when, Slot& slot,
-                                 const std::function<void()>& ready) const {
+std::size_t RawReceiver::consume(const tcp::Connection&, std::string_view received, std::int64_t when,
+                                 Slot& slot, const std::function<void()>& ready) const {
     return eachFrame(received, [&](const Frame& frame, std::string_view message) {
         if (frame.kind == kWelcome) return ready();
-        slot.arrived(frame.kind == kStop ? Kind::Stop : Kind::Data, when, message.data() + sizeof(Frame), message.size() - sizeof(Frame));
+        slot.arrived(frame.kind == kStop ? Kind::Stop : Kind::Data, when, message.data() + sizeof(Frame),
+                     message.size() - sizeof(Frame));
     });
 }
 
@@ -234,10 +258,12 @@ std::unique_ptr<Subject> startRawDirect(const std::filesystem::path& folder, std
     return std::make_unique<RawDirectSubject>(folder, n);
 }
 
-RawPair::RawPair(const std::filesystem::path& folder) : router_(ourselves("raw-router"), folder / "router.log"), connection_(connectTo(router_, 0)) {}
+RawPair::RawPair(const std::filesystem::path& folder)
+    : router_(ourselves("raw-router"), folder / "router.log"), connection_(connectTo(router_, 0)) {}
 
 void RawPair::trips(std::size_t bytes, int count, std::vector<double>& times) const {
-    const auto sent = std::string(bytesOfFrame({0, kData, static_cast<std::uint32_t>(bytes)})) + content(bytes);
+    const auto sent =
+        std::string(bytesOfFrame({0, kData, static_cast<std::uint32_t>(bytes)})) + content(bytes);
     std::string back(sent.size(), ' ');
     for (int i = 0; i < count; ++i) {
         const auto begin = nowNs();

@@ -29,7 +29,9 @@ constexpr double kNever = std::numeric_limits<double>::infinity();
 /// From so many samples on a quantile of 0.999 is more than the maximum by another name.
 constexpr std::size_t kEnoughForP999 = 1000;
 
-nlohmann::json orNull(double value) { return std::isfinite(value) ? nlohmann::json(value) : nlohmann::json(); }
+nlohmann::json orNull(double value) {
+    return std::isfinite(value) ? nlohmann::json(value) : nlohmann::json();
+}
 
 std::string valueOf(const char* file, const std::string& key) {
     std::ifstream in(file);
@@ -66,7 +68,8 @@ double quantile(const std::vector<double>& ordered, double q) {
     if (n == 0) return 0;
     if (q == 0.5 && n % 2 == 0) return (ordered[n / 2 - 1] + ordered[n / 2]) / 2;
     constexpr double kRounding = 1e-9;  // 0.07 * 100 is a little more than 7
-    const auto rank = static_cast<std::size_t>(std::max(1.0, std::ceil(q * static_cast<double>(n) - kRounding)));
+    const auto rank =
+        static_cast<std::size_t>(std::max(1.0, std::ceil(q * static_cast<double>(n) - kRounding)));
     return ordered[std::min(rank, n) - 1];
 }
 
@@ -96,7 +99,10 @@ void MeanOverN::add(std::size_t n, const nlohmann::json& ratio) {
     n_.push_back(n);
 }
 
-nlohmann::json MeanOverN::mean() const { return null_ || n_.empty() ? nlohmann::json() : nlohmann::json(std::exp(logs_ / static_cast<double>(n_.size()))); }
+nlohmann::json MeanOverN::mean() const {
+    return null_ || n_.empty() ? nlohmann::json()
+                               : nlohmann::json(std::exp(logs_ / static_cast<double>(n_.size())));
+}
 
 void Series::endBatch() {
     if (!open_) return;
@@ -118,8 +124,12 @@ void Series::beginBatch() {
     batch_lost_ = lost_;
 }
 
-void Series::add(double ms) { arrived_.push_back(ms); }
-void Series::lose() { ++lost_; }
+void Series::add(double ms) {
+    arrived_.push_back(ms);
+}
+void Series::lose() {
+    ++lost_;
+}
 
 nlohmann::json Series::json() {
     endBatch();
@@ -158,7 +168,11 @@ std::string figure(const nlohmann::json& series, const char* key, int width) {
 
 Report::Report(std::string file, const std::string& experiment, nlohmann::json settings)
     : file_(std::move(file)),
-      all_{{"experiment", experiment}, {"began", now()}, {"partial", true}, {"machine", machine()}, {"settings", std::move(settings)},
+      all_{{"experiment", experiment},
+           {"began", now()},
+           {"partial", true},
+           {"machine", machine()},
+           {"settings", std::move(settings)},
            {"results", nlohmann::json::array()}} {
     write();
 }
@@ -188,7 +202,9 @@ void Report::write() const {
     out.close();
     std::error_code failed;
     if (out) std::filesystem::rename(draft, file_, failed);
-    if (!out || failed) throw std::runtime_error("cannot write " + file_ + "; mend: --json with a file in a folder that you may write to");
+    if (!out || failed)
+        throw std::runtime_error("cannot write " + file_ +
+                                 "; mend: --json with a file in a folder that you may write to");
 }
 
 void carryOut(const std::function<void()>& work) {

@@ -32,22 +32,29 @@ void write(const fs::path& file, const std::string& text) {
 }  // namespace
 
 std::string basicProfile(const std::string& name) {
-    return "<BasicProfile name=\"" + name + "\" category=\"MACHINE\" type=\"STATIONARY\" xpos=\"0\" ypos=\"0\" zpos=\"0\"/>";
+    return "<BasicProfile name=\"" + name +
+           "\" category=\"MACHINE\" type=\"STATIONARY\" xpos=\"0\" ypos=\"0\" zpos=\"0\"/>";
 }
 
-std::string servicesProfile() { return "<ServiceProfile count=\"1\"><Service name=\"Nothing\" type=\"SMPL\" global_id=\"nothing\"/></ServiceProfile>"; }
+std::string servicesProfile() {
+    return "<ServiceProfile count=\"1\"><Service name=\"Nothing\" type=\"SMPL\" "
+           "global_id=\"nothing\"/></ServiceProfile>";
+}
 
 RobotPlace robotPlace(pid_t run, std::size_t index) {
     const auto of = static_cast<unsigned>(run);
-    return {"127." + std::to_string(100 + index / kPortsOfAddress) + "." + std::to_string(of >> 8U & 255U) + "." + std::to_string(of & 255U),
+    return {"127." + std::to_string(100 + index / kPortsOfAddress) + "." + std::to_string(of >> 8U & 255U) +
+                "." + std::to_string(of & 255U),
             static_cast<std::uint16_t>(5500 + index % kPortsOfAddress)};
 }
 
-int runRobots(const std::string& board_file, std::size_t slots, std::size_t first, std::size_t count, const std::string& prefix) {
+int runRobots(const std::string& board_file, std::size_t slots, std::size_t first, std::size_t count,
+              const std::string& prefix) {
     Board board(board_file, slots, false);
     const auto parent = ::getppid();
     const auto folder = fs::path(board_file).parent_path();
-    const auto services = folder / (prefix + "-" + std::to_string(first) + ".services.xml");  // each process its own
+    const auto services =
+        folder / (prefix + "-" + std::to_string(first) + ".services.xml");  // each process its own
     write(services, servicesProfile());
     std::vector<std::unique_ptr<EntityInterfacer>> all;
     for (auto i = first; i < first + count; ++i) {

@@ -11,16 +11,19 @@ namespace axon::bench {
 std::string basicProfile(const std::string& name);
 std::string servicesProfile();
 
-/// Where application `index` of a run listens: an address of the loopback network that is this run's own, so that the usual ports of
-/// 127.0.0.1 stay free for others; the range of ports is the library's. `run`: the id of the process that reports.
+/// Where application `index` of a run listens: an address of the loopback network that is this run's own, so
+/// that the usual ports of 127.0.0.1 stay free for others; the range of ports is the library's. `run`: the id
+/// of the process that reports.
 struct RobotPlace {
     std::string address;
     std::uint16_t port;
 };
 RobotPlace robotPlace(pid_t run, std::size_t index);
 
-/// Applications PREFIX-FIRST … in one process, each with an Entity Interfacer of its own (and its three threads) and nothing behind it.
-/// Each notes on a board when its callbacks begin: data by its number, a stop by its generation. Runs until its parent dies.
-int runRobots(const std::string& board_file, std::size_t slots, std::size_t first, std::size_t count, const std::string& prefix);
+/// Applications PREFIX-FIRST … in one process, each with an Entity Interfacer of its own (and its three
+/// threads) and nothing behind it. Each notes on a board when its callbacks begin: data by its number, a stop
+/// by its generation. Runs until its parent dies.
+int runRobots(const std::string& board_file, std::size_t slots, std::size_t first, std::size_t count,
+              const std::string& prefix);
 
 }  // namespace axon::bench

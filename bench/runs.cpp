@@ -32,10 +32,12 @@ client::GlobalService serviceOf(std::size_t entities, int levels) {
     return service;
 }
 
-/// Global services over `entities`, each with one step in each of `levels` levels: the time from the end of a level's last step to
-/// the entry of each handler of the next, beside the relayed one-way latency of a client's task in the same run.
+/// Global services over `entities`, each with one step in each of `levels` levels: the time from the end of a
+/// level's last step to the entry of each handler of the next, beside the relayed one-way latency of a
+/// client's task in the same run.
 int run(std::size_t entities, int levels, int rounds, const std::string& json_file) {
-    Report results(json_file, "runs", {{"entities", entities}, {"levels", levels}, {"runs", rounds}, {"warm_up", kWarmUp}});
+    Report results(json_file, "runs",
+                   {{"entities", entities}, {"levels", levels}, {"runs", rounds}, {"warm_up", kWarmUp}});
     const WorkFolder folder;
     AxonCrowd crowd(folder.sub("axon"), entities);
     auto& board = crowd.board();
@@ -46,7 +48,8 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
     const auto waitForTasks = [&](const std::vector<std::uint32_t>& before, std::size_t of) {
         const auto give_up = nowNs() + 5'000'000'000LL;
         for (std::size_t i = 0; i < of; ++i)
-            while (board[i].tasks.next == before[i] && nowNs() < give_up && !interrupted) std::this_thread::sleep_for(50us);
+            while (board[i].tasks.next == before[i] && nowNs() < give_up && !interrupted)
+                std::this_thread::sleep_for(50us);
     };
     const auto marks = [&] {
         std::vector<std::uint32_t> all(entities);
@@ -75,10 +78,11 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
         }
         const auto before = marks();
         const auto master = static_cast<std::size_t>(round + kWarmUp) % entities;
-        // The master's own step is the first of each level, and reaches its handler without a message: what the others take
-        // from there is, and no less, what they take from their dispatch.
+        // The master's own step is the first of each level, and reaches its handler without a message: what
+        // the others take from there is, and no less, what they take from their dispatch.
         client::Bindings bindings;
-        for (std::size_t i = 0; i < entities; ++i) bindings[static_cast<int>(i)] = crowd.names()[(master + i) % entities];
+        for (std::size_t i = 0; i < entities; ++i)
+            bindings[static_cast<int>(i)] = crowd.names()[(master + i) % entities];
         const auto run = crowd.client().runGlobal(service, bindings, crowd.names()[master]);
         if (!run) {
             progress("");
@@ -89,7 +93,8 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
         const auto report = run->wait(client::Seconds{30});
         if (report.state != client::RunState::Succeeded) {
             progress("");
-            std::cerr << "a run ended " << client::toString(report.state) << ": " << report.reason.message << "\n";
+            std::cerr << "a run ended " << client::toString(report.state) << ": " << report.reason.message
+                      << "\n";
             ++failed;
             continue;
         }
@@ -111,12 +116,15 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
         }
     }
     progress("");
-    const auto one = single.json(), many = batch.json(), order = dispatched.json(), step = steps.json(), level = last.json();
-    std::printf("%zu entities, %d levels, %d runs; ms. One way = client to handler, relayed.\n", entities, levels, rounds);
+    const auto one = single.json(), many = batch.json(), order = dispatched.json(), step = steps.json(),
+               level = last.json();
+    std::printf("%zu entities, %d levels, %d runs; ms. One way = client to handler, relayed.\n", entities,
+                levels, rounds);
     std::printf("%-44s %8s %6s %8s %8s %8s %8s\n", "", "n", "lost", "mean", "p50", "p99", "max");
     const auto row = [](const char* what, const nlohmann::json& of) {
         if (!of.contains("mean")) return;
-        std::printf("%-44s %8zu %6zu %s %s %s %s\n", what, of["n"].get<std::size_t>(), of["lost"].get<std::size_t>(), figure(of, "mean", 8).c_str(),
+        std::printf("%-44s %8zu %6zu %s %s %s %s\n", what, of["n"].get<std::size_t>(),
+                    of["lost"].get<std::size_t>(), figure(of, "mean", 8).c_str(),
                     figure(of, "p50", 8).c_str(), figure(of, "p99", 8).c_str(), figure(of, "max", 8).c_str());
     };
     row("one way, a single task", one);
@@ -127,17 +135,28 @@ int run(std::size_t entities, int levels, int rounds, const std::string& json_fi
     nlohmann::json ratios;
     const auto known = [](const nlohmann::json& of) { return of.contains("mean") && of["mean"].is_number(); };
     if (known(step) && known(order) && known(many)) {
-        const auto batches = [&](const nlohmann::json& of) { return of["mean"].get<double>() / many["mean"].get<double>(); };
-        ratios = {{"dispatch / one way of a batch", batches(order)}, {"step / one way of a batch", batches(step)}};
-        std::printf("In one-way latencies of a batch of this size: dispatch to handler %.2f (bound: 3), end of a level to the next %.2f.\n",
-                    batches(order), batches(step));
+        const auto batches = [&](const nlohmann::json& of) {
+            return of["mean"].get<double>() / many["mean"].get<double>();
+        };
+        ratios = {{"dispatch / one way of a batch", batches(order)},
+                  {"step / one way of a batch", batches(step)}};
+        std::printf(
+            "In one-way latencies of a batch of this size: dispatch to handler %.2f (bound: 3), end of a "
+            "level to the next %.2f.\n",
+            batches(order), batches(step));
     }
     results.set("failed", failed);
     results.set("ratios", ratios);
-    for (const auto& [what, its] : {std::pair{"single", &one}, {"batch", &many}, {"dispatch", &order}, {"step", &step}, {"level", &level}})
+    for (const auto& [what, its] : {std::pair{"single", &one},
+                                    {"batch", &many},
+                                    {"dispatch", &order},
+                                    {"step", &step},
+                                    {"level", &level}})
         results.add({{"what", what}, {"ms", *its}});
     const auto lost = single.lost() + batch.lost();
-    return conclude(results, failed + lost == 0 ? "" : std::to_string(failed) + " RUNS FAILED, " + std::to_string(lost) + " TASKS NEVER ARRIVED.");
+    return conclude(results, failed + lost == 0 ? ""
+                                                : std::to_string(failed) + " RUNS FAILED, " +
+                                                      std::to_string(lost) + " TASKS NEVER ARRIVED.");
 }
 
 }  // namespace
@@ -149,14 +168,20 @@ Experiment declareRuns(CLI::App& app) {
         std::string json;
     };
     const auto wish = std::make_shared<Wish>();
-    auto* command = app.add_subcommand("runs", "How long a step of a global service takes to begin, beside a task of the client");
+    auto* command = app.add_subcommand(
+        "runs", "How long a step of a global service takes to begin, beside a task of the client");
     command->footer("Example:\n  axon-bench runs --entities 16 --rounds 50 --json runs.json\n");
-    command->add_option("--entities", wish->entities, "How many take part [64]")->check(CLI::Range(2, 256).description(""))->type_name("N");
+    command->add_option("--entities", wish->entities, "How many take part [64]")
+        ->check(CLI::Range(2, 256).description(""))
+        ->type_name("N");
     command->add_option("--levels", wish->levels, "Steps of each, one after the other [10]")
         ->check(CLI::Range(2, static_cast<int>(Arrivals::kRemembered)).description(""))
         ->type_name("L");
-    command->add_option("--rounds", wish->rounds, "Runs that are measured [20]")->check(CLI::Range(1, 10000).description(""))->type_name("COUNT");
-    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
+    command->add_option("--rounds", wish->rounds, "Runs that are measured [20]")
+        ->check(CLI::Range(1, 10000).description(""))
+        ->type_name("COUNT");
+    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")
+        ->type_name("FILE");
     return {command, [wish] { return run(wish->entities, wish->levels, wish->rounds, wish->json); }};
 }
 

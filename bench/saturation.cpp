@@ -15,8 +15,8 @@
 #include "streams.hpp"
 #include "transport/communicator.hpp"
 
-// How long a stop takes while others take data as fast as they can and a tenth of them has stopped reading. Method:
-// docs/reference/benchmarks.md.
+// How long a stop takes while others take data as fast as they can and a tenth of them has stopped reading.
+// Method: docs/reference/benchmarks.md.
 
 namespace axon::bench {
 
@@ -26,8 +26,8 @@ namespace fs = std::filesystem;
 
 constexpr std::int64_t kPeriod_ns = 50'000'000;
 constexpr int kWarmUp = 20;
-/// With the warm-up, and the patience for the last ones, less than the ten seconds in which the watchdog of an idle entity lets the server
-/// be silent: those that are halted are there all the time.
+/// With the warm-up, and the patience for the last ones, less than the ten seconds in which the watchdog of
+/// an idle entity lets the server be silent: those that are halted are there all the time.
 constexpr double kSecondsAtMost = 6;
 
 struct Wish {
@@ -78,9 +78,11 @@ class AxonScene final : public Scene {
           stalled_(folder, "stalled", stalled, server_.entityAddress()),
           target_("axon", axonOf(server_, folder, "target", 1, Variant::Relayed)),
           stream_((folder / "stream.board").string(), 1, true),
-          streamer_(ourselves("axon-stream", {(folder / "stream.board").string(), server_.clientAddress(), std::to_string(readers), std::to_string(stalled)}),
+          streamer_(ourselves("axon-stream", {(folder / "stream.board").string(), server_.clientAddress(),
+                                              std::to_string(readers), std::to_string(stalled)}),
                     folder / "stream.log") {
-        streamer_.waitUntil([this] { return stream_.ready() > 0; }, "the sender of data did not start", std::chrono::seconds{60});
+        streamer_.waitUntil([this] { return stream_.ready() > 0; }, "the sender of data did not start",
+                            std::chrono::seconds{60});
     }
     Contender& target() override { return target_; }
     Board& readers() override { return readers_.board(); }
@@ -88,7 +90,9 @@ class AxonScene final : public Scene {
     const Child& stalledProcess() override { return stalled_.process(); }
     StreamBoard& stream() override { return stream_; }
     std::string ended() override {
-        return whichHasEnded({{"axon-server", &server_.process()}, {"the readers' process", &readers_.process()}, {"the sender of data", &streamer_}});
+        return whichHasEnded({{"axon-server", &server_.process()},
+                              {"the readers' process", &readers_.process()},
+                              {"the sender of data", &streamer_}});
     }
 
   private:
@@ -105,9 +109,12 @@ class MosquittoTarget final : public Subject {
     MosquittoTarget(const fs::path& folder, const MosquittoBroker& broker, std::size_t topic)
         : topic_(topic),
           board_((folder / "target.board").string(), 1, true),
-          receiver_(ourselves("mosquitto-receivers", {(folder / "target.board").string(), "1", std::to_string(broker.port()), "0", std::to_string(topic)}),
-                    folder / "target.log") {
-        receiver_.waitUntil([this] { return board_.ready() > 0; }, "mosquitto's receiver did not start", std::chrono::seconds{60});
+          receiver_(
+              ourselves("mosquitto-receivers", {(folder / "target.board").string(), "1",
+                                                std::to_string(broker.port()), "0", std::to_string(topic)}),
+              folder / "target.log") {
+        receiver_.waitUntil([this] { return board_.ready() > 0; }, "mosquitto's receiver did not start",
+                            std::chrono::seconds{60});
         sender_ = std::make_unique<MosquittoSender>(broker.port(), 0);
     }
     Board& board() override { return board_; }
@@ -134,10 +141,16 @@ class MosquittoScene final : public Scene {
           stalled_process_(receivers(folder, "stalled", stalled, readers)),
           target_("mosquitto-qos0", std::make_unique<MosquittoTarget>(folder, broker_, readers + stalled)),
           stream_((folder / "stream.board").string(), 1, true),
-          streamer_(ourselves("mosquitto-stream", {(folder / "stream.board").string(), std::to_string(broker_.port()), std::to_string(readers + stalled)}),
+          streamer_(ourselves("mosquitto-stream",
+                              {(folder / "stream.board").string(), std::to_string(broker_.port()),
+                               std::to_string(readers + stalled)}),
                     folder / "stream.log") {
-        streamer_.waitUntil([this] { return stream_.ready() > 0 && readers_.ready() >= readers_.size() && stalled_.ready() >= stalled_.size(); },
-                            "mosquitto's clients did not start", std::chrono::seconds{60});
+        streamer_.waitUntil(
+            [this] {
+                return stream_.ready() > 0 && readers_.ready() >= readers_.size() &&
+                       stalled_.ready() >= stalled_.size();
+            },
+            "mosquitto's clients did not start", std::chrono::seconds{60});
     }
     Contender& target() override { return target_; }
     Board& readers() override { return readers_; }
@@ -145,12 +158,17 @@ class MosquittoScene final : public Scene {
     const Child& stalledProcess() override { return stalled_process_; }
     StreamBoard& stream() override { return stream_; }
     std::string ended() override {
-        return whichHasEnded({{"mosquitto", &broker_.process()}, {"the readers' process", &readers_process_}, {"the sender of data", &streamer_}});
+        return whichHasEnded({{"mosquitto", &broker_.process()},
+                              {"the readers' process", &readers_process_},
+                              {"the sender of data", &streamer_}});
     }
 
   private:
     Child receivers(const fs::path& folder, const std::string& name, std::size_t n, std::size_t first) {
-        return {ourselves("mosquitto-receivers", {(folder / (name + ".board")).string(), std::to_string(n), std::to_string(broker_.port()), "0", std::to_string(first)}), folder / (name + ".log")};
+        return {
+            ourselves("mosquitto-receivers", {(folder / (name + ".board")).string(), std::to_string(n),
+                                              std::to_string(broker_.port()), "0", std::to_string(first)}),
+            folder / (name + ".log")};
     }
 
     MosquittoBroker broker_;
@@ -161,8 +179,9 @@ class MosquittoScene final : public Scene {
     Child streamer_;
 };
 
-/// Of the thread that stops, whichever system it is: who stops in earnest has its own thread scheduled like the rest of the lane, and
-/// one that waits for the processor would measure nothing else. Nothing where it is not permitted; what it starts meanwhile is ordinary.
+/// Of the thread that stops, whichever system it is: who stops in earnest has its own thread scheduled like
+/// the rest of the lane, and one that waits for the processor would measure nothing else. Nothing where it is
+/// not permitted; what it starts meanwhile is ordinary.
 class StopperPriority {
   public:
     StopperPriority() { become(SCHED_RR, transport::kStopPriority); }
@@ -189,7 +208,8 @@ void measure(Scene& scene, const Wish& wish, int round, Measured& to) {
     auto bytes = content(bytesOf(Message::Stop));
     const Pace pace{kPeriod_ns, std::max(1, static_cast<int>(wish.seconds * 1e9 / kPeriod_ns)), kWarmUp, 0};
     const auto say = [&](const char* what) {
-        progress("saturation: " + scene.target().name + ": " + what + ", round " + std::to_string(round + 1) + " of " + std::to_string(wish.rounds));
+        progress("saturation: " + scene.target().name + ": " + what + ", round " + std::to_string(round + 1) +
+                 " of " + std::to_string(wish.rounds));
     };
     const StopperPriority stopper;
     say("idle");
@@ -215,7 +235,11 @@ void measure(Scene& scene, const Wish& wish, int round, Measured& to) {
 
 int run(const Wish& wish) {
     Report report(wish.json, "saturation",
-                  {{"entities", wish.entities}, {"seconds", wish.seconds}, {"rounds", wish.rounds}, {"period_ms", kPeriod_ns / 1e6}, {"warm_up", kWarmUp},
+                  {{"entities", wish.entities},
+                   {"seconds", wish.seconds},
+                   {"rounds", wish.rounds},
+                   {"period_ms", kPeriod_ns / 1e6},
+                   {"warm_up", kWarmUp},
                    {"bytes", kDataBytes}});
     const auto stalled = std::max<std::size_t>(1, wish.entities / 10);
     const auto readers = wish.entities > stalled ? wish.entities - stalled : 1;
@@ -226,7 +250,8 @@ int run(const Wish& wish) {
     if (mosquitto) systems.emplace_back("mosquitto-qos0", Measured{});
     reportPeers(report, {"mosquitto-qos0"});
     carryOut([&] {
-        // A scene of its own for each round: those that are halted were there when it began. One at a time, the systems in turns.
+        // A scene of its own for each round: those that are halted were there when it began. One at a time,
+        // the systems in turns.
         for (int round = 0; round < wish.rounds && !interrupted; ++round)
             for (std::size_t k = 0; k < systems.size() && !interrupted; ++k) {
                 auto& [name, its] = systems[(k + static_cast<std::size_t>(round)) % systems.size()];
@@ -241,30 +266,51 @@ int run(const Wish& wish) {
                 measure(*scene, wish, round, its);
             }
     });
-    std::printf("A stop each 50 ms to one entity, while %zu others take data as fast as they can and %zu more have stopped reading; ms from when it was due.\n",
-                readers, stalled);
-    std::printf("%-15s %-7s %7s %9s %9s %9s %9s %6s %9s %6s\n", "", "", "n", "mean", "p50", "p99", "max", "lost", "MB/s", "gaps");
+    std::printf(
+        "A stop each 50 ms to one entity, while %zu others take data as fast as they can and %zu more have "
+        "stopped reading; ms from when it was due.\n",
+        readers, stalled);
+    std::printf("%-15s %-7s %7s %9s %9s %9s %9s %6s %9s %6s\n", "", "", "n", "mean", "p50", "p99", "max",
+                "lost", "MB/s", "gaps");
     bool sound = true;
     for (auto& [name, its] : systems) {
-        const double rate = its.loaded_seconds > 0 ? static_cast<double>(its.received) * kDataBytes / its.loaded_seconds / 1e6 : 0;
+        const double rate = its.loaded_seconds > 0
+                                ? static_cast<double>(its.received) * kDataBytes / its.loaded_seconds / 1e6
+                                : 0;
         const auto idle = its.idle[0].from_batch.json(), loaded = its.loaded[0].from_batch.json();
         for (const auto& [what, figures] : {std::pair{"idle", &idle}, std::pair{"loaded", &loaded}}) {
-            std::printf("%-15s %-7s %7zu %s %s %s %s %6zu", name.c_str(), what, (*figures)["n"].get<std::size_t>(), figure(*figures, "mean").c_str(),
-                        figure(*figures, "p50").c_str(), figure(*figures, "p99").c_str(), figure(*figures, "max").c_str(), (*figures)["lost"].get<std::size_t>());
-            if (figures == &loaded) std::printf(" %9.1f %6llu", rate, static_cast<unsigned long long>(its.gaps));
+            std::printf("%-15s %-7s %7zu %s %s %s %s %6zu", name.c_str(), what,
+                        (*figures)["n"].get<std::size_t>(), figure(*figures, "mean").c_str(),
+                        figure(*figures, "p50").c_str(), figure(*figures, "p99").c_str(),
+                        figure(*figures, "max").c_str(), (*figures)["lost"].get<std::size_t>());
+            if (figures == &loaded)
+                std::printf(" %9.1f %6llu", rate, static_cast<unsigned long long>(its.gaps));
             std::printf("\n");
         }
-        nlohmann::json row{{"system", name}, {"idle", idle}, {"loaded", loaded}, {"idle_from_call", its.idle[0].from_call.json()}, {"loaded_from_call", its.loaded[0].from_call.json()}, {"mb_per_s", rate}, {"loaded_seconds", its.loaded_seconds},
-                           {"sent", its.sent}, {"arrived", its.received}, {"refused", its.refused}, {"gaps_of_readers", its.gaps}, {"corrupt", its.corrupt}};
-        if (idle.contains("p99") && loaded.contains("p99") && idle["p99"].is_number() && loaded["p99"].is_number()) {
+        nlohmann::json row{{"system", name},
+                           {"idle", idle},
+                           {"loaded", loaded},
+                           {"idle_from_call", its.idle[0].from_call.json()},
+                           {"loaded_from_call", its.loaded[0].from_call.json()},
+                           {"mb_per_s", rate},
+                           {"loaded_seconds", its.loaded_seconds},
+                           {"sent", its.sent},
+                           {"arrived", its.received},
+                           {"refused", its.refused},
+                           {"gaps_of_readers", its.gaps},
+                           {"corrupt", its.corrupt}};
+        if (idle.contains("p99") && loaded.contains("p99") && idle["p99"].is_number() &&
+            loaded["p99"].is_number()) {
             row["p99_loaded_by_idle"] = loaded["p99"].get<double>() / idle["p99"].get<double>();
             std::printf("%-15s p99 loaded / idle: %.2f\n", "", row["p99_loaded_by_idle"].get<double>());
         }
         if (!its.ended.empty()) {
             row["ended"] = its.ended;
-            std::printf("%-15s %s. What was sent to it from then on is lost.\n", name.c_str(), its.ended.c_str());
+            std::printf("%-15s %s. What was sent to it from then on is lost.\n", name.c_str(),
+                        its.ended.c_str());
         }
-        if (name == "axon") sound = its.corrupt == 0 && its.ended.empty() && idle["lost"] == 0 && loaded["lost"] == 0;
+        if (name == "axon")
+            sound = its.corrupt == 0 && its.ended.empty() && idle["lost"] == 0 && loaded["lost"] == 0;
         report.add(std::move(row));
     }
     return conclude(report, sound ? "" : "SOMETHING OF AXON'S WAS LOST OR CORRUPT.");
@@ -274,14 +320,29 @@ int run(const Wish& wish) {
 
 Experiment declareSaturation(CLI::App& app) {
     const auto wish = std::make_shared<Wish>();
-    auto* command = app.add_subcommand("saturation", "Latency of a stop, idle and while others take data as fast as they can");
-    command->footer("Of the entities a tenth (one at least) has stopped reading: its process stands still. Data and stops come from two processes, and the\n"
-                    "entity that is stopped has one of its own, as a robot has a computer of its own.\n\n"
-                    "Example:\n  axon-bench saturation --entities 20 --rounds 10 --json saturation.json\n");
-    command->add_option("--entities", wish->entities, "That take data [20]")->check(CLI::Range(2, 1024).description(""))->type_name("S");
-    command->add_option("--seconds", wish->seconds, "Idle, and again loaded, in each round; at most 6, so that nobody is given up meanwhile [6]")->check(CLI::Range(0.2, kSecondsAtMost).description(""))->type_name("S");
-    command->add_option("--rounds", wish->rounds, "Of both, the systems in turns, each round with a new start [3]")->check(CLI::Range(1, 1000).description(""))->type_name("COUNT");
-    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")->type_name("FILE");
+    auto* command = app.add_subcommand(
+        "saturation", "Latency of a stop, idle and while others take data as fast as they can");
+    command->footer(
+        "Of the entities a tenth (one at least) has stopped reading: its process stands still. Data and "
+        "stops come from two processes, and the\n"
+        "entity that is stopped has one of its own, as a robot has a computer of its own.\n\n"
+        "Example:\n  axon-bench saturation --entities 20 --rounds 10 --json saturation.json\n");
+    command->add_option("--entities", wish->entities, "That take data [20]")
+        ->check(CLI::Range(2, 1024).description(""))
+        ->type_name("S");
+    command
+        ->add_option(
+            "--seconds", wish->seconds,
+            "Idle, and again loaded, in each round; at most 6, so that nobody is given up meanwhile [6]")
+        ->check(CLI::Range(0.2, kSecondsAtMost).description(""))
+        ->type_name("S");
+    command
+        ->add_option("--rounds", wish->rounds,
+                     "Of both, the systems in turns, each round with a new start [3]")
+        ->check(CLI::Range(1, 1000).description(""))
+        ->type_name("COUNT");
+    command->add_option("--json", wish->json, "Write the results, with the machine described, to this file")
+        ->type_name("FILE");
     return {command, [wish] { return run(*wish); }};
 }
 

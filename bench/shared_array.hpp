@@ -22,8 +22,8 @@ class MappedFile {
     char* memory_;
 };
 
-/// Objects made of atomics in a file that the processes of a run map: how those that measure tell the one that reports.
-/// Fresh memory is zero, which is what an object of T begins with.
+/// Objects made of atomics in a file that the processes of a run map: how those that measure tell the one
+/// that reports. Fresh memory is zero, which is what an object of T begins with.
 template <class T>
 class SharedArray {
   public:

@@ -43,14 +43,17 @@ int stream(StreamBoard& board, std::size_t receivers, const Send& send) {
 
 }  // namespace
 
-int runAxonStream(const std::string& board_file, const std::string& server, std::size_t readers, std::size_t stalled) {
+int runAxonStream(const std::string& board_file, const std::string& server, std::size_t readers,
+                  std::size_t stalled) {
     StreamBoard board(board_file, 1, false);
     const auto client = connectClient(server);
     std::vector<std::string> names;
     for (std::size_t i = 0; i < readers; ++i) names.push_back("reader-" + std::to_string(i));
     for (std::size_t i = 0; i < stalled; ++i) names.push_back("stalled-" + std::to_string(i));
     const auto held = holdAll(*client, names);
-    return stream(board, held.size(), [&](std::size_t i, const std::string& bytes) { return held[i].sendRaw(bytes, client::Seconds{1}).ok(); });
+    return stream(board, held.size(), [&](std::size_t i, const std::string& bytes) {
+        return held[i].sendRaw(bytes, client::Seconds{1}).ok();
+    });
 }
 
 int runMosquittoStream(const std::string& board_file, std::uint16_t port, std::size_t receivers) {

@@ -14,9 +14,10 @@ struct alignas(64) StreamSlot {
 };
 using StreamBoard = SharedArray<StreamSlot>;
 
-/// Holds reader-0 … and stalled-0 … and sends chapter 5's batches to them, one after the other, as fast as the connection takes
-/// them. Runs until its parent dies.
-int runAxonStream(const std::string& board_file, const std::string& server, std::size_t readers, std::size_t stalled);
+/// Holds reader-0 … and stalled-0 … and sends chapter 5's batches to them, one after the other, as fast as
+/// the connection takes them. Runs until its parent dies.
+int runAxonStream(const std::string& board_file, const std::string& server, std::size_t readers,
+                  std::size_t stalled);
 /// Likewise to topics 0 … of a broker.
 int runMosquittoStream(const std::string& board_file, std::uint16_t port, std::size_t receivers);
 

@@ -17,20 +17,25 @@ enum class Message : std::uint8_t {
     Small,  ///< 60 bytes of data
     Data,   ///< chapter 5's 35,000 bytes of data
 };
-inline constexpr Kind kindOf(Message message) { return message == Message::Stop ? Kind::Stop : Kind::Data; }
-inline constexpr std::size_t bytesOf(Message message) { return message == Message::Data ? kDataBytes : kSmallBytes; }
+inline constexpr Kind kindOf(Message message) {
+    return message == Message::Stop ? Kind::Stop : Kind::Data;
+}
+inline constexpr std::size_t bytesOf(Message message) {
+    return message == Message::Data ? kDataBytes : kSmallBytes;
+}
 const char* nameOf(Message message);
 
-/// One system under test, started by its constructor with N receivers: all of them in one process, but Axon's with direct paths, with robot
-/// applications, behind a radio link, or where descriptors are few.
+/// One system under test, started by its constructor with N receivers: all of them in one process, but Axon's
+/// with direct paths, with robot applications, behind a radio link, or where descriptors are few.
 class Subject {
   public:
     virtual ~Subject() = default;
     virtual Board& board() = 0;
-    /// Where robot applications behind the receivers note what reaches their callbacks; null where there are none.
+    /// Where robot applications behind the receivers note what reaches their callbacks; null where there are
+    /// none.
     virtual Board* robots() { return nullptr; }
-    /// A message to each receiver, back to back. `bytes` is content(bytesOf(message)) with its number set. called[i] becomes
-    /// the time at which the call for receiver i began.
+    /// A message to each receiver, back to back. `bytes` is content(bytesOf(message)) with its number set.
+    /// called[i] becomes the time at which the call for receiver i began.
     virtual void send(Message message, const std::string& bytes, std::vector<std::int64_t>& called) = 0;
     /// Whether what arrives carries that number. If not, arrivals are counted.
     virtual bool numbered(Kind) const { return true; }
@@ -53,23 +58,27 @@ struct Peer {
 const std::vector<Peer>& peers();
 
 class Report;
-/// "versions" and "skipped" of a report, of the peers (and cyclonedds) that an experiment is to have; says which are skipped and what
-/// mends it. Every experiment calls it, with none too.
+/// "versions" and "skipped" of a report, of the peers (and cyclonedds) that an experiment is to have; says
+/// which are skipped and what mends it. Every experiment calls it, with none too.
 void reportPeers(Report& report, const std::vector<std::string>& wanted);
 /// One more in "skipped", which was to be there and gave nothing.
-void reportSkipped(Report& report, const std::string& peer, const std::string& package, const std::string& reason);
+void reportSkipped(Report& report, const std::string& peer, const std::string& package,
+                   const std::string& reason);
 
 /// Axon through servers that run already.
-std::unique_ptr<Subject> axonThrough(const Running& running, const std::filesystem::path& folder, std::size_t n);
+std::unique_ptr<Subject> axonThrough(const Running& running, const std::filesystem::path& folder,
+                                     std::size_t n);
 
-/// Axon relayed, each entity with a robot application and a real Entity Interfacer: in peers() it is not, for the others would be
-/// measured beside thousands of applications that beat.
+/// Axon relayed, each entity with a robot application and a real Entity Interfacer: in peers() it is not, for
+/// the others would be measured beside thousands of applications that beat.
 const Peer& axonRobots();
 /// Which of Axon's variants a peer of this name is; nothing of another system's.
 std::optional<Variant> variantOf(const std::string& name);
 /// Axon with the second half of its entities behind a radio link.
-std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const std::filesystem::path& folder, std::size_t n, Variant variant);
+std::unique_ptr<Subject> axonWithRadio(const Radio& radio, const std::filesystem::path& folder, std::size_t n,
+                                       Variant variant);
 /// Axon through a server of this run (and its radio link, likewise), with entities PREFIX-0 … besides others.
-std::unique_ptr<Subject> axonOf(const AxonServer& server, const std::filesystem::path& folder, const std::string& prefix, std::size_t n, Variant variant);
+std::unique_ptr<Subject> axonOf(const AxonServer& server, const std::filesystem::path& folder,
+                                const std::string& prefix, std::size_t n, Variant variant);
 
 }  // namespace axon::bench

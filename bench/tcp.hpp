@@ -10,8 +10,8 @@
 #include <string_view>
 #include <vector>
 
-/// Plain TCP on loopback, for the peers whose protocol is spoken here: NATS and the raw router. What fails throws
-/// std::system_error.
+/// Plain TCP on loopback, for the peers whose protocol is spoken here: NATS and the raw router. What fails
+/// throws std::system_error.
 namespace axon::bench::tcp {
 
 /// A connection with TCP_NODELAY; closed with this object.
@@ -26,7 +26,8 @@ class Connection {
     int fd() const { return fd_; }
     /// All of them in one system call where the socket takes that; waits while it does not.
     void write(std::initializer_list<std::string_view> parts) const;
-    /// What is there, at most this much; with `wait` at least one byte. 0 = nothing there; throws when the peer has closed.
+    /// What is there, at most this much; with `wait` at least one byte. 0 = nothing there; throws when the
+    /// peer has closed.
     std::size_t read(char* to, std::size_t most, bool wait) const;
     /// Waits for all of it.
     void readAll(char* to, std::size_t size) const;
@@ -46,7 +47,8 @@ using Consume = std::function<std::size_t(std::string_view)>;
 /// A connection's input, cut into messages. What is left of a message waits for its rest.
 class Inbox {
   public:
-    /// Reads once, into `buffer`, which connections may share, and consumes. The buffer grows where a message is longer.
+    /// Reads once, into `buffer`, which connections may share, and consumes. The buffer grows where a message
+    /// is longer.
     void take(const Connection& from, std::vector<char>& buffer, const Consume& consume);
 
   private:

@@ -23,7 +23,8 @@ constexpr std::size_t kBuffer = 256 * 1024;
 
 }  // namespace
 
-int runTcpReceivers(const ReceiverProtocol& protocol, const std::string& board_file, std::size_t count, std::uint16_t port) {
+int runTcpReceivers(const ReceiverProtocol& protocol, const std::string& board_file, std::size_t count,
+                    std::uint16_t port) {
     Board board(board_file, count, false);
     const int epoll = ::epoll_create1(0);
     std::deque<Receiver> receivers;
@@ -43,7 +44,8 @@ int runTcpReceivers(const ReceiverProtocol& protocol, const std::string& board_f
         for (int i = 0; i < ready; ++i) {
             auto& receiver = *static_cast<Receiver*>(events[static_cast<std::size_t>(i)].data.ptr);
             receiver.inbox.take(receiver.connection, buffer, [&](std::string_view received) {
-                return protocol.consume(receiver.connection, received, nowNs(), *receiver.slot, [&board] { ++board.ready(); });
+                return protocol.consume(receiver.connection, received, nowNs(), *receiver.slot,
+                                        [&board] { ++board.ready(); });
             });
         }
     }

@@ -45,9 +45,10 @@ struct alignas(64) Desk {
     std::atomic<std::uint32_t> prepare{0};   ///< "see that every robot moves", a number for each such order
     std::atomic<std::uint32_t> prepared{0};  ///< the newest order that was carried out
     std::atomic<std::uint32_t> wedged{0};    ///< 1: keep_running says no; 2: it does not return
-    std::atomic<std::uint32_t> together{0};  ///< 1: the robots move as steps of one run; 2: of the first one's
-    std::atomic<std::uint32_t> master{0};    ///< whose run it is
-    std::atomic<std::uint32_t> movers{0};    ///< the first so many robots are made to move; 0: all
+    std::atomic<std::uint32_t> together{
+        0};                                ///< 1: the robots move as steps of one run; 2: of the first one's
+    std::atomic<std::uint32_t> master{0};  ///< whose run it is
+    std::atomic<std::uint32_t> movers{0};  ///< the first so many robots are made to move; 0: all
     std::atomic<std::uint32_t> applications{0};
     std::atomic<std::uint32_t> load{0};     ///< 1: the clients of the load send
     std::atomic<std::uint32_t> loaders{0};  ///< so many of them hold their robot
@@ -65,7 +66,9 @@ class Board {
     Slot& operator[](std::size_t i) { return slots_[i]; }
     std::size_t size() const { return count_; }
     /// How many robots are made to move.
-    std::size_t movers() const { return desk_->movers == 0 ? count_ : std::min<std::size_t>(desk_->movers, count_); }
+    std::size_t movers() const {
+        return desk_->movers == 0 ? count_ : std::min<std::size_t>(desk_->movers, count_);
+    }
     Desk& desk() { return *desk_; }
 
   private:

@@ -32,8 +32,8 @@ std::string robot(RawClient& client, std::size_t i) {
     return id;
 }
 
-/// A kind begins with robots that nobody holds, whatever the one before it left: its clients may have been lost
-/// while they held one, which keeps a robot theirs for the grace.
+/// A kind begins with robots that nobody holds, whatever the one before it left: its clients may have been
+/// lost while they held one, which keeps a robot theirs for the grace.
 void freeAll(Run& run) {
     RawClient client(run.lab.clientAddress(), "client0@faults");
     for (std::size_t i = 0; i < run.lab.entities(); ++i) {
@@ -149,7 +149,8 @@ class StaleCommands {
         }
         // In half of the blocks what is wrong goes straight to the Entity Manager.
         const bool direct = run_.lab.managerOfEach() && run_.among(0, 1) == 1;
-        if (direct && !holder.awaitDirect(entity, 1s)) ++run_.report.counts["direct paths that did not open within 1 s"];
+        if (direct && !holder.awaitDirect(entity, 1s))
+            ++run_.report.counts["direct paths that did not open within 1 s"];
         const auto sent_directly = holder.sentDirectly() + other.sentDirectly();
         const auto starts = slot.starts.load();
         const auto stops = slot.stops.load();

@@ -70,7 +70,8 @@ std::vector<std::string> Report::broken() const {
     const auto judge = [&](const char* name, double q, double promised) {
         const auto found = latency.percentile(q);
         if (promised > 0 && !busy && host_stalls == 0 && found && *found > promised)
-            why.push_back(std::string(name) + " is " + shown(found) + " ms, promised were " + shown(promised) + " ms");
+            why.push_back(std::string(name) + " is " + shown(found) + " ms, promised were " +
+                          shown(promised) + " ms");
     };
     judge("p99", 0.99, promise.p99_ms);
     judge("p99.9", 0.999, promise.p999_ms);

@@ -75,7 +75,8 @@ std::vector<Stall> HostProbe::stalls() const {
     std::vector<Stall> all;
     // Those that last first: one that ends meanwhile is then among the others, too.
     for (const auto& watcher : watchers_)
-        if (const Stall lasting{watcher.due, nowNs()}; lasting.begin != 0 && lasting.end - lasting.begin >= kStallNs)
+        if (const Stall lasting{watcher.due, nowNs()};
+            lasting.begin != 0 && lasting.end - lasting.begin >= kStallNs)
             all.push_back(lasting);
     {
         const std::lock_guard lock(mutex_);

@@ -81,8 +81,8 @@ Laboratory::Laboratory(const Wishes& wishes, const Needs& needs)
     if (needs_.relay_managers)
         server << "EntityServerSignal.PublishedEndpoints=" << between_ << ":" << kClientPort + 3 << "\n";
     std::ofstream(folder_ / "manager.cfg") << "Axon.LeaseGrace=" << kLeaseGrace << "\n";
-    std::ofstream(folder_ / "master.cfg") << "Axon.LeaseGrace=" << kLeaseGrace << "\nIce.Default.SourceAddress="
-                                          << loopback(3) << "\n";
+    std::ofstream(folder_ / "master.cfg")
+        << "Axon.LeaseGrace=" << kLeaseGrace << "\nIce.Default.SourceAddress=" << loopback(3) << "\n";
     if (needs_.first_master) relay_.divert(loopback(3), Hop::Master);
     board_->desk().together = needs_.first_master ? 2 : needs_.together ? 1 : 0;
     if (wishes_.busy) burners_ = std::make_unique<Burners>(std::max(1U, std::thread::hardware_concurrency()));
@@ -106,10 +106,11 @@ void Laboratory::endClient() {
 
 void Laboratory::startLoad() {
     board_->desk().load = board_->desk().loaders = 0;
-    load_ = std::make_unique<Child>(
-        std::vector<std::string>{fs::canonical("/proc/self/exe").string(), "load", (folder_ / "board").string(),
-                                 std::to_string(wishes_.entities), clientAddress()},
-        folder_ / "load.log");
+    load_ =
+        std::make_unique<Child>(std::vector<std::string>{fs::canonical("/proc/self/exe").string(), "load",
+                                                         (folder_ / "board").string(),
+                                                         std::to_string(wishes_.entities), clientAddress()},
+                                folder_ / "load.log");
 }
 
 void Laboratory::endLoad() {
@@ -188,8 +189,8 @@ void Laboratory::startManagers() {
             managers_[k] = std::make_unique<Child>(
                 std::vector<std::string>{fs::canonical("/proc/self/exe").string(), "managers",
                                          (folder_ / "board").string(), folder_.string(),
-                                         std::to_string(wishes_.entities), links, server, std::to_string(first),
-                                         std::to_string(count)},
+                                         std::to_string(wishes_.entities), links, server,
+                                         std::to_string(first), std::to_string(count)},
                 folder_ / (k == 0 ? "managers.log" : "managers-apart.log"));
             managers_[k]->waitForLine("ready");
         }

@@ -27,9 +27,9 @@ struct Needs {
         false;  ///< the disk of every Entity Manager takes its time (with daemons): Laboratory::slowDisk()
     bool tenth_apart =
         false;  ///< the Entity Managers of the last tenth of the robots are in no process with others
-    bool together = false;     ///< the robots move as steps of one run; Desk::master is whose it is
-    bool first_master = false; ///< it is always the first robot's, whose Entity Manager has a cable of its own:
-                               ///< Hop::Master (with relay_managers and daemons)
+    bool together = false;      ///< the robots move as steps of one run; Desk::master is whose it is
+    bool first_master = false;  ///< it is always the first robot's, whose Entity Manager has a cable of its
+                                ///< own: Hop::Master (with relay_managers and daemons)
 };
 
 /// What the person asked for.

@@ -27,14 +27,14 @@ using Clock = std::chrono::steady_clock;
 
 /// A login is mostly waiting for round trips.
 constexpr std::size_t kLoginsAtOnce = 16;
-/// Batches under way to all robots that read, and to one of them. Beyond that their clients wait, so that together they
-/// fill the processors and not the queues: where more is under way than a busy host carries within kPatience, the
-/// clients would send what can only be dropped, and nothing would arrive whole.
+/// Batches under way to all robots that read, and to one of them. Beyond that their clients wait, so that
+/// together they fill the processors and not the queues: where more is under way than a busy host carries
+/// within kPatience, the clients would send what can only be dropped, and nothing would arrive whole.
 constexpr std::size_t kAheadTogether = 640;
 constexpr std::size_t kAheadMax = 16;
 constexpr std::size_t kAheadMin = 2;
-/// The same for the robots that stop reading: enough to fill the queues to each of them within the time for which it
-/// does not read.
+/// The same for the robots that stop reading: enough to fill the queues to each of them within the time for
+/// which it does not read.
 constexpr std::size_t kAheadOfStalled = 64;
 /// What has not arrived for this long is not waited for any longer: it was dropped, or refused after a stop.
 constexpr auto kPatience = 2s;
@@ -176,7 +176,8 @@ int runLoad(const std::string& board_file, std::size_t entities, const std::stri
         threads.emplace_back([&desk, &loader = *loader, parent] {
             while (::getppid() == parent) {
                 if (desk.load == 0)
-                    std::this_thread::sleep_for(100ms);  // hundreds of threads: looking more often would be a load
+                    std::this_thread::sleep_for(
+                        100ms);  // hundreds of threads: looking more often would be a load
                 else
                     loader.turn();
             }

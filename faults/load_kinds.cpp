@@ -220,11 +220,12 @@ class Saturation {
             return std::all_of(ids_.begin(), ids_.end(),
                                [&](const std::string& id) { return stopper.available(id); });
         };
-        // With hundreds of robots what two cores could not carry meanwhile lies in the sockets, and is read first.
+        // With hundreds of robots what two cores could not carry meanwhile lies in the sockets, and is read
+        // first.
         const auto begin = std::chrono::steady_clock::now();
         const bool back = waitUntil(all, 120s);
-        run_.report.counts["seconds until everybody was back"] =
-            static_cast<std::size_t>(std::chrono::ceil<std::chrono::seconds>(std::chrono::steady_clock::now() - begin).count());
+        run_.report.counts["seconds until everybody was back"] = static_cast<std::size_t>(
+            std::chrono::ceil<std::chrono::seconds>(std::chrono::steady_clock::now() - begin).count());
         if (back) return;
         ++run_.report.not_recovered;
         lab_.keepLogs();

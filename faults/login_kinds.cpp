@@ -25,10 +25,12 @@ void putToWork(Run& run) {
     run.lab.keepLogs();
     run.lab.startAnew();
     if (!run.lab.prepare())
-        throw std::runtime_error("the robots did not begin to move; the logs are in " + run.lab.folder().string());
+        throw std::runtime_error("the robots did not begin to move; the logs are in " +
+                                 run.lab.folder().string());
 }
 
-/// What `axon stop` does after its process has started: a client logs in, stops one robot, and leaves. The others work.
+/// What `axon stop` does after its process has started: a client logs in, stops one robot, and leaves. The
+/// others work.
 void logInAndStop(Run& run) {
     auto& board = run.lab.board();
     run.report.busy = true;
@@ -58,8 +60,11 @@ void logInAndStop(Run& run) {
         const auto logged_in_ms = static_cast<double>(nowNs() - begin) / 1e6;
         longest_ms = std::max(longest_ms, logged_in_ms);
         if (!client) {
-            run.report.violation("a client could not log in within " + std::to_string(static_cast<int>(logged_in_ms)) + " ms: " + client.refusal().message);
-        } else if (const auto stopped = client.value()->stop({robotName(victim)}, client::Seconds{5}); !stopped) {
+            run.report.violation("a client could not log in within " +
+                                 std::to_string(static_cast<int>(logged_in_ms)) +
+                                 " ms: " + client.refusal().message);
+        } else if (const auto stopped = client.value()->stop({robotName(victim)}, client::Seconds{5});
+                   !stopped) {
             run.report.violation("a client that was in could not stop: " + stopped.refusal().message);
         }
         const auto* stop = board[victim].firstStop(before, begin);
@@ -77,7 +82,8 @@ void logInAndStop(Run& run) {
         run.report.latency.add(ms);
         if (ms <= run.report.promise.bound_ms) continue;
         ++run.report.late;
-        if (ms - static_cast<double>(run.lab.probe().overlap(begin, at)) / 1e6 <= run.report.promise.bound_ms) ++run.report.late_beside_stall;
+        if (ms - static_cast<double>(run.lab.probe().overlap(begin, at)) / 1e6 <= run.report.promise.bound_ms)
+            ++run.report.late_beside_stall;
     }
     run.report.counts["ms until the slowest was logged in"] = static_cast<std::size_t>(longest_ms);
     if (others > 0) run.report.counts["stops of robots that nobody had stopped"] = others;
@@ -88,8 +94,10 @@ void logInAndStop(Run& run) {
 std::vector<Kind> loginKinds() {
     return {{"log-in",
              kNoTrial,
-             "a client logs in and stops a robot, while the others work and every core computes at ordinary priority, with or without --busy",
-             {kLogIn_ms, 0, "999 of 1,000 robots are stopped within 500 ms of the beginning of the log-in, and each is", 1},
+             "a client logs in and stops a robot, while the others work and every core computes at ordinary "
+             "priority, with or without --busy",
+             {kLogIn_ms, 0,
+              "999 of 1,000 robots are stopped within 500 ms of the beginning of the log-in, and each is", 1},
              {},
              "log-ins with a stop",
              10'000,

@@ -24,7 +24,8 @@ void list() {
         std::printf("%-19s %5s  %s\n%27s%s\n", kind.name.c_str(),
                     kind.trial == kNoTrial ? "" : std::to_string(kind.trial).c_str(), kind.what.c_str(), "",
                     kind.promise.text.c_str());
-    std::printf("%-19s %5s  %s\n", "all", "", "each of them but cut-master, in one laboratory with the relay in every hop");
+    std::printf("%-19s %5s  %s\n", "all", "",
+                "each of them but cut-master, in one laboratory with the relay in every hop");
 }
 
 /// The progress line is for a person at a terminal, and for nobody else.
@@ -58,7 +59,8 @@ Report carryOut(const Kind& kind, Laboratory& lab, const Wishes& wishes, std::si
     for (const auto& stall : lab.probe().stalls()) {
         if (stall.end <= begin) continue;
         ++report.host_stalls;
-        report.longest_stall_ms = std::max(report.longest_stall_ms, static_cast<double>(stall.end - stall.begin) / 1e6);
+        report.longest_stall_ms =
+            std::max(report.longest_stall_ms, static_cast<double>(stall.end - stall.begin) / 1e6);
     }
     report.partial = interrupted();
     return report;
@@ -94,7 +96,8 @@ int runKinds(const std::vector<std::string>& names, const Wishes& wishes, std::s
     if (every) {
         const Needs in_every_hop{true, true, true, true};
         Laboratory lab(wishes, in_every_hop);
-        for (const auto& kind : kinds())  // the cable of a first master would be missing in the faults of all managers
+        for (const auto& kind :
+             kinds())  // the cable of a first master would be missing in the faults of all managers
             if (!interrupted() && !kind.needs.first_master) run(kind, lab);
     }
     for (const auto* kind : chosen) {
@@ -147,7 +150,9 @@ int main(int argc, char** argv) {
     std::size_t trials = 0;
     double seconds = 0;
     bool show_list = false;
-    app.add_option("kind", names, "What to do, one after the other, each in a laboratory of its own; all = each but cut-master, in one laboratory");
+    app.add_option("kind", names,
+                   "What to do, one after the other, each in a laboratory of its own; all = each but "
+                   "cut-master, in one laboratory");
     app.add_flag("--list", show_list, "Every kind with its promise, and end");
     app.add_option("--trials", trials, "How many faults, commands or sequences [of the kind]")
         ->check(CLI::Range(1, 10'000'000));

@@ -48,7 +48,9 @@ class Operator {
 
   private:
     /// Of the robots that are to move.
-    std::vector<std::string> names() { return {names_.begin(), names_.begin() + static_cast<std::ptrdiff_t>(board_.movers())}; }
+    std::vector<std::string> names() {
+        return {names_.begin(), names_.begin() + static_cast<std::ptrdiff_t>(board_.movers())};
+    }
 
     void say(const std::string& words) {
         if (words == said_) return;
@@ -139,8 +141,9 @@ class Operator {
             const auto report = run_->report();
             if (!isFinal(report.state))
                 return report.state == RunState::Running &&
-                       std::all_of(report.steps.begin(), report.steps.end(),
-                                   [](const StepReport& step) { return step.state == client::TaskState::Running; });
+                       std::all_of(report.steps.begin(), report.steps.end(), [](const StepReport& step) {
+                           return step.state == client::TaskState::Running;
+                       });
             if (!report.reason.ok()) no(report.reason);
             run_.reset();
         }

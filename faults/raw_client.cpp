@@ -53,12 +53,13 @@ class RawClient::Session {
                 [weak = std::weak_ptr<Session>(self)](const Header& head, std::string_view bytes) {
                     if (const auto still = weak.lock()) still->hear(head, bytes);
                 });
-            const auto callback = openLane(Lane::Data, *data_.communicator(), "ClientGate:" + transport::tcpEndpoint(address),
-                                           self, data_session_);
+            const auto callback =
+                openLane(Lane::Data, *data_.communicator(), "ClientGate:" + transport::tcpEndpoint(address),
+                         self, data_session_);
             const auto facts = data_session_->setCallback(callback);
             id_ = facts.me.id;
-            const auto signal = openLane(Lane::Signal, *signal_.communicator(), "ClientGate:" + facts.signalEndpoint,
-                                         self, signal_session_);
+            const auto signal = openLane(Lane::Signal, *signal_.communicator(),
+                                         "ClientGate:" + facts.signalEndpoint, self, signal_session_);
             signal_session_->attachSignalLane(facts.token, signal);
         } catch (const Ice::Exception&) {
             throw std::runtime_error(name_ + " has no session at " + address + ": " +
@@ -107,9 +108,8 @@ class RawClient::Session {
         return head;
     }
     void relay(const Header& head, const std::string& bytes) const {
-        guarded([&] {
-            data_oneway_->sendToEntityAsync(transport::toIce(head), toRange(bytes), [] {}, {}, {});
-        });
+        guarded(
+            [&] { data_oneway_->sendToEntityAsync(transport::toIce(head), toRange(bytes), [] {}, {}, {}); });
     }
 
     void told(const std::string& entity, std::string name, bool left) {
@@ -132,8 +132,8 @@ class RawClient::Session {
         if (message.has_check_out() && message.check_out().has_lease()) {
             const auto& reply = message.check_out();
             if (!reply.direct_endpoint().empty() && !reply.direct_signal_endpoint().empty())
-                paths_->offer(head.entity, numberOf(reply.lease()), reply.lease().key(), reply.direct_endpoint(),
-                              reply.direct_signal_endpoint());
+                paths_->offer(head.entity, numberOf(reply.lease()), reply.lease().key(),
+                              reply.direct_endpoint(), reply.direct_signal_endpoint());
         }
         if (message.has_lease_ended()) paths_->withdraw(head.entity, numberOf(message.lease_ended().lease()));
         if (heard_) heard_(head, message);
@@ -206,8 +206,7 @@ class RawClient::Session {
         }
         void newEntityMsgDataSeq(::Axon::CommUtil::Header, ByteRange, const Ice::Current&) override {}
         void newRefusalMsg(::Axon::CommUtil::Header head, int, std::string, const Ice::Current&) override {
-            if (const auto session = session_.lock())
-                session->refused(transport::fromIce(std::move(head)));
+            if (const auto session = session_.lock()) session->refused(transport::fromIce(std::move(head)));
         }
         void newStopAccepted(::Axon::CommUtil::Header, int, const Ice::Current&) override {}
         void newUpdateMsg(int, std::string, const Ice::Current&) override {}
@@ -229,16 +228,18 @@ class RawClient::Session {
         return {communicator, adapter, nullptr};
     }
 
-    std::shared_ptr<ClientCallbackPrx> openLane(Lane lane, Ice::Communicator& communicator, const std::string& gate_text,
+    std::shared_ptr<ClientCallbackPrx> openLane(Lane lane, Ice::Communicator& communicator,
+                                                const std::string& gate_text,
                                                 const std::shared_ptr<Session>& self,
                                                 std::shared_ptr<ClientSessionPrx>& session) const {
-        const auto gate = Ice::uncheckedCast<ClientGatePrx>(
-            communicator.stringToProxy(gate_text)->ice_context(transport::contractContext())->ice_invocationTimeout(3000));
+        const auto gate = Ice::uncheckedCast<ClientGatePrx>(communicator.stringToProxy(gate_text)
+                                                                ->ice_context(transport::contractContext())
+                                                                ->ice_invocationTimeout(3000));
         const auto opened = gate->open("", "", name_);
         const auto connection = gate->ice_getCachedConnection();
         const auto adapter = communicator.createObjectAdapter("");
-        auto callback =
-            Ice::uncheckedCast<ClientCallbackPrx>(adapter->addWithUUID(std::make_shared<Callback>(self, lane)));
+        auto callback = Ice::uncheckedCast<ClientCallbackPrx>(
+            adapter->addWithUUID(std::make_shared<Callback>(self, lane)));
         adapter->activate();
         connection->setAdapter(adapter);
         connection->setCloseCallback(
@@ -316,19 +317,22 @@ void RawClient::send(const std::string& entity, const char* type, const proto::T
 void RawClient::stop(const std::string& entity) {
     const auto head = session_->signalTo(entity);
     session_->guarded([&] {
-        session_->signal_oneway_->sendStopSignalAsync(transport::toIce(head), ::Axon::CommUtil::StopCause::Requested,
-                                                      [] {}, {}, {});
+        session_->signal_oneway_->sendStopSignalAsync(transport::toIce(head),
+                                                      ::Axon::CommUtil::StopCause::Requested, [] {}, {}, {});
     });
-    session_->paths_->signal(entity, [&](const auto& path) { path.sendStopSignal(head, StopCause::Requested); });
+    session_->paths_->signal(entity,
+                             [&](const auto& path) { path.sendStopSignal(head, StopCause::Requested); });
 }
 void RawClient::reset(const std::string& entity) {
     const auto head = session_->signalTo(entity);
-    session_->guarded([&] { session_->signal_oneway_->sendResetSignalAsync(transport::toIce(head), [] {}, {}, {}); });
+    session_->guarded(
+        [&] { session_->signal_oneway_->sendResetSignalAsync(transport::toIce(head), [] {}, {}, {}); });
     session_->paths_->signal(entity, [&](const auto& path) { path.sendResetSignal(head); });
 }
 void RawClient::clear(const std::string& entity) {
     const auto head = session_->signalTo(entity);
-    session_->guarded([&] { session_->signal_oneway_->sendClearSignalAsync(transport::toIce(head), [] {}, {}, {}); });
+    session_->guarded(
+        [&] { session_->signal_oneway_->sendClearSignalAsync(transport::toIce(head), [] {}, {}, {}); });
     session_->paths_->signal(entity, [&](const auto& path) { path.sendClearSignal(head); });
 }
 

@@ -25,9 +25,10 @@ struct Grant {
 /// what a proper client never would: a lease that is not its own, a generation of long ago, the same task
 /// twice.
 ///
-/// Both lanes, and a direct path for each lease that offers one (RawPaths); a thread of its own sends keepAlive. Threads: any member from any thread; `heard` is called on
-/// Ice's. Failure: the constructor throws std::runtime_error when there is no session; what is sent after the
-/// connection has gone is lost without a word, as on a wire.
+/// Both lanes, and a direct path for each lease that offers one (RawPaths); a thread of its own sends
+/// keepAlive. Threads: any member from any thread; `heard` is called on Ice's. Failure: the constructor
+/// throws std::runtime_error when there is no session; what is sent after the connection has gone is lost
+/// without a word, as on a wire.
 class RawClient {
   public:
     using Heard = std::function<void(const Header&, const proto::ToClient&)>;

@@ -223,8 +223,7 @@ void RawPaths::run() {
         lock.unlock();
         auto next = std::min(turn(), clock_.now() + kLongestSleep);
         const auto paths = links_.paths();
-        for (const auto& [entity, path] : *paths)
-            next = std::min(next, path->beatIfDue(false, true).first);
+        for (const auto& [entity, path] : *paths) next = std::min(next, path->beatIfDue(false, true).first);
         lock.lock();
         woken_.wait_for(lock, std::max(next - clock_.now(), Duration{}),
                         [this] { return changed_ || closing_; });

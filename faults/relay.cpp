@@ -217,7 +217,8 @@ class Relay::Pump {
         while (true) {
             sockaddr_in peer{};
             socklen_t size = sizeof peer;
-            const int from = ::accept4(fd, reinterpret_cast<sockaddr*>(&peer), &size, SOCK_NONBLOCK | SOCK_CLOEXEC);
+            const int from =
+                ::accept4(fd, reinterpret_cast<sockaddr*>(&peer), &size, SOCK_NONBLOCK | SOCK_CLOEXEC);
             if (from < 0) return;
             const auto diverted = diverted_.find(peer.sin_addr.s_addr);
             const auto hop = diverted != diverted_.end() ? diverted->second : listener.hop;

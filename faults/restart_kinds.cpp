@@ -77,7 +77,8 @@ class Hardship {
         rejoin(false);
     }
 
-    /// In half of the cases, what comes next goes by the direct path; otherwise by whichever way is open by then.
+    /// In half of the cases, what comes next goes by the direct path; otherwise by whichever way is open by
+    /// then.
     void maybeDirect(const std::string& id) {
         if (run_.lab.managerOfEach() && run_.among(0, 1) == 1 && !first_->awaitDirect(id, 500ms))
             ++run_.report.counts["direct paths that did not open within 500 ms"];

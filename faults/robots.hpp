@@ -35,8 +35,8 @@ struct RobotsPlan {
     std::filesystem::path folder;  ///< for profiles, state, the log of motions
     std::size_t entities = 1;
     std::size_t first = 0, count = 0;  ///< of Entity Managers: those of this process; a count of 0 is all
-    std::string address;  ///< where applications listen, and Entity Managers look for them
-    std::string server;   ///< HOST:PORT of the entity server, for Entity Managers
+    std::string address;               ///< where applications listen, and Entity Managers look for them
+    std::string server;                ///< HOST:PORT of the entity server, for Entity Managers
 };
 
 /// A robot application with many robots: the real Entity Interfacer library, one for each. Each notes every

@@ -181,8 +181,8 @@ void stopBesideSlowDisk(Run& run) {
 }
 #endif
 
-/// One order for everything. Beats of so many moving robots as there may be are more than two cores carry, so that some
-/// of them stand; they are stopped all the same.
+/// One order for everything. Beats of so many moving robots as there may be are more than two cores carry, so
+/// that some of them stand; they are stopped all the same.
 void stopEverything(Run& run) {
     std::unique_ptr<RawClient> stopper;
     Fault fault;
@@ -367,15 +367,17 @@ std::vector<Kind> stopKinds() {
     // The master of a run: nobody else would tell its slaves.
     const Promise run_hop{kServerHop_ms, 0, "every robot of the run stops within 350 ms (watchdog + 100 ms)"};
     const auto master = [](Run& run) -> Child& { return run.lab.manager(run.lab.board().desk().master); };
-    add("kill-master", kNoTrial, "kill -9 of the Entity Manager of a run's master, while every participant moves", run_hop,
+    add("kill-master", kNoTrial,
+        "kill -9 of the Entity Manager of a run's master, while every participant moves", run_hop,
         {.daemons = true, .together = true},
-        {[master](Run& run, const Robots&) { master(run).kill(); }, [master](Run& run, const Robots&) { master(run).reap(); }});
+        {[master](Run& run, const Robots&) { master(run).kill(); },
+         [master](Run& run, const Robots&) { master(run).reap(); }});
     add("freeze-master", kNoTrial, "SIGSTOP of the Entity Manager of a run's master", run_hop,
         {.daemons = true, .together = true},
-        {[master](Run& run, const Robots&) { master(run).freeze(); }, [master](Run& run, const Robots&) { master(run).thaw(); },
-         false, false, 150ms});
-    add("cut-master", kNoTrial, "the cable between server and the Entity Manager of a run's master is cut", run_hop,
-        {.relay_managers = true, .daemons = true, .together = true, .first_master = true},
+        {[master](Run& run, const Robots&) { master(run).freeze(); },
+         [master](Run& run, const Robots&) { master(run).thaw(); }, false, false, 150ms});
+    add("cut-master", kNoTrial, "the cable between server and the Entity Manager of a run's master is cut",
+        run_hop, {.relay_managers = true, .daemons = true, .together = true, .first_master = true},
         {[](Run& run, const Robots&) { run.lab.relay().cut(Hop::Master); },
          [](Run& run, const Robots&) { run.lab.relay().heal(Hop::Master); }, false, false, 100ms});
 

@@ -8,8 +8,8 @@
 #include <algorithm>
 #include <atomic>
 #include <condition_variable>
-#include <deque>
 #include <cstring>
+#include <deque>
 #include <exception>
 #include <mutex>
 #include <stdexcept>
@@ -330,7 +330,8 @@ class Cameras::Studio {
     }
 
     Picture draw(Renderer& renderer, const Order& order) {
-        const auto tracks = order.still ? std::span<const Track>(order.still->tracks) : std::span<const Track>();
+        const auto tracks =
+            order.still ? std::span<const Track>(order.still->tracks) : std::span<const Track>();
         if (order.view < robots_) {
             return renderer.draw(model_.get(), data_.get(), PhysicsView::cameraName(order.view), kWidth,
                                  kHeight, 1, tracks);

@@ -28,10 +28,10 @@ namespace axon::lab {
 namespace {
 
 constexpr Duration kTick = Pace::kTick;
-constexpr Duration kShortestTick = std::chrono::milliseconds{1};  // when time goes fast
+constexpr Duration kShortestTick = std::chrono::milliseconds{1};   // when time goes fast
 constexpr Duration kTruthPeriod = std::chrono::milliseconds{100};  // of the world
-// Of the world. Who has other clocks sees it jump back by what is given up; programs on the laboratory's own time see nothing, and would be
-// late themselves if it caught up.
+// Of the world. Who has other clocks sees it jump back by what is given up; programs on the laboratory's own
+// time see nothing, and would be late themselves if it caught up.
 constexpr Duration kLongestLag = std::chrono::milliseconds{250};
 constexpr Duration kLongestSilentLoss = std::chrono::seconds{1};  // and a tenth of its age
 constexpr double kStepRate = 100;  // told while a step is carried out as fast as the physics can
@@ -465,9 +465,7 @@ class LabServer::Loop final : Control::Operator {
         }
     }
 
-    static void finish(ControlClient& client) try {
-        client.work.get();
-    } catch (const std::exception& error) {
+    static void finish(ControlClient& client) try { client.work.get(); } catch (const std::exception& error) {
         client.held = Control::failed(error);
     }
 

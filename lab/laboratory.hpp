@@ -59,8 +59,8 @@ class Laboratory {
     /// Ground truth, obstacles, faults, placing: for experimenters and judges. Between steps only.
     Physics& physics() { return physics_; }
     const Physics& physics() const { return physics_; }
-    /// The world as it was in the beginning. Sessions, motions and now() go on, as when robots are carried back;
-    /// arms are switched off and on.
+    /// The world as it was in the beginning. Sessions, motions and now() go on, as when robots are carried
+    /// back; arms are switched off and on.
     void reset();
 
   private:

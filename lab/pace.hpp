@@ -7,14 +7,15 @@
 
 namespace axon::lab {
 
-/// How far the world is to be stepped so that it keeps pace with a clock times a speed. After a moment in which this
-/// program had no processor it catches up in slices, so that clients are heard in between: commands that came
-/// meanwhile belong to their own moments, and an arm that hears of five of them at once jumps. What is longer behind
-/// than the lag allowed is given up; the world never races after it.
+/// How far the world is to be stepped so that it keeps pace with a clock times a speed. After a moment in
+/// which this program had no processor it catches up in slices, so that clients are heard in between:
+/// commands that came meanwhile belong to their own moments, and an arm that hears of five of them at once
+/// jumps. What is longer behind than the lag allowed is given up; the world never races after it.
 class Pace {
   public:
-    static constexpr Duration kSlice = std::chrono::milliseconds{20};  // of the world between two looks at clients
-    static constexpr Duration kTick = std::chrono::milliseconds{8};    // of the clock between two looks at it
+    static constexpr Duration kSlice =
+        std::chrono::milliseconds{20};  // of the world between two looks at clients
+    static constexpr Duration kTick = std::chrono::milliseconds{8};  // of the clock between two looks at it
 
     /// `least_lag`: of the world, allowed at any speed; three ticks always are.
     explicit Pace(Duration least_lag) : least_lag_(least_lag) {}
@@ -26,9 +27,9 @@ class Pace {
     }
 
     struct Order {
-        Duration until{};       ///< the age to step to before clients are served
-        bool behind = false;    ///< it is not enough: ask again without waiting
-        Duration given_up{};    ///< of the world
+        Duration until{};     ///< the age to step to before clients are served
+        bool behind = false;  ///< it is not enough: ask again without waiting
+        Duration given_up{};  ///< of the world
     };
     Order next(TimePoint now, Duration age, double speed) {
         auto due = age_ + std::chrono::duration_cast<Duration>((now - start_) * speed);

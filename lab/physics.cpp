@@ -346,8 +346,9 @@ class Physics::Model {
     }
 
   private:
-    /// MuJoCo 2.2.2 now and then finds a box that stands exactly flat on another one (1e-16 off) to be a metre
-    /// deep in it, and flings it away. Such a step is made anew with the objects a millionth of a radian off.
+    /// MuJoCo 2.2.2 now and then finds a box that stands exactly flat on another one (1e-16 off) to be a
+    /// metre deep in it, and flings it away. Such a step is made anew with the objects a millionth of a
+    /// radian off.
     void advance() {
         constexpr double kNonsense_m = -0.05;
         constexpr double kOff_rad = 1e-6;
@@ -357,8 +358,9 @@ class Physics::Model {
         before_.warmstart.assign(data_->qacc_warmstart, data_->qacc_warmstart + model_->nv);
         before_.time = data_->time;
         mj_step(model_.get(), data_.get());
-        const bool nonsense = std::any_of(data_->contact, data_->contact + data_->ncon,
-                                          [](const mjContact& contact) { return contact.dist < kNonsense_m; });
+        const bool nonsense =
+            std::any_of(data_->contact, data_->contact + data_->ncon,
+                        [](const mjContact& contact) { return contact.dist < kNonsense_m; });
         if (!nonsense) return;
         std::copy(before_.qpos.begin(), before_.qpos.end(), data_->qpos);
         std::copy(before_.qvel.begin(), before_.qvel.end(), data_->qvel);

@@ -163,7 +163,8 @@ TEST(Cameras, SeeWhatStandsInFrontOfThem) {
 TEST(Cameras, WhoeverTakesAPictureIsToldThatItCouldNotBeUsed) {
     Physics physics(worldWithABlock());
     Cameras cameras(physics, 1, [](std::size_t, SharedPicture, Duration) {});
-    auto taken = cameras.take(0, {}, [](const Picture& picture) { writePng("/no/such/folder/p.png", picture); });
+    auto taken =
+        cameras.take(0, {}, [](const Picture& picture) { writePng("/no/such/folder/p.png", picture); });
     EXPECT_THROW(taken.get(), std::runtime_error);
     EXPECT_FALSE(cameras.failure()) << "the next picture is drawn all the same";
 }

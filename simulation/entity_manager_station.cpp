@@ -354,15 +354,17 @@ void EntityManagerStation::passStop(const Header& head, StopCause cause) {
         if (!number) return;
         stop(*number, cause);
         wakeStrand(life.inbox.pushSignal(
-            Inbox::Signal::Passing, [this, head, number = *number] { life_->core.onDrill(head, number); }, senderKey(head.sender.id)));
+            Inbox::Signal::Passing, [this, head, number = *number] { life_->core.onDrill(head, number); },
+            senderKey(head.sender.id)));
         return;
     }
     const auto generation = life.gate.raise(head.sender.id, head.sequence);
     if (!generation) {
         if (const auto known = life.gate.raisedBy(head.sender.id, head.sequence))
-            wakeStrand(life.inbox.pushSignal(Inbox::Signal::Passing, [this, head, cause, known = *known] {
-                life_->core.onStopRepeated(head, cause, known);
-            }, senderKey(head.sender.id)));
+            wakeStrand(life.inbox.pushSignal(
+                Inbox::Signal::Passing,
+                [this, head, cause, known = *known] { life_->core.onStopRepeated(head, cause, known); },
+                senderKey(head.sender.id)));
         return;
     }
     observer_.stopRaises(entity_, head, process_.life());
@@ -381,12 +383,14 @@ void EntityManagerStation::clearSignal(std::uint64_t attempt, const Header& head
     if (hears(attempt)) passClear(head);
 }
 void EntityManagerStation::passReset(const Header& head) {
-    wakeStrand(
-        life_->inbox.pushSignal(Inbox::Signal::Passing, [this, head] { life_->core.onResetSignal(head); }, senderKey(head.sender.id)));
+    wakeStrand(life_->inbox.pushSignal(
+        Inbox::Signal::Passing, [this, head] { life_->core.onResetSignal(head); },
+        senderKey(head.sender.id)));
 }
 void EntityManagerStation::passClear(const Header& head) {
-    wakeStrand(
-        life_->inbox.pushSignal(Inbox::Signal::Passing, [this, head] { life_->core.onClearSignal(head); }, senderKey(head.sender.id)));
+    wakeStrand(life_->inbox.pushSignal(
+        Inbox::Signal::Passing, [this, head] { life_->core.onClearSignal(head); },
+        senderKey(head.sender.id)));
 }
 void EntityManagerStation::newClientUpdate(std::uint64_t attempt, const Header& head, ClientChange change) {
     if (hears(attempt))

@@ -111,14 +111,16 @@ void Liars::leave() {
 
 void Liars::lie() {
     if (timeline_.now() >= until_) return;
-    if (ears_->disconnected) return observer_.violated(Invariant::Unhurt, "a liar's session has ended, so nothing more was tried");
+    if (ears_->disconnected)
+        return observer_.violated(Invariant::Unhurt, "a liar's session has ended, so nothing more was tried");
     ++observer_.counts().lies;
     if (dice_.chance(0.5)) {
         lieAsClient();
     } else {
         lieAsEntity();
     }
-    timeline_.after(dice_.chance(0.2) ? dice_.between(1us, 2ms) : dice_.between(5ms, 250ms), outside_, [this] { lie(); });
+    timeline_.after(dice_.chance(0.2) ? dice_.between(1us, 2ms) : dice_.between(5ms, 250ms), outside_,
+                    [this] { lie(); });
 }
 
 /// Of an honest entity; empty where none is known yet.
@@ -209,7 +211,8 @@ void Liars::lieAsClient() {
     const auto all = rights();
     const auto* right = rightOf(body.body_case());
     const auto& name = dice_.chance(0.8) ? *right : all[dice_.roll(all.size())];
-    front_end.sendToEntity(client_, headTo(target, std::string(name.msg_type).c_str()), body.SerializeAsString());
+    front_end.sendToEntity(client_, headTo(target, std::string(name.msg_type).c_str()),
+                           body.SerializeAsString());
 }
 
 void Liars::lieAsEntity() {
@@ -252,7 +255,8 @@ void Liars::lieAsEntity() {
             const auto ears = std::make_shared<Ears>();
             const auto session = entities.open(ears);
             static_cast<void>(entities.attach(entity_server::EntityServerCore::token(*session), ears));
-            static_cast<void>(entities.sendBasicPrfl(session, {target.entity, "left", "ROBOT", "MOBILE"}, "\x0a\x01x"));
+            static_cast<void>(
+                entities.sendBasicPrfl(session, {target.entity, "left", "ROBOT", "MOBILE"}, "\x0a\x01x"));
             return entities.leave(session, dice_.chance(0.5), "the liar is gone");
         }
         case 3: {  // a grant to who has asked for it, or has not
@@ -280,7 +284,8 @@ void Liars::lieAsEntity() {
         }
         case 5: {
             auto& receipt = *message.mutable_receipt();
-            receipt.set_stop_id(ears_->stops.empty() ? somebody.id + ":1" : ears_->stops[dice_.roll(ears_->stops.size())]);
+            receipt.set_stop_id(ears_->stops.empty() ? somebody.id + ":1"
+                                                     : ears_->stops[dice_.roll(ears_->stops.size())]);
             receipt.set_stage(proto::StopReceipt::STANDSTILL);
             receipt.set_stop_generation(static_cast<std::uint32_t>(dice_.roll(1000)));
             return tell(kMsgReceipt, Lane::Signal);
@@ -338,7 +343,8 @@ void Liars::lieAsEntity() {
             if (dice_.chance(0.5)) head.msg_type = kMsgTask;
             break;
     }
-    entities.sendToPeer(entity_, dice_.chance(0.2) ? Lane::Signal : Lane::Data, head, body.SerializeAsString());
+    entities.sendToPeer(entity_, dice_.chance(0.2) ? Lane::Signal : Lane::Data, head,
+                        body.SerializeAsString());
 }
 
 }  // namespace axon::simulation

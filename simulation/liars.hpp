@@ -9,10 +9,11 @@
 
 namespace axon::simulation {
 
-/// A client that holds nothing and an entity, both logged in, that say whatever their sessions let them: orders under leases of
-/// others, holders and states that are not, receipts, grants and ends of leases that nobody gave, runs that nobody leads. They
-/// read what honest peers are told (ids, leases, generations) and use it. What they must not cause is for the Observer to see.
-/// They give no stops and ask for no check-outs, which are anybody's right.
+/// A client that holds nothing and an entity, both logged in, that say whatever their sessions let them:
+/// orders under leases of others, holders and states that are not, receipts, grants and ends of leases that
+/// nobody gave, runs that nobody leads. They read what honest peers are told (ids, leases, generations) and
+/// use it. What they must not cause is for the Observer to see. They give no stops and ask for no check-outs,
+/// which are anybody's right.
 ///
 /// They have no process and no network of their own: their messages are at the server's cores at once.
 class Liars {

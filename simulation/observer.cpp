@@ -42,8 +42,8 @@ std::string text(LeaseNumber lease) {
 
 const char* toString(Invariant invariant) {
     static constexpr std::array<const char*, kInvariants> kNames{
-        "one-lease", "fence", "dead-man",   "latch",   "once",
-        "too-late",  "order", "comes-back", "bounded", "journal", "unhurt"};
+        "one-lease", "fence",      "dead-man", "latch",   "once",  "too-late",
+        "order",     "comes-back", "bounded",  "journal", "unhurt"};
     return kNames[static_cast<std::size_t>(invariant)];
 }
 

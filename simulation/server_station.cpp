@@ -53,8 +53,7 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
              [status](ClientStation& to, std::uint64_t attempt) { to.newStatusMsg(attempt, status); });
     }
     bool newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) override {
-        return entityMsg(lane, direct::Keeping::Kept, head, message,
-                         senderKey(head.entity, share));
+        return entityMsg(lane, direct::Keeping::Kept, head, message, senderKey(head.entity, share));
     }
     void newEntityMsgDataSeq(const Header& head, std::string_view data) override {
         entityMsg(Lane::Data, direct::Keeping::Droppable, head, data, senderKey(head.entity));
@@ -103,7 +102,8 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
     template <class Deliver>
     bool send(Traffic traffic, std::size_t bytes, Deliver deliver, SenderKey from = kServersOwn) {
         const auto dropped = core_.counts().dropped;
-        const auto verdict = core_.offer(traffic, kOverhead + bytes, [&] { return Parcel(deliver); }, from);
+        const auto verdict = core_.offer(
+            traffic, kOverhead + bytes, [&] { return Parcel(deliver); }, from);
         counts_.slow_dropped += core_.counts().dropped - dropped;
         if (verdict == Core::Verdict::Send) {
             launch(traffic, kOverhead + bytes, from, std::move(deliver));
@@ -133,7 +133,8 @@ class ToClientOutbox final : public front_end_server::ClientOutbox,
         unwritten_.pop_front();
         core_.sent(traffic, bytes, from);
         if (!core_.startPump()) return;
-        while (auto item = core_.next()) launch(item->traffic, item->bytes, item->from, std::move(item->parcel));
+        while (auto item = core_.next())
+            launch(item->traffic, item->bytes, item->from, std::move(item->parcel));
     }
 
     Process& server_;
@@ -172,10 +173,12 @@ class ToEntityOutbox final : public entity_server::EntityOutbox {
         });
     }
     bool resetSignal(const Header& head) override {
-        return send([head](EntityManagerStation& to, std::uint64_t attempt) { to.resetSignal(attempt, head); });
+        return send(
+            [head](EntityManagerStation& to, std::uint64_t attempt) { to.resetSignal(attempt, head); });
     }
     bool clearSignal(const Header& head) override {
-        return send([head](EntityManagerStation& to, std::uint64_t attempt) { to.clearSignal(attempt, head); });
+        return send(
+            [head](EntityManagerStation& to, std::uint64_t attempt) { to.clearSignal(attempt, head); });
     }
     void newClientUpdate(const Header& head, ClientChange change) override {
         send([head, change](EntityManagerStation& to, std::uint64_t attempt) {
@@ -456,7 +459,8 @@ void ServerStation::sendToClient(EntitySession& session, Lane lane, const Header
                                  const std::string& bytes) {
     if (!session.ended) life_->entities.sendToClient(session.ref, lane, head, bytes);
 }
-void ServerStation::sendToPeer(EntitySession& session, Lane lane, const Header& head, const std::string& bytes) {
+void ServerStation::sendToPeer(EntitySession& session, Lane lane, const Header& head,
+                               const std::string& bytes) {
     if (!session.ended) life_->entities.sendToPeer(session.ref, lane, head, bytes);
 }
 void ServerStation::sendToClientDataSeq(EntitySession& session, const Header& head,

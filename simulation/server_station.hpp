@@ -99,7 +99,8 @@ class ServerStation {
     SeededRandom random_;
     Alarm alarm_;
     std::unique_ptr<Life> life_;
-    // Of all lives; they never shrink, for peers hold pointers, and may show one of an earlier life to a later one.
+    // Of all lives; they never shrink, for peers hold pointers, and may show one of an earlier life to a
+    // later one.
     std::deque<ClientSession> client_sessions_;
     std::deque<EntitySession> entity_sessions_;
 };

@@ -480,7 +480,8 @@ TEST(Simulation, ASeedReplaysToTheLastEvent) {
     }
 }
 
-/// An application that froze within a second of its handshake was sought twice at once, and never linked again.
+/// An application that froze within a second of its handshake was sought twice at once, and never linked
+/// again.
 TEST(Simulation, AnApplicationThatFreezesSoonAfterItsHandshakeComesBack) {
     for (const std::uint64_t seed : {8392U, 16345U}) {
         const auto outcome = World(seed, Faults::Pause).run();

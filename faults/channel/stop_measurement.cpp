@@ -31,7 +31,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr std::size_t kStopBytes = 8;  // number of the flow, number of the stop
+constexpr std::size_t kStopBytes = 8;          // number of the flow, number of the stop
 constexpr std::uint32_t kNoStop = 0xffffffff;  // a heartbeat
 constexpr auto kSetUp = 60s;
 
@@ -207,9 +207,8 @@ class Datagrams {
         sides.enter(Side::Right);
         right_ = std::make_unique<datagrams::DatagramLane>(
             "right", datagrams::Endpoint{*datagrams::parseAddress(TwoSides::kRight), 0}, clock_,
-            [this](const datagrams::DatagramLane& lane, const datagrams::Endpoint& from, std::string_view bytes) {
-                return received(lane, from, bytes);
-            },
+            [this](const datagrams::DatagramLane& lane, const datagrams::Endpoint& from,
+                   std::string_view bytes) { return received(lane, from, bytes); },
             nullptr);
         sides.enter(Side::Left);
         for (std::size_t flow = 0; flow < flows; ++flow) {
@@ -248,7 +247,8 @@ class Datagrams {
             lane.send(out.to, {out.bytes.data(), out.bytes.size()});
         }
     }
-    bool received(const datagrams::DatagramLane& lane, const datagrams::Endpoint& from, std::string_view bytes) {
+    bool received(const datagrams::DatagramLane& lane, const datagrams::Endpoint& from,
+                  std::string_view bytes) {
         const auto lease = datagrams::leaseOf(bytes);
         if (!lease || static_cast<std::size_t>(lease->number) > sentries_.size()) return false;
         const auto flow = static_cast<std::size_t>(lease->number) - 1;

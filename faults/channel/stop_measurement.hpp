@@ -20,7 +20,8 @@ struct Way {
 struct Workload {
     std::size_t stops = 2000;
     std::size_t flows = 100;  ///< connections, each with isolated stops of its own
-    /// Small messages ahead of the first stop, as heartbeats are: the kernel needs them to find its time-outs.
+    /// Small messages ahead of the first stop, as heartbeats are: the kernel needs them to find its
+    /// time-outs.
     std::size_t heartbeats = 40;
     Duration heartbeat = std::chrono::milliseconds{50};
     /// Between two stops of a flow, from half to one and a half times this.

@@ -58,7 +58,8 @@ TEST(SerialStreamTest, CarriesEveryByteUnchangedBothWays) {
     auto stream = std::move(opened).value();
     std::array<std::uint8_t, 100> chunk{};
     EXPECT_EQ(stream->read(chunk), 0);
-    // What a line discipline would change: end of file, carriage return, line feed, interrupt, XOFF, the eighth bit.
+    // What a line discipline would change: end of file, carriage return, line feed, interrupt, XOFF, the
+    // eighth bit.
     const std::array<std::uint8_t, 6> bytes{0x04, 0x0D, 0x0A, 0x03, 0x13, 0xFA};
     ASSERT_EQ(::write(robot.descriptor(), bytes.data(), bytes.size()), 6);
     EXPECT_THAT(readFrom(*stream), ElementsAre(0x04, 0x0D, 0x0A, 0x03, 0x13, 0xFA));

@@ -42,8 +42,9 @@ int main(int argc, char** argv) {
         ->capture_default_str()
         ->check(CLI::Range(0, 10000));
     app.add_option("--profiles", settings.profiles, "Folder with basic_profile.xml and services_profile.xml");
-    app.add_option("--resources", settings.resources,
-                   "Folders in which the absolute urls of resources in the services profile may lead; none by default");
+    app.add_option(
+        "--resources", settings.resources,
+        "Folders in which the absolute urls of resources in the services profile may lead; none by default");
     try {
         app.parse(argc, argv);
     } catch (const CLI::ParseError& error) {

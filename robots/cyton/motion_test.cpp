@@ -391,7 +391,8 @@ TEST(PickAndPlace, WhatIsCarriedIsHeldLevelWhereverTheArmReaches) {
         ASSERT_EQ(carry.name, "carrying it");
         const double before = kinematics.forward(carry.way.at(0).joints).approach[2];
         for (double t = 0; t < carry.way.duration_s(); t += 0.05)
-            EXPECT_NEAR(std::acos(kinematics.forward(carry.way.at(t).joints).approach[2]), std::acos(before), radians(46));
+            EXPECT_NEAR(std::acos(kinematics.forward(carry.way.at(t).joints).approach[2]), std::acos(before),
+                        radians(46));
     }
 }
 

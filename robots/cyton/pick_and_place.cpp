@@ -21,7 +21,8 @@ constexpr double kLargestTurn_rad = 0.35;  // of a joint on one step: more is an
 constexpr double kArmClearance = 0.030;    // half as thick as the arm
 constexpr double kHandClearance = 0.012;
 constexpr double kCareful = 0.4;  // of the speed, close to the object
-constexpr double kLevel_rad = radians(45);  // what is round turns between the claws when it is carried upside down
+constexpr double kLevel_rad =
+    radians(45);  // what is round turns between the claws when it is carried upside down
 constexpr double kTilts_deg[] = {0, 10, 20, 30, 40, 50, 60, 70, 80, 90};
 constexpr double kYawTolerance_rad = radians(50);  // between the tool's plane and the line from the arm
 
@@ -99,12 +100,14 @@ double tiltOn(const Kinematics& kinematics, const std::vector<Joints>& way) {
     const auto axes = [&](const Joints& joints) {
         const auto tool = kinematics.forward(joints);
         const auto& [a, c] = std::pair{tool.approach, tool.closing};
-        return std::array<Point, 3>{a, c, {a[1] * c[2] - a[2] * c[1], a[2] * c[0] - a[0] * c[2], a[0] * c[1] - a[1] * c[0]}};
+        return std::array<Point, 3>{
+            a, c, {a[1] * c[2] - a[2] * c[1], a[2] * c[0] - a[0] * c[2], a[0] * c[1] - a[1] * c[0]}};
     };
     const auto held = axes(way.front());
     double least = 1;  // cosine
     for (std::size_t leg = 1; leg < way.size(); ++leg) {
-        const int steps = std::max(1, static_cast<int>(std::ceil(largestDifference(way[leg - 1], way[leg]) / 0.1)));
+        const int steps =
+            std::max(1, static_cast<int>(std::ceil(largestDifference(way[leg - 1], way[leg]) / 0.1)));
         for (int i = 1; i <= steps; ++i) {
             const auto now = axes(between(way[leg - 1], way[leg], static_cast<double>(i) / steps));
             double up = 0;  // of the object's axis, which is the world's at the beginning
@@ -122,7 +125,8 @@ std::optional<std::vector<Joints>> way(const Kinematics& kinematics, const Joint
     // Turned about the arm's axis first or last: what is held stays as it is meanwhile.
     for (auto turned : {from, to}) {
         turned[0] = turned[0] == from[0] ? to[0] : from[0];
-        if (clearWay(kinematics, from, turned, surroundings) && clearWay(kinematics, turned, to, surroundings))
+        if (clearWay(kinematics, from, turned, surroundings) &&
+            clearWay(kinematics, turned, to, surroundings))
             return std::vector{from, turned, to};
     }
     // By way of postures above everything: upright, turned as at the beginning or at the end.
@@ -244,13 +248,15 @@ class Planner {
     }
 
   private:
-    /// Looks at so many postures for each end. A plan that carries the object level, or nothing and perhaps a `best`.
+    /// Looks at so many postures for each end. A plan that carries the object level, or nothing and perhaps a
+    /// `best`.
     std::optional<PickAndPlacePlan> search(int postures, std::optional<PickAndPlacePlan>& best) {
         for (const double tilt_deg : kTilts_deg) {
             const double tilt = radians(tilt_deg);
             const double grip = std::max(gripHeight(request_, tilt), leastGripHeight(tilt));
             if (grip > request_.height) continue;
-            for (const auto& pick : solve(request_.pick, request_.pick_yaw, tilt, grip, std::nullopt, postures)) {
+            for (const auto& pick :
+                 solve(request_.pick, request_.pick_yaw, tilt, grip, std::nullopt, postures)) {
                 pick_reached_ = true;
                 std::optional<double> place_yaw;
                 if (request_.place_yaw) {
@@ -310,7 +316,8 @@ class Planner {
                 wanted = *like;
                 wanted[0] = roll;
             }
-            for (const auto& at : kinematics_.solutions(stand.pose, wanted, {.starts = 25 * postures, .solutions = 2 * postures})) {
+            for (const auto& at : kinematics_.solutions(
+                     stand.pose, wanted, {.starts = 25 * postures, .solutions = 2 * postures})) {
                 std::optional<std::vector<Joints>> back;
                 for (const double far : kApproaches) {
                     back = line(kinematics_, stand.pose, stand.pose.position - far * stand.pose.approach, at);

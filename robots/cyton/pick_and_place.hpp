@@ -42,9 +42,11 @@ std::string objection(const PickAndPlaceRequest& request);
 /// down is tried first, then further and further outwards. The whole way is checked: joints within limits,
 /// arm, hand and object above the plane of the base, off the surface below the object (taken to be 0.12 m
 /// wide) and off the object itself while it stands. What else stands around, nobody here knows. Of the ways
-/// looked at one is taken that tilts the object by no more than 45 degrees, or else the one that tilts it least.
+/// looked at one is taken that tilts the object by no more than 45 degrees, or else the one that tilts it
+/// least.
 ///
-/// Takes up to two seconds where it finds nothing, and some seconds where it finds none that is level; `cancelled` is asked in between. Refuses with the reason.
+/// Takes up to two seconds where it finds nothing, and some seconds where it finds none that is level;
+/// `cancelled` is asked in between. Refuses with the reason.
 Result<PickAndPlacePlan> planPickAndPlace(Kinematics& kinematics, const PickAndPlaceRequest& request,
                                           const Posture& start, const std::function<bool()>& cancelled = {});
 

@@ -56,7 +56,8 @@ class RuleParser {
             if (!words_.empty()) statement();
             begin = end + 1;
         }
-        if (engine_.rules_.empty()) fail("there is no rule: expected lines such as \"rule if front is near then speed is stop\"");
+        if (engine_.rules_.empty())
+            fail("there is no rule: expected lines such as \"rule if front is near then speed is stop\"");
         return std::move(engine_);
     }
 
@@ -96,12 +97,15 @@ class RuleParser {
         static constexpr std::string_view kWords[] = {"if", "is", "not", "and", "then", "weight", ","};
         if (std::find(std::begin(kWords), std::end(kWords), name) != std::end(kWords))
             fail(fmt::format("\"{}\" cannot be a name, it is a word of rules", name));
-        if (std::find(taken.begin(), taken.end(), name) != taken.end()) fail(fmt::format("there is a \"{}\" already", name));
+        if (std::find(taken.begin(), taken.end(), name) != taken.end())
+            fail(fmt::format("there is a \"{}\" already", name));
         return name;
     }
-    std::size_t find(std::string_view kind, const std::string& name, const std::vector<std::string>& names) const {
+    std::size_t find(std::string_view kind, const std::string& name,
+                     const std::vector<std::string>& names) const {
         const auto found = std::find(names.begin(), names.end(), name);
-        if (found == names.end()) fail(fmt::format("there is no {} \"{}\": there are {}", kind, name, fmt::join(names, ", ")));
+        if (found == names.end())
+            fail(fmt::format("there is no {} \"{}\": there are {}", kind, name, fmt::join(names, ", ")));
         return static_cast<std::size_t>(found - names.begin());
     }
 
@@ -109,7 +113,8 @@ class RuleParser {
         const auto word = next("a statement");
         if (word == "conjunction") {
             const auto kind = next("min or product");
-            if (kind != "min" && kind != "product") fail(fmt::format("conjunction {}: expected min or product", kind));
+            if (kind != "min" && kind != "product")
+                fail(fmt::format("conjunction {}: expected min or product", kind));
             engine_.product_ = kind == "product";
         } else if (word == "input") {
             engine_.input_names_.push_back(newName("the input's name", engine_.input_names_));
@@ -226,8 +231,10 @@ Engine Engine::load(const std::filesystem::path& file) {
 }
 
 std::vector<double> Engine::evaluate(std::span<const double> values) const {
-    if (values.size() != input_names_.size() || std::any_of(values.begin(), values.end(), [](double v) { return std::isnan(v); }))
-        throw std::invalid_argument(fmt::format("{}: expected a number for each of {}", name_, fmt::join(input_names_, ", ")));
+    if (values.size() != input_names_.size() ||
+        std::any_of(values.begin(), values.end(), [](double v) { return std::isnan(v); }))
+        throw std::invalid_argument(
+            fmt::format("{}: expected a number for each of {}", name_, fmt::join(input_names_, ", ")));
     std::vector<double> sum(output_names_.size());
     std::vector<double> weights(output_names_.size());
     for (const auto& rule : rules_) {
@@ -243,15 +250,17 @@ std::vector<double> Engine::evaluate(std::span<const double> values) const {
             weights[conclusion.output] += truth;
         }
     }
-    for (std::size_t i = 0; i < sum.size(); ++i) sum[i] = weights[i] > 0 ? sum[i] / weights[i] : otherwise_[i];
+    for (std::size_t i = 0; i < sum.size(); ++i)
+        sum[i] = weights[i] > 0 ? sum[i] / weights[i] : otherwise_[i];
     return sum;
 }
 
 void Engine::require(const std::vector<std::string>& inputs, const std::vector<std::string>& outputs) const {
     if (inputs == input_names_ && outputs == output_names_) return;
-    throw BadRules(fmt::format("{}:0: the program needs the inputs {} and the outputs {}, in this order; the rules have {} and {}", name_,
-                               fmt::join(inputs, ", "), fmt::join(outputs, ", "), fmt::join(input_names_, ", "),
-                               fmt::join(output_names_, ", ")));
+    throw BadRules(fmt::format(
+        "{}:0: the program needs the inputs {} and the outputs {}, in this order; the rules have {} and {}",
+        name_, fmt::join(inputs, ", "), fmt::join(outputs, ", "), fmt::join(input_names_, ", "),
+        fmt::join(output_names_, ", ")));
 }
 
 }  // namespace axon::fuzzy

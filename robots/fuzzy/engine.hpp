@@ -14,11 +14,11 @@ class BadRules : public std::runtime_error {
     using std::runtime_error::runtime_error;
 };
 
-/// A zero-order Sugeno system: fuzzy sets over the inputs, rules, and for each output the mean of the constants
-/// that the rules conclude, weighted by how far each rule holds (T. Takagi and M. Sugeno, "Fuzzy identification
-/// of systems and its applications to modeling and control", IEEE Trans. SMC 15(1), 1985). Small on purpose: no
-/// "or" (write two rules), no defuzzification of areas, hence no centroid that drives a robot straight at what
-/// it should pass on either side.
+/// A zero-order Sugeno system: fuzzy sets over the inputs, rules, and for each output the mean of the
+/// constants that the rules conclude, weighted by how far each rule holds (T. Takagi and M. Sugeno, "Fuzzy
+/// identification of systems and its applications to modeling and control", IEEE Trans. SMC 15(1), 1985).
+/// Small on purpose: no "or" (write two rules), no defuzzification of areas, hence no centroid that drives a
+/// robot straight at what it should pass on either side.
 ///
 /// Rules are read from text, a statement a line, `#` begins a comment:
 ///
@@ -42,13 +42,14 @@ class Engine {
     /// Throws BadRules, also when the file cannot be read.
     static Engine load(const std::filesystem::path& file);
 
-    /// The outputs in the order of the text, for inputs in the order of the text; as many as inputs() has, and
-    /// none of them NaN (std::invalid_argument).
+    /// The outputs in the order of the text, for inputs in the order of the text; as many as inputs() has,
+    /// and none of them NaN (std::invalid_argument).
     std::vector<double> evaluate(std::span<const double> values) const;
 
     const std::vector<std::string>& inputs() const { return input_names_; }
     const std::vector<std::string>& outputs() const { return output_names_; }
-    /// Throws BadRules when inputs or outputs are not exactly these, in this order: for programs that feed them.
+    /// Throws BadRules when inputs or outputs are not exactly these, in this order: for programs that feed
+    /// them.
     void require(const std::vector<std::string>& inputs, const std::vector<std::string>& outputs) const;
 
     /// How far a value belongs to a set: 0 up to a, rising to 1 at b, 1 up to c, falling to 0 at d. Infinite

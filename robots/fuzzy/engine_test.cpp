@@ -68,21 +68,27 @@ rule if a is high then y is no weight 0.5
 )";
     const std::vector values{0.5, 0.6};
     EXPECT_DOUBLE_EQ(Engine::parse(text, "min").evaluate(values).at(0), 0.4 / (0.4 + 0.25));
-    EXPECT_DOUBLE_EQ(Engine::parse("conjunction product\n" + text, "product").evaluate(values).at(0), 0.2 / (0.2 + 0.25));
+    EXPECT_DOUBLE_EQ(Engine::parse("conjunction product\n" + text, "product").evaluate(values).at(0),
+                     0.2 / (0.2 + 0.25));
 }
 
 TEST(FuzzyEngine, ErrorsNameFileAndLineAndWhatWasExpected) {
     EXPECT_THAT(complaint(""), HasSubstr("there is no rule"));
-    EXPECT_THAT(complaint("input a\nterm x bellow 1 2"), HasSubstr("x.rules:2: \"bellow\": expected below, above"));
+    EXPECT_THAT(complaint("input a\nterm x bellow 1 2"),
+                HasSubstr("x.rules:2: \"bellow\": expected below, above"));
     EXPECT_THAT(complaint("input a\nterm x below 1 zwei"), HasSubstr("x.rules:2: \"zwei\" where"));
     EXPECT_THAT(complaint("input a\nterm x below 3 2"), HasSubstr("must not descend"));
     EXPECT_THAT(complaint("term x below 3 2"), HasSubstr("belongs below an input"));
     EXPECT_THAT(complaint("input a\ninput a"), HasSubstr("x.rules:2: there is a \"a\" already"));
-    EXPECT_THAT(complaint("input a\nterm x below 1 2\nrule if b is x then y is z"), HasSubstr("x.rules:3: there is no input \"b\": there are a"));
-    EXPECT_THAT(complaint("input a\nterm x below 1 2\nrule if a is"), HasSubstr("the line ends where a term"));
+    EXPECT_THAT(complaint("input a\nterm x below 1 2\nrule if b is x then y is z"),
+                HasSubstr("x.rules:3: there is no input \"b\": there are a"));
+    EXPECT_THAT(complaint("input a\nterm x below 1 2\nrule if a is"),
+                HasSubstr("the line ends where a term"));
     EXPECT_THAT(complaint("output y"), HasSubstr("its value when no rule holds"));
-    EXPECT_THAT(complaint(std::string(kSmall) + "rule if distance is far then speed is fast faster"), HasSubstr("too much"));
-    EXPECT_THAT(complaint(std::string(kSmall) + "rule if distance is far then speed is fast, speed is stop"), HasSubstr("two things"));
+    EXPECT_THAT(complaint(std::string(kSmall) + "rule if distance is far then speed is fast faster"),
+                HasSubstr("too much"));
+    EXPECT_THAT(complaint(std::string(kSmall) + "rule if distance is far then speed is fast, speed is stop"),
+                HasSubstr("two things"));
     EXPECT_THAT(complaint("hello"), HasSubstr("x.rules:1: \"hello\": expected conjunction"));
     EXPECT_THROW(Engine::load("no/such.rules"), BadRules);
 }

@@ -13,8 +13,8 @@
 namespace axon::fuzzy {
 namespace {
 
-/// The same rules in fuzzylite's language (FLL). Reads the lines on its own, so that a mistake of the engine's reader
-/// is not repeated here.
+/// The same rules in fuzzylite's language (FLL). Reads the lines on its own, so that a mistake of the
+/// engine's reader is not repeated here.
 std::string inFuzzyliteLanguage(const std::string& file) {
     std::ifstream in(file);
     std::string engine = "Engine: robot\n";
@@ -31,12 +31,14 @@ std::string inFuzzyliteLanguage(const std::string& file) {
             conjunction = name == "product" ? "AlgebraicProduct" : "Minimum";
         } else if (kind == "input") {
             words >> name;
-            engine += fmt::format("InputVariable: {}\n  enabled: true\n  range: -10000 10000\n  lock-range: false\n", name);
+            engine += fmt::format(
+                "InputVariable: {}\n  enabled: true\n  range: -10000 10000\n  lock-range: false\n", name);
         } else if (kind == "output") {
             double otherwise = 0;
             words >> name >> otherwise;
             engine += fmt::format(
-                "OutputVariable: {}\n  enabled: true\n  range: -10000 10000\n  lock-range: false\n  aggregation: none\n"
+                "OutputVariable: {}\n  enabled: true\n  range: -10000 10000\n  lock-range: false\n  "
+                "aggregation: none\n"
                 "  defuzzifier: WeightedAverage TakagiSugeno\n  default: {}\n  lock-previous: false\n",
                 name, otherwise);
         } else if (kind == "term") {
@@ -64,7 +66,8 @@ std::string inFuzzyliteLanguage(const std::string& file) {
         } else if (kind == "rule") {
             std::string rule = line.substr(line.find("if"));
             // A comma joins conclusions in ours, "and" in fuzzylite's.
-            for (auto at = rule.find(','); at != std::string::npos; at = rule.find(',')) rule.replace(at, 1, " and");
+            for (auto at = rule.find(','); at != std::string::npos; at = rule.find(','))
+                rule.replace(at, 1, " and");
             if (const auto at = rule.find(" weight "); at != std::string::npos) rule.replace(at, 8, " with ");
             rules += "  rule: " + rule + "\n";
         }

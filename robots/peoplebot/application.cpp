@@ -158,7 +158,8 @@ Application::Application(const Settings& settings, std::shared_ptr<const Clock> 
         .stop = [this] { return robot_->stop(); },
     });
     grasp_ = std::make_unique<GraspServices>(
-        GraspServices::Parts{entity_, clock_, *gate_, [this]() -> arcos::ArcosClient& { return *robot_; }}, settings.camera);
+        GraspServices::Parts{entity_, clock_, *gate_, [this]() -> arcos::ArcosClient& { return *robot_; }},
+        settings.camera);
     offerServices();
     setServicesActive(false, "the robot is not connected yet");
     // Two steps: its callbacks use robot_.
@@ -219,7 +220,8 @@ void Application::offerServices() {
 }
 
 Decision Application::consider(const Task& task) const {
-    if (!robot_->state().online) return Decision::robotLost("the robot is not connected: is it switched on, is its address right?");
+    if (!robot_->state().online)
+        return Decision::robotLost("the robot is not connected: is it switched on, is its address right?");
     const auto service = services_.find(task.service());
     if (service == services_.end()) return Decision::grant();
     try {
@@ -303,32 +305,38 @@ void Application::offerNavigation() {
             return objection;
         },
         [this](Task& task) { navigate(task); });
-    entity_.onResource([this](const std::string& service, const std::string& resource, const std::filesystem::path& file) {
-        if (service != kNavigation || resource != kMap) return Decision::grant();
-        try {
-            planOf(file);
-            return Decision::grant();
-        } catch (const std::exception& error) {
-            return Decision::deny(error.what());
-        }
-    });
+    entity_.onResource(
+        [this](const std::string& service, const std::string& resource, const std::filesystem::path& file) {
+            if (service != kNavigation || resource != kMap) return Decision::grant();
+            try {
+                planOf(file);
+                return Decision::grant();
+            } catch (const std::exception& error) {
+                return Decision::deny(error.what());
+            }
+        });
 }
 
 std::shared_ptr<const FloorPlan> Application::planOf(const std::filesystem::path& file) const {
-    if (file.empty()) throw std::invalid_argument("Navigation needs a map: upload one made with Mapper3 as the resource Map");
+    if (file.empty())
+        throw std::invalid_argument(
+            "Navigation needs a map: upload one made with Mapper3 as the resource Map");
     std::error_code error;
     const auto written = std::filesystem::last_write_time(file, error);
     const std::lock_guard lock(read_map_mutex_);
     if (!read_map_.plan || read_map_.file != file || read_map_.written != written)
-        read_map_ = {file, written, std::make_shared<const FloorPlan>(mapper3::parseMap(contentOf(file), "map"))};
+        read_map_ = {file, written,
+                     std::make_shared<const FloorPlan>(mapper3::parseMap(contentOf(file), "map"))};
     return read_map_.plan;
 }
 
-std::optional<Localisation::Start> Application::startOn(const std::shared_ptr<const FloorPlan>& plan, const Task& task) const {
+std::optional<Localisation::Start> Application::startOn(const std::shared_ptr<const FloorPlan>& plan,
+                                                        const Task& task) const {
     const auto told = task.text("Start", "");
     if (!told.empty()) {
         const auto at = parsePose(told, "Start");
-        if (!plan->contains({at.x_mm, at.y_mm})) throw std::invalid_argument(fmt::format("Start {} is not on the map", told));
+        if (!plan->contains({at.x_mm, at.y_mm}))
+            throw std::invalid_argument(fmt::format("Start {} is not on the map", told));
         return Localisation::Start{.pose = at};
     }
     const std::lock_guard lock(place_mutex_);
@@ -336,8 +344,10 @@ std::optional<Localisation::Start> Application::startOn(const std::shared_ptr<co
     // On another map, or for the first time: the pose is the odometry's, which drifts, above all in turns.
     if (localisation_ || start_given_) {
         if (!plan->contains({pose_.x_mm, pose_.y_mm}))
-            throw std::invalid_argument(fmt::format("the robot, at ({:.0f}, {:.0f}) mm as far as it knows, is not on this map: say where it is with Start",
-                                                    pose_.x_mm, pose_.y_mm));
+            throw std::invalid_argument(
+                fmt::format("the robot, at ({:.0f}, {:.0f}) mm as far as it knows, is not on this map: say "
+                            "where it is with Start",
+                            pose_.x_mm, pose_.y_mm));
         return Localisation::Start{.pose = pose_, .spread_mm = 350, .spread_deg = 15};
     }
     const auto scan = robot_->state().laser;
@@ -520,18 +530,22 @@ void Application::locate(const RobotState& robot) {
     if (std::exchange(odometry_began_anew_, false)) {
         // Somebody may have pushed it meanwhile.
         localisation_ = std::make_unique<Localisation>(
-            localisation_->plan(), Localisation::Start{.pose = pose_, .spread_mm = 300, .spread_deg = 10}, robot, std::random_device()());
+            localisation_->plan(), Localisation::Start{.pose = pose_, .spread_mm = 300, .spread_deg = 10},
+            robot, std::random_device()());
     }
     localisation_->update(robot);
     const auto estimate = localisation_->estimate();
     pose_ = estimate.pose;
     if (localisation_stream_.wanted()) localisation_stream_.send(toPose(estimate.pose, "map"));
     if (robot.sequence % 2 != 0) return;
-    if (quality_stream_.wanted()) quality_stream_.send(std::vector{estimate.spread_mm / 1000, estimate.spread_deg * kDegree, estimate.fit});
+    if (quality_stream_.wanted())
+        quality_stream_.send(
+            std::vector{estimate.spread_mm / 1000, estimate.spread_deg * kDegree, estimate.fit});
     if (particles_stream_.wanted()) {
         std::vector<double> flat;
         for (const auto& particle : localisation_->particles(kParticlesShown))
-            flat.insert(flat.end(), {particle.x_mm / 1000, particle.y_mm / 1000, std::remainder(particle.heading_deg, 360.0) * kDegree});
+            flat.insert(flat.end(), {particle.x_mm / 1000, particle.y_mm / 1000,
+                                     std::remainder(particle.heading_deg, 360.0) * kDegree});
         particles_stream_.send(flat);
     }
 }
@@ -549,7 +563,9 @@ void Application::publish(const RobotState& robot) {
         scan.start_angle = laser.start_deg * kDegree;
         scan.step = laser.step_deg * kDegree;
         scan.max_range = kLaserReach_m;
-        for (const auto range_mm : laser.ranges_mm) scan.ranges.push_back(std::min(static_cast<float>(range_mm) / 1000, static_cast<float>(kLaserReach_m)));
+        for (const auto range_mm : laser.ranges_mm)
+            scan.ranges.push_back(
+                std::min(static_cast<float>(range_mm) / 1000, static_cast<float>(kLaserReach_m)));
         laser_stream_.send(scan);
     }
     if (sonar_stream_.wanted()) {

@@ -70,7 +70,8 @@ class Application {
     std::shared_ptr<const FloorPlan> planOf(const std::filesystem::path& file) const;
     /// Where the robot is on a map: what the task says, else what is known, else startFromHome(). Nothing:
     /// the present localisation is on this map. Throws std::invalid_argument with the remedy.
-    std::optional<Localisation::Start> startOn(const std::shared_ptr<const FloorPlan>& plan, const Task& task) const;
+    std::optional<Localisation::Start> startOn(const std::shared_ptr<const FloorPlan>& plan,
+                                               const Task& task) const;
 
     // On the stop thread.
     void onStop();
@@ -123,9 +124,9 @@ class Application {
     mutable std::mutex read_map_mutex_;
     mutable ReadMap read_map_;  // guarded by read_map_mutex_: the last one
 
-    mutable std::mutex place_mutex_;  // held for some milliseconds while a scan is weighed
-    MapPose origin_;                  // of the odometry; guarded by place_mutex_
-    MapPose pose_;                    // guarded by place_mutex_
+    mutable std::mutex place_mutex_;              // held for some milliseconds while a scan is weighed
+    MapPose origin_;                              // of the odometry; guarded by place_mutex_
+    MapPose pose_;                                // guarded by place_mutex_
     std::unique_ptr<Localisation> localisation_;  // guarded by place_mutex_; none until a map was used
     bool odometry_began_anew_ = false;            // guarded by place_mutex_
 

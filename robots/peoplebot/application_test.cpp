@@ -38,14 +38,16 @@ class ApplicationTest : public ::testing::Test {
         Settings settings;
         settings.robot = lab_->address("PeopleBot");
         if (serial_) settings.laser = lab_->address("PeopleBot.laser");
-        // Pictures are tried where the laboratory is a program of its own: MRPT brings along a GL that is not OSMesa's.
+        // Pictures are tried where the laboratory is a program of its own: MRPT brings along a GL that is not
+        // OSMesa's.
         settings.camera.clear();
         settings.application = "peoplebot-test-" + std::to_string(::getpid());
         settings.ports = ports_.path();
         settings.profiles = "robots/peoplebot";
         settings.at = at_.value_or(MapPose{});
         settings.at_given = at_.has_value();
-        // This machine may stand still for a while; loss of the robot has its own tests, which close the connection.
+        // This machine may stand still for a while; loss of the robot has its own tests, which close the
+        // connection.
         settings.robot_silence_limit = std::chrono::seconds{10};
         settings.guard_silence = milliseconds{2000};
         application_ = std::make_unique<Application>(settings);
@@ -291,13 +293,15 @@ TEST_F(ApplicationTest, ANavigationThatCannotBeIsDeniedWithTheReason) {
     EXPECT_THAT(refusal("robots/peoplebot/wander.rules", {{"Destination", "west"}}), HasSubstr("2D-Map"));
     EXPECT_THAT(refusal(map, {{"Destination", "moon"}}), HasSubstr("no goal \"moon\": it has"));
     EXPECT_THAT(refusal(map, {{"Destination", "kept out"}}), HasSubstr("forbidden area"));
-    EXPECT_THAT(refusal(map, {{"Destination", "west"}, {"Start", "here"}}), HasSubstr("Start here: expected X,Y,HEADING"));
+    EXPECT_THAT(refusal(map, {{"Destination", "west"}, {"Start", "here"}}),
+                HasSubstr("Start here: expected X,Y,HEADING"));
     EXPECT_THAT(refusal(map, {{"Destination", "west"}, {"Start", "90000,0,0"}}), HasSubstr("not on the map"));
     EXPECT_TRUE(stands());
 }
 
 TEST_F(ApplicationTest, NavigationDrivesToAGoalOfTheMap) {
-    for (const char* stream : {"laser", "localisation", "localisation quality", "particles"}) manager_->watch(stream);
+    for (const char* stream : {"laser", "localisation", "localisation quality", "particles"})
+        manager_->watch(stream);
     const TemporaryFile map(kDefaultWorld);
     const auto task = navigate(map.path().string(), {{"Destination", "middle"}, {"Start", "1500,3000,0"}});
     ASSERT_TRUE(waitUntil([&] { return manager_->end(task).has_value(); }, std::chrono::seconds{60}));
@@ -308,7 +312,8 @@ TEST_F(ApplicationTest, NavigationDrivesToAGoalOfTheMap) {
     EXPECT_NEAR(lastTrue("theta_deg"), -90, 8);
     ASSERT_TRUE(manager_->told(task, "Remaining"));
     EXPECT_LT(manager_->told(task, "Remaining")->values(0).dbl(), 400);
-    for (const char* stream : {"laser", "localisation", "localisation quality", "particles"}) EXPECT_GT(manager_->samples(stream), 0) << stream;
+    for (const char* stream : {"laser", "localisation", "localisation quality", "particles"})
+        EXPECT_GT(manager_->samples(stream), 0) << stream;
 }
 
 /// Nobody has said where the robot stands.
@@ -472,9 +477,11 @@ TEST_F(GraspApplicationTest, ComesUpToTheTableAndSquaresUp) {
 
 TEST_F(GraspApplicationTest, AStopHaltsLiftAndPaddlesAndTheNextTaskMovesThemAgain) {
     const auto up = grip("up", true);
-    ASSERT_TRUE(waitUntil([&] { return manager_->progress(up) > 0.1 || manager_->end(up) || manager_->answer(up); }));
+    ASSERT_TRUE(
+        waitUntil([&] { return manager_->progress(up) > 0.1 || manager_->end(up) || manager_->answer(up); }));
     const auto generation = manager_->stop();
-    EXPECT_TRUE(waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::CALLBACK_RETURNED); }));
+    EXPECT_TRUE(
+        waitUntil([&] { return manager_->reached(generation, proto::StopReceipt::CALLBACK_RETURNED); }));
     auto end = wait(up);
     ASSERT_TRUE(end);
     EXPECT_EQ(end->state(), proto::TASK_STOPPED);
@@ -484,7 +491,8 @@ TEST_F(GraspApplicationTest, AStopHaltsLiftAndPaddlesAndTheNextTaskMovesThemAgai
 }
 
 TEST_F(GraspApplicationTest, AnUnknownColourAndNothingToDoAreDenied) {
-    const auto pink = manager_->dispatchValues("Table Object Tracking and Grabbing", {{"Color", std::string("pink")}});
+    const auto pink =
+        manager_->dispatchValues("Table Object Tracking and Grabbing", {{"Color", std::string("pink")}});
     ASSERT_TRUE(waitUntil([&] { return manager_->answer(pink).has_value(); }));
     EXPECT_THAT(manager_->answer(pink)->message(), HasSubstr("red, orange, yellow, green or blue"));
     const auto nothing = grip("none", std::nullopt);

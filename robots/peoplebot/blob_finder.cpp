@@ -50,7 +50,8 @@ std::string knownColours() {
     for (const auto& hue : kHues)
         names += std::string(names.empty() ? "" : hue.colour == Colour::Blue ? " or " : ", ") + hue.name;
     auto hues = kHues;
-    std::sort(hues.begin(), hues.end(), [](const auto& one, const auto& other) { return one.channel < other.channel; });
+    std::sort(hues.begin(), hues.end(),
+              [](const auto& one, const auto& other) { return one.channel < other.channel; });
     names += " (or their channels";
     for (const auto& hue : hues) names += std::string(", ") + hue.channel + ' ' + hue.name;
     return names + ')';
@@ -63,7 +64,8 @@ std::vector<Blob> findBlobs(const CameraPicture& picture, Colour colour, int lea
     cv::cvtColor(rgb, hsv, cv::COLOR_RGB2HSV);
     const auto within = [&hsv](int from, int to) {
         cv::Mat mask;
-        cv::inRange(hsv, cv::Scalar(from, kLeastSaturation, kLeastBrightness), cv::Scalar(to, 255, 255), mask);
+        cv::inRange(hsv, cv::Scalar(from, kLeastSaturation, kLeastBrightness), cv::Scalar(to, 255, 255),
+                    mask);
         return mask;
     };
     const auto& hue = hueOf(colour);

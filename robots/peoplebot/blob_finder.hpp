@@ -32,7 +32,8 @@ struct Blob {
     int height() const { return bottom - top + 1; }
 };
 
-/// The smallest patch that counts as an object, in a picture of 320 x 240: 28 x 80 mm at 2.5 m have 50 pixels.
+/// The smallest patch that counts as an object, in a picture of 320 x 240: 28 x 80 mm at 2.5 m have 50
+/// pixels.
 inline constexpr int kSignificantArea = 40;
 
 /// The patches of a colour that have at least this area, the largest first. Hue decides, whatever the light;

@@ -92,7 +92,8 @@ TEST(BlobFinder, NoiseShadowsAndPaleThingsHaveNoColour) {
             paint(picture, static_cast<int>(random() % 319), static_cast<int>(random() % 239), 1, 1,
                   kPaint.at(Colour::Red));
         light(picture, 0.9, 7);
-        for (const auto& [colour, rgb] : kPaint) EXPECT_TRUE(findBlobs(picture, colour).empty()) << toString(colour);
+        for (const auto& [colour, rgb] : kPaint)
+            EXPECT_TRUE(findBlobs(picture, colour).empty()) << toString(colour);
     }
 }
 

@@ -128,7 +128,7 @@ class CameraClient::Worker {
     Duration pause_ = kFirstPause;
 
     mutable std::mutex mutex_;
-    std::condition_variable news_;  // quit_ or wanted_ changed
+    std::condition_variable news_;                 // quit_ or wanted_ changed
     std::shared_ptr<const CameraPicture> newest_;  // guarded by mutex_
     std::atomic<bool> quit_ = false;               // written under mutex_
     std::atomic<bool> wanted_;                     // written under mutex_

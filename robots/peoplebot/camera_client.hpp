@@ -21,8 +21,10 @@ class CameraClient {
     static constexpr Duration kSilenceLimit = std::chrono::seconds{3};
 
     struct Callbacks {
-        std::function<void(const std::shared_ptr<const CameraPicture>&)> on_picture{};  ///< every one that is read
-        std::function<void(const std::string& reason)> on_lost{};  ///< also for each failed attempt to connect
+        std::function<void(const std::shared_ptr<const CameraPicture>&)>
+            on_picture{};  ///< every one that is read
+        std::function<void(const std::string& reason)>
+            on_lost{};  ///< also for each failed attempt to connect
     };
 
     CameraClient(const std::string& address, Callbacks callbacks, bool wanted = true,

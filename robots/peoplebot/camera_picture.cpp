@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #include "robots/peoplebot/camera_picture.hpp"
 
-#include <cstdio>  // jpeglib.h needs it first
 #include <jpeglib.h>
+#include <cstdio>  // jpeglib.h needs it first
 
 #include <algorithm>
 #include <array>
@@ -25,7 +25,9 @@ struct PpmHead {
 
 /// Nothing as long as the head is not complete.
 std::optional<PpmHead> parsePpmHead(std::span<const std::uint8_t> bytes) {
-    const auto bad = [](const char* why) { return BadPicture(std::string("the camera sends no PPM: ") + why); };
+    const auto bad = [](const char* why) {
+        return BadPicture(std::string("the camera sends no PPM: ") + why);
+    };
     std::array<int, 3> numbers{};
     std::size_t at = 0;
     for (const char expected : {'P', '6'}) {
@@ -82,7 +84,8 @@ bool PictureReader::readHead() {
         if (buffer_.size() > kLongestHead) throw BadPicture("the camera answers with no HTTP");
         return false;
     }
-    if (!status.starts_with("HTTP/1.") || status.substr(std::min<std::size_t>(8, status.size()), 5) != " 200 ")
+    if (!status.starts_with("HTTP/1.") ||
+        status.substr(std::min<std::size_t>(8, status.size()), 5) != " 200 ")
         throw BadPicture("the camera answers \"" + status.substr(0, 80) + "\": expected 200 to GET /raw");
     buffer_.erase(buffer_.begin(), end + kEnd.size());
     head_read_ = true;
@@ -95,8 +98,8 @@ bool PictureReader::readPicture(TimePoint now) {
     const auto size = static_cast<std::size_t>(head->width) * static_cast<std::size_t>(head->height) * 3;
     if (buffer_.size() < head->bytes + size) return false;
     const auto begin = buffer_.begin() + static_cast<std::ptrdiff_t>(head->bytes);
-    newest_ = CameraPicture{++count_, now, head->width, head->height,
-                            {begin, begin + static_cast<std::ptrdiff_t>(size)}};
+    newest_ = CameraPicture{
+        ++count_, now, head->width, head->height, {begin, begin + static_cast<std::ptrdiff_t>(size)}};
     buffer_.erase(buffer_.begin(), begin + static_cast<std::ptrdiff_t>(size));
     return true;
 }
@@ -106,10 +109,13 @@ std::optional<CameraPicture> PictureReader::take() {
 }
 
 CameraPicture scaled(const CameraPicture& picture, int most_width, int most_height) {
-    const int factor = std::max({1, (picture.width + most_width - 1) / most_width,
-                                 (picture.height + most_height - 1) / most_height});
-    CameraPicture small{picture.sequence, picture.taken, std::max(1, picture.width / factor),
-                        std::max(1, picture.height / factor), {}};
+    const int factor = std::max(
+        {1, (picture.width + most_width - 1) / most_width, (picture.height + most_height - 1) / most_height});
+    CameraPicture small{picture.sequence,
+                        picture.taken,
+                        std::max(1, picture.width / factor),
+                        std::max(1, picture.height / factor),
+                        {}};
     small.rgb.reserve(static_cast<std::size_t>(small.width) * static_cast<std::size_t>(small.height) * 3);
     for (int y = 0; y < small.height; ++y) {
         for (int x = 0; x < small.width; ++x) {
@@ -130,10 +136,12 @@ CameraPicture scaled(const CameraPicture& picture, int most_width, int most_heig
 
 std::string toJpeg(const CameraPicture& picture, int quality) {
     if (picture.width < 1 || picture.height < 1 ||
-        picture.rgb.size() < static_cast<std::size_t>(picture.width) * static_cast<std::size_t>(picture.height) * 3)
+        picture.rgb.size() <
+            static_cast<std::size_t>(picture.width) * static_cast<std::size_t>(picture.height) * 3)
         throw BadPicture("a picture without pixels");
     jpeg_compress_struct jpeg{};
-    jpeg_error_mgr errors{};  // its default ends the process, only on errors of the caller that are excluded above
+    jpeg_error_mgr
+        errors{};  // its default ends the process, only on errors of the caller that are excluded above
     jpeg.err = jpeg_std_error(&errors);
     jpeg_create_compress(&jpeg);
     unsigned char* bytes = nullptr;
@@ -148,8 +156,9 @@ std::string toJpeg(const CameraPicture& picture, int quality) {
     jpeg_start_compress(&jpeg, TRUE);
     while (jpeg.next_scanline < jpeg.image_height) {
         // libjpeg does not write through it.
-        auto* row = const_cast<JSAMPLE*>(picture.rgb.data() + std::size_t{jpeg.next_scanline} *
-                                                                  static_cast<std::size_t>(picture.width) * 3);
+        auto* row =
+            const_cast<JSAMPLE*>(picture.rgb.data() + std::size_t{jpeg.next_scanline} *
+                                                          static_cast<std::size_t>(picture.width) * 3);
         jpeg_write_scanlines(&jpeg, &row, 1);
     }
     jpeg_finish_compress(&jpeg);

@@ -15,8 +15,8 @@
 namespace axon::peoplebot {
 namespace {
 
-using ::testing::HasSubstr;
 using test::waitUntil;
+using ::testing::HasSubstr;
 
 constexpr auto kOk = "HTTP/1.1 200 OK\r\nContent-Type: image/x-portable-pixmap\r\n\r\n";
 

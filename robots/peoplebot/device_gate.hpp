@@ -8,8 +8,8 @@ namespace axon::peoplebot {
 
 /// For the gripper and the camera's head what DriveGate is for the motors: no order can follow a stop that it
 /// should not. A task takes the device, its orders pass while the gate is open, a stop closes the gate and
-/// halts the device in one step, and the task that was stopped cannot open it again. Unlike the motors a device
-/// is not halted when its task ends: what the gripper holds is to stay held.
+/// halts the device in one step, and the task that was stopped cannot open it again. Unlike the motors a
+/// device is not halted when its task ends: what the gripper holds is to stay held.
 ///
 /// States: free → taken, open (take()) → taken, closed (stop()) → free (giveBack(); also from open).
 /// Threads: any; the stop thread calls stop(). The lock is held for one write that does not block.

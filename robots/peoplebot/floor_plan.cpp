@@ -15,9 +15,12 @@ constexpr double kMargin_mm = 1000;
 constexpr float kFar = 1e12F;
 
 /// One row or column: squared distances to the nearest sample, by the lower envelope of parabolas.
-void transform(const std::vector<float>& f, std::vector<float>& d, std::vector<int>& v, std::vector<float>& z, int n) {
+void transform(const std::vector<float>& f, std::vector<float>& d, std::vector<int>& v, std::vector<float>& z,
+               int n) {
     int k = 0;
-    const auto at = [](auto& values, int i) -> auto& { return values[static_cast<std::size_t>(i)]; };
+    const auto at = [](auto& values, int i) -> auto& {
+        return values[static_cast<std::size_t>(i)];
+    };
     at(v, 0) = 0;
     at(z, 0) = -kFar;
     at(z, 1) = kFar;
@@ -54,9 +57,11 @@ std::vector<float> distancesToOccupied(const std::vector<std::uint8_t>& occupied
     std::vector<int> v(most);
     std::vector<float> z(most + 1);
     for (int x = 0; x < width; ++x) {
-        for (int y = 0; y < height; ++y) f[static_cast<std::size_t>(y)] = field[static_cast<std::size_t>(y * width + x)];
+        for (int y = 0; y < height; ++y)
+            f[static_cast<std::size_t>(y)] = field[static_cast<std::size_t>(y * width + x)];
         transform(f, d, v, z, height);
-        for (int y = 0; y < height; ++y) field[static_cast<std::size_t>(y * width + x)] = d[static_cast<std::size_t>(y)];
+        for (int y = 0; y < height; ++y)
+            field[static_cast<std::size_t>(y * width + x)] = d[static_cast<std::size_t>(y)];
     }
     for (int y = 0; y < height; ++y) {
         const auto row = field.begin() + static_cast<std::ptrdiff_t>(y) * width;
@@ -69,7 +74,8 @@ std::vector<float> distancesToOccupied(const std::vector<std::uint8_t>& occupied
 
 FloorPlan::FloorPlan(mapper3::Map map) : map_(std::move(map)) {
     if (map_.lines.empty() && map_.points.empty())
-        throw mapper3::BadMap(fmt::format("{}: there is neither a line nor a point: a robot cannot find itself without walls", map_.name));
+        throw mapper3::BadMap(fmt::format(
+            "{}: there is neither a line nor a point: a robot cannot find itself without walls", map_.name));
     auto bounds = map_.bounds();
     for (const auto& goal : map_.goals) {
         bounds.from.x_mm = std::min(bounds.from.x_mm, goal.at.x_mm);
@@ -77,15 +83,16 @@ FloorPlan::FloorPlan(mapper3::Map map) : map_(std::move(map)) {
         bounds.to.x_mm = std::max(bounds.to.x_mm, goal.at.x_mm);
         bounds.to.y_mm = std::max(bounds.to.y_mm, goal.at.y_mm);
     }
-    // Maps are drawn in round numbers: these lie in the middle of cells, not at their edges, or all walls would
-    // stand half a cell too far to the right and up.
+    // Maps are drawn in round numbers: these lie in the middle of cells, not at their edges, or all walls
+    // would stand half a cell too far to the right and up.
     left_ = (std::floor((bounds.from.x_mm - kMargin_mm) / kCell_mm) - 0.5) * kCell_mm;
     bottom_ = (std::floor((bounds.from.y_mm - kMargin_mm) / kCell_mm) - 0.5) * kCell_mm;
     const double columns = std::ceil((bounds.to.x_mm + kMargin_mm - left_) / kCell_mm);
     const double rows = std::ceil((bounds.to.y_mm + kMargin_mm - bottom_) / kCell_mm);
     if (columns * rows > static_cast<double>(kMostCells)) {
-        throw mapper3::BadMap(fmt::format("{}: {:.0f} x {:.0f} m is too large: at most {} cells of {} mm", map_.name, columns * kCell_mm / 1000,
-                                          rows * kCell_mm / 1000, kMostCells, kCell_mm));
+        throw mapper3::BadMap(fmt::format("{}: {:.0f} x {:.0f} m is too large: at most {} cells of {} mm",
+                                          map_.name, columns * kCell_mm / 1000, rows * kCell_mm / 1000,
+                                          kMostCells, kCell_mm));
     }
     width_ = static_cast<int>(columns);
     height_ = static_cast<int>(rows);
@@ -96,7 +103,8 @@ FloorPlan::FloorPlan(mapper3::Map map) : map_(std::move(map)) {
     for (const auto& line : map_.forbidden_lines) draw(keep_out_, line);
     for (const auto& area : map_.forbidden_areas) {
         const auto corners = area.corners();
-        for (std::size_t i = 0; i < corners.size(); ++i) draw(keep_out_, {corners[i], corners[(i + 1) % corners.size()]});
+        for (std::size_t i = 0; i < corners.size(); ++i)
+            draw(keep_out_, {corners[i], corners[(i + 1) % corners.size()]});
         for (std::size_t cell = 0; cell < keep_out_.size(); ++cell) {
             if (area.contains(centreOf(cell))) keep_out_[cell] = 1;
         }
@@ -114,7 +122,8 @@ std::ptrdiff_t FloorPlan::cellOf(const mapper3::Point& point) const {
 
 mapper3::Point FloorPlan::centreOf(std::size_t cell) const {
     const auto columns = static_cast<std::size_t>(width_);
-    return {left_ + (static_cast<double>(cell % columns) + 0.5) * kCell_mm, bottom_ + (static_cast<double>(cell / columns) + 0.5) * kCell_mm};
+    return {left_ + (static_cast<double>(cell % columns) + 0.5) * kCell_mm,
+            bottom_ + (static_cast<double>(cell / columns) + 0.5) * kCell_mm};
 }
 
 void FloorPlan::draw(std::vector<std::uint8_t>& cells, const mapper3::Line& line) const {
@@ -124,7 +133,8 @@ void FloorPlan::draw(std::vector<std::uint8_t>& cells, const mapper3::Line& line
     for (int i = 0; i <= steps; ++i) {
         const double part = steps == 0 ? 0 : static_cast<double>(i) / steps;
         const auto cell = cellOf({line.from.x_mm + part * dx, line.from.y_mm + part * dy});
-        if (cell >= 0) cells[static_cast<std::size_t>(cell)] = 1;  // what is forbidden may reach beyond the walls
+        if (cell >= 0)
+            cells[static_cast<std::size_t>(cell)] = 1;  // what is forbidden may reach beyond the walls
     }
 }
 
@@ -149,11 +159,14 @@ std::string FloorPlan::objection(const std::string& name) const {
         return fmt::format("the map {} has no goal \"{}\": {}", map_.name, name,
                            known.empty() ? "it has none at all; draw goals in Mapper3" : "it has " + known);
     }
-    if (map_.forbidden(goal->at)) return fmt::format("the goal \"{}\" lies in a forbidden area of the map {}", name, map_.name);
+    if (map_.forbidden(goal->at))
+        return fmt::format("the goal \"{}\" lies in a forbidden area of the map {}", name, map_.name);
     const double room = room_mm(goal->at);
     if (room < kLeastRoom_mm - kCell_mm) {
-        return fmt::format("the goal \"{}\" has {:.0f} mm of room to the next wall or forbidden line; the robot needs {:.0f} mm", name, room,
-                           kLeastRoom_mm);
+        return fmt::format(
+            "the goal \"{}\" has {:.0f} mm of room to the next wall or forbidden line; the robot needs "
+            "{:.0f} mm",
+            name, room, kLeastRoom_mm);
     }
     return {};
 }

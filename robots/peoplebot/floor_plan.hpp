@@ -12,8 +12,9 @@ namespace axon::peoplebot {
 /// D. Huttenlocher, "Distance transforms of sampled functions", 2012). Very large where nothing is occupied.
 std::vector<float> distancesToOccupied(const std::vector<std::uint8_t>& occupied, int width, int height);
 
-/// A Mapper3 map as a grid of square cells: walls, and what is forbidden, rasterised. Constant after construction,
-/// any thread may read. Throws mapper3::BadMap when the map has no walls or is larger than kMostCells.
+/// A Mapper3 map as a grid of square cells: walls, and what is forbidden, rasterised. Constant after
+/// construction, any thread may read. Throws mapper3::BadMap when the map has no walls or is larger than
+/// kMostCells.
 class FloorPlan {
   public:
     static constexpr double kCell_mm = 50;
@@ -31,15 +32,15 @@ class FloorPlan {
     std::ptrdiff_t cellOf(const mapper3::Point& point) const;
     mapper3::Point centreOf(std::size_t cell) const;
 
-    const std::vector<std::uint8_t>& walls() const { return walls_; }      ///< by rows, from the lower left
+    const std::vector<std::uint8_t>& walls() const { return walls_; }       ///< by rows, from the lower left
     const std::vector<std::uint8_t>& keepOut() const { return keep_out_; }  ///< walls and what is forbidden
     /// To the nearest wall; 0 outside the grid.
     double wallDistance_mm(const mapper3::Point& point) const;
     /// To the nearest wall, forbidden line or forbidden area; 0 outside the grid.
     double room_mm(const mapper3::Point& point) const;
 
-    /// Why the robot cannot be sent to this goal whatever its way: there is none of this name (tells which there
-    /// are), it is in a forbidden area or too near to a wall. Empty when nothing speaks against it.
+    /// Why the robot cannot be sent to this goal whatever its way: there is none of this name (tells which
+    /// there are), it is in a forbidden area or too near to a wall. Empty when nothing speaks against it.
     std::string objection(const std::string& goal) const;
 
   private:

@@ -85,13 +85,16 @@ GraspServices::GraspServices(Parts parts, const std::string& camera)
 void GraspServices::offer(const std::function<void(const std::string&, Objection, Handler)>& offer) {
     offer(
         kGripper,
-        [this](const Task& task) { return GripperOperation::objection(gripperRequest(task), parts_.robot().state()); },
+        [this](const Task& task) {
+            return GripperOperation::objection(gripperRequest(task), parts_.robot().state());
+        },
         [this](Task& task) { operate(task); });
     offer(
         kTracking,
         [this](const Task& task) -> std::string {
             auto objection = Tracking::objection(trackingRequest(task), {}, parts_.robot().state());
-            if (objection.empty() && !camera_) objection = "this robot was started without a camera: give --camera";
+            if (objection.empty() && !camera_)
+                objection = "this robot was started without a camera: give --camera";
             return objection;
         },
         [this](Task& task) { track(task); });
@@ -107,8 +110,10 @@ void GraspServices::onRobotState(const RobotState& robot) {
     if (robot.sequence == 2) parts_.robot().command(Command::Tty2, vcc4::power(true));
     if (robot.sequence == 6) parts_.robot().command(Command::Tty2, vcc4::control());
     if (robot.sequence == 10) parts_.robot().command(Command::Tty2, vcc4::fullTiltRange());
-    if (robot.sequence == 14) parts_.robot().command(Command::Tty2, vcc4::panRate(vcc4::kMaximumPanRate_deg_s));
-    if (robot.sequence == 18) parts_.robot().command(Command::Tty2, vcc4::tiltRate(vcc4::kMaximumTiltRate_deg_s));
+    if (robot.sequence == 14)
+        parts_.robot().command(Command::Tty2, vcc4::panRate(vcc4::kMaximumPanRate_deg_s));
+    if (robot.sequence == 18)
+        parts_.robot().command(Command::Tty2, vcc4::tiltRate(vcc4::kMaximumTiltRate_deg_s));
     if (camera_) camera_->want(watching_ > 0 || thumbnails_.wanted());
 }
 

@@ -17,9 +17,9 @@ namespace axon::peoplebot {
 /// What the PeopleBot does with its gripper and its camera: the services Operate Gripper and Table Object
 /// Tracking and Grabbing, and the stream camera (JPEG, at most 160 x 120, at most 5 a second).
 ///
-/// A part of the Application: it is told what happens to the robot, and drives through the Application's gate.
-/// Threads: on…() as named, tasks on theirs, thumbnails on the camera's. What it refers to must outlive it.
-/// Ends after all tasks have ended and the robot's client has finished.
+/// A part of the Application: it is told what happens to the robot, and drives through the Application's
+/// gate. Threads: on…() as named, tasks on theirs, thumbnails on the camera's. What it refers to must outlive
+/// it. Ends after all tasks have ended and the robot's client has finished.
 class GraspServices {
   public:
     struct Parts {
@@ -36,7 +36,7 @@ class GraspServices {
     /// Calls `offer` for each service: its name, what speaks against a task, its handler.
     void offer(const std::function<void(const std::string& service, Objection, Handler)>& offer);
 
-    void onStop();                                     ///< stop thread: paddles, lift and camera halt
+    void onStop();                                      ///< stop thread: paddles, lift and camera halt
     void onRobotState(const arcos::RobotState& robot);  ///< robot's thread
 
   private:
@@ -48,7 +48,7 @@ class GraspServices {
     const Parts parts_;
     Stream thumbnails_;
     DeviceGate gripper_;
-    DeviceGate head_;  // of the camera
+    DeviceGate head_;                // of the camera
     std::atomic<int> watching_ = 0;  // tasks that want pictures
     // Confined to the camera's thread.
     TimePoint next_thumbnail_{};

@@ -18,12 +18,13 @@ class GraspWorld {
 
     GraspWorld() {
         robot.online = true;
-        robot.gripper = {.known = true, .fitted = true, .closed = true, .lift_down = true, .lift_at_limit = true};
+        robot.gripper = {
+            .known = true, .fitted = true, .closed = true, .lift_down = true, .lift_at_limit = true};
     }
 
     // Where the robot really is; its odometry starts at zero.
     double x = 0, y = 0, heading_deg = 0;
-    double table_x = 1200;       ///< its edge is the line x = table_x, turned about (table_x, 0)
+    double table_x = 1200;  ///< its edge is the line x = table_x, turned about (table_x, 0)
     double table_turn_deg = 0;
     double table_height = 660;
     bool table = true;
@@ -68,19 +69,36 @@ class GraspWorld {
         for (const auto& command : commands) {
             using arcos::GripperOrder;
             switch (command.order) {
-                case GripperOrder::Open: paddles = 1; break;
+                case GripperOrder::Open:
+                    paddles = 1;
+                    break;
                 case GripperOrder::Press:
-                case GripperOrder::Close: paddles = -1; break;
-                case GripperOrder::Stop: paddles = 0; break;
-                case GripperOrder::LiftUp: lift_way = 1; lift_rest = 1e9; break;
-                case GripperOrder::LiftDown: lift_way = -1; lift_rest = 1e9; break;
-                case GripperOrder::LiftStop: lift_way = 0; break;
-                case GripperOrder::Halt: paddles = lift_way = 0; break;
+                case GripperOrder::Close:
+                    paddles = -1;
+                    break;
+                case GripperOrder::Stop:
+                    paddles = 0;
+                    break;
+                case GripperOrder::LiftUp:
+                    lift_way = 1;
+                    lift_rest = 1e9;
+                    break;
+                case GripperOrder::LiftDown:
+                    lift_way = -1;
+                    lift_rest = 1e9;
+                    break;
+                case GripperOrder::LiftStop:
+                    lift_way = 0;
+                    break;
+                case GripperOrder::Halt:
+                    paddles = lift_way = 0;
+                    break;
                 case GripperOrder::LiftCarry:
                     lift_way = *command.value > 0 ? 1 : -1;
                     lift_rest = std::abs(*command.value) * 0.02 * geometry.lift_mm_s;
                     break;
-                default: break;
+                default:
+                    break;
             }
         }
         if (look) looks = *look;
@@ -129,9 +147,12 @@ class GraspWorld {
             const auto [ox, oy] = toRobot(*object_x, *object_y);
             const bool level = holding || std::abs(geometry.lift_top_mm - geometry.lift_travel_mm + lift -
                                                    (table_height + 40)) < 60;
-            between = level && ox > geometry.paddles_mm - 80 && ox < geometry.paddles_mm + 30 && std::abs(oy) < opening - 10;
-            if (holding || (level && std::abs(oy) < 95 && std::abs(ox - geometry.paddles_mm - 13) < 14)) g.outer_beam = true;
-            if (!holding && level && std::abs(oy) < 95 && std::abs(ox - geometry.paddles_mm + 13) < 14) g.inner_beam = true;
+            between = level && ox > geometry.paddles_mm - 80 && ox < geometry.paddles_mm + 30 &&
+                      std::abs(oy) < opening - 10;
+            if (holding || (level && std::abs(oy) < 95 && std::abs(ox - geometry.paddles_mm - 13) < 14))
+                g.outer_beam = true;
+            if (!holding && level && std::abs(oy) < 95 && std::abs(ox - geometry.paddles_mm + 13) < 14)
+                g.inner_beam = true;
             if (between || holding) inner = 14;
             if (holding) {
                 const auto [wx, wy] = toWorld(geometry.paddles_mm, 0);

@@ -60,9 +60,11 @@ GripperOperation::Verdict GripperOperation::judge(Part part, const GripperState&
 
 GripperOperation::Step GripperOperation::step(const arcos::RobotState& robot, TimePoint now) {
     const auto fail = [](std::string reason) {
-        return Step{.outcome = Outcome::Failed, .commands = {{GripperOrder::Halt}}, .reason = std::move(reason)};
+        return Step{
+            .outcome = Outcome::Failed, .commands = {{GripperOrder::Halt}}, .reason = std::move(reason)};
     };
-    if (!robot.online) return Step{.outcome = Outcome::Failed, .reason = "the connection to the robot is gone"};
+    if (!robot.online)
+        return Step{.outcome = Outcome::Failed, .reason = "the connection to the robot is gone"};
     const auto& gripper = robot.gripper;
     Step step;
     while (current_ < parts_.size()) {
@@ -93,9 +95,10 @@ GripperOperation::Step GripperOperation::step(const arcos::RobotState& robot, Ti
         if (verdict != Verdict::Done) {
             const char* what = paddles ? "the paddles" : "the lift";
             const bool error = paddles ? gripper.paddle_error : gripper.lift_error;
-            return fail(std::string(what) + (error ? " report an error" : verdict == Verdict::Stuck
-                                                                              ? " stopped before the end of their way"
-                                                                              : " are still moving after 15 s") +
+            return fail(std::string(what) +
+                        (error                       ? " report an error"
+                         : verdict == Verdict::Stuck ? " stopped before the end of their way"
+                                                     : " are still moving after 15 s") +
                         ": is something in the gripper's way?");
         }
         ++current_;

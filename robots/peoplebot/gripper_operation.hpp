@@ -19,13 +19,14 @@ struct GripperCommand {
 
 /// The service Operate Gripper: opens or closes the paddles, moves the lift to one of its ends, or both.
 ///
-/// Up: the paddles first, then the lift, so that what is grabbed is lifted. Down: the lift first, so that what
-/// is held is set down before it is let go; a lift that what it carries holds up (it comes to rest on a table)
-/// has arrived, and is relieved a little, since paddles that press on a table do not open. Each part is done when the gripper's own state says so, and failed when it does not say so in
-/// time, tells an error, or rests elsewhere. Closed on nothing is closed: holding() tells.
+/// Up: the paddles first, then the lift, so that what is grabbed is lifted. Down: the lift first, so that
+/// what is held is set down before it is let go; a lift that what it carries holds up (it comes to rest on a
+/// table) has arrived, and is relieved a little, since paddles that press on a table do not open. Each part
+/// is done when the gripper's own state says so, and failed when it does not say so in time, tells an error,
+/// or rests elsewhere. Closed on nothing is closed: holding() tells.
 ///
-/// I/O-free, not thread-safe: what the robot says comes in, orders go out. Whoever calls halts the gripper when
-/// the operation failed or was stopped.
+/// I/O-free, not thread-safe: what the robot says comes in, orders go out. Whoever calls halts the gripper
+/// when the operation failed or was stopped.
 class GripperOperation {
   public:
     enum class Direction { None, Up, Down };
@@ -43,7 +44,8 @@ class GripperOperation {
     static constexpr Duration kTimeLimit = std::chrono::seconds{15};
     /// An order shows in the robot's state after at most so long; what rests then will not move any more.
     static constexpr Duration kReaction = std::chrono::milliseconds{1000};
-    /// How long a lift that was held up goes back, in units of 20 ms: as far as its motor gave way, and no more.
+    /// How long a lift that was held up goes back, in units of 20 ms: as far as its motor gave way, and no
+    /// more.
     static constexpr int kRelief = 20;
 
     /// "up", "down", "none", in any case; "true" for down and "false" for up, since figure A.1 of the thesis
@@ -69,8 +71,8 @@ class GripperOperation {
     std::vector<Part> parts_;
     std::size_t current_ = 0;
     bool ordered_ = false;
-    TimePoint since_{};    // the current part was ordered
-    TimePoint moving_{};   // last seen moving, or ordered
+    TimePoint since_{};   // the current part was ordered
+    TimePoint moving_{};  // last seen moving, or ordered
 };
 
 }  // namespace axon::peoplebot

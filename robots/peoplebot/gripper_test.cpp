@@ -2,8 +2,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "robots/peoplebot/gripper_operation.hpp"
 #include "robots/peoplebot/grasp_world_test.hpp"
+#include "robots/peoplebot/gripper_operation.hpp"
 
 namespace axon::peoplebot {
 namespace {

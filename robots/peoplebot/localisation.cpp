@@ -26,9 +26,9 @@ constexpr double kAtWall_mm = 150;
 constexpr double kStep_mm = 60;
 constexpr double kStep_deg = 3;
 constexpr int kFirstScans = 3;
-// How likely a reading is that ends at a wall of the map, and how likely one that does not. The second is large enough
-// that much furniture before a wall does not outweigh what is seen of the wall. At a quarter of it, a bookcase 0.5 m
-// before a wall is taken for the wall.
+// How likely a reading is that ends at a wall of the map, and how likely one that does not. The second is
+// large enough that much furniture before a wall does not outweigh what is seen of the wall. At a quarter of
+// it, a bookcase 0.5 m before a wall is taken for the wall.
 constexpr float kHitsWall = 0.85F;
 constexpr float kEndsElsewhere = 0.2F;
 
@@ -55,27 +55,33 @@ struct Localisation::Filter {
     mrpt::maps::COccupancyGridMap2D::Ptr grid;
     mrpt::slam::CMonteCarloLocalization2D particles{kParticles};
     mrpt::bayes::CParticleFilter algorithm;
-    // The grid has a frame of its own, with the origin in its corner: MRPT rounds a grid's edges to whole cells.
+    // The grid has a frame of its own, with the origin in its corner: MRPT rounds a grid's edges to whole
+    // cells.
     double left_mm = 0;
     double bottom_mm = 0;
 
     mrpt::math::TPose2D inGrid(const MapPose& pose) const {
         return {(pose.x_mm - left_mm) / kMetre, (pose.y_mm - bottom_mm) / kMetre, pose.heading_deg * kDegree};
     }
-    MapPose onMap(double x, double y, double phi) const { return {left_mm + x * kMetre, bottom_mm + y * kMetre, phi / kDegree}; }
+    MapPose onMap(double x, double y, double phi) const {
+        return {left_mm + x * kMetre, bottom_mm + y * kMetre, phi / kDegree};
+    }
 };
 
-Localisation::Localisation(std::shared_ptr<const FloorPlan> plan, const Start& start, const arcos::RobotState& robot, unsigned seed)
+Localisation::Localisation(std::shared_ptr<const FloorPlan> plan, const Start& start,
+                           const arcos::RobotState& robot, unsigned seed)
     : plan_(std::move(plan)), filter_(std::make_unique<Filter>()) {
     filter_->left_mm = plan_->left_mm();
     filter_->bottom_mm = plan_->bottom_mm();
     const double cell = FloorPlan::kCell_mm / kMetre;
-    filter_->grid = mrpt::maps::COccupancyGridMap2D::Create(0.0F, static_cast<float>(plan_->width() * cell), 0.0F,
-                                                            static_cast<float>(plan_->height() * cell), static_cast<float>(cell));
+    filter_->grid = mrpt::maps::COccupancyGridMap2D::Create(0.0F, static_cast<float>(plan_->width() * cell),
+                                                            0.0F, static_cast<float>(plan_->height() * cell),
+                                                            static_cast<float>(cell));
     auto& grid = *filter_->grid;
     const auto columns = static_cast<std::size_t>(plan_->width());
     for (std::size_t i = 0; i < plan_->walls().size(); ++i)
-        grid.setCell(static_cast<int>(i % columns), static_cast<int>(i / columns), plan_->walls()[i] != 0 ? 0.02F : 0.98F);
+        grid.setCell(static_cast<int>(i % columns), static_cast<int>(i / columns),
+                     plan_->walls()[i] != 0 ? 0.02F : 0.98F);
     auto& likelihood = grid.likelihoodOptions;
     likelihood.likelihoodMethod = mrpt::maps::COccupancyGridMap2D::lmLikelihoodField_Thrun;
     likelihood.LF_decimation = 3;
@@ -97,7 +103,8 @@ Localisation::Localisation(std::shared_ptr<const FloorPlan> plan, const Start& s
     auto& random = mrpt::random::getRandomGenerator();
     random.randomize(seed);
     for (auto& particle : filter_->particles.m_particles) {
-        particle.d = filter_->inGrid({random.drawGaussian1D(start.pose.x_mm, start.spread_mm), random.drawGaussian1D(start.pose.y_mm, start.spread_mm),
+        particle.d = filter_->inGrid({random.drawGaussian1D(start.pose.x_mm, start.spread_mm),
+                                      random.drawGaussian1D(start.pose.y_mm, start.spread_mm),
                                       random.drawGaussian1D(start.pose.heading_deg, start.spread_deg)});
         particle.log_w = 0;
     }
@@ -127,8 +134,8 @@ void Localisation::weigh(const arcos::LaserScan& scan) {
 
     mrpt::obs::CActionRobotMovement2D movement;
     mrpt::obs::CActionRobotMovement2D::TMotionModelOptions model;
-    // Not Thrun's model: it splits a turn on the spot, in which the axle moves a millimetre, into two large turns
-    // towards that millimetre, and makes far too much noise of them.
+    // Not Thrun's model: it splits a turn on the spot, in which the axle moves a millimetre, into two large
+    // turns towards that millimetre, and makes far too much noise of them.
     model.modelSelection = mrpt::obs::CActionRobotMovement2D::mmGaussian;
     model.gaussianModel.a1 = 0.05;
     model.gaussianModel.a2 = 0.03;
@@ -136,7 +143,8 @@ void Localisation::weigh(const arcos::LaserScan& scan) {
     model.gaussianModel.a4 = 0.08;
     model.gaussianModel.minStdXY = 0.008;
     model.gaussianModel.minStdPHI = 0.4 * kDegree;
-    movement.computeFromOdometry(mrpt::poses::CPose2D(step.x_mm / kMetre, step.y_mm / kMetre, step.heading_deg * kDegree), model);
+    movement.computeFromOdometry(
+        mrpt::poses::CPose2D(step.x_mm / kMetre, step.y_mm / kMetre, step.heading_deg * kDegree), model);
     mrpt::obs::CActionCollection action;
     action.insert(movement);
 
@@ -146,7 +154,8 @@ void Localisation::weigh(const arcos::LaserScan& scan) {
     observation->aperture = static_cast<float>(width_deg * kDegree);
     observation->rightToLeft = true;
     observation->maxRange = static_cast<float>(kReach_mm / kMetre);
-    observation->sensorPose = mrpt::poses::CPose3D(body::kLaserX_mm / kMetre, 0, 0, (scan.start_deg + width_deg / 2) * kDegree, 0, 0);
+    observation->sensorPose = mrpt::poses::CPose3D(body::kLaserX_mm / kMetre, 0, 0,
+                                                   (scan.start_deg + width_deg / 2) * kDegree, 0, 0);
     observation->resizeScan(beams);
     for (std::size_t i = 0; i < beams; ++i) {
         const bool valid = scan.ranges_mm[i] > 0 && scan.ranges_mm[i] < kReach_mm;

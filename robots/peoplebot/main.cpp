@@ -21,13 +21,16 @@ Exit status: 0 ended when told to, 2 something is wrong with the options or the 
 
 int main(int argc, char** argv) {
     using namespace axon::peoplebot;
-    CLI::App app{"A PeopleBot as an entity of Axon: drives the robot over ARCOS, offers the services of its profile.",
-                 "axon-peoplebot"};
+    CLI::App app{
+        "A PeopleBot as an entity of Axon: drives the robot over ARCOS, offers the services of its profile.",
+        "axon-peoplebot"};
     app.footer(kFooter);
     Settings settings;
     std::string at;
     auto guard_ms = settings.guard_silence.count();
-    app.add_option("--robot", settings.robot, "The robot: host:port, or a serial line such as /dev/ttyS0 or /dev/ttyUSB0:38400")->capture_default_str();
+    app.add_option("--robot", settings.robot,
+                   "The robot: host:port, or a serial line such as /dev/ttyS0 or /dev/ttyUSB0:38400")
+        ->capture_default_str();
     app.add_option("--laser", settings.laser,
                    "The line of a SICK LMS-200 that is wired to this computer, such as /dev/ttyUSB0; without "
                    "it the laser is asked for by the robot");
@@ -44,9 +47,12 @@ int main(int argc, char** argv) {
                    "its own, stops the robot; 0: no guard")
         ->capture_default_str()
         ->check(CLI::Range(0, 10000));
-    app.add_option("--profiles", settings.profiles, "Folder with basic_profile.xml and services_profile.xml, and wander.rules and navigation.rules if others are wanted");
-    app.add_option("--resources", settings.resources,
-                   "Folders in which the absolute urls of resources in the services profile may lead; none by default");
+    app.add_option("--profiles", settings.profiles,
+                   "Folder with basic_profile.xml and services_profile.xml, and wander.rules and "
+                   "navigation.rules if others are wanted");
+    app.add_option(
+        "--resources", settings.resources,
+        "Folders in which the absolute urls of resources in the services profile may lead; none by default");
     try {
         app.parse(argc, argv);
     } catch (const CLI::ParseError& error) {

@@ -24,7 +24,8 @@ struct MapPose {
         const double a = heading_deg * std::numbers::pi / 180;
         const double dx = other.x_mm - x_mm;
         const double dy = other.y_mm - y_mm;
-        return {std::cos(a) * dx + std::sin(a) * dy, std::cos(a) * dy - std::sin(a) * dx, other.heading_deg - heading_deg};
+        return {std::cos(a) * dx + std::sin(a) * dy, std::cos(a) * dy - std::sin(a) * dx,
+                other.heading_deg - heading_deg};
     }
 };
 

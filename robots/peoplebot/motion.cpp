@@ -158,8 +158,8 @@ std::optional<std::string> Driving::obstacle(const RobotState& robot, TimePoint 
             const double angle = robot.laser->start_deg + static_cast<double>(i) * robot.laser->step_deg;
             const int range = robot.laser->ranges_mm[i];
             if (std::abs(angle) <= kConeOfTravel_deg && range > 0 && range < request_.range_threshold_mm) {
-                return fmt::format("the laser's {} mm at {:.0f} deg are nearer than the threshold {} mm", range, angle,
-                                   request_.range_threshold_mm);
+                return fmt::format("the laser's {} mm at {:.0f} deg are nearer than the threshold {} mm",
+                                   range, angle, request_.range_threshold_mm);
             }
         }
     }

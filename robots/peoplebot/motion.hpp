@@ -125,8 +125,8 @@ class Driving {
 class Turning {
   public:
     struct Request {
-        double angle_deg = 0;        ///< not zero; positive: to the left
-        double velocity_deg_s = 30;  ///< above zero
+        double angle_deg = 0;            ///< not zero; positive: to the left
+        double velocity_deg_s = 30;      ///< above zero
         double speed_limit_deg_s = 100;  ///< kSlowest or more; velocities above it are this one
     };
     static constexpr double kFastest_deg_s = 100;

@@ -200,7 +200,8 @@ TEST_F(DrivingTest, TheLaserStopsADriveForwardToo) {
     scan->ranges_mm[80] = 400;
     robot_.state.laser = scan;
     auto forward = begin({.distance_mm = 1000});
-    EXPECT_THAT(robot_.run(forward, 1).reason, HasSubstr("the laser's 400 mm at -10 deg are nearer than the threshold 500 mm"));
+    EXPECT_THAT(robot_.run(forward, 1).reason,
+                HasSubstr("the laser's 400 mm at -10 deg are nearer than the threshold 500 mm"));
     auto backward = begin({.distance_mm = 1000, .velocity_mm_s = -200});
     EXPECT_EQ(robot_.run(backward, 1).outcome, Outcome::Running);
 }

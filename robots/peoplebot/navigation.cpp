@@ -94,15 +94,17 @@ std::shared_ptr<const fuzzy::Engine> loadNavigationRules(const std::filesystem::
 
 std::string Navigation::objection(const Request& r, const FloorPlan& plan) {
     if (!(r.velocity_mm_s >= kSlowest_mm_s && r.velocity_mm_s <= kFastest_mm_s))
-        return fmt::format("Velocity is {} mm/s: give {} to {} mm/s", r.velocity_mm_s, kSlowest_mm_s, kFastest_mm_s);
+        return fmt::format("Velocity is {} mm/s: give {} to {} mm/s", r.velocity_mm_s, kSlowest_mm_s,
+                           kFastest_mm_s);
     if (!(r.tolerance_mm >= kLeastTolerance_mm && r.tolerance_mm <= kMostTolerance_mm))
         return fmt::format("Tolerance is {} mm: give {} to {} mm", r.tolerance_mm, kLeastTolerance_mm,
                            kMostTolerance_mm);
     return plan.objection(r.destination);
 }
 
-Navigation::Navigation(const Request& request, std::shared_ptr<const FloorPlan> plan, std::shared_ptr<const fuzzy::Engine> rules,
-                       std::function<Estimate()> locate, TimePoint now)
+Navigation::Navigation(const Request& request, std::shared_ptr<const FloorPlan> plan,
+                       std::shared_ptr<const fuzzy::Engine> rules, std::function<Estimate()> locate,
+                       TimePoint now)
     : request_(request),
       plan_(std::move(plan)),
       rules_(std::move(rules)),
@@ -150,11 +152,14 @@ MotionStep Navigation::step(const arcos::RobotState& robot, TimePoint now) {
     surroundings_.update(robot);
     estimate_ = locate_();
     if (state_ != State::Locating) {
-        if (now - estimate_.scan_taken > kLaserPatience) return fail("the laser fell silent: without it the robot does not know where it is");
+        if (now - estimate_.scan_taken > kLaserPatience)
+            return fail("the laser fell silent: without it the robot does not know where it is");
         if (estimate_.fit >= kLeastFit) doubtful_since_ = now;
         if (now - doubtful_since_ > kDoubtPatience) {
-            return fail(fmt::format("the robot lost itself: at ({:.0f}, {:.0f}) mm only {:.0f} % of what the laser sees is on the map",
-                                    estimate_.pose.x_mm, estimate_.pose.y_mm, estimate_.fit * 100));
+            return fail(
+                fmt::format("the robot lost itself: at ({:.0f}, {:.0f}) mm only {:.0f} % of what the laser "
+                            "sees is on the map",
+                            estimate_.pose.x_mm, estimate_.pose.y_mm, estimate_.fit * 100));
         }
         remember(robot, now);
     }
@@ -179,7 +184,8 @@ MotionStep Navigation::step(const arcos::RobotState& robot, TimePoint now) {
         case State::Settling:
             break;
     }
-    if (!robot.moving || now - state_since_ > seconds{2}) return {.outcome = MotionStep::Outcome::Done, .progress = 1};
+    if (!robot.moving || now - state_since_ > seconds{2})
+        return {.outcome = MotionStep::Outcome::Done, .progress = 1};
     return rest();
 }
 
@@ -193,14 +199,19 @@ MotionStep Navigation::locate(const arcos::RobotState& robot, TimePoint now) {
     }
     if (now - state_since_ < kLaserPatience) return rest();
     if (!fresh || !robot.laser)
-        return fail("the laser sends no readings: without them the robot cannot find itself on the map. Is it fitted and switched on?");
-    return fail(fmt::format("only {:.0f} % of what the laser sees is on the map around ({:.0f}, {:.0f}) mm, heading {:.0f} deg: does the robot stand "
-                            "there? Say where it is with Start, and check the map",
-                            estimate_.fit * 100, estimate_.pose.x_mm, estimate_.pose.y_mm, estimate_.pose.heading_deg));
+        return fail(
+            "the laser sends no readings: without them the robot cannot find itself on the map. Is it fitted "
+            "and switched on?");
+    return fail(fmt::format(
+        "only {:.0f} % of what the laser sees is on the map around ({:.0f}, {:.0f}) mm, heading {:.0f} deg: "
+        "does the robot stand "
+        "there? Say where it is with Start, and check the map",
+        estimate_.fit * 100, estimate_.pose.x_mm, estimate_.pose.y_mm, estimate_.pose.heading_deg));
 }
 
 void Navigation::note(const Point& point, int times, bool laser, TimePoint now) {
-    auto& thing = unmapped_[{static_cast<int>(std::floor(point.x_mm / kGrid_mm)), static_cast<int>(std::floor(point.y_mm / kGrid_mm))}];
+    auto& thing = unmapped_[{static_cast<int>(std::floor(point.x_mm / kGrid_mm)),
+                             static_cast<int>(std::floor(point.y_mm / kGrid_mm))}];
     thing.times += times;
     thing.seen = now;
     thing.laser = thing.laser || laser;
@@ -211,7 +222,8 @@ void Navigation::forgetWhatIsGone(const arcos::RobotState& robot, TimePoint now)
     MapPose from;
     if (scan != nullptr) {
         const MapPose odometry{robot.x_mm, robot.y_mm, robot.heading_deg};
-        from = estimate_.pose.then(odometry.between({scan->x_mm, scan->y_mm, scan->heading_deg})).then({body::kLaserX_mm, 0, 0});
+        from = estimate_.pose.then(odometry.between({scan->x_mm, scan->y_mm, scan->heading_deg}))
+                   .then({body::kLaserX_mm, 0, 0});
     }
     const auto seenThrough = [&](const Point& point) {
         const auto seen = from.between({point.x_mm, point.y_mm, 0});
@@ -221,7 +233,8 @@ void Navigation::forgetWhatIsGone(const arcos::RobotState& robot, TimePoint now)
         const double width = std::atan2(kGrid_mm, std::max(away, 1.0)) / kDegree / scan->step_deg;
         const auto first = static_cast<int>(std::floor(beam - width));
         const auto last = static_cast<int>(std::ceil(beam + width));
-        if (first < 0 || last >= static_cast<int>(scan->ranges_mm.size()) || away > kSeeLaser_mm) return false;
+        if (first < 0 || last >= static_cast<int>(scan->ranges_mm.size()) || away > kSeeLaser_mm)
+            return false;
         for (int i = first; i <= last; ++i) {
             if (scan->ranges_mm[static_cast<std::size_t>(i)] < away + kSeenThrough_mm) return false;
         }
@@ -229,8 +242,10 @@ void Navigation::forgetWhatIsGone(const arcos::RobotState& robot, TimePoint now)
     };
     for (auto at = unmapped_.begin(); at != unmapped_.end();) {
         const auto& thing = at->second;
-        const bool gone = now - thing.seen > (thing.laser ? kRememberLaser : kRemember) ||
-                          (thing.laser && scan != nullptr && seenThrough({(at->first.first + 0.5) * kGrid_mm, (at->first.second + 0.5) * kGrid_mm}));
+        const bool gone =
+            now - thing.seen > (thing.laser ? kRememberLaser : kRemember) ||
+            (thing.laser && scan != nullptr &&
+             seenThrough({(at->first.first + 0.5) * kGrid_mm, (at->first.second + 0.5) * kGrid_mm}));
         at = gone ? unmapped_.erase(at) : std::next(at);
     }
 }
@@ -242,30 +257,34 @@ void Navigation::remember(const arcos::RobotState& robot, TimePoint now) {
         if (seen.laser) {
             const auto at = onMap(seen.x_mm, seen.y_mm);
             // Within a forbidden area it is what the area is there for: a table's legs.
-            if (plan_->wallDistance_mm(at) > kFromWalls_mm && !plan_->map().forbidden(at)) note(at, 1, true, now);
+            if (plan_->wallDistance_mm(at) > kFromWalls_mm && !plan_->map().forbidden(at))
+                note(at, 1, true, now);
             continue;
         }
         if (seen.distance_mm > kSeeSonar_mm) continue;
-        // A sonar tells that something is on an arc: where a wall of the map touches the arc, or something that the
-        // laser sees does, it was that.
+        // A sonar tells that something is on an arc: where a wall of the map touches the arc, or something
+        // that the laser sees does, it was that.
         const double middle = std::atan2(seen.y_mm - seen.sensor_y_mm, seen.x_mm - seen.sensor_x_mm);
-        bool known = std::any_of(sightings.begin(), sightings.end(), [&](const Surroundings::Sighting& other) {
-            if (!other.laser) return false;
-            const double dx = other.x_mm - seen.sensor_x_mm;
-            const double dy = other.y_mm - seen.sensor_y_mm;
-            return std::abs(std::hypot(dx, dy) - seen.distance_mm) < 200 &&
-                   std::abs(std::remainder(std::atan2(dy, dx) - middle, 2 * std::numbers::pi)) < (body::kSonarHalfCone_deg + 8) * kDegree;
-        });
+        bool known =
+            std::any_of(sightings.begin(), sightings.end(), [&](const Surroundings::Sighting& other) {
+                if (!other.laser) return false;
+                const double dx = other.x_mm - seen.sensor_x_mm;
+                const double dy = other.y_mm - seen.sensor_y_mm;
+                return std::abs(std::hypot(dx, dy) - seen.distance_mm) < 200 &&
+                       std::abs(std::remainder(std::atan2(dy, dx) - middle, 2 * std::numbers::pi)) <
+                           (body::kSonarHalfCone_deg + 8) * kDegree;
+            });
         for (int i = -3; i <= 3 && !known; ++i) {
             const double a = middle + i * body::kSonarHalfCone_deg / 3 * kDegree;
             known = plan_->wallDistance_mm(onMap(seen.sensor_x_mm + seen.distance_mm * std::cos(a),
-                                                 seen.sensor_y_mm + seen.distance_mm * std::sin(a))) <= kFromWalls_mm;
+                                                 seen.sensor_y_mm + seen.distance_mm * std::sin(a))) <=
+                    kFromWalls_mm;
         }
         // Behind the laser the things that it saw before are known as well.
         const auto at = onMap(seen.x_mm, seen.y_mm);
         for (auto other = unmapped_.begin(); other != unmapped_.end() && !known; ++other) {
-            known = other->second.laser &&
-                    distance(at, {(other->first.first + 0.5) * kGrid_mm, (other->first.second + 0.5) * kGrid_mm}) < 350;
+            known = other->second.laser && distance(at, {(other->first.first + 0.5) * kGrid_mm,
+                                                         (other->first.second + 0.5) * kGrid_mm}) < 350;
         }
         if (!known) note(at, 1, false, now);
     }
@@ -292,8 +311,11 @@ std::optional<Point> Navigation::onRoute() const {
             const double length = distance(from, to);
             if (i == leg_ && length > 0) from = between(from, to, along_mm_ / length);
             const double to_look = kLookForBlocks_mm - std::max(0.0, way);
-            if (const double left = distance(from, to); left > to_look) to = between(from, to, to_look / left);
-            if (distanceToLeg(from, to, point) < (thing.planned ? kBlocksThoughPlanned_mm : kBlocks_mm) && distance(here, point) > body::kRadius_mm) return point;
+            if (const double left = distance(from, to); left > to_look)
+                to = between(from, to, to_look / left);
+            if (distanceToLeg(from, to, point) < (thing.planned ? kBlocksThoughPlanned_mm : kBlocks_mm) &&
+                distance(here, point) > body::kRadius_mm)
+                return point;
             way += length;
         }
     }
@@ -315,10 +337,12 @@ MotionStep Navigation::plan(const arcos::RobotState& robot, TimePoint now) {
             news_ = "the way is blocked by something that is not on the map; waiting for it to go";
         }
         if (now - *blocked_since_ > kPatience) {
-            const auto nearest = *std::min_element(sighted.begin(), sighted.end(),
-                                                   [&](const Point& a, const Point& b) { return distance(a, here) < distance(b, here); });
-            return fail(fmt::format("the way to \"{}\" is blocked, near ({:.0f}, {:.0f}) mm, and there is no other", goal_.name, nearest.x_mm,
-                                    nearest.y_mm));
+            const auto nearest = *std::min_element(
+                sighted.begin(), sighted.end(),
+                [&](const Point& a, const Point& b) { return distance(a, here) < distance(b, here); });
+            return fail(
+                fmt::format("the way to \"{}\" is blocked, near ({:.0f}, {:.0f}) mm, and there is no other",
+                            goal_.name, nearest.x_mm, nearest.y_mm));
         }
         enter(State::Waiting, now);
         return rest();
@@ -332,7 +356,8 @@ MotionStep Navigation::plan(const arcos::RobotState& robot, TimePoint now) {
     if (plans_ == 1) whole_mm_ = length;
     least_rest_mm_ = length;
     got_on_ = now;
-    news_ = fmt::format("{}: {:.1f} m to \"{}\"", plans_ == 1 ? "route" : "new route", length / 1000, goal_.name);
+    news_ =
+        fmt::format("{}: {:.1f} m to \"{}\"", plans_ == 1 ? "route" : "new route", length / 1000, goal_.name);
     enter(State::Following, now);
     return rest();
 }
@@ -362,7 +387,8 @@ Point Navigation::ahead(double way_mm) const {
     double way = way_mm + along_mm_;
     for (std::size_t i = leg_; i + 1 < route_->points.size(); ++i) {
         const double length = distance(route_->points[i], route_->points[i + 1]);
-        if (way <= length) return between(route_->points[i], route_->points[i + 1], length > 0 ? way / length : 1);
+        if (way <= length)
+            return between(route_->points[i], route_->points[i + 1], length > 0 ? way / length : 1);
         way -= length;
     }
     return route_->points.back();
@@ -370,7 +396,8 @@ Point Navigation::ahead(double way_mm) const {
 
 Point Navigation::target() const {
     const Point here{estimate_.pose.x_mm, estimate_.pose.y_mm};
-    // The straight way to a point ahead cuts the corner that the route goes round: not nearer to it than any route does.
+    // The straight way to a point ahead cuts the corner that the route goes round: not nearer to it than any
+    // route does.
     const double least_room = std::min(kLeastRoom_mm, plan_->room_mm(here));
     const auto free = [&](const Point& there) {
         const double length = distance(here, there);
@@ -386,7 +413,8 @@ Point Navigation::target() const {
 
 double Navigation::rest_mm() const {
     double rest = -along_mm_;
-    for (std::size_t i = leg_; i + 1 < route_->points.size(); ++i) rest += distance(route_->points[i], route_->points[i + 1]);
+    for (std::size_t i = leg_; i + 1 < route_->points.size(); ++i)
+        rest += distance(route_->points[i], route_->points[i + 1]);
     return std::max(0.0, rest);
 }
 
@@ -399,13 +427,18 @@ MotionStep Navigation::follow(const arcos::RobotState& robot, TimePoint now) {
     if (robot.table_left || robot.table_right) {
         std::vector<Point> seen;
         for (const double side : {-1.0, 1.0}) {
-            if (side > 0 ? robot.table_left : robot.table_right) seen.push_back(onMap(body::kTableSensorX_mm + 40, side * body::kTableSensorY_mm));
+            if (side > 0 ? robot.table_left : robot.table_right)
+                seen.push_back(onMap(body::kTableSensorX_mm + 40, side * body::kTableSensorY_mm));
         }
         return recover(robot, "a table is overhead that is not on the map", seen, now);
     }
-    if (robot.front_bumpers != 0) return recover(robot, "a front bumper is pressed", {onMap(body::kRadius_mm + 60, 0)}, now);
-    if (robot.rear_bumpers != 0) return recover(robot, "a rear bumper is pressed", {onMap(body::kRear_mm - body::kRadius_mm - 60, 0)}, now);
-    if (robot.left_stall || robot.right_stall) return recover(robot, "the motors stalled", {onMap(body::kRadius_mm + 60, 0)}, now);
+    if (robot.front_bumpers != 0)
+        return recover(robot, "a front bumper is pressed", {onMap(body::kRadius_mm + 60, 0)}, now);
+    if (robot.rear_bumpers != 0)
+        return recover(robot, "a rear bumper is pressed", {onMap(body::kRear_mm - body::kRadius_mm - 60, 0)},
+                       now);
+    if (robot.left_stall || robot.right_stall)
+        return recover(robot, "the motors stalled", {onMap(body::kRadius_mm + 60, 0)}, now);
 
     advance();
     const double rest_way = rest_mm();
@@ -415,18 +448,22 @@ MotionStep Navigation::follow(const arcos::RobotState& robot, TimePoint now) {
         if (rest_way < whole_mm_ - 1000) blocked_since_.reset();
     }
     const double to_goal = distanceToGoal_mm();
-    // Within the tolerance it is there, and a little less than that, so that an estimate which trembles does not matter.
+    // Within the tolerance it is there, and a little less than that, so that an estimate which trembles does
+    // not matter.
     if (to_goal < request_.tolerance_mm * 0.6 || (to_goal < request_.tolerance_mm && rest_way < 5)) {
         enter(goal_.heading_deg ? State::Facing : State::Settling, now);
         return rest();
     }
     if (const auto thing = onRoute()) {
-        news_ = fmt::format("something that is not on the map stands on the route, near ({:.0f}, {:.0f}) mm", thing->x_mm, thing->y_mm);
+        news_ = fmt::format("something that is not on the map stands on the route, near ({:.0f}, {:.0f}) mm",
+                            thing->x_mm, thing->y_mm);
         enter(State::Planning, now);
         return rest();
     }
     const auto room = surroundings_.clearance();
-    if (now - got_on_ > kGettingOn) return recover(robot, "it does not get on", {onMap(body::kRadius_mm + std::min(room.front, 300.0), 0)}, now);
+    if (now - got_on_ > kGettingOn)
+        return recover(robot, "it does not get on",
+                       {onMap(body::kRadius_mm + std::min(room.front, 300.0), 0)}, now);
 
     const auto to = target();
     const auto seen = estimate_.pose.between({to.x_mm, to.y_mm, 0});
@@ -440,11 +477,14 @@ MotionStep Navigation::follow(const arcos::RobotState& robot, TimePoint now) {
         if (std::abs(turn) < kTurnCrawl_deg_s) turn = std::copysign(kTurnCrawl_deg_s, bearing);
         return {.left_deg_s = turn, .progress = progress()};
     }
-    const auto wish = rules_->evaluate(std::array{room.left, room.front, room.right, std::clamp(bearing / 30, -1.0, 1.0)});
+    const auto wish =
+        rules_->evaluate(std::array{room.left, room.front, room.right, std::clamp(bearing / 30, -1.0, 1.0)});
     double speed = request_.velocity_mm_s * std::clamp(wish[0], 0.0, 100.0) / 100;
     speed *= std::max(0.2, std::cos(std::min(90.0, 2 * std::abs(bearing)) * kDegree));
     speed = std::min(speed, speedThatStopsWithin(room.front));
-    speed = std::min(speed, std::max(kCrawl_mm_s, std::sqrt(2 * kBraking_mm_s2 * std::max(0.0, rest_way - robot.speed_mm_s() * 0.2))));
+    speed = std::min(
+        speed, std::max(kCrawl_mm_s,
+                        std::sqrt(2 * kBraking_mm_s2 * std::max(0.0, rest_way - robot.speed_mm_s() * 0.2))));
     // Close to the goal nothing but the goal counts, unless it touches.
     if (speed < kCrawl_mm_s && to_goal < 400 && room.front > 60) speed = kCrawl_mm_s;
     // What is beside it is not steered towards, wherever the route leads.
@@ -452,8 +492,10 @@ MotionStep Navigation::follow(const arcos::RobotState& robot, TimePoint now) {
     return {.forward_mm_s = speed, .left_deg_s = turn + wish[1], .progress = progress()};
 }
 
-MotionStep Navigation::recover(const arcos::RobotState& robot, std::string what, const std::vector<Point>& seen_at, TimePoint now) {
-    if (++tries_ > kTries) return fail(fmt::format("the way to \"{}\" is blocked: {}, {} times", goal_.name, what, tries_));
+MotionStep Navigation::recover(const arcos::RobotState& robot, std::string what,
+                               const std::vector<Point>& seen_at, TimePoint now) {
+    if (++tries_ > kTries)
+        return fail(fmt::format("the way to \"{}\" is blocked: {}, {} times", goal_.name, what, tries_));
     for (const auto& point : seen_at) note(point, 2 * kTimesSeen, false, now);
     news_ = what + "; backing off and looking for another way";
     recoil_direction_ = robot.rear_bumpers != 0 && robot.front_bumpers == 0 ? 1 : -1;
@@ -473,15 +515,20 @@ MotionStep Navigation::recoil(const arcos::RobotState& robot, TimePoint now) {
 }
 
 MotionStep Navigation::face(const arcos::RobotState& robot, TimePoint now) {
-    if (robot.front_bumpers != 0 || robot.rear_bumpers != 0) return fail("a bumper was pressed while the robot turned to the goal's heading");
+    if (robot.front_bumpers != 0 || robot.rear_bumpers != 0)
+        return fail("a bumper was pressed while the robot turned to the goal's heading");
     double off = std::remainder(*goal_.heading_deg - estimate_.pose.heading_deg, 360.0);
     if (std::abs(off) < kFaced_deg) {
         enter(State::Settling, now);
         return rest();
     }
     // One way round as long as it is free: what stands there is only known while a sonar sees it.
-    const auto turn = [off](int direction) { return off * direction < -kOvershoot_deg ? off + 360 * direction : off; };
-    const auto free = [&](int direction) { return surroundings_.roomToTurn(turn(direction)) >= kFacingMargin_mm; };
+    const auto turn = [off](int direction) {
+        return off * direction < -kOvershoot_deg ? off + 360 * direction : off;
+    };
+    const auto free = [&](int direction) {
+        return surroundings_.roomToTurn(turn(direction)) >= kFacingMargin_mm;
+    };
     if (facing_ == 0) facing_ = off > 0 ? 1 : -1;
     if (!free(facing_)) {
         facing_ = -facing_;

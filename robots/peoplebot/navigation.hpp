@@ -20,14 +20,15 @@ std::shared_ptr<const fuzzy::Engine> loadNavigationRules(const std::filesystem::
 
 /// The service Navigation: to a goal of the map, along a planned route, with fuzzy avoidance on the way.
 ///
-/// States: locating (the first scans; the estimate must fit the map) → planning (the robot stands) → following →
-/// facing (the goal's heading, where it has one) → settling → done. Following → planning, when something that is not
-/// on the map stands on the route; → waiting → planning, when there is no way round it, until kPatience is over;
-/// → recoiling → planning, when a bumper is pressed or a table is overhead; kTries times.
+/// States: locating (the first scans; the estimate must fit the map) → planning (the robot stands) →
+/// following → facing (the goal's heading, where it has one) → settling → done. Following → planning, when
+/// something that is not on the map stands on the route; → waiting → planning, when there is no way round it,
+/// until kPatience is over; → recoiling → planning, when a bumper is pressed or a table is overhead; kTries
+/// times.
 ///
-/// Fails with the reason: no way to the goal, the way is blocked, the laser is silent or does not see what the
-/// map shows, the robot is lost or does not get on. I/O-free, not thread-safe. step() may take a second when it
-/// plans; the robot stands then.
+/// Fails with the reason: no way to the goal, the way is blocked, the laser is silent or does not see what
+/// the map shows, the robot is lost or does not get on. I/O-free, not thread-safe. step() may take a second
+/// when it plans; the robot stands then.
 class Navigation {
   public:
     struct Request {
@@ -45,9 +46,10 @@ class Navigation {
     /// Why this cannot be done whatever the way is; empty when nothing speaks against it.
     static std::string objection(const Request& request, const FloorPlan& plan);
 
-    /// `locate` gives the present estimate of a Localisation on the same plan. The destination must be a goal.
-    Navigation(const Request& request, std::shared_ptr<const FloorPlan> plan, std::shared_ptr<const fuzzy::Engine> rules,
-               std::function<Estimate()> locate, TimePoint now);
+    /// `locate` gives the present estimate of a Localisation on the same plan. The destination must be a
+    /// goal.
+    Navigation(const Request& request, std::shared_ptr<const FloorPlan> plan,
+               std::shared_ptr<const fuzzy::Engine> rules, std::function<Estimate()> locate, TimePoint now);
     /// On the way too; within kSlowest and kFastest, and what objection() lets pass.
     void reconfigure(double velocity_mm_s, double tolerance_mm);
     MotionStep step(const arcos::RobotState& robot, TimePoint now);
@@ -70,7 +72,8 @@ class Navigation {
     MotionStep plan(const arcos::RobotState& robot, TimePoint now);
     MotionStep follow(const arcos::RobotState& robot, TimePoint now);
     MotionStep recoil(const arcos::RobotState& robot, TimePoint now);
-    MotionStep recover(const arcos::RobotState& robot, std::string what, const std::vector<mapper3::Point>& seen_at, TimePoint now);
+    MotionStep recover(const arcos::RobotState& robot, std::string what,
+                       const std::vector<mapper3::Point>& seen_at, TimePoint now);
     MotionStep face(const arcos::RobotState& robot, TimePoint now);
     MotionStep fail(std::string reason) const;
     MotionStep rest() const;
@@ -102,9 +105,9 @@ class Navigation {
     int first_scans_ = -1;
 
     std::optional<Route> route_;
-    std::size_t leg_ = 0;     // of the route: from points[leg_] to points[leg_ + 1]
-    double along_mm_ = 0;     // on it
-    double whole_mm_ = 0;     // of the first route
+    std::size_t leg_ = 0;  // of the route: from points[leg_] to points[leg_ + 1]
+    double along_mm_ = 0;  // on it
+    double whole_mm_ = 0;  // of the first route
     int plans_ = 0;
     bool turning_ = false;  // on the spot towards the route
     double least_rest_mm_ = 0;
@@ -112,7 +115,7 @@ class Navigation {
     int tries_ = 0;
     unsigned bumpers_ = 0;
     int recoil_direction_ = -1;
-    int facing_ = 0;            // the way round to the goal's heading: 1 to the left, -1 to the right, 0 not chosen
+    int facing_ = 0;  // the way round to the goal's heading: 1 to the left, -1 to the right, 0 not chosen
     bool turned_back_ = false;  // from the way round that was chosen first
 
     struct Unmapped {

@@ -32,12 +32,16 @@ struct Located {
         if (const auto fresh = navigation.takeNews(); !fresh.empty()) news += "    " + fresh + "\n";
         if (std::getenv("AXON_NAVIGATION_TRACE") != nullptr) {
             const auto& pose = navigation.estimate().pose;
-            fmt::print("{:.1f} s at ({:.0f}, {:.0f}, {:.0f}) fit {:.2f} spread {:.0f} drives {:.0f} {:.0f} {}\n", toSeconds(now), pose.x_mm, pose.y_mm,
-                       pose.heading_deg, navigation.estimate().fit, navigation.estimate().spread_mm, step.forward_mm_s, step.left_deg_s, step.halt);
+            fmt::print(
+                "{:.1f} s at ({:.0f}, {:.0f}, {:.0f}) fit {:.2f} spread {:.0f} drives {:.0f} {:.0f} {}\n",
+                toSeconds(now), pose.x_mm, pose.y_mm, pose.heading_deg, navigation.estimate().fit,
+                navigation.estimate().spread_mm, step.forward_mm_s, step.left_deg_s, step.halt);
         }
         return step;
     }
-    static double toSeconds(TimePoint time) { return std::chrono::duration<double>(time.time_since_epoch()).count(); }
+    static double toSeconds(TimePoint time) {
+        return std::chrono::duration<double>(time.time_since_epoch()).count();
+    }
 };
 
 /// Two rooms, and a door in the wall between them, in whose middle the origin is.
@@ -102,8 +106,9 @@ class NavigationPhysicsTest : public VirtualRobotTest {
         world.robots = {{.x = 1.5, .y = 3}};
         return world;
     }
-    void begin(const lab::WorldDescription& world, MapPose off = {}, const std::string& map = "robots/peoplebot/testdata/small.map",
-               double spread_mm = 150, double spread_deg = 6) {
+    void begin(const lab::WorldDescription& world, MapPose off = {},
+               const std::string& map = "robots/peoplebot/testdata/small.map", double spread_mm = 150,
+               double spread_deg = 6) {
         std::ostringstream text;
         text << std::ifstream(map).rdbuf();
         beginOn(text.str(), world, off, spread_mm, spread_deg);
@@ -115,9 +120,11 @@ class NavigationPhysicsTest : public VirtualRobotTest {
         run(0.5);  // the first scans
         const auto& home = (plan_->map().homes.empty() ? plan_->map().docks : plan_->map().homes).at(0);
         localisation_ = std::make_unique<Localisation>(
-            plan_, Localisation::Start{.pose = {home.at.x_mm + off.x_mm, home.at.y_mm + off.y_mm, home.heading_deg.value_or(0) + off.heading_deg},
-                                        .spread_mm = spread_mm,
-                                        .spread_deg = spread_deg},
+            plan_,
+            Localisation::Start{.pose = {home.at.x_mm + off.x_mm, home.at.y_mm + off.y_mm,
+                                         home.heading_deg.value_or(0) + off.heading_deg},
+                                .spread_mm = spread_mm,
+                                .spread_deg = spread_deg},
             robot());
     }
     /// To each goal of a world's map in turn; which could not be reached.
@@ -144,9 +151,11 @@ class NavigationPhysicsTest : public VirtualRobotTest {
     }
     MotionStep go(const std::string& goal, double velocity = 300) {
         worst_mm_ = 0;
-        Located motion{Navigation({.destination = goal, .velocity_mm_s = velocity}, plan_, rules_, [this] { return localisation_->estimate(); },
-                                  lab_->now()),
-                       *localisation_, [this](const auto& /*robot*/) {
+        Located motion{Navigation(
+                           {.destination = goal, .velocity_mm_s = velocity}, plan_, rules_,
+                           [this] { return localisation_->estimate(); }, lab_->now()),
+                       *localisation_,
+                       [this](const auto& /*robot*/) {
                            worst_mm_ = std::max(worst_mm_, localisationError_mm());
                            if (meanwhile_) meanwhile_();
                        },
@@ -157,11 +166,14 @@ class NavigationPhysicsTest : public VirtualRobotTest {
         const auto at = plan_->map().goal(goal)->at;
         arrival_mm_ = std::hypot(truth.x_m * 1000 - at.x_mm, truth.y_m * 1000 - at.y_mm);
         localisation_->update(robot());
-        fmt::print("to \"{}\": {:.1f} s, arrival error {:.0f} mm, localisation error {:.0f} mm, {:.1f} deg (worst {:.0f} mm), nearest {:.0f} mm, {} plans, fit "
-                   "{:.2f} {}\n{}",
-                   goal, std::chrono::duration<double>(lab_->age() - begun).count(), arrival_mm_, localisationError_mm(),
-                   std::remainder(localisation_->estimate().pose.heading_deg - truth.theta_deg, 360), worst_mm_, nearest_mm_,
-                   motion.navigation.plans(), localisation_->estimate().fit, end.reason, motion.news);
+        fmt::print(
+            "to \"{}\": {:.1f} s, arrival error {:.0f} mm, localisation error {:.0f} mm, {:.1f} deg (worst "
+            "{:.0f} mm), nearest {:.0f} mm, {} plans, fit "
+            "{:.2f} {}\n{}",
+            goal, std::chrono::duration<double>(lab_->age() - begun).count(), arrival_mm_,
+            localisationError_mm(),
+            std::remainder(localisation_->estimate().pose.heading_deg - truth.theta_deg, 360), worst_mm_,
+            nearest_mm_, motion.navigation.plans(), localisation_->estimate().fit, end.reason, motion.news);
         return end;
     }
     double localisationError_mm() {
@@ -228,7 +240,8 @@ TEST_F(NavigationPhysicsTest, WhatIsPutBeforeItWhileItDrivesIsNotTouched) {
     const auto end = go("north east", 400);
     EXPECT_GE(put, 1);
     EXPECT_EQ(touched(), "");
-    EXPECT_TRUE(end.outcome == Outcome::Done || end.reason.find("blocked") != std::string::npos) << end.reason;
+    EXPECT_TRUE(end.outcome == Outcome::Done || end.reason.find("blocked") != std::string::npos)
+        << end.reason;
 }
 
 TEST_F(NavigationPhysicsTest, StopsBeforeABlockedDoorAndGivesUpWithTheReason) {
@@ -247,30 +260,37 @@ TEST_F(NavigationPhysicsTest, ReachesTheGoalsOfTheSmallRoomOfTheLaboratory) {
 }
 
 TEST_F(NavigationPhysicsTest, InTheTransportLaboratoryItTurnsOnlyWhereTheOtherRobotLeavesRoom) {
-    // The other robot stands half a metre from this goal: a robot on it that turns its back to the other touches it.
-    EXPECT_THAT(everyGoal("transport"), ::testing::AnyOf(::testing::IsEmpty(), ::testing::ElementsAre("West table 2")));
+    // The other robot stands half a metre from this goal: a robot on it that turns its back to the other
+    // touches it.
+    EXPECT_THAT(everyGoal("transport"),
+                ::testing::AnyOf(::testing::IsEmpty(), ::testing::ElementsAre("West table 2")));
 }
 
 TEST_F(NavigationPhysicsTest, ReachesTheGoalsOfTheBuildingOfTheLaboratory) {
-    if (std::getenv("AXON_LONG_TRIALS") == nullptr) GTEST_SKIP() << "takes half a minute; AXON_LONG_TRIALS=1 runs it";
+    if (std::getenv("AXON_LONG_TRIALS") == nullptr)
+        GTEST_SKIP() << "takes half a minute; AXON_LONG_TRIALS=1 runs it";
     EXPECT_THAT(everyGoal("corridors"), ::testing::UnorderedElementsAre("Stairs", "Shaft"));
 }
 
 /// A building, and which of its goals nobody can reach.
 using Building = std::pair<const char*, std::vector<std::string>>;
-class NavigationInBuildingsTest : public NavigationPhysicsTest, public ::testing::WithParamInterface<Building> {};
+class NavigationInBuildingsTest : public NavigationPhysicsTest,
+                                  public ::testing::WithParamInterface<Building> {};
 
 TEST_P(NavigationInBuildingsTest, ReachesTheGoals) {
-    if (std::getenv("AXON_LONG_TRIALS") == nullptr) GTEST_SKIP() << "all buildings take a minute; AXON_LONG_TRIALS=1 runs them";
+    if (std::getenv("AXON_LONG_TRIALS") == nullptr)
+        GTEST_SKIP() << "all buildings take a minute; AXON_LONG_TRIALS=1 runs them";
     EXPECT_THAT(everyGoal(GetParam().first), ::testing::UnorderedElementsAreArray(GetParam().second));
 }
 
 INSTANTIATE_TEST_SUITE_P(Laboratory, NavigationInBuildingsTest,
-                         ::testing::Values(Building{"offices", {}}, Building{"openplan", {}}, Building{"ward", {}}, Building{"workshop", {"Pit"}},
+                         ::testing::Values(Building{"offices", {}}, Building{"openplan", {}},
+                                           Building{"ward", {}}, Building{"workshop", {"Pit"}},
                                            Building{"villa", {"Chimney"}}));
 
 TEST_F(NavigationPhysicsTest, FurnitureBeforeAWallIsNotTakenForTheWall) {
-    // A bookcase hides half of the wall that the robot drives towards; no other wall tells how far it has come.
+    // A bookcase hides half of the wall that the robot drives towards; no other wall tells how far it has
+    // come.
     begin(lab::loadWorld("lab/worlds/villa.lab"), {}, "lab/worlds/villa.map");
     const auto end = go("Library", 400);
     EXPECT_EQ(end.outcome, Outcome::Done) << end.reason;
@@ -280,10 +300,10 @@ TEST_F(NavigationPhysicsTest, FurnitureBeforeAWallIsNotTakenForTheWall) {
 }
 
 TEST_F(NavigationPhysicsTest, PassesDoorsThatItMeetsAtAnAngle) {
-    // At the first two arcs of echoes from a jamb reach across its way; at the last the short way to what it steers for
-    // leads it so near to a jamb that it stands before it.
-    for (const Door& door :
-         {Door{883, 60, 26, 12, 131, 2499, 1647}, Door{903, 55, 33, 0, 142, 1508, 1649}, Door{810, 57, 10, 0, 232, 1638, 1743}}) {
+    // At the first two arcs of echoes from a jamb reach across its way; at the last the short way to what it
+    // steers for leads it so near to a jamb that it stands before it.
+    for (const Door& door : {Door{883, 60, 26, 12, 131, 2499, 1647}, Door{903, 55, 33, 0, 142, 1508, 1649},
+                             Door{810, 57, 10, 0, 232, 1638, 1743}}) {
         through(door);
         const auto end = go("beyond", 400);
         EXPECT_EQ(end.outcome, Outcome::Done) << end.reason;
@@ -304,7 +324,8 @@ TEST_F(NavigationPhysicsTest, AWrongStartIsNoticed) {
     begin(smallWorld(), {5000, 2000, 120});
     const auto end = go("west");
     EXPECT_EQ(end.outcome, Outcome::Failed);
-    EXPECT_THAT(end.reason, ::testing::AnyOf(HasSubstr("does the robot stand there?"), HasSubstr("lost itself")));
+    EXPECT_THAT(end.reason,
+                ::testing::AnyOf(HasSubstr("does the robot stand there?"), HasSubstr("lost itself")));
     EXPECT_EQ(touched(), "");
 }
 

@@ -22,7 +22,8 @@ TEST_F(VirtualRobotTest, DrivesTwoMetresInTheDefaultWorld) {
     EXPECT_NEAR(lab_->truth(0).x_m, 3.5, 0.06);
 }
 
-/// Of a laboratory that is gone nothing may arrive any more, or its times, which are later, hold up the next one's answers.
+/// Of a laboratory that is gone nothing may arrive any more, or its times, which are later, hold up the next
+/// one's answers.
 TEST_F(VirtualRobotTest, DrivesInASecondLaboratoryToo) {
     auto world = lab::defaultWorld();
     world.robots = {lab::parseRobot("", 0)};
@@ -112,8 +113,8 @@ TEST_F(VirtualRobotTest, ATableOverheadCancelsATurn) {
     EXPECT_LT(motion.turned_deg(), 90);
 }
 
-/// "Within one sensor cycle": the robot tells of itself every 100 ms; a bumper and a table sensor are in every
-/// packet, a sonar has its turn once in a round of 320 ms (eight of an array, 40 ms each).
+/// "Within one sensor cycle": the robot tells of itself every 100 ms; a bumper and a table sensor are in
+/// every packet, a sonar has its turn once in a round of 320 ms (eight of an array, 40 ms each).
 class StallTest : public VirtualRobotTest {
   protected:
     static constexpr auto kPacket = std::chrono::milliseconds{100} + 2 * lab::Physics::kPeriod;
@@ -166,8 +167,8 @@ TEST_F(StallTest, ATableSensorEndsATurnWithinOneSensorCycle) {
         const double a = truth.theta_deg * std::numbers::pi / 180;
         return 3000 + std::sin(a) * body::kTableSensorX_mm + std::cos(a) * body::kTableSensorY_mm > 3350;
     };
-    expectFailure(Turning({.angle_deg = 180, .velocity_deg_s = 40}, session_.robot(), lab_->now()), "table sensor",
-                  kPacket);
+    expectFailure(Turning({.angle_deg = 180, .velocity_deg_s = 40}, session_.robot(), lab_->now()),
+                  "table sensor", kPacket);
 }
 
 /// A program on a serial line is killed while its robot drives at 400 mm/s: nobody tells the robot.

@@ -122,7 +122,8 @@ TEST(PeopleBotProfiles, WhatTheServicesProfileAllowsTheMotionsDo) {
             if (param.name() == "Velocity") {
                 EXPECT_EQ(param.minimum(), wander ? Wander::kSlowest_mm_s : Navigation::kSlowest_mm_s);
                 EXPECT_EQ(param.maximum(), wander ? Wander::kFastest_mm_s : Navigation::kFastest_mm_s);
-                EXPECT_EQ(param.initial(0).dbl(), wander ? Wander::Request{}.velocity_mm_s : Navigation::Request{}.velocity_mm_s);
+                EXPECT_EQ(param.initial(0).dbl(),
+                          wander ? Wander::Request{}.velocity_mm_s : Navigation::Request{}.velocity_mm_s);
             }
             if (param.name() == "Tolerance") {
                 EXPECT_EQ(param.initial(0).dbl(), Navigation::Request{}.tolerance_mm);

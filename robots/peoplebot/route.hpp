@@ -22,9 +22,9 @@ struct RouteAnswer {
 };
 
 /// The shortest way by MRPT's grid planner (PlannerSimple2D) that keeps plenty of room from walls, what is
-/// forbidden and what was sighted; where there is none, one with less room, down to kLeastRoom_mm. A robot that stands
-/// nearer to something than that (in front of a table) first gets away from it. Takes up to a second in large
-/// buildings. Any thread.
+/// forbidden and what was sighted; where there is none, one with less room, down to kLeastRoom_mm. A robot
+/// that stands nearer to something than that (in front of a table) first gets away from it. Takes up to a
+/// second in large buildings. Any thread.
 RouteAnswer findRoute(const FloorPlan& plan, const mapper3::Point& from, const mapper3::Point& to,
                       std::span<const mapper3::Point> sighted = {});
 

@@ -29,7 +29,8 @@ class RouteTest : public ::testing::Test {
             const auto& a = route.points[i - 1];
             const auto& b = route.points[i];
             for (double part = 0; part <= 1; part += 0.01)
-                least = std::min(least, plan_.room_mm({a.x_mm + part * (b.x_mm - a.x_mm), a.y_mm + part * (b.y_mm - a.y_mm)}));
+                least = std::min(least, plan_.room_mm({a.x_mm + part * (b.x_mm - a.x_mm),
+                                                       a.y_mm + part * (b.y_mm - a.y_mm)}));
         }
         return least;
     }
@@ -45,7 +46,8 @@ TEST(DistanceField, IsExact) {
     const auto field = distancesToOccupied(cells, kWidth, kHeight);
     for (int y = 0; y < kHeight; ++y) {
         for (int x = 0; x < kWidth; ++x) {
-            const double nearest = std::min({std::hypot(x - 4, y - 3), std::hypot(x - 15, y - 9), std::hypot(x, y)});
+            const double nearest =
+                std::min({std::hypot(x - 4, y - 3), std::hypot(x - 15, y - 9), std::hypot(x, y)});
             EXPECT_NEAR(field[static_cast<std::size_t>(y * kWidth + x)], nearest, 1e-4);
         }
     }
@@ -77,7 +79,8 @@ TEST_F(RouteTest, EveryGoalIsReachedOrRefusedWithTheReason) {
 }
 
 TEST_F(RouteTest, AnUnknownGoalIsAnsweredWithThoseThereAre) {
-    EXPECT_THAT(plan_.objection("moon"), HasSubstr("has no goal \"moon\": it has \"at the wall\", \"corner\", \"kept out\""));
+    EXPECT_THAT(plan_.objection("moon"),
+                HasSubstr("has no goal \"moon\": it has \"at the wall\", \"corner\", \"kept out\""));
 }
 
 TEST_F(RouteTest, AForbiddenLineIsGoneRound) {

@@ -78,7 +78,8 @@ std::vector<Attribute> attributesOfRoot(const std::string& xml) {
 
 std::filesystem::path installedFolder() {
     std::error_code error;
-    return std::filesystem::read_symlink("/proc/self/exe", error).parent_path().parent_path() / "share/axon/robots/peoplebot";
+    return std::filesystem::read_symlink("/proc/self/exe", error).parent_path().parent_path() /
+           "share/axon/robots/peoplebot";
 }
 
 }  // namespace
@@ -106,8 +107,8 @@ MapPose parsePose(const std::string& text, std::string_view what) {
         at = comma + 1;
     }
     if (!good)
-        throw BadSetting(
-            fmt::format("{} {}: expected X,Y,HEADING in mm, mm, degrees, for example 1500,3000,90", what, text));
+        throw BadSetting(fmt::format(
+            "{} {}: expected X,Y,HEADING in mm, mm, degrees, for example 1500,3000,90", what, text));
     return {numbers[0], numbers[1], numbers[2]};
 }
 
@@ -134,7 +135,8 @@ std::filesystem::path rulesFile(const Settings& settings, const std::string& nam
         std::error_code error;
         if (!folder.empty() && std::filesystem::is_regular_file(folder / name, error)) return folder / name;
     }
-    throw BadSetting(fmt::format("there is no {}, neither in {} nor with --profiles", name, installedFolder().string()));
+    throw BadSetting(
+        fmt::format("there is no {}, neither in {} nor with --profiles", name, installedFolder().string()));
 }
 
 TemporaryFile::TemporaryFile(const std::string& content) {

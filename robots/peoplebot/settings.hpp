@@ -15,14 +15,14 @@ namespace axon::peoplebot {
 
 /// How one axon-peoplebot is started.
 struct Settings {
-    std::string robot = "127.0.0.1:8101";    ///< or a serial line: /dev/ttyS0, /dev/ttyUSB0:38400
-    std::string camera = "127.0.0.1:8301";   ///< empty: none
+    std::string robot = "127.0.0.1:8101";   ///< or a serial line: /dev/ttyS0, /dev/ttyUSB0:38400
+    std::string camera = "127.0.0.1:8301";  ///< empty: none
     std::string laser;  ///< the line of a SICK LMS-200 that is wired to this computer, as `robot`; empty: by
                         ///< the robot
     std::string application = "peoplebot";
     std::string instance;
-    std::string name;                ///< of the entity; empty: that of the basic profile
-    std::string ports;               ///< a ports.cfg, or "first-last"; empty: the Entity Interfacer's range
+    std::string name;   ///< of the entity; empty: that of the basic profile
+    std::string ports;  ///< a ports.cfg, or "first-last"; empty: the Entity Interfacer's range
     /// Without a packet for so long the robot is lost; five are missing then.
     std::chrono::steady_clock::duration robot_silence_limit = std::chrono::milliseconds{500};
     /// Without a sign of life of this process for so long its guard stops the robot; zero: there is no guard.
@@ -49,7 +49,8 @@ std::string withEntityName(const std::string& xml, std::string_view name);
 /// ../share/axon/robots/peoplebot seen from the program. Throws BadSetting.
 std::filesystem::path profileFolder(const Settings& settings);
 
-/// A file of rules: in the settings' folder, where there are some, else in the installed one. Throws BadSetting.
+/// A file of rules: in the settings' folder, where there are some, else in the installed one. Throws
+/// BadSetting.
 std::filesystem::path rulesFile(const Settings& settings, const std::string& name);
 
 /// A file that lives as long as this object: the renamed profile, which the Entity Interfacer reads from

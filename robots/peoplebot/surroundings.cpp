@@ -95,7 +95,8 @@ void Surroundings::forEachSpot(const Visit& visit) const {
         const auto& pose = body::kSonars[i];
         for (const double part : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
             const double a = (pose.direction_deg + part * body::kSonarHalfCone_deg) * kDegree;
-            visit(seenFrom(here_, echo.from, pose.x_mm + echo.range_mm * std::cos(a), pose.y_mm + echo.range_mm * std::sin(a)));
+            visit(seenFrom(here_, echo.from, pose.x_mm + echo.range_mm * std::cos(a),
+                           pose.y_mm + echo.range_mm * std::sin(a)));
         }
     });
     if (!laser_ || now_ - laser_->taken > kMemory) return;
@@ -114,14 +115,16 @@ Clearance Surroundings::clearance() const {
         const double away = fromHull_mm(spot);
         const double bearing = std::atan2(spot.y, spot.x) / kDegree;
         if (std::abs(spot.y) <= kLane_mm) {
-            if (spot.x > 0) room.front = std::min(room.front, std::max(0.0, std::max(away, spot.x - body::kRadius_mm)));
+            if (spot.x > 0)
+                room.front = std::min(room.front, std::max(0.0, std::max(away, spot.x - body::kRadius_mm)));
             if (spot.x < body::kRear_mm) room.rear = std::min(room.rear, std::max(0.0, away));
         }
         if (std::abs(bearing) >= kSideFrom_deg && std::abs(bearing) <= kSideTo_deg) {
             auto& side = bearing > 0 ? room.left : room.right;
             side = std::min(side, std::max(0.0, away));
         }
-        if (spot.x <= kBesideAxis_mm) room.swing = std::min(room.swing, std::hypot(spot.x, spot.y) - body::kSwing_mm);
+        if (spot.x <= kBesideAxis_mm)
+            room.swing = std::min(room.swing, std::hypot(spot.x, spot.y) - body::kSwing_mm);
     });
     forEachEcho([&](std::size_t i, const Echo& /*echo*/) {
         if (std::abs(body::kSonars[i].direction_deg) <= 50) room.heard = true;
@@ -138,7 +141,8 @@ double Surroundings::roomToTurn(double by_deg) const {
         const double now = fromHull_mm(spot);
         for (int i = 1; i <= steps; ++i) {
             const double a = by_deg * i / steps * kDegree;
-            const double then = fromHull_mm({std::cos(a) * spot.x + std::sin(a) * spot.y, std::cos(a) * spot.y - std::sin(a) * spot.x});
+            const double then = fromHull_mm(
+                {std::cos(a) * spot.x + std::sin(a) * spot.y, std::cos(a) * spot.y - std::sin(a) * spot.x});
             if (then < now - kNearer_mm) room = std::min(room, then);
         }
     });
@@ -147,7 +151,8 @@ double Surroundings::roomToTurn(double by_deg) const {
 
 std::vector<Surroundings::Sighting> Surroundings::sightings(double most_mm) const {
     std::vector<Sighting> seen;
-    const auto add = [&](const MapPose& from, double sensor_x, double sensor_y, double range, double direction_deg, bool laser) {
+    const auto add = [&](const MapPose& from, double sensor_x, double sensor_y, double range,
+                         double direction_deg, bool laser) {
         const double a = direction_deg * kDegree;
         const auto at = seenFrom(here_, from, sensor_x + range * std::cos(a), sensor_y + range * std::sin(a));
         const auto sensor = seenFrom(here_, from, sensor_x, sensor_y);
@@ -155,14 +160,16 @@ std::vector<Surroundings::Sighting> Surroundings::sightings(double most_mm) cons
     };
     forEachEcho([&](std::size_t i, const Echo& echo) {
         const auto& pose = body::kSonars[i];
-        if (echo.range_mm <= most_mm) add(echo.from, pose.x_mm, pose.y_mm, echo.range_mm, pose.direction_deg, false);
+        if (echo.range_mm <= most_mm)
+            add(echo.from, pose.x_mm, pose.y_mm, echo.range_mm, pose.direction_deg, false);
     });
     if (laser_ && now_ - laser_->taken <= kMemory) {
         const MapPose from{laser_->x_mm, laser_->y_mm, laser_->heading_deg};
         for (std::size_t i = 0; i < laser_->ranges_mm.size(); ++i) {
             const double range = laser_->ranges_mm[i];
             if (range <= most_mm)
-                add(from, body::kLaserX_mm, 0, range, laser_->start_deg + static_cast<double>(i) * laser_->step_deg, true);
+                add(from, body::kLaserX_mm, 0, range,
+                    laser_->start_deg + static_cast<double>(i) * laser_->step_deg, true);
         }
     }
     return seen;

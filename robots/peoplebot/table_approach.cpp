@@ -28,7 +28,8 @@ std::string TableApproach::objection(const Request& r) {
     if (!(r.velocity_mm_s >= kSlowest_mm_s && r.velocity_mm_s <= kFastest_mm_s))
         return fmt::format("Velocity is {} mm/s: give {} to {} mm/s", r.velocity_mm_s, kSlowest_mm_s,
                            kFastest_mm_s);
-    if (!(r.reach_mm >= 0 && r.reach_mm <= 320)) return fmt::format("Reach is {} mm: give 0 to 320 mm", r.reach_mm);
+    if (!(r.reach_mm >= 0 && r.reach_mm <= 320))
+        return fmt::format("Reach is {} mm: give 0 to 320 mm", r.reach_mm);
     if (!(r.range_threshold_mm >= 0 && r.range_threshold_mm <= kFarthestThreshold_mm))
         return fmt::format("Range Threshold is {} mm: give 0 to {} mm", r.range_threshold_mm,
                            kFarthestThreshold_mm);
@@ -73,7 +74,8 @@ MotionStep TableApproach::step(const arcos::RobotState& robot, TimePoint now) {
         for (int i = 0; i < arcos::RobotState::kSonars; ++i) {
             const auto& sonar = robot.sonars[static_cast<std::size_t>(i)];
             if (sonar.heard == TimePoint{} || now - sonar.heard > kSonarSilence) continue;
-            if (std::abs(*sonarDirection_deg(i)) > kSonarCone_deg || sonar.range_mm >= request_.range_threshold_mm)
+            if (std::abs(*sonarDirection_deg(i)) > kSonarCone_deg ||
+                sonar.range_mm >= request_.range_threshold_mm)
                 continue;
             return fail(fmt::format("sonar {} at {} mm is nearer than the threshold {} mm", i, sonar.range_mm,
                                     request_.range_threshold_mm));

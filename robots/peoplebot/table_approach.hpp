@@ -4,8 +4,8 @@
 
 namespace axon::peoplebot {
 
-/// The service Approach Table: drives up to a table's edge and squares up to it, so that what the gripper holds
-/// is above the table and can be put down.
+/// The service Approach Table: drives up to a table's edge and squares up to it, so that what the gripper
+/// holds is above the table and can be put down.
 ///
 /// Straight on until a table sensor sees the table, turning towards the side that does not see it yet until
 /// both do, then the reach further. Fails with the reason when no table is seen within the distance, and on
@@ -14,9 +14,10 @@ namespace axon::peoplebot {
 class TableApproach {
   public:
     struct Request {
-        double distance_mm = 1500;       ///< at most so far until a table is seen
+        double distance_mm = 1500;  ///< at most so far until a table is seen
         double velocity_mm_s = 150;
-        double reach_mm = 230;  ///< further on, under the table, after both sensors saw it: the gripper is over the base
+        double reach_mm =
+            230;  ///< further on, under the table, after both sensors saw it: the gripper is over the base
         double range_threshold_mm = 150;  ///< zero: ranges are not looked at
     };
     static constexpr double kFastest_mm_s = 300;

@@ -41,7 +41,7 @@ constexpr Duration kFirstLook = milliseconds{2500};   // from wherever it looked
 constexpr Duration kCameraDelay = milliseconds{50};   // from the exposure to the last byte
 constexpr Duration kCameraSilence = seconds{5};
 constexpr double kSmallObject_mm = 40;  // above the table: the middle of one
-constexpr double kHorizon_mm = 4000;  // what seems to be farther is taken to be so far
+constexpr double kHorizon_mm = 4000;    // what seems to be farther is taken to be so far
 
 // Driving.
 constexpr double kTurning_deg_s = 30;
@@ -55,13 +55,14 @@ constexpr double kClearing_mm_s = 120;
 constexpr double kClearing_mm = 350;
 constexpr double kBackingOff_mm_s = 150;
 constexpr double kBraking_per_s = 0.6;  // speed over the way that is left
-constexpr double kReach_mm = 120;  // this near to its place the object is crept up to, table seen or not
+constexpr double kReach_mm = 120;       // this near to its place the object is crept up to, table seen or not
 constexpr double kLongestReach_mm = 330;
 constexpr double kBeyond_mm = 110;  // the estimate may be wrong by so much, not more
 constexpr double kDeeper_mm = 35;   // from the outer beam to where even a thin object is held well
 constexpr Duration kBlink = milliseconds{700};  // out of sight for longer, the robot waits
 constexpr Duration kOutOfSight = milliseconds{2500};
-constexpr double kNearEnoughToTrust_mm = 300;  // the rest of the way is driven by memory when it is out of sight
+constexpr double kNearEnoughToTrust_mm =
+    300;  // the rest of the way is driven by memory when it is out of sight
 constexpr double kSonarCone_deg = 35;
 constexpr Duration kSonarSilence = seconds{1};
 constexpr int kTries = 3;
@@ -111,8 +112,8 @@ std::string Tracking::objection(const Request& r, const GraspGeometry& geometry,
     const double lowest = geometry.lift_top_mm - geometry.lift_travel_mm - kPaddlesAboveTable_mm;
     const double highest = geometry.lift_top_mm - kPaddlesAboveTable_mm;
     if (!(r.table_height_mm >= lowest && r.table_height_mm <= highest))
-        return fmt::format("Table Height is {} mm: this gripper reaches from {} to {} mm", r.table_height_mm, lowest,
-                           highest);
+        return fmt::format("Table Height is {} mm: this gripper reaches from {} to {} mm", r.table_height_mm,
+                           lowest, highest);
     if (!(r.back_off_mm >= 0 && r.back_off_mm <= kFarthestBack_mm))
         return fmt::format("Back Off is {} mm: give 0 to {} mm", r.back_off_mm, kFarthestBack_mm);
     if (!(r.velocity_mm_s >= kSlowest_mm_s && r.velocity_mm_s <= kFastest_mm_s))
@@ -204,8 +205,9 @@ void Tracking::look(double pan_deg, double tilt_deg, TimePoint now, Step& step) 
                            std::clamp(tilt_deg, vcc4::kMinimumTilt_deg, vcc4::kMaximumTilt_deg)};
     Duration travel = kFirstLook;
     if (looking_) {
-        const double time_s = std::max(std::abs(to.pan_left_deg - looking_->pan_left_deg) / vcc4::kMaximumPanRate_deg_s,
-                                       std::abs(to.tilt_up_deg - looking_->tilt_up_deg) / vcc4::kMaximumTiltRate_deg_s);
+        const double time_s =
+            std::max(std::abs(to.pan_left_deg - looking_->pan_left_deg) / vcc4::kMaximumPanRate_deg_s,
+                     std::abs(to.tilt_up_deg - looking_->tilt_up_deg) / vcc4::kMaximumTiltRate_deg_s);
         travel = std::chrono::duration_cast<Duration>(std::chrono::duration<double>(time_s)) + kCameraPause;
     }
     looking_ = to;
@@ -258,7 +260,8 @@ bool Tracking::measure(const CameraView& view) {
         const double rx = lens_x + range * std::cos(bearing);
         const double ry = lens_y + range * std::sin(bearing);
         const double a = pose.heading_deg * kDegree;
-        const Point at{pose.x + std::cos(a) * rx - std::sin(a) * ry, pose.y + std::sin(a) * rx + std::cos(a) * ry};
+        const Point at{pose.x + std::cos(a) * rx - std::sin(a) * ry,
+                       pose.y + std::sin(a) * rx + std::cos(a) * ry};
         if (!target_) {
             best = at;
             break;  // the largest
@@ -428,7 +431,9 @@ void Tracking::stepLooking(const RobotState& robot, const CameraView* view, Time
         return;
     }
     if (++rounds_ >= 2) {
-        giveUp(fmt::format("not found: no {} object in sight all around", peoplebot::toString(request_.colour)), now);
+        giveUp(
+            fmt::format("not found: no {} object in sight all around", peoplebot::toString(request_.colour)),
+            now);
         return;
     }
     next_look_ = 0;
@@ -508,12 +513,14 @@ void Tracking::stepApproaching(const RobotState& robot, const CameraView* view, 
     const auto at = seenFrom(robot);
     const double bearing = std::atan2(at.y, at.x) / kDegree;
     const double rest = at.x - geometry_.paddles_mm;
-    if (now < settled_) seen_ = std::max(seen_, now - milliseconds{500});  // not blind, only looking elsewhere
+    if (now < settled_)
+        seen_ = std::max(seen_, now - milliseconds{500});  // not blind, only looking elsewhere
     if (now - seen_ > kOutOfSight && rest > kNearEnoughToTrust_mm) {
         tryAgain("lost: the object went out of sight", false, now);
         return;
     }
-    if (preparation_ != Preparation::Ready) {  // nothing is driven into a table with the gripper below its top
+    if (preparation_ !=
+        Preparation::Ready) {  // nothing is driven into a table with the gripper below its top
         seen_ = now;
         since_ = now;
         standstill_.restart(now);
@@ -531,7 +538,8 @@ void Tracking::stepApproaching(const RobotState& robot, const CameraView* view, 
         const double dx = at.x - geometry_.camera_x_mm - geometry_.camera_lens_mm;
         const double down = geometry_.camera_height_mm - request_.table_height_mm - kSmallObject_mm;
         const double tilt = std::max(-std::atan2(down, dx) / kDegree, arcos::vcc4::kMinimumTilt_deg);
-        if (std::abs(looking_->tilt_up_deg - tilt) > 6 || std::abs(looking_->pan_left_deg) > 12) look(0, tilt, now, step);
+        if (std::abs(looking_->tilt_up_deg - tilt) > 6 || std::abs(looking_->pan_left_deg) > 12)
+            look(0, tilt, now, step);
     }
     if (now - seen_ > kBlink && rest > kNearEnoughToTrust_mm) {
         standstill_.restart(now);
@@ -546,7 +554,8 @@ void Tracking::stepApproaching(const RobotState& robot, const CameraView* view, 
         giveUp("the robot does not move: are its motors enabled, is it free?", now);
         return;
     }
-    step.forward_mm_s = std::clamp(kBraking_per_s * (rest - kReach_mm) + kSlowest_mm_s, kSlowest_mm_s, request_.velocity_mm_s);
+    step.forward_mm_s = std::clamp(kBraking_per_s * (rest - kReach_mm) + kSlowest_mm_s, kSlowest_mm_s,
+                                   request_.velocity_mm_s);
     step.left_deg_s = std::clamp(1.5 * bearing, -12.0, 12.0);
 }
 
@@ -623,7 +632,8 @@ void Tracking::stepLifting(const RobotState& robot, TimePoint now, Step& step) {
         giveUp("the object slipped out of the grip", now);
         return;
     }
-    const bool up = (gripper.lift_up || (gripper.lift_at_limit && !gripper.lift_down)) && !gripper.lift_moving;
+    const bool up =
+        (gripper.lift_up || (gripper.lift_at_limit && !gripper.lift_down)) && !gripper.lift_moving;
     if (up && now - since_ > GripperOperation::kReaction) {
         enter(Phase::BackingOff, now);
     } else if (now - since_ > kLiftTime) {

@@ -19,8 +19,8 @@ struct GraspGeometry {
     double camera_height_mm = 950;
     double camera_lens_mm = 35;                    ///< ahead of that point
     double view_deg = arcos::vcc4::kWideView_deg;  ///< horizontal
-    double paddles_mm = 170;  ///< ahead: where what is grabbed is to be, between the beams
-    double lift_top_mm = 790;                      ///< height of the paddles' middle, lift all the way up
+    double paddles_mm = 170;   ///< ahead: where what is grabbed is to be, between the beams
+    double lift_top_mm = 790;  ///< height of the paddles' middle, lift all the way up
     double lift_travel_mm = 190;
     double lift_mm_s = 20;
 };
@@ -39,23 +39,21 @@ struct CameraView {
 ///
 /// | phase | does | goes on when |
 /// |---|---|---|
-/// | Looking | opens the paddles and brings them to the table's height; looks about with the camera, then turns
-/// round and looks again | a significant blob is seen → Centring; nowhere → fails |
-/// | Centring | looks straight at it | seen again → Turning |
-/// | Clearing | backs away from a table that is too near for turning, or for another try | → Looking |
-/// | Turning | turns on the spot until the object is ahead | → Centring, or Approaching when it is ahead |
-/// | Approaching | drives towards it, slower the nearer it is, keeping it ahead | a table sensor sees the table, or
-/// it is near → Reaching; out of sight for long → Looking |
-/// | Reaching | creeps until the object breaks the beams between the paddles | → Closing |
-/// | Closing | closes the paddles | both feel it → Lifting; else Clearing for one more try |
-/// | Lifting, BackingOff | | → done |
+/// | Looking | opens the paddles and brings them to the table's height; looks about with the camera, then
+/// turns round and looks again | a significant blob is seen → Centring; nowhere → fails | | Centring | looks
+/// straight at it | seen again → Turning | | Clearing | backs away from a table that is too near for turning,
+/// or for another try | → Looking | | Turning | turns on the spot until the object is ahead | → Centring, or
+/// Approaching when it is ahead | | Approaching | drives towards it, slower the nearer it is, keeping it
+/// ahead | a table sensor sees the table, or it is near → Reaching; out of sight for long → Looking | |
+/// Reaching | creeps until the object breaks the beams between the paddles | → Closing | | Closing | closes
+/// the paddles | both feel it → Lifting; else Clearing for one more try | | Lifting, BackingOff | | → done |
 /// | GivingUp | robot stands, paddles open | → failed with the reason |
 ///
-/// The object is remembered where it stands in the odometry's frame, so that it may be out of sight for a while
-/// (under the camera's lower limit in the end). Bumpers, stalls and every sonar ahead guard all driving. A
-/// failure leaves the robot standing and the paddles open, except after the object was lifted: it is not
-/// dropped. I/O-free, not thread-safe: what the robot and the camera say comes in, velocities, orders to the
-/// gripper and where the camera is to look go out. Whoever calls halts all three when it was stopped.
+/// The object is remembered where it stands in the odometry's frame, so that it may be out of sight for a
+/// while (under the camera's lower limit in the end). Bumpers, stalls and every sonar ahead guard all
+/// driving. A failure leaves the robot standing and the paddles open, except after the object was lifted: it
+/// is not dropped. I/O-free, not thread-safe: what the robot and the camera say comes in, velocities, orders
+/// to the gripper and where the camera is to look go out. Whoever calls halts all three when it was stopped.
 class Tracking {
   public:
     enum class Phase {
@@ -73,8 +71,8 @@ class Tracking {
     struct Request {
         Colour colour = Colour::Red;
         double table_height_mm = 660;
-        double back_off_mm = 500;        ///< after lifting
-        double velocity_mm_s = 200;      ///< of the approach
+        double back_off_mm = 500;         ///< after lifting
+        double velocity_mm_s = 200;       ///< of the approach
         double range_threshold_mm = 150;  ///< of the sonars ahead; zero: they are not looked at
     };
     struct Step : MotionStep {
@@ -147,7 +145,7 @@ class Tracking {
 
     // The camera.
     std::optional<arcos::vcc4::PanTilt> looking_;  // where it was told to look
-    TimePoint settled_{};                           // from then on it does
+    TimePoint settled_{};                          // from then on it does
     std::uint64_t used_picture_ = 0;
     std::size_t next_look_ = 0;
     int rounds_ = 0;  // of looking about
@@ -167,7 +165,7 @@ class Tracking {
     bool ordered_ = false;  // the phase's order to the gripper was given
     int squeezes_ = 0;      // of Closing
     bool holding_ = false;
-    TimePoint held_{};  // last felt
+    TimePoint held_{};                     // last felt
     std::optional<double> outer_beam_at_;  // way of Reaching at which the object came between the paddles
     TimePoint moving_{};
 

@@ -30,7 +30,9 @@ class GraspTrial : public arcos::ClientSession::Port {
     GraspTrial(const lab::WorldDescription& world, std::uint64_t seed)
         : lab_(
               world,
-              [this](std::size_t, const arcos::Bytes& bytes) { inbox_.insert(inbox_.end(), bytes.begin(), bytes.end()); },
+              [this](std::size_t, const arcos::Bytes& bytes) {
+                  inbox_.insert(inbox_.end(), bytes.begin(), bytes.end());
+              },
               lab::Laboratory::Options{.seed = seed, .noise = 1}),
           cameras_(lab_.physics(), 1, {}) {
         lab_.clientConnected(0);
@@ -73,8 +75,8 @@ class GraspTrial : public arcos::ClientSession::Port {
                 phase = tracking.phase();
                 const auto truth = lab_.truth(0);
                 fmt::print("    {:5.1f} s {} at {:.3f} {:.3f} {:.1f} deg\n",
-                           std::chrono::duration<double>(lab_.age()).count(), Tracking::toString(*phase), truth.x_m,
-                           truth.y_m, truth.theta_deg);
+                           std::chrono::duration<double>(lab_.age()).count(), Tracking::toString(*phase),
+                           truth.x_m, truth.y_m, truth.theta_deg);
             }
             apply(step.gripper);
             if (step.look) lab_.receive(0, arcos::encodeCommand(Command::Tty2, vcc4::panTilt(*step.look)));
@@ -144,7 +146,8 @@ class GraspTrial : public arcos::ClientSession::Port {
         lab_.step();
     }
     void run(double seconds) {
-        const auto end = lab_.age() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(seconds));
+        const auto end =
+            lab_.age() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(seconds));
         while (lab_.age() < end) tick();
     }
 
@@ -189,7 +192,8 @@ std::pair<std::uint64_t, std::uint64_t> seeds() {
     const char* told = std::getenv("AXON_GRASP_SEEDS");
     unsigned first = 1;
     unsigned last = 3;
-    if (told != nullptr && std::sscanf(told, "%u..%u", &first, &last) != 2) ADD_FAILURE() << "AXON_GRASP_SEEDS=1..40";
+    if (told != nullptr && std::sscanf(told, "%u..%u", &first, &last) != 2)
+        ADD_FAILURE() << "AXON_GRASP_SEEDS=1..40";
     return {first, last};
 }
 
@@ -205,21 +209,22 @@ TEST(TrackingPhysics, GrabsWhatStandsOnATableAndPutsItBackOnIt) {
         const auto took = std::chrono::duration<double>(trial.now() - began).count();
         auto object = trial.object();
         auto touched = trial.truth().touched;
-        const bool good = step.outcome == Outcome::Done && object.z_m > kTable_m + 0.05 && object.tilt_deg < 20 &&
-                          trial.truth().x_m < kEdge_m - 0.4 && touched.empty();
+        const bool good = step.outcome == Outcome::Done && object.z_m > kTable_m + 0.05 &&
+                          object.tilt_deg < 20 && trial.truth().x_m < kEdge_m - 0.4 && touched.empty();
         grabbed += good ? 1 : 0;
         if (!good || GraspTrial::verbose()) {
-            fmt::print("seed {} {}: {} {} in {:.0f} s; object {:.3f} m high, tilted {:.0f} deg, touched {}\n", seed,
-                       toString(setting.request.colour), good ? "grabbed" : "FAILED", step.reason, took, object.z_m,
-                       object.tilt_deg, touched.empty() ? "nothing" : touched.front());
+            fmt::print("seed {} {}: {} {} in {:.0f} s; object {:.3f} m high, tilted {:.0f} deg, touched {}\n",
+                       seed, toString(setting.request.colour), good ? "grabbed" : "FAILED", step.reason, took,
+                       object.z_m, object.tilt_deg, touched.empty() ? "nothing" : touched.front());
             std::fflush(stdout);
         }
         if (!good) continue;
 
         const auto approach = trial.perform(TableApproach({}, trial.robot(), trial.now()));
         const auto set_down = trial.operate({GripperOperation::Direction::Down, true});
-        const auto away = trial.perform(
-            Driving({.distance_mm = 500, .velocity_mm_s = -150, .range_threshold_mm = 200}, trial.robot(), trial.now()));
+        const auto away =
+            trial.perform(Driving({.distance_mm = 500, .velocity_mm_s = -150, .range_threshold_mm = 200},
+                                  trial.robot(), trial.now()));
         object = trial.object();
         touched = trial.truth().touched;
         std::erase(touched, "west");  // the paddles may come to rest on the table
@@ -228,14 +233,16 @@ TEST(TrackingPhysics, GrabsWhatStandsOnATableAndPutsItBackOnIt) {
                             std::abs(object.z_m - kTable_m) < 0.005 && touched.empty();
         put_down += stands ? 1 : 0;
         if (!stands || GraspTrial::verbose()) {
-            fmt::print("seed {}: {} {}{}{}; object {:.3f} {:.3f} {:.3f} m, tilted {:.0f} deg, touched {}\n", seed,
-                       stands ? "put down" : "NOT PUT DOWN", approach.reason, set_down.reason, away.reason, object.x_m,
-                       object.y_m, object.z_m, object.tilt_deg, touched.empty() ? "nothing" : touched.front());
+            fmt::print("seed {}: {} {}{}{}; object {:.3f} {:.3f} {:.3f} m, tilted {:.0f} deg, touched {}\n",
+                       seed, stands ? "put down" : "NOT PUT DOWN", approach.reason, set_down.reason,
+                       away.reason, object.x_m, object.y_m, object.z_m, object.tilt_deg,
+                       touched.empty() ? "nothing" : touched.front());
             std::fflush(stdout);
         }
     }
     const auto count = static_cast<unsigned>(last - first + 1);
-    if (GraspTrial::verbose()) fmt::print("{} of {} grabbed, {} of them put down\n", grabbed, count, put_down);
+    if (GraspTrial::verbose())
+        fmt::print("{} of {} grabbed, {} of them put down\n", grabbed, count, put_down);
     EXPECT_GE(grabbed * 100, count * 95);
     EXPECT_GE(put_down * 100, grabbed * 95);
 }

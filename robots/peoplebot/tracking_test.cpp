@@ -65,7 +65,8 @@ TEST_F(TrackingTest, FindsItWhereverTheRobotStandsAndHoweverItIsTurned) {
         world.object_y = -150 + 300 * any(random);
         world.table_turn_deg = -8 + 16 * any(random);
         const auto step = track();
-        EXPECT_EQ(step.outcome, Outcome::Done) << i << ": " << step.reason << " from " << world.x << ", " << world.y;
+        EXPECT_EQ(step.outcome, Outcome::Done)
+            << i << ": " << step.reason << " from " << world.x << ", " << world.y;
         EXPECT_TRUE(world.holding) << i;
     }
 }

@@ -115,7 +115,8 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
         for (const auto& thing : lab_->truth(0).touched) all += thing + " ";
         return all;
     }
-    /// From the robot's hull to the nearest obstacle, by ground truth; less than nothing when it is under a table.
+    /// From the robot's hull to the nearest obstacle, by ground truth; less than nothing when it is under a
+    /// table.
     double clearance_mm() const {
         const auto truth = lab_->truth(0);
         const double a = truth.theta_deg * std::numbers::pi / 180;
@@ -123,7 +124,8 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
         for (const auto& o : obstacles()) {
             for (int i = 0; i <= 4; ++i) {
                 const double behind = body::kRear_mm / 1000 * i / 4;
-                nearest = std::min(nearest, distance_m(o, truth.x_m + std::cos(a) * behind, truth.y_m + std::sin(a) * behind));
+                nearest = std::min(nearest, distance_m(o, truth.x_m + std::cos(a) * behind,
+                                                       truth.y_m + std::sin(a) * behind));
             }
         }
         return nearest * 1000 - 212;  // the hull's radius in front and behind, rubber included
@@ -141,7 +143,8 @@ class VirtualRobotTest : public ::testing::Test, public arcos::ClientSession::Po
     bool has_laser_ = true;
     double nearest_mm_ = 1e9;
     int bumps_ = 0;
-    /// By ground truth: from when on the motion must end; and the laboratory's age when that came, and when it did.
+    /// By ground truth: from when on the motion must end; and the laboratory's age when that came, and when
+    /// it did.
     std::function<bool(const lab::Truth&)> must_end_;
     std::optional<Duration> seen_at_, failed_at_;
     arcos::ClientSession session_{*this};

@@ -24,7 +24,8 @@ constexpr double kBacking_mm = 250;
 constexpr double kBacking_mm_s = 120;
 constexpr double kTurning_deg_s = 40;
 constexpr double kTurnCrawl_deg_s = 15;
-constexpr Duration kStallPause = milliseconds{700};  // the robot itself drops commands for 500 ms after a stall
+constexpr Duration kStallPause =
+    milliseconds{700};  // the robot itself drops commands for 500 ms after a stall
 constexpr double kRearMargin_mm = 120;
 
 double secondsOf(Duration time) {
@@ -40,8 +41,8 @@ std::shared_ptr<const fuzzy::Engine> loadWanderRules(const std::filesystem::path
 }
 
 double speedThatStopsWithin(double clearance_mm) {
-    // v^2 = 2 a s with less than the robot's deceleration of 600 mm/s2, after 0.35 s in which nothing happens: a
-    // round of the sonars.
+    // v^2 = 2 a s with less than the robot's deceleration of 600 mm/s2, after 0.35 s in which nothing
+    // happens: a round of the sonars.
     constexpr double kBraking_mm_s2 = 450;
     constexpr double kBlind_s = 0.35;
     constexpr double kMargin_mm = 60;
@@ -52,13 +53,16 @@ double speedThatStopsWithin(double clearance_mm) {
 
 std::string Wander::objection(const Request& r) {
     if (!(r.velocity_mm_s >= kSlowest_mm_s && r.velocity_mm_s <= kFastest_mm_s))
-        return fmt::format("Velocity is {} mm/s: give {} to {} mm/s", r.velocity_mm_s, kSlowest_mm_s, kFastest_mm_s);
+        return fmt::format("Velocity is {} mm/s: give {} to {} mm/s", r.velocity_mm_s, kSlowest_mm_s,
+                           kFastest_mm_s);
     if (!(r.duration_s >= 0 && r.duration_s <= 86400))
-        return fmt::format("Duration is {} s: give up to 86400 s, or 0 to wander until it is stopped", r.duration_s);
+        return fmt::format("Duration is {} s: give up to 86400 s, or 0 to wander until it is stopped",
+                           r.duration_s);
     return {};
 }
 
-Wander::Wander(const Request& request, std::shared_ptr<const fuzzy::Engine> rules, const arcos::RobotState& start, TimePoint now)
+Wander::Wander(const Request& request, std::shared_ptr<const fuzzy::Engine> rules,
+               const arcos::RobotState& start, TimePoint now)
     : request_(request),
       rules_(std::move(rules)),
       chance_(request.seed),
@@ -83,7 +87,8 @@ double Wander::random(double least, double most) {
 }
 
 double Wander::progress(TimePoint now) const {
-    return request_.duration_s > 0 ? std::clamp(secondsOf(now - started_) / request_.duration_s, 0.0, 1.0) : 0;
+    return request_.duration_s > 0 ? std::clamp(secondsOf(now - started_) / request_.duration_s, 0.0, 1.0)
+                                   : 0;
 }
 
 MotionStep Wander::fail(std::string reason) const {
@@ -106,7 +111,8 @@ MotionStep Wander::step(const arcos::RobotState& robot, TimePoint now) {
         anchored_ = now;
         tries_ = 0;
     }
-    if (request_.duration_s > 0 && secondsOf(now - started_) >= request_.duration_s && state_ != State::Settling) {
+    if (request_.duration_s > 0 && secondsOf(now - started_) >= request_.duration_s &&
+        state_ != State::Settling) {
         state_ = State::Settling;
         state_since_ = now;
     }
@@ -125,14 +131,17 @@ MotionStep Wander::step(const arcos::RobotState& robot, TimePoint now) {
         case State::Settling:
             break;
     }
-    if (!robot.moving || now - state_since_ > seconds{2}) return {.outcome = MotionStep::Outcome::Done, .progress = 1};
+    if (!robot.moving || now - state_since_ > seconds{2})
+        return {.outcome = MotionStep::Outcome::Done, .progress = 1};
     return {.progress = progress(now)};
 }
 
-MotionStep Wander::recover(const arcos::RobotState& robot, const Clearance& room, State first, TimePoint now) {
+MotionStep Wander::recover(const arcos::RobotState& robot, const Clearance& room, State first,
+                           TimePoint now) {
     ++recoveries_;
     if (++tries_ > kTries) {
-        return fail(fmt::format("the robot cannot get free: {} attempts to back off and turn away brought it nowhere", kTries));
+        return fail(fmt::format(
+            "the robot cannot get free: {} attempts to back off and turn away brought it nowhere", kTries));
     }
     bumpers_ = robot.front_bumpers | robot.rear_bumpers << 8U;
     escape_direction_ = robot.rear_bumpers != 0 && robot.front_bumpers == 0 ? 1 : -1;
@@ -152,10 +161,11 @@ void Wander::chooseFavour(const Clearance& room) {
 }
 
 MotionStep Wander::wander(const arcos::RobotState& robot, const Clearance& room, TimePoint now) {
-    if (robot.front_bumpers != 0 || robot.rear_bumpers != 0 || robot.left_stall || robot.right_stall || robot.table_left ||
-        robot.table_right)
+    if (robot.front_bumpers != 0 || robot.rear_bumpers != 0 || robot.left_stall || robot.right_stall ||
+        robot.table_left || robot.table_right)
         return recover(robot, room, State::Waiting, now);
-    if (now - anchored_ > kPatience) return recover(robot, room, room.swing > 0 ? State::Turning : State::Backing, now);
+    if (now - anchored_ > kPatience)
+        return recover(robot, room, room.swing > 0 ? State::Turning : State::Backing, now);
     chooseFavour(room);
     const auto wish = rules_->evaluate(std::array{room.left, room.front, room.right, favour_});
     double speed = request_.velocity_mm_s * std::clamp(wish[0], 0.0, 100.0) / 100;
@@ -169,7 +179,8 @@ MotionStep Wander::wander(const arcos::RobotState& robot, const Clearance& room,
     }
     speed = std::min(speed, speedThatStopsWithin(room.front));
     // Where a turn on the spot would touch, the robot first goes where there is room: on, else back.
-    if (room.swing < 15 && speed < 60 && room.rear > kBacking_mm) return recover(robot, room, State::Backing, now);
+    if (room.swing < 15 && speed < 60 && room.rear > kBacking_mm)
+        return recover(robot, room, State::Backing, now);
     return {.forward_mm_s = speed, .left_deg_s = turn, .progress = progress(now)};
 }
 
@@ -185,7 +196,8 @@ MotionStep Wander::back(const arcos::RobotState& robot, const Clearance& room, T
         beginTurn(robot, room, now);
         return {.progress = progress(now)};
     }
-    return {.forward_mm_s = escape_direction_ * std::min(kBacking_mm_s, std::max(40.0, speedThatStopsWithin(ahead))),
+    return {.forward_mm_s =
+                escape_direction_ * std::min(kBacking_mm_s, std::max(40.0, speedThatStopsWithin(ahead))),
             .progress = progress(now)};
 }
 
@@ -203,7 +215,8 @@ void Wander::beginTurn(const arcos::RobotState& robot, const Clearance& room, Ti
 MotionStep Wander::turn(const arcos::RobotState& robot, const Clearance& room, TimePoint now) {
     const double rest = turn_by_deg_ - (robot.heading_deg - turned_from_deg_);
     const unsigned fresh = (robot.front_bumpers | robot.rear_bumpers << 8U) & ~bumpers_;
-    const bool blocked = fresh != 0 || ((robot.left_stall || robot.right_stall) && now - state_since_ > seconds{1});
+    const bool blocked =
+        fresh != 0 || ((robot.left_stall || robot.right_stall) && now - state_since_ > seconds{1});
     if (blocked) return recover(robot, room, State::Waiting, now);
     if (rest * turn_by_deg_ <= 0 || std::abs(rest) < 5 || now - state_since_ > kPatience) {
         state_ = State::Wandering;

@@ -13,17 +13,17 @@ namespace axon::peoplebot {
 /// The rules of wander.rules. Throws fuzzy::BadRules where they lack what wandering needs.
 std::shared_ptr<const fuzzy::Engine> loadWanderRules(const std::filesystem::path& file);
 
-/// The fastest that the robot may go towards something at this clearance, so that it can stop before it even if
-/// the next news of it is late.
+/// The fastest that the robot may go towards something at this clearance, so that it can stop before it even
+/// if the next news of it is late.
 double speedThatStopsWithin(double clearance_mm);
 
-/// The service Wander with Collision Avoidance: drives about, by fuzzy rules over the room to the left, in front
-/// and to the right (wander.rules), with bumpers and table sensors as guards.
+/// The service Wander with Collision Avoidance: drives about, by fuzzy rules over the room to the left, in
+/// front and to the right (wander.rules), with bumpers and table sensors as guards.
 ///
 /// States: wandering → backing (something was touched, or a table is overhead) → turning away → wandering;
-/// wandering → turning away also when it has not come half a metre further in ten seconds, which is how it gets
-/// out of corners; wandering → settling → done when the time is up. Fails when the robot is lost, when no
-/// range sensor is heard for a second, and when it cannot get free: kTries recoveries without half a metre
+/// wandering → turning away also when it has not come half a metre further in ten seconds, which is how it
+/// gets out of corners; wandering → settling → done when the time is up. Fails when the robot is lost, when
+/// no range sensor is heard for a second, and when it cannot get free: kTries recoveries without half a metre
 /// between them. I/O-free, not thread-safe, and reproducible for a seed.
 class Wander {
   public:
@@ -38,7 +38,8 @@ class Wander {
 
     static std::string objection(const Request& request);
 
-    Wander(const Request& request, std::shared_ptr<const fuzzy::Engine> rules, const arcos::RobotState& start, TimePoint now);
+    Wander(const Request& request, std::shared_ptr<const fuzzy::Engine> rules, const arcos::RobotState& start,
+           TimePoint now);
     /// On the way too; within kSlowest and kFastest.
     void setVelocity(double velocity_mm_s) {
         request_.velocity_mm_s = std::clamp(velocity_mm_s, kSlowest_mm_s, kFastest_mm_s);

@@ -17,11 +17,11 @@ class WanderPhysicsTest : public VirtualRobotTest {
         start(world, {.seed = seed, .noise = 1});
         const char* wish = std::getenv("AXON_WANDER_SECONDS");
         const double seconds = wish != nullptr ? std::atof(wish) : 150;
-        Wander motion({.velocity_mm_s = 300, .duration_s = seconds, .seed = seed}, loadWanderRules("robots/peoplebot/wander.rules"),
-                      robot(), lab_->now());
+        Wander motion({.velocity_mm_s = 300, .duration_s = seconds, .seed = seed},
+                      loadWanderRules("robots/peoplebot/wander.rules"), robot(), lab_->now());
         const auto end = perform(motion, std::chrono::seconds{static_cast<int>(seconds) + 30});
-        fmt::print("wander in {}: {:.0f} s, {:.1f} m, {} recoveries, nearest {:.0f} mm\n", place, seconds, motion.travelled_mm() / 1000,
-                   motion.recoveries(), nearest_mm_);
+        fmt::print("wander in {}: {:.0f} s, {:.1f} m, {} recoveries, nearest {:.0f} mm\n", place, seconds,
+                   motion.travelled_mm() / 1000, motion.recoveries(), nearest_mm_);
         EXPECT_EQ(end.outcome, MotionStep::Outcome::Done) << end.reason;
         EXPECT_EQ(bumps_, 0);
         EXPECT_EQ(touched(), "");
@@ -68,7 +68,8 @@ TEST_P(WanderInWorldsTest, NothingIsTouched) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Laboratory, WanderInWorldsTest,
-                         testing::Values("room", "corridors", "transport", "offices", "openplan", "ward", "workshop", "villa"));
+                         testing::Values("room", "corridors", "transport", "offices", "openplan", "ward",
+                                         "workshop", "villa"));
 
 }  // namespace
 }  // namespace axon::peoplebot

@@ -216,7 +216,8 @@ TEST(CommandLine, WhatFollowsBenchIsAnotherProgramsBusiness) {
     const auto parsed = parse({"bench", "peers", "--json", "peers.json", "--help", "--", "--server"});
     ASSERT_TRUE(parsed.line);
     EXPECT_STREQ(parsed.line->verb->name, "bench");
-    EXPECT_EQ(parsed.line->args["words"], (Json{"peers", "--json", "peers.json", "--help", "--", "--server"}));
+    EXPECT_EQ(parsed.line->args["words"],
+              (Json{"peers", "--json", "peers.json", "--help", "--", "--server"}));
     EXPECT_FALSE(parsed.line->settings.json);
     EXPECT_EQ(parse({"bench"}).line->args["words"], Json::array());
 }

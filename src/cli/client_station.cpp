@@ -184,8 +184,7 @@ class ClientStation final : public Station {
     }
 
     Result<GlobalServices> globalServices() const override { return client_->globalServices(); }
-    Result<client::Proposal> propose(const GlobalService& service,
-                                            const Bindings& chosen) const override {
+    Result<client::Proposal> propose(const GlobalService& service, const Bindings& chosen) const override {
         return client_->propose(service, chosen);
     }
     Result<std::string> runGlobal(const GlobalService& service, const Bindings& bindings,

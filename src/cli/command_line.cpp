@@ -221,7 +221,8 @@ std::vector<std::string> withoutOptions(const CLI::App& app, const std::vector<s
     for (std::size_t i = 0; i < all.size(); ++i) {
         if (all[i].rfind('-', 0) != 0) {
             words.push_back(all[i]);
-        } else if (const auto* option = app.get_option_no_throw(all[i]); option != nullptr && option->get_items_expected_max() > 0) {
+        } else if (const auto* option = app.get_option_no_throw(all[i]);
+                   option != nullptr && option->get_items_expected_max() > 0) {
             ++i;
         }
     }

@@ -25,7 +25,8 @@ constexpr double kPartPerLine = 0.25;
 Tint runTint(const std::string& state) {
     if (state == "SUCCEEDED") return Tint::Green;
     if (state == "FAILED" || state == "REFUSED" || state == "UNKNOWN") return Tint::Red;
-    if (state == "STOPPED" || state == "CANCELLED" || state == "PAUSED" || state == "HELD" || state == "STOPPING")
+    if (state == "STOPPED" || state == "CANCELLED" || state == "PAUSED" || state == "HELD" ||
+        state == "STOPPING")
         return Tint::Yellow;
     return Tint::Cyan;
 }
@@ -60,7 +61,8 @@ std::string orderOf(const Json& step) {
 /// "Arm arm_pick (pick)".
 std::string whatOf(const Json& step) {
     const auto called = textOf(step, "called");
-    return textOf(step, "entity") + " " + textOf(step, "service") + (called.empty() ? "" : " (" + called + ")");
+    return textOf(step, "entity") + " " + textOf(step, "service") +
+           (called.empty() ? "" : " (" + called + ")");
 }
 
 Cell remarkOf(const Json& step) {
@@ -144,7 +146,9 @@ void fit(const std::vector<std::string>& head, Rows& rows, std::size_t width,
     while (total() > width) {
         auto widest = head.size();
         for (const auto i : may_shrink) {
-            if (widths[i] > std::max(kLeast, columns(head[i])) && (widest == head.size() || widths[i] > widths[widest])) widest = i;
+            if (widths[i] > std::max(kLeast, columns(head[i])) &&
+                (widest == head.size() || widths[i] > widths[widest]))
+                widest = i;
         }
         if (widest == head.size()) break;
         --widths[widest];
@@ -166,7 +170,8 @@ std::string fitted(const std::vector<std::string>& head, Rows rows, const std::s
 /// The lines of a run's steps, heads first.
 std::string stepTable(const std::vector<const Json*>& steps, double elapsed, bool over, std::size_t width,
                       bool colour) {
-    const std::vector<std::string> head{"ORDER", "NAME", "ENTITY", "SERVICE", "STATE", "PROGRESS", "TIME", ""};
+    const std::vector<std::string> head{"ORDER", "NAME",     "ENTITY", "SERVICE",
+                                        "STATE", "PROGRESS", "TIME",   ""};
     const std::size_t bar = width >= 110 ? 22 : width >= 90 ? 12 : width >= 70 ? 8 : 0;
     Rows rows;
     for (const auto* step : steps) {
@@ -224,8 +229,8 @@ void PersonView::showGlobalServices(const Json& event) {
                             {textOf(service, "file")},
                             {textOf(service, "descr"), Tint::Dim}});
         }
-        out_ << fitted({"NAME", "STEPS", "ROLES", "ON FAILURE", "FILE", "DESCRIPTION"}, std::move(rows), {0, 4},
-                       terminal_)
+        out_ << fitted({"NAME", "STEPS", "ROLES", "ON FAILURE", "FILE", "DESCRIPTION"}, std::move(rows),
+                       {0, 4}, terminal_)
              << std::flush;
     }
     for (const auto& file : event.at("files")) {
@@ -242,7 +247,8 @@ void PersonView::showGlobalServices(const Json& event) {
 void PersonView::showGlobalService(const Json& event) {
     wipe();
     const auto& service = event.at("service");
-    out_ << paint(textOf(service, "name"), Tint::Bold) << "  " << paint(textOf(service, "file"), Tint::Dim) << '\n';
+    out_ << paint(textOf(service, "name"), Tint::Bold) << "  " << paint(textOf(service, "file"), Tint::Dim)
+         << '\n';
     if (const auto descr = textOf(service, "descr"); !descr.empty()) out_ << "  " << descr << '\n';
     out_ << "  when a step fails: " << textOf(service, "on_failure") << "\n\n";
     std::vector<const Json*> steps;
@@ -262,7 +268,8 @@ void PersonView::showGlobalService(const Json& event) {
                         {textOf(*step, "service"), Tint::Bold},
                         {inputsOf(*step)}});
     }
-    out_ << fitted({"ORDER", "NAME", "ROLE", "SERVICE", "INPUTS"}, std::move(rows), {1, 3}, terminal_) << '\n';
+    out_ << fitted({"ORDER", "NAME", "ROLE", "SERVICE", "INPUTS"}, std::move(rows), {1, 3}, terminal_)
+         << '\n';
     rows.clear();
     for (const auto& role : event.at("roles")) {
         const auto able = valuesText(role.at("able"));
@@ -270,12 +277,14 @@ void PersonView::showGlobalService(const Json& event) {
                         {able.empty() ? "nobody" : able, able.empty() ? Tint::Red : Tint::Green},
                         {textOf(role, "wanted"), Tint::Dim}});
     }
-    out_ << fitted({"ROLE", "COULD BE PLAYED NOW BY", "WANTED"}, std::move(rows), {1}, terminal_) << std::flush;
+    out_ << fitted({"ROLE", "COULD BE PLAYED NOW BY", "WANTED"}, std::move(rows), {1}, terminal_)
+         << std::flush;
     for (const auto& role : event.at("roles")) {
         std::size_t shown = 0;
         for (const auto& unfit : role.at("unfit")) {
             if (unfit.value("code", "") == "WRONG_TYPE" || shown++ == kUnfitShown) break;  // nearest first
-            say(fmt::format("  role {}: {} {}", role.value("role", 0), textOf(unfit, "entity"), textOf(unfit, "why")));
+            say(fmt::format("  role {}: {} {}", role.value("role", 0), textOf(unfit, "entity"),
+                            textOf(unfit, "why")));
         }
     }
     for (const auto& id : event.at("nobody_offers"))
@@ -323,7 +332,8 @@ void PersonView::showRun(const Json& event) {
     }
     if (!terminal_.live) {
         if (state != last_state_ && !over && state != "CHECKING" && state != "RUNNING")
-            say(duration(event.value("elapsed_s", 0.0)) + "  " + textOf(event, "service") + "  " + lowerCase(state) +
+            say(duration(event.value("elapsed_s", 0.0)) + "  " + textOf(event, "service") + "  " +
+                lowerCase(state) +
                 (event.at("reason").is_object() ? ": " + textOf(event.at("reason"), "message") : ""));
         last_state_ = state;
         showRunLines(event);
@@ -393,12 +403,13 @@ void PersonView::showRunLines(const Json& event) {
         if (!step.at("state").is_string()) continue;
         auto& known = printed_[step.at("step").get<int>()];
         const bool same = known.is_object() && known.at("state") == step.at("state") &&
-                          known.at("feedback") == step.at("feedback") && known.at("tries") == step.at("tries") &&
+                          known.at("feedback") == step.at("feedback") &&
+                          known.at("tries") == step.at("tries") &&
                           step.value("progress", -1.0) - known.value("progress", -1.0) < kPartPerLine;
         if (same || textOf(step, "state") == "QUEUED" || textOf(step, "state") == "DISPATCHED") continue;
         known = step;
-        auto text =
-            duration(event.value("elapsed_s", 0.0)) + "  " + whatOf(step) + "  " + stepState(step, false).text;
+        auto text = duration(event.value("elapsed_s", 0.0)) + "  " + whatOf(step) + "  " +
+                    stepState(step, false).text;
         if (textOf(step, "state") == "RUNNING" && step.value("progress", -1.0) >= 0)
             text += " " + percent(step.at("progress").get<double>(), 0);
         if (const auto remark = remarkOf(step).text; !remark.empty()) text += "  " + remark;
@@ -417,8 +428,8 @@ void PersonView::showRunEnd(const Json& event) {
     } else if (state == "REFUSED") {
         say(mark + " " + name + " was refused; nothing has moved");
     } else {
-        say(mark + " " + name + " " + (state == "UNKNOWN" ? "has an unknown end" : lowerCase(state)) + " after " +
-            duration(event.value("elapsed_s", 0.0)));
+        say(mark + " " + name + " " + (state == "UNKNOWN" ? "has an unknown end" : lowerCase(state)) +
+            " after " + duration(event.value("elapsed_s", 0.0)));
     }
     for (const auto* step : inOrder(steps_, true)) {
         if (const auto results = valueList(step->at("results")); !results.empty())
@@ -426,8 +437,10 @@ void PersonView::showRunEnd(const Json& event) {
     }
     showProblems(event.at("problems"));
     // Where there are problems, the reason is the first of them.
-    if (const auto& reason = event.at("reason"); !good && reason.is_object() && event.at("problems").empty()) {
-        Json error{{"event", "error"}, {"code", reason.value("code", "")}, {"message", reason.value("message", "")}};
+    if (const auto& reason = event.at("reason");
+        !good && reason.is_object() && event.at("problems").empty()) {
+        Json error{
+            {"event", "error"}, {"code", reason.value("code", "")}, {"message", reason.value("message", "")}};
         if (event.contains("mend")) error["mend"] = event["mend"];
         showError(error);
     }
@@ -443,7 +456,8 @@ void PersonView::showProblems(const Json& problems) {
             const auto called = textOf(problem, "called");
             where = fmt::format("step {}", problem.at("step").get<int>() + 1) +
                     (called.empty() ? "" : " " + called);
-            if (const auto service = textOf(problem, "service"); !service.empty()) where += " (" + service + ")";
+            if (const auto service = textOf(problem, "service"); !service.empty())
+                where += " (" + service + ")";
         }
         if (const auto entity = textOf(problem, "entity"); !entity.empty())
             where += (where.empty() ? "" : " ") + entity;
@@ -464,17 +478,18 @@ void PersonView::showRuns(const Json& event) {
         Rows rows;
         for (const auto& run : runs) {
             const auto state = textOf(run, "state");
-            rows.push_back({{textOf(run, "id").substr(0, 8)},
-                            {calendar(run.value("asked_at_ms", std::int64_t{0}))},
-                            {textOf(run, "service"), Tint::Bold},
-                            {lowerCase(state), runTint(state)},
-                            {duration(run.value("duration_s", 0.0))},
-                            {textOf(run, "master")},
-                            {textOf(run, "by")},
-                            {run.at("reason").is_object() ? textOf(run.at("reason"), "message") : "", Tint::Dim}});
+            rows.push_back(
+                {{textOf(run, "id").substr(0, 8)},
+                 {calendar(run.value("asked_at_ms", std::int64_t{0}))},
+                 {textOf(run, "service"), Tint::Bold},
+                 {lowerCase(state), runTint(state)},
+                 {duration(run.value("duration_s", 0.0))},
+                 {textOf(run, "master")},
+                 {textOf(run, "by")},
+                 {run.at("reason").is_object() ? textOf(run.at("reason"), "message") : "", Tint::Dim}});
         }
-        out_ << fitted({"RUN", "WHEN", "SERVICE", "OUTCOME", "TIME", "MASTER", "BY", "REASON"}, std::move(rows),
-                       {2, 5, 6}, terminal_)
+        out_ << fitted({"RUN", "WHEN", "SERVICE", "OUTCOME", "TIME", "MASTER", "BY", "REASON"},
+                       std::move(rows), {2, 5, 6}, terminal_)
              << std::flush;
     }
     for (const auto& one : event.at("silent"))
@@ -485,31 +500,35 @@ void PersonView::showRunRecord(const Json& event) {
     wipe();
     const auto state = textOf(event, "state");
     out_ << paint(textOf(event, "service"), Tint::Bold) << "  " << paint(lowerCase(state), runTint(state))
-         << (event.value("final", false) ? " after " : " for ") << duration(event.value("duration_s", 0.0)) << '\n';
+         << (event.value("final", false) ? " after " : " for ") << duration(event.value("duration_s", 0.0))
+         << '\n';
     out_ << "  " << calendar(event.value("asked_at_ms", std::int64_t{0})) << ", by " << textOf(event, "by")
          << "; master " << textOf(event, "master") << '\n';
     for (const auto& one : event.at("participants"))
         out_ << "  role " << one.value("role", 0) << ": " << textOf(one, "entity") << '\n';
     if (const auto& reason = event.at("reason"); reason.is_object())
-        out_ << "  " << paint(textOf(reason, "message") + " (" + textOf(reason, "code") + ")", Tint::Red) << '\n';
+        out_ << "  " << paint(textOf(reason, "message") + " (" + textOf(reason, "code") + ")", Tint::Red)
+             << '\n';
     out_ << paint("  " + textOf(event, "id"), Tint::Dim) << "\n\n";
     std::map<int, Json> steps;
     for (const auto& step : event.at("steps")) steps[step.value("step", 0)] = step;
     Rows rows;
     for (const auto* step : inOrder(steps, false)) {
         const auto& began = step->at("began_s");
-        rows.push_back({{orderOf(*step), Tint::Dim},
-                   {textOf(*step, "called")},
-                   {textOf(*step, "entity"), Tint::Bold},
-                   {textOf(*step, "service")},
-                   stepState(*step, true),
-                   {began.is_number() ? duration(began.get<double>()) : ""},
-                   {timeOf(*step, event.value("duration_s", 0.0))},
-                   {valueList(step->at("parameters"))},
-                   {valueList(step->at("results"))},
-                   {step->at("reason").is_object() ? textOf(step->at("reason"), "message") : "", Tint::Yellow}});
+        rows.push_back(
+            {{orderOf(*step), Tint::Dim},
+             {textOf(*step, "called")},
+             {textOf(*step, "entity"), Tint::Bold},
+             {textOf(*step, "service")},
+             stepState(*step, true),
+             {began.is_number() ? duration(began.get<double>()) : ""},
+             {timeOf(*step, event.value("duration_s", 0.0))},
+             {valueList(step->at("parameters"))},
+             {valueList(step->at("results"))},
+             {step->at("reason").is_object() ? textOf(step->at("reason"), "message") : "", Tint::Yellow}});
     }
-    out_ << fitted({"ORDER", "NAME", "ENTITY", "SERVICE", "STATE", "BEGAN", "TIME", "INPUTS", "RESULTS", "REASON"},
+    out_ << fitted({"ORDER", "NAME", "ENTITY", "SERVICE", "STATE", "BEGAN", "TIME", "INPUTS", "RESULTS",
+                    "REASON"},
                    std::move(rows), {1, 3, 7, 8}, terminal_)
          << std::flush;
 }

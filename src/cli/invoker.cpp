@@ -375,8 +375,8 @@ int Invoker::serveAgent(int ready_fd) {
     }
     const Descriptor lock(::open(place->lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
     const auto locked = [&lock] { return lock.open() && ::flock(lock.get(), LOCK_EX | LOCK_NB) == 0; };
-    // Another one may be faster (two `axon checkout` at once) and on its way to listening, or about to end: then it does
-    // not listen any more, and gives the lock up.
+    // Another one may be faster (two `axon checkout` at once) and on its way to listening, or about to end:
+    // then it does not listen any more, and gives the lock up.
     bool ours = locked();
     for (int i = 0; i < 50 && !ours; ++i) {
         if (AgentLink::open(place->socket)) {

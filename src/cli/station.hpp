@@ -138,8 +138,7 @@ class Station {
     virtual Result<void> control(const std::string& task, TaskAction action) = 0;
 
     virtual Result<GlobalServices> globalServices() const = 0;
-    virtual Result<client::Proposal> propose(const GlobalService& service,
-                                                    const Bindings& chosen) const = 0;
+    virtual Result<client::Proposal> propose(const GlobalService& service, const Bindings& chosen) const = 0;
     /// The run's id. `update` is called with each change, the final one included.
     virtual Result<std::string> runGlobal(const GlobalService& service, const Bindings& bindings,
                                           const std::string& master, bool check_only,

@@ -235,8 +235,9 @@ void PersonView::show(const Json& event) {
         wipe();
         auto why = textOf(event, "message");
         if (why.ends_with('.')) why.pop_back();
-        err_ << paint("axon: " + why + "; " + textOf(event, "entity") + " stands still and is kept for a while",
-                      Tint::Yellow)
+        err_ << paint(
+                    "axon: " + why + "; " + textOf(event, "entity") + " stands still and is kept for a while",
+                    Tint::Yellow)
              << '\n'
              << std::flush;
         return;
@@ -408,7 +409,8 @@ void PersonView::showEntity(const Json& event) {
         } else {
             out_ << paint("ready", Tint::Green);
         }
-        if (textOf(service, "type") == "CMPLX") out_ << "; composite of " << valuesText(service.value("parts", Json::array()));
+        if (textOf(service, "type") == "CMPLX")
+            out_ << "; composite of " << valuesText(service.value("parts", Json::array()));
         if (!service.value("blocking", true)) out_ << "; runs beside others";
         if (service.value("pausable", false)) out_ << "; pausable";
         out_ << '\n';

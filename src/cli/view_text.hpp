@@ -4,7 +4,8 @@
 
 #include "cli/session.hpp"
 
-// What the views have in common: from the members of an event to text that a terminal may show. Pure functions.
+// What the views have in common: from the members of an event to text that a terminal may show. Pure
+// functions.
 namespace axon::cli {
 
 /// A member of an event as harmless text; empty where there is none.

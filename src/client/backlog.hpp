@@ -10,17 +10,17 @@
 
 namespace axon::client {
 
-/// What waits for the server, or for an Entity Manager on a direct path, to read it on the data lane, and the threads that
-/// wait for it to become less. One for each session with a server. Threads: any.
+/// What waits for the server, or for an Entity Manager on a direct path, to read it on the data lane, and the
+/// threads that wait for it to become less. One for each session with a server. Threads: any.
 class Backlog {
   public:
     void add(std::size_t its_bytes) {
         ++messages_;
         bytes_ += its_bytes;
     }
-    // Who waits counts itself before it looks, and who removes counts down before it looks for one: one of the
-    // two sees the other. At half, not at each message, so that sender and socket do not wake each other by
-    // turns.
+    // Who waits counts itself before it looks, and who removes counts down before it looks for one: one of
+    // the two sees the other. At half, not at each message, so that sender and socket do not wake each other
+    // by turns.
     void remove(std::size_t its_bytes) {
         --messages_;
         bytes_ -= its_bytes;

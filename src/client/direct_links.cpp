@@ -23,8 +23,8 @@ void DirectLinks::offer(const DirectOffer& offer) {
         entry.in = direct::IncomingWay<Came>();
         entry.epoch = offer.lease.epoch;
     }
-    const bool same = entry.link && !entry.withdrawn && entry.offer.lease == offer.lease && entry.offer.client == offer.client &&
-                      entry.offer.data_endpoint == offer.data_endpoint;
+    const bool same = entry.link && !entry.withdrawn && entry.offer.lease == offer.lease &&
+                      entry.offer.client == offer.client && entry.offer.data_endpoint == offer.data_endpoint;
     if (same) return;
     // A path of the lease before ends in the next turn.
     entry.close_at = entry.path ? clock_.now() : TimePoint::max();
@@ -37,7 +37,8 @@ void DirectLinks::offer(const DirectOffer& offer) {
 
 bool DirectLinks::withdraw(const Held& held) {
     const auto found = entries_.find(held.entity);
-    if (found == entries_.end() || !found->second.link || found->second.offer.lease != held.lease) return false;
+    if (found == entries_.end() || !found->second.link || found->second.offer.lease != held.lease)
+        return false;
     auto& entry = found->second;
     entry.withdrawn = true;
     entry.try_at = TimePoint::max();
@@ -112,7 +113,8 @@ void DirectLinks::told(Entry& entry) const {
     if (entry.path) entry.path->passed.store(entry.in.passed(), std::memory_order_release);
 }
 
-bool DirectLinks::relayed(direct::Keeping keeping, const Header& head, std::string_view message, const Deliver& deliver) {
+bool DirectLinks::relayed(direct::Keeping keeping, const Header& head, std::string_view message,
+                          const Deliver& deliver) {
     if (entries_.empty() || direct::alwaysRelayed(head.msg_type)) return true;
     const auto found = entries_.find(head.entity);
     if (found == entries_.end()) return true;
@@ -120,8 +122,9 @@ bool DirectLinks::relayed(direct::Keeping keeping, const Header& head, std::stri
     bool pass = false;
     if (head.msg_type == kMsgWay) {
         proto::ToClient mark;
-        const auto path = mark.ParseFromArray(message.data(), static_cast<int>(message.size())) ? Id128::fromBytes(mark.way().path())
-                                                                                               : std::nullopt;
+        const auto path = mark.ParseFromArray(message.data(), static_cast<int>(message.size()))
+                              ? Id128::fromBytes(mark.way().path())
+                              : std::nullopt;
         if (path) entry.in.mark(*path, [&](const Came& came) { deliver(came.head, came.bytes); });
         entry.mark_due = TimePoint::max();
     } else {
@@ -131,9 +134,11 @@ bool DirectLinks::relayed(direct::Keeping keeping, const Header& head, std::stri
     return pass;
 }
 
-DirectLinks::Arrival DirectLinks::arrived(const DirectPath& path, direct::Keeping keeping, Header& head, std::string_view message) {
+DirectLinks::Arrival DirectLinks::arrived(const DirectPath& path, direct::Keeping keeping, Header& head,
+                                          std::string_view message) {
     const auto found = entries_.find(path.entity());
-    if (found == entries_.end() || found->second.path.get() != &path) return {};  // what counts of it comes by the servers
+    if (found == entries_.end() || found->second.path.get() != &path)
+        return {};  // what counts of it comes by the servers
     auto& entry = found->second;
     if (direct::alwaysRelayed(head.msg_type))
         return {false, false, entry.path, "what goes by the servers came by it"};
@@ -150,7 +155,8 @@ DirectLinks::Arrival DirectLinks::arrived(const DirectPath& path, direct::Keepin
             return {};
         case Verdict::Overflow:
             return {false, false, entry.path, "too much came before its beginning by the servers"};
-        case Verdict::LeftOut: break;
+        case Verdict::LeftOut:
+            break;
     }
     return {};
 }
@@ -160,9 +166,10 @@ DirectLinks::Turn DirectLinks::turn() {
     const auto now = clock_.now();
     bool changed = false;
     const auto later = [&turn](TimePoint at) { turn.next = std::min(turn.next, at); };
-    auto paths = static_cast<std::size_t>(std::count_if(entries_.begin(), entries_.end(), [](const auto& one) {
-        return one.second.path && !one.second.path->ended();
-    }));
+    auto paths =
+        static_cast<std::size_t>(std::count_if(entries_.begin(), entries_.end(), [](const auto& one) {
+            return one.second.path && !one.second.path->ended();
+        }));
     for (auto& [entity, entry] : entries_) {
         if (entry.path && entry.path->ended()) {
             const auto stood = entry.begun ? now - entry.begun_at : Duration{};

@@ -23,26 +23,28 @@ namespace axon::client {
 /// Of all paths together: more than what users may have waiting, and less than what may wait for the server.
 inline constexpr direct::KeptBounds kKeptBounds{12288, kWaitingBytesMax + kWaitingBytesMax / 2};
 
-/// The direct path of one lease, as its sender sees it. `out` and `by` are guarded by the owner's lock of sending.
+/// The direct path of one lease, as its sender sees it. `out` and `by` are guarded by the owner's lock of
+/// sending.
 struct DirectLink {
     struct Sent {
         Header head;
         std::shared_ptr<const std::string> message;
     };
-    /// The session with the server is lost, or the entity has left: what is not acknowledged is lost with it, as what the
-    /// servers had under way is.
+    /// The session with the server is lost, or the entity has left: what is not acknowledged is lost with it,
+    /// as what the servers had under way is.
     std::atomic<bool> forget{false};
     direct::OutgoingWay<Sent> out{kKeptBounds};
     std::shared_ptr<DirectPath> by;  // while out.direct()
 };
 
-/// The direct paths of a client's session: opens them where a lease offers one, tries again, watches them, and says of each
-/// message that comes whether it counts (ADR 0021).
+/// The direct paths of a client's session: opens them where a lease offers one, tries again, watches them,
+/// and says of each message that comes whether it counts (ADR 0021).
 ///
-/// Where in the flow: beside SessionCore, under the same lock; it knows no connection but DirectPath. For each
-/// entity whose lease offers a path: being opened, open, or waiting to try again. Threads: none of its own; everything under
-/// the owner's lock of the core but paths(), which any thread may call, and `out` and `by` of links. It never calls a path's functions that call
-/// Ice: what is to be opened or closed is returned, for when the lock is free.
+/// Where in the flow: beside SessionCore, under the same lock; it knows no connection but DirectPath. For
+/// each entity whose lease offers a path: being opened, open, or waiting to try again. Threads: none of its
+/// own; everything under the owner's lock of the core but paths(), which any thread may call, and `out` and
+/// `by` of links. It never calls a path's functions that call Ice: what is to be opened or closed is
+/// returned, for when the lock is free.
 class DirectLinks {
   public:
     using Make = std::function<std::shared_ptr<DirectPath>(const DirectOffer& offer)>;
@@ -51,7 +53,8 @@ class DirectLinks {
     using Closing = std::vector<std::shared_ptr<DirectPath>>;
 
     /// At most `most` at a time; where another is offered, it is looked for room again each 30 s.
-    DirectLinks(const Clock& clock, std::size_t most, Make make) : clock_(clock), most_(most), make_(std::move(make)) {}
+    DirectLinks(const Clock& clock, std::size_t most, Make make)
+        : clock_(clock), most_(most), make_(std::move(make)) {}
 
     /// A lease was granted or resumed, and offers a path.
     void offer(const DirectOffer& offer);
@@ -76,9 +79,10 @@ class DirectLinks {
     static void stop(const Paths& paths, const Header& head, const std::vector<std::string>& entities,
                      StopCause cause);
 
-    /// A message of an entity that came by the servers, on the data lane: whether it counts. A mark makes `deliver` be
-    /// called for what was held back.
-    bool relayed(direct::Keeping keeping, const Header& head, std::string_view message, const Deliver& deliver);
+    /// A message of an entity that came by the servers, on the data lane: whether it counts. A mark makes
+    /// `deliver` be called for what was held back.
+    bool relayed(direct::Keeping keeping, const Header& head, std::string_view message,
+                 const Deliver& deliver);
     struct Arrival {
         bool pass = false;
         bool acknowledge = false;  ///< by a beat, at once
@@ -109,7 +113,8 @@ class DirectLinks {
         std::string bytes;
     };
     struct Entry {
-        std::int32_t epoch = 0;  // of the lease: another one is another life of the Entity Manager, which counts anew
+        std::int32_t epoch =
+            0;  // of the lease: another one is another life of the Entity Manager, which counts anew
         direct::IncomingWay<Came> in;
         direct::Unacknowledged unacknowledged;
         DirectOffer offer;
@@ -117,7 +122,8 @@ class DirectLinks {
         std::shared_ptr<DirectPath> path;  // being opened, or open
         bool begun = false;
         bool withdrawn = false;
-        TimePoint begun_at, try_at = TimePoint::max(), mark_due = TimePoint::max(), close_at = TimePoint::max();
+        TimePoint begun_at, try_at = TimePoint::max(), mark_due = TimePoint::max(),
+                            close_at = TimePoint::max();
         direct::Retry retry;
     };
     void tellPaths();

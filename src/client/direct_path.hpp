@@ -23,7 +23,8 @@ class DirectPathEvents {
   public:
     virtual ~DirectPathEvents() = default;
     /// head.sender is empty.
-    virtual void newDirectMsg(const DirectPath& path, direct::Keeping keeping, Header head, std::string_view message) = 0;
+    virtual void newDirectMsg(const DirectPath& path, direct::Keeping keeping, Header head,
+                              std::string_view message) = 0;
     virtual void newDirectReceipt(const DirectPath& path, const Header& head, std::string_view message) = 0;
     /// It is open now, or has ended: ask it.
     virtual void directChanged() = 0;
@@ -34,7 +35,7 @@ struct DirectOffer {
     std::string entity;
     LeaseNumber lease;
     std::string key;
-    std::string client;  ///< the holder's session UUID
+    std::string client;                          ///< the holder's session UUID
     std::string data_endpoint, signal_endpoint;  ///< "host:port"
 };
 
@@ -84,7 +85,8 @@ class DirectPath {
         return lively_until_.exchange((now + direct::kLively).time_since_epoch().count()) <=
                now.time_since_epoch().count();
     }
-    /// On one thread: beats if it is due and permitted. When next, and whether it is busy now and was not before. `moving`: the entity.
+    /// On one thread: beats if it is due and permitted. When next, and whether it is busy now and was not
+    /// before. `moving`: the entity.
     std::pair<TimePoint, bool> beatIfDue(bool moving, bool permitted) {
         const auto now = clock_.now();
         const bool busy = moving || now.time_since_epoch().count() < lively_until_;
@@ -99,9 +101,9 @@ class DirectPath {
     }
 
     // What its threads and its user's share; no lock, so that no beat waits.
-    direct::Silence silence;                      ///< of the Entity Manager
-    std::atomic<std::int64_t> acknowledged{0};    ///< by the Entity Manager
-    std::atomic<std::int64_t> passed{0};          ///< to the core, for the next beat
+    direct::Silence silence;                    ///< of the Entity Manager
+    std::atomic<std::int64_t> acknowledged{0};  ///< by the Entity Manager
+    std::atomic<std::int64_t> passed{0};        ///< to the core, for the next beat
 
   protected:
     /// The Entity Manager's beat.

@@ -41,9 +41,10 @@ inline Refusal admission(std::size_t messages, std::size_t waiting_bytes, std::s
 /// Messages between the core, which orders them, and the threads that send them.
 ///
 /// Flow: the core's owner puts messages while it holds the core's lock; afterwards each thread takes up to
-/// the last one that it put itself, or leaves it to the sender's thread, which takes all there are. No other thread becomes the
-/// sender of the others, however fast they put. Bytes count as waiting from put() until sent(). Threads: any; the lock is held for a look-up.
-/// Bound: that of whoever asks waiting() before putting (MessageSender::admit).
+/// the last one that it put itself, or leaves it to the sender's thread, which takes all there are. No other
+/// thread becomes the sender of the others, however fast they put. Bytes count as waiting from put() until
+/// sent(). Threads: any; the lock is held for a look-up. Bound: that of whoever asks waiting() before putting
+/// (MessageSender::admit).
 template <class Message>
 class SendQueue {
   public:

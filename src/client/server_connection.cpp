@@ -72,8 +72,8 @@ class CallbackServant final : public slice::ClientCallback {
     }
     void newEntityMsgDataSeq(Axon::CommUtil::Header head, ByteRange message, const Ice::Current&) override {
         tell([&](auto& events) {
-            events.newEntityMsg(attempt_, lane_, direct::Keeping::Droppable, transport::fromIce(std::move(head)),
-                                transport::toView(message));
+            events.newEntityMsg(attempt_, lane_, direct::Keeping::Droppable,
+                                transport::fromIce(std::move(head)), transport::toView(message));
         });
     }
     void newRefusalMsg(Axon::CommUtil::Header head, int code, std::string reason,
@@ -105,8 +105,9 @@ class CallbackServant final : public slice::ClientCallback {
     const Lane lane_;
 };
 
-
-Traffic trafficOf(Operation operation) { return operation == Operation::ToEntityDataSeq ? Traffic::Data : Traffic::Control; }
+Traffic trafficOf(Operation operation) {
+    return operation == Operation::ToEntityDataSeq ? Traffic::Data : Traffic::Control;
+}
 
 void call(slice::ClientSessionPrx& session, Operation operation, const Header& head, std::string_view bytes,
           SendCallbacks&& callbacks) {
@@ -124,7 +125,8 @@ void call(slice::ClientSessionPrx& session, Operation operation, const Header& h
             session.sendRequestAsync(toIce(head), toRange(bytes), answered, failed, sent);
             break;
         case Operation::Reset:
-        case Operation::Clear: break;  // of the other lane: send()
+        case Operation::Clear:
+            break;  // of the other lane: send()
     }
 }
 
@@ -197,7 +199,8 @@ ServerConnection::LaneEnd ServerConnection::openLane(const LaneHome& home, trans
     const auto timeout =
         static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(login.timeout).count());
     // The first has no token.
-    const auto servant = std::make_shared<CallbackServant>(events, login.attempt, token.empty() ? Lane::Data : Lane::Signal);
+    const auto servant =
+        std::make_shared<CallbackServant>(events, login.attempt, token.empty() ? Lane::Data : Lane::Signal);
     const auto opened = home.router ? openThroughRouter(home, token, login, timeout, servant)
                                     : openAtGate(home, endpoint, login, timeout, servant);
     opened.connection->setAdapter(home.adapter);
@@ -268,10 +271,13 @@ void ServerConnection::send(Operation operation, const Header& head, std::string
     // The copy for the queue is made only when the message has to wait.
     data_.outbox->post(
         trafficOf(operation), size,
-        [&](SendCallbacks&& callbacks) { call(way(callbacks), operation, head, bytes, std::move(callbacks)); },
+        [&](SendCallbacks&& callbacks) {
+            call(way(callbacks), operation, head, bytes, std::move(callbacks));
+        },
         [&] {
             backlog_->add(size);
-            std::shared_ptr<void> waits(nullptr, [backlog = backlog_, size](void*) { backlog->remove(size); });
+            std::shared_ptr<void> waits(nullptr,
+                                        [backlog = backlog_, size](void*) { backlog->remove(size); });
             return transport::Outbox::Parcel([way, operation, head, owned = std::move(bytes),
                                               waits = std::move(waits)](SendCallbacks&& callbacks) {
                 call(way(callbacks), operation, head, owned, std::move(callbacks));
@@ -281,9 +287,11 @@ void ServerConnection::send(Operation operation, const Header& head, std::string
 
 void ServerConnection::add(Operation operation, const Header& head, std::string bytes) const {
     const auto& lane = data_;
-    // What has to wait may be taken out of the queue at any moment, and must not overtake what was added before it.
-    const bool joined = !routed_ &&
-                        lane.outbox->postAtOnce(trafficOf(operation), bytes.size() + kHeaderBytes, [&](SendCallbacks&& callbacks) {
+    // What has to wait may be taken out of the queue at any moment, and must not overtake what was added
+    // before it.
+    const bool joined =
+        !routed_ && lane.outbox->postAtOnce(
+                        trafficOf(operation), bytes.size() + kHeaderBytes, [&](SendCallbacks&& callbacks) {
                             call(*lane.batch, operation, head, bytes, {{}, callbacks.failed, {}});
                             added_.push_back(std::move(callbacks));
                         });
@@ -321,8 +329,8 @@ void ServerConnection::sendStopSignals(Lane lane, const Header& head,
     const auto& end = lane == Lane::Signal ? signal_ : data_;
     // A signal is sent at once or not at all, so the parcel that would own a copy is never made.
     const auto send = [&](SendCallbacks&& callbacks) {
-        end.oneway->sendStopSignalsAsync(toIce(head), Axon::CommUtil::StopList(entities), toIce(cause), nullptr,
-                                         std::move(callbacks.failed), std::move(callbacks.sent));
+        end.oneway->sendStopSignalsAsync(toIce(head), Axon::CommUtil::StopList(entities), toIce(cause),
+                                         nullptr, std::move(callbacks.failed), std::move(callbacks.sent));
     };
     end.outbox->post(Traffic::Signal, kHeaderBytes + entities.size() * kUuidBytes, send,
                      [] { return transport::Outbox::Parcel(); });

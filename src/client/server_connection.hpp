@@ -43,9 +43,9 @@ struct Login {
 ///
 /// Where in the flow: between Session and the network; the only file of the client that knows Ice's proxies.
 /// States: open from open() until closed() is reported or leave() or drop() is called; what is sent later is
-/// dropped. Threads: any (add() and write(): one at a time). Sends do not wait: they go to the socket from the caller's thread or into the
-/// lane's outbox, whose overflow ends the connection. Failure: a failed handshake is a refusal and leaves
-/// nothing behind.
+/// dropped. Threads: any (add() and write(): one at a time). Sends do not wait: they go to the socket from
+/// the caller's thread or into the lane's outbox, whose overflow ends the connection. Failure: a failed
+/// handshake is a refusal and leaves nothing behind.
 class ServerConnection final : public DataLane, public StopLanes {
   public:
     static Result<std::shared_ptr<const ServerConnection>> open(

@@ -129,7 +129,7 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
     }
     std::filesystem::path folder() const { return folder_; }
     std::atomic<int> stops{0};
-    std::atomic<bool> deaf{false};  ///< the application does not return from its stop callback
+    std::atomic<bool> deaf{false};   ///< the application does not return from its stop callback
     std::atomic<bool> rolls{false};  ///< it comes to rest after that
 
   private:
@@ -184,8 +184,10 @@ class TestRobot final : public entity_manager::BackEndPort, public entity_manage
     std::shared_ptr<slice::EntityCallbackPrx> openLane(const Ice::CommunicatorHolder& home,
                                                        const std::string& endpoint,
                                                        std::shared_ptr<slice::EntitySessionPrx>& session) {
-        const auto gate = Ice::uncheckedCast<slice::EntityGatePrx>(
-            home.communicator()->stringToProxy("EntityGate:" + endpoint)->ice_context(transport::contractContext()));
+        const auto gate =
+            Ice::uncheckedCast<slice::EntityGatePrx>(home.communicator()
+                                                         ->stringToProxy("EntityGate:" + endpoint)
+                                                         ->ice_context(transport::contractContext()));
         const auto opened = gate->open("", "");
         const auto connection = gate->ice_getCachedConnection();
         const auto adapter = home.communicator()->createObjectAdapter("");
@@ -842,7 +844,8 @@ TEST_F(OwnershipTest, WhatWasAcceptedArrivesOnceWholeAndInOrderHoweverItIsWritte
     for (const int turn : {1, 2, 3}) {
         gate.hold(true);
         auto sent = held.sendText(next());
-        for (; sent.ok() && accepted.size() < 100'000; sent = held.sendText(next())) accepted.push_back(next());
+        for (; sent.ok() && accepted.size() < 100'000; sent = held.sendText(next()))
+            accepted.push_back(next());
         EXPECT_EQ(sent.refusal().code, RefusalCode::Overloaded) << "turn " << turn;
         gate.hold(false);
         int burst = 0;  // while the others are under way
@@ -855,7 +858,8 @@ TEST_F(OwnershipTest, WhatWasAcceptedArrivesOnceWholeAndInOrderHoweverItIsWritte
         }));
         EXPECT_TRUE(waitUntil([&] { return robots->texts().size() >= accepted.size(); }));
     }
-    EXPECT_TRUE(robots->texts() == accepted) << accepted.size() << " accepted, " << robots->texts().size() << " arrived";
+    EXPECT_TRUE(robots->texts() == accepted)
+        << accepted.size() << " accepted, " << robots->texts().size() << " arrived";
 }
 
 TEST_F(OwnershipTest, ALostConnectionIsResumedUnderTheSameLease) {

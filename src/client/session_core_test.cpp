@@ -627,7 +627,8 @@ TEST_F(SessionCoreTest, AnEntityThatNamesThisClientUnaskedChangesNoWatchdog) {
     advance(0ms);
     status(1, EntityState::BUSY, kMe, {1, 1});
     EXPECT_EQ(core.nextHeartbeat(), clock.now() + 2s);
-    EXPECT_GT(core.serverDeadline(), clock.now() + 5s) << "a server that beats slowly would be given up after a second";
+    EXPECT_GT(core.serverDeadline(), clock.now() + 5s)
+        << "a server that beats slowly would be given up after a second";
 }
 
 /// A client and the watchdog that its server has of it, over idle times and tasks.

@@ -64,7 +64,8 @@ Header StopDesk::header(const Order& order, const std::string& entity, bool agai
     head.sender = self_;
     head.entity = entity;
     head.msg_type = kMsgStop;
-    // Who knows the generation that the stop itself has raised means another one by its number (stop_gate.hpp).
+    // Who knows the generation that the stop itself has raised means another one by its number
+    // (stop_gate.hpp).
     head.stop_generation = entity.empty() || again ? 0 : marks_.of(entity);
     head.sequence = order.sequence;
     head.sent_at_us = toMicroseconds(clock_.now());
@@ -81,7 +82,8 @@ void StopDesk::send(const Order& order, Lane lane, std::vector<std::string> ids,
         for (auto first = ids.begin(); first != ids.end();) {
             const auto end = first + std::min<std::ptrdiff_t>(ids.end() - first, kListedAtOnce);
             link_.sendStopSignals(lane, header(order, {}, again),
-                                  {std::make_move_iterator(first), std::make_move_iterator(end)}, order.cause);
+                                  {std::make_move_iterator(first), std::make_move_iterator(end)},
+                                  order.cause);
             first = end;
         }
     }
@@ -275,7 +277,8 @@ void StopDesk::onReceipt(const std::string& entity, const proto::StopReceipt& in
     const bool rolled = was_confirmed && !receipt.atRest();
     const Seconds after = now - order->given;
     receipt.stop_generation = std::max(receipt.stop_generation, generation);
-    // The other copy of an earlier one may come after a later one (several servers: directly, and by the topic).
+    // The other copy of an earlier one may come after a later one (several servers: directly, and by the
+    // topic).
     if (auto& said_at = order->said_at[entity]; incoming.at_us() >= said_at) {
         said_at = incoming.at_us();
         receipt.state = stateFromProto(incoming.state()).value_or(receipt.state);
@@ -359,7 +362,8 @@ void StopDesk::onTimer() {
             }
             order.deadline = order.rests_by;
         }
-        if (const auto quiet = std::min(order.heard_at + kStopFirstResend, order.given + kStopPatience); now < quiet) {
+        if (const auto quiet = std::min(order.heard_at + kStopFirstResend, order.given + kStopPatience);
+            now < quiet) {
             schedule(order, quiet);
             continue;
         }
@@ -369,7 +373,8 @@ void StopDesk::onTimer() {
         }
         schedule(order, now + kStopResendPeriod);
         if (!connected_) continue;
-        // Of everything only those that are missing, once all that it has reached are known: thousands that have answered are not asked again.
+        // Of everything only those that are missing, once all that it has reached are known: thousands that
+        // have answered are not asked again.
         std::vector<std::string> ids;
         if (!order.everything || allKnown(order)) {
             list(order);

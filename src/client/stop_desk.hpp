@@ -25,8 +25,8 @@ namespace axon::client {
 /// When a stop that is not confirmed is sent again, on both lanes.
 inline constexpr Duration kStopFirstResend = std::chrono::milliseconds{100};
 inline constexpr Duration kStopResendPeriod = std::chrono::milliseconds{250};
-/// While receipts of it come it waits for kStopFirstResend without one, and no longer than this: the answers of thousands take their time,
-/// and to ask again before they are through would make it longer.
+/// While receipts of it come it waits for kStopFirstResend without one, and no longer than this: the answers
+/// of thousands take their time, and to ask again before they are through would make it longer.
 inline constexpr Duration kStopPatience = std::chrono::seconds{1};
 
 /// Gives stops and collects their receipts (architecture, section 7.4).
@@ -35,10 +35,10 @@ inline constexpr Duration kStopPatience = std::chrono::seconds{1};
 /// own list of names, so that a stop never waits for anything that data does. An order is *open* from stop()
 /// until every receipt is confirmed or its deadline has passed; then `done` is called, once, with what is
 /// known. While it is open it is sent again, with the same sequence number (an EM takes it for the same
-/// stop), on the signal lane and on the data lane, at kStopFirstResend and then each kStopResendPeriod, but not while answers come
-/// (kStopPatience).
-/// Losing the connection does not end an order: it is sent again when there is a new one, unless its deadline
-/// passed. Threads: none of its own, not thread-safe; the owner confines it. Failure: refusals.
+/// stop), on the signal lane and on the data lane, at kStopFirstResend and then each kStopResendPeriod, but
+/// not while answers come (kStopPatience). Losing the connection does not end an order: it is sent again when
+/// there is a new one, unless its deadline passed. Threads: none of its own, not thread-safe; the owner
+/// confines it. Failure: refusals.
 class StopDesk {
   public:
     using Done = std::function<void(Result<std::vector<Receipt>>)>;
@@ -54,7 +54,8 @@ class StopDesk {
     void onStopAccepted(std::int64_t sequence, const std::string& entity, int entities);
     /// A receipt of an EM; those of other people's stops raise the generation and nothing else.
     void onReceipt(const std::string& entity, const proto::StopReceipt& receipt);
-    /// newRefusalMsg: the servers know no such entity (any more). A stop whose message was OVERLOADED is repeated.
+    /// newRefusalMsg: the servers know no such entity (any more). A stop whose message was OVERLOADED is
+    /// repeated.
     void onRefusal(std::int64_t sequence, const std::string& entity, const Refusal& refusal);
 
     /// No names = every entity there is. In doubt it stops: an ambiguous name stops all that it may mean, and
@@ -89,18 +90,20 @@ class StopDesk {
         bool everything = false;
         bool repeats = true;  // sent again while it is not confirmed
         TimePoint given, deadline, resend;
-        TimePoint rests_by;                       // how long it waits for robots to come to rest
-        TimePoint heard_at;                       // the newest receipt
-        TimePoint due;                            // the earlier of the two, in due_
-        std::vector<std::string> named;           // UUIDs, until they are listed
-        bool listed = false;                      // the receipts have been made: not before it is sent, which thousands of them would delay
+        TimePoint rests_by;              // how long it waits for robots to come to rest
+        TimePoint heard_at;              // the newest receipt
+        TimePoint due;                   // the earlier of the two, in due_
+        std::vector<std::string> named;  // UUIDs, until they are listed
+        bool listed =
+            false;  // the receipts have been made: not before it is sent, which thousands of them would delay
         std::map<std::string, Receipt> receipts;  // by UUID
-        std::map<std::string, std::int64_t> said_at;  // by UUID, on the Entity Manager's clock: the newest receipt
-        std::size_t unconfirmed = 0;              // of the receipts
-        std::size_t rolling = 0;                  // confirmed, and to come to rest
-        std::optional<int> reached;               // entities, of a stop of everything that was accepted
-        std::optional<Seconds> accepted;          // likewise
-        Refusal unknown;                          // of a name that was not found
+        std::map<std::string, std::int64_t>
+            said_at;                      // by UUID, on the Entity Manager's clock: the newest receipt
+        std::size_t unconfirmed = 0;      // of the receipts
+        std::size_t rolling = 0;          // confirmed, and to come to rest
+        std::optional<int> reached;       // entities, of a stop of everything that was accepted
+        std::optional<Seconds> accepted;  // likewise
+        Refusal unknown;                  // of a name that was not found
         Done done;
     };
     void give(Order order, const std::vector<std::string>& names, Duration deadline, Done done);

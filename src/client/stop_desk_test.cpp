@@ -239,7 +239,8 @@ TEST_F(StopDeskTest, AStopOfThousandsIsSeveralMessagesOfOneNumber) {
     std::vector<std::string> names;
     for (int i = 100; i < 5'100; ++i) {
         names.push_back("R" + std::to_string(i));
-        desk.onEntity(Presence::Joined, "22222222-1111-4111-8111-" + std::to_string(100'000'000'000 + i), names.back());
+        desk.onEntity(Presence::Joined, "22222222-1111-4111-8111-" + std::to_string(100'000'000'000 + i),
+                      names.back());
     }
     stop(names);
     ASSERT_THAT(link.sent, SizeIs(2));

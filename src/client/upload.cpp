@@ -96,20 +96,20 @@ UploadWindow::Turn UploadWindow::next(std::optional<std::uint64_t> sent, std::ui
 
 // ---- the upload itself
 
-Result<void> upload(Client::Session& session, const Held& held, std::string_view service, std::string_view resource,
-                    const std::filesystem::path& path,
+Result<void> upload(Client::Session& session, const Held& held, std::string_view service,
+                    std::string_view resource, const std::filesystem::path& path,
                     const std::function<void(std::uint64_t, std::uint64_t)>& progress,
                     const std::stop_token& give_up) {
     session.mayWait();
-    auto opened =
-        ResourceFile::open(path, session.withCore([&](SessionCore& core) { return core.leases().resourceBytesMax(held); }));
+    auto opened = ResourceFile::open(
+        path, session.withCore([&](SessionCore& core) { return core.leases().resourceBytesMax(held); }));
     if (!opened) return opened.refusal();
     ResourceFile file = std::move(opened).value();
     const auto window = std::make_shared<UploadWindow>();
     const auto id = session.withCore([&](SessionCore& core) {
-        const auto transfer =
-            core.commands().offer(held, service, resource, path.filename().string(), file.size(), file.sha256(),
-                       [window](const Result<void>& answer) { window->finish(answer.refusal()); });
+        const auto transfer = core.commands().offer(
+            held, service, resource, path.filename().string(), file.size(), file.sha256(),
+            [window](const Result<void>& answer) { window->finish(answer.refusal()); });
         session.news().add(transfer, window);
         return transfer;
     });
@@ -133,8 +133,8 @@ Result<void> upload(Client::Session& session, const Held& held, std::string_view
                 failure = content.refusal();
                 break;
             }
-            const auto refused =
-                session.withCore([&](SessionCore& core) { return core.commands().sendChunk(id, at, content.value()); });
+            const auto refused = session.withCore(
+                [&](SessionCore& core) { return core.commands().sendChunk(id, at, content.value()); });
             if (!refused) break;  // it has ended; the next turn says why
             at += content->size();
             if (progress) progress(at, file.size());
@@ -145,8 +145,9 @@ Result<void> upload(Client::Session& session, const Held& held, std::string_view
     if (!failure.ok()) {
         // An empty chunk makes the Entity Manager put away what it has, to be gone on with; refused here when
         // the transfer has ended there already.
-        session.withCore(
-            [&](SessionCore& core) { static_cast<void>(core.commands().sendChunk(id, sent.value_or(0), {}).ok()); });
+        session.withCore([&](SessionCore& core) {
+            static_cast<void>(core.commands().sendChunk(id, sent.value_or(0), {}).ok());
+        });
     }
     session.look([&](const SessionCore&) { session.news().removeUpload(id); });
     return failure;

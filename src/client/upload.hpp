@@ -60,10 +60,10 @@ class UploadWindow {
     std::optional<Refusal> ended_;
 };
 
-/// CheckOut::upload(): offers the file, and sends it as far as the credits of the Entity Manager reach. On the user's
-/// thread, which reads the file with no lock held.
-Result<void> upload(Client::Session& session, const Held& held, std::string_view service, std::string_view resource,
-                    const std::filesystem::path& path,
+/// CheckOut::upload(): offers the file, and sends it as far as the credits of the Entity Manager reach. On
+/// the user's thread, which reads the file with no lock held.
+Result<void> upload(Client::Session& session, const Held& held, std::string_view service,
+                    std::string_view resource, const std::filesystem::path& path,
                     const std::function<void(std::uint64_t, std::uint64_t)>& progress,
                     const std::stop_token& give_up);
 

@@ -54,7 +54,8 @@ const Offer* offerOf(const Candidate& candidate, const std::string& service) {
 class Lacks {
   public:
     void add(Distance distance, RefusalCode code, std::string what) {
-        if (std::any_of(all_.begin(), all_.end(), [&](const Lack& lack) { return lack.what == what; })) return;
+        if (std::any_of(all_.begin(), all_.end(), [&](const Lack& lack) { return lack.what == what; }))
+            return;
         all_.push_back({distance, code, std::move(what)});
     }
     std::optional<Unfit> of(const Candidate& candidate) {
@@ -63,7 +64,8 @@ class Lacks {
                          [](const Lack& a, const Lack& b) { return a.distance > b.distance; });
         std::vector<std::string> parts;
         for (const auto& lack : all_) parts.push_back(lack.what);
-        Unfit unfit{candidate.entity, candidate.name, {all_[0].code, joined(parts, ", and "), {}}, all_[0].distance};
+        Unfit unfit{
+            candidate.entity, candidate.name, {all_[0].code, joined(parts, ", and "), {}}, all_[0].distance};
         if (!candidate.held_here) unfit.why.holder = candidate.holder;
         return unfit;
     }
@@ -252,9 +254,9 @@ Proposal propose(std::vector<Role> roles, std::vector<Candidate> candidates,
         }
         if (proposal.why.ok()) {
             proposal.why.code = RefusalCode::Unavailable;
-            const auto about = std::find_if(outlook.unfit.begin(), outlook.unfit.end(), [&](const Unfit& unfit) {
-                return choice.empty() || unfit.entity == choice;
-            });
+            const auto about =
+                std::find_if(outlook.unfit.begin(), outlook.unfit.end(),
+                             [&](const Unfit& unfit) { return choice.empty() || unfit.entity == choice; });
             if (about != outlook.unfit.end() && (outlook.able.empty() || !choice.empty())) {
                 proposal.why.code = about->why.code;
                 proposal.why.holder = about->why.holder;
@@ -264,8 +266,8 @@ Proposal propose(std::vector<Role> roles, std::vector<Candidate> candidates,
         if (!proposal.why.message.empty()) proposal.why.message += '\n';
         const auto named = std::find_if(candidates.begin(), candidates.end(),
                                         [&](const Candidate& one) { return one.entity == choice; });
-        proposal.why.message += explained(outlook, choice, named == candidates.end() ? "" : named->name,
-                                          its_unoffered);
+        proposal.why.message +=
+            explained(outlook, choice, named == candidates.end() ? "" : named->name, its_unoffered);
     }
     return proposal;
 }

@@ -59,14 +59,14 @@ TEST(Bindings, WhatIsHeldAlreadyComesFirst) {
 
 TEST(Bindings, TheOnlyOneForARoleIsNotSpentOnAnother) {
     // A can do both, B only drives: A must not drive.
-    const auto proposal =
-        propose({role(0), role(1, {"look"})}, {robot("A", {"drive", "look"}), robot("B")});
+    const auto proposal = propose({role(0), role(1, {"look"})}, {robot("A", {"drive", "look"}), robot("B")});
     EXPECT_THAT(players(proposal), ElementsAre("B", "A"));
 }
 
 TEST(Bindings, AChoiceIsKeptTo) {
     const std::map<int, std::string> chosen{{1, "uuid of A"}};
-    EXPECT_THAT(players(propose({role(0), role(1)}, {robot("A"), robot("B")}, chosen)), ElementsAre("B", "A"));
+    EXPECT_THAT(players(propose({role(0), role(1)}, {robot("A"), robot("B")}, chosen)),
+                ElementsAre("B", "A"));
 }
 
 TEST(Bindings, AChoiceIsCheckedLikeAnythingElse) {
@@ -100,11 +100,12 @@ TEST(Bindings, TheReasonSaysRoleByRoleWhatTheNearestLack) {
     const auto proposal = propose({role(0), role(1, {"fly"})}, {arm, incomplete, inactive, away, latched});
     EXPECT_THAT(players(proposal), ElementsAre("", ""));
     EXPECT_EQ(proposal.why.code, RefusalCode::Latched);
-    EXPECT_EQ(proposal.why.message,
-              "role 0 (ROBOT/MOBILE): A was stopped and is not rearmed; B is UNAV; D lacks Distance and Map of "
-              "drive; and 1 more\n"
-              "role 1 (ROBOT/MOBILE): nobody offers fly; A does not offer fly, and was stopped and is not "
-              "rearmed; B does not offer fly, and is UNAV; C does not offer fly; and 1 more");
+    EXPECT_EQ(
+        proposal.why.message,
+        "role 0 (ROBOT/MOBILE): A was stopped and is not rearmed; B is UNAV; D lacks Distance and Map of "
+        "drive; and 1 more\n"
+        "role 1 (ROBOT/MOBILE): nobody offers fly; A does not offer fly, and was stopped and is not "
+        "rearmed; B does not offer fly, and is UNAV; C does not offer fly; and 1 more");
     EXPECT_THAT(proposal.nobody_offers, ElementsAre("fly"));
     EXPECT_EQ(proposal.roles[0].unfit.back().name, "E");
     EXPECT_EQ(proposal.roles[0].unfit.back().why.message, "is ROBOT/STATIONARY, and does not offer drive");
@@ -124,8 +125,9 @@ TEST(Bindings, TooFewAreToldAsSuch) {
     const auto proposal = propose({role(0), role(1)}, {robot("A")});
     EXPECT_THAT(players(proposal), ElementsAre("A", ""));
     EXPECT_EQ(proposal.why.code, RefusalCode::Unavailable);
-    EXPECT_EQ(proposal.why.message,
-              "role 1 (ROBOT/MOBILE): A plays other roles that nobody else can; one more such entity is missing");
+    EXPECT_EQ(
+        proposal.why.message,
+        "role 1 (ROBOT/MOBILE): A plays other roles that nobody else can; one more such entity is missing");
     EXPECT_THAT(propose({role(0)}, {}).why.message, HasSubstr("there is no entity at all"));
 }
 

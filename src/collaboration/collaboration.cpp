@@ -39,7 +39,8 @@ std::string titleOf(const proto::GlobalStep& step) {
 }  // namespace
 
 proto::Problem andMore(int count) {
-    return problem({}, -1, RefusalCode::Malformed, "… and " + std::to_string(count) + " more. Mend these first.");
+    return problem({}, -1, RefusalCode::Malformed,
+                   "… and " + std::to_string(count) + " more. Mend these first.");
 }
 
 Duration beatPeriod(Duration own, std::uint32_t other_ms) {
@@ -64,8 +65,8 @@ bool isStop(const Refusal& reason) {
     }
 }
 
-std::vector<proto::Problem> Collaboration::problemsOf(const proto::CollaborationRequest& request, const std::string& self,
-                                                      const std::string& root) {
+std::vector<proto::Problem> Collaboration::problemsOf(const proto::CollaborationRequest& request,
+                                                      const std::string& self, const std::string& root) {
     std::vector<proto::Problem> problems;
     int more = 0;
     const auto add = [&](proto::Problem found) {
@@ -97,9 +98,10 @@ std::vector<proto::Problem> Collaboration::problemsOf(const proto::Collaboration
             malformed(-1, "The entity " + inQuotes(participant.name()) +
                               " has two roles. Give each role an entity of its own.");
         if (participant.lease().root().size() != 16 || participant.lease().root() != root)
-            add(problem(participant.name(), -1, RefusalCode::NotHolder,
-                        "It is not held under the same root lease as the master. Check all participants out by the "
-                        "same client."));
+            add(problem(
+                participant.name(), -1, RefusalCode::NotHolder,
+                "It is not held under the same root lease as the master. Check all participants out by the "
+                "same client."));
     }
     if (!entities.contains(self))
         malformed(-1, "The master does not take part. Make one of the participants the master.");
@@ -113,18 +115,20 @@ std::vector<proto::Problem> Collaboration::problemsOf(const proto::Collaboration
     for (int i = 0; i < steps; ++i) {
         const bool compensation = i >= service.steps_size();
         const auto& step = compensation ? service.compensation(i - service.steps_size()) : service.steps(i);
-        if (!roles.contains(step.role())) malformed(i, "Nobody has role " + std::to_string(step.role()) + '.');
+        if (!roles.contains(step.role()))
+            malformed(i, "Nobody has role " + std::to_string(step.role()) + '.');
         for (const auto& source : step.sources()) {
             const auto at = named.find(source.step());
             if (compensation)
                 malformed(i, "A step of the compensation cannot take its input from another step.");
             else if (at == named.end())
-                malformed(i, "Parameter " + inQuotes(source.param()) + " comes from step " + inQuotes(source.step()) +
-                                 ", which does not exist.");
+                malformed(i, "Parameter " + inQuotes(source.param()) + " comes from step " +
+                                 inQuotes(source.step()) + ", which does not exist.");
             else if (at->second >= step.preced())
-                malformed(i, "Parameter " + inQuotes(source.param()) + " comes from step " + inQuotes(source.step()) +
-                                 ", which has not ended by then: its preced " + std::to_string(at->second) +
-                                 " is not below " + std::to_string(step.preced()) + '.');
+                malformed(i, "Parameter " + inQuotes(source.param()) + " comes from step " +
+                                 inQuotes(source.step()) + ", which has not ended by then: its preced " +
+                                 std::to_string(at->second) + " is not below " +
+                                 std::to_string(step.preced()) + '.');
         }
     }
     for (const auto role : roles)
@@ -227,17 +231,20 @@ void Collaboration::order(Step& step, TimePoint now) {
     step.want = step.told = Want::Run;
     *status.mutable_params() = declared.params();
     for (const auto& source : declared.sources()) {
-        const auto from = std::find_if(steps_.begin(), steps_.end(),
-                                       [&](const Step& other) { return other.declared->name() == source.step(); });
+        const auto from = std::find_if(steps_.begin(), steps_.end(), [&](const Step& other) {
+            return other.declared->name() == source.step();
+        });
         const auto& results = from->status.results();
-        const auto result = std::find_if(results.begin(), results.end(),
-                                         [&](const proto::Param& param) { return param.name() == source.output(); });
+        const auto result = std::find_if(results.begin(), results.end(), [&](const proto::Param& param) {
+            return param.name() == source.output();
+        });
         if (result == results.end()) {
             status.set_state(proto::TASK_REFUSED);
             status.set_ended_s(since(now));
             const Refusal reason{RefusalCode::MissingDependency,
                                  "Step " + inQuotes(source.step()) + " has ended without a result " +
-                                     inQuotes(source.output()) + ", which " + inQuotes(source.param()) + " takes.",
+                                     inQuotes(source.output()) + ", which " + inQuotes(source.param()) +
+                                     " takes.",
                                  {}};
             *status.mutable_reason() = toProto(reason);
             fail(&step, reason, now);
@@ -301,12 +308,13 @@ void Collaboration::wantOfAll(Want want, TimePoint now, bool pause_where_possibl
 
 TimePoint Collaboration::patienceWith(const Step& step) const {
     if (!step.open()) return TimePoint::max();
-    if (step.want == Want::End || (step.told == Want::Pause && step.want == Want::Pause &&
-                                   step.status.state() != proto::TASK_PAUSED))
+    if (step.want == Want::End ||
+        (step.told == Want::Pause && step.want == Want::Pause && step.status.state() != proto::TASK_PAUSED))
         return step.obey_until;
     // Behind another one of its participant it waits as long as that takes.
     const auto busy = [&](const Step& other) {
-        return other.participant == step.participant && other.open() && other.status.state() >= proto::TASK_RUNNING;
+        return other.participant == step.participant && other.open() &&
+               other.status.state() >= proto::TASK_RUNNING;
     };
     if (state_ == proto::RUN_COMPENSATING && std::none_of(steps_.begin(), steps_.end(), busy))
         return members_[step.participant].begin_until;
@@ -364,7 +372,8 @@ void Collaboration::answered(std::size_t participant, const proto::InvitationAns
     member.stop_generation = answer.stop_generation();
     member.beat_every = beatPeriod(pace_.watchdog, answer.watchdog_ms());
     member.beat_at = now;
-    if (answer.problems_size() > 0 || request_.check_only()) member.stage = Member::Stage::Out;  // it has not joined
+    if (answer.problems_size() > 0 || request_.check_only())
+        member.stage = Member::Stage::Out;  // it has not joined
     for (auto found : answer.problems()) {
         found.set_entity(this->participant(participant).name());
         note(std::move(found));
@@ -396,8 +405,9 @@ void Collaboration::reported(std::size_t participant, const proto::StepReport& r
     if (!event.feedback().empty()) status.set_feedback(event.feedback());
     for (const auto& result : event.results()) {
         auto& results = *status.mutable_results();
-        const auto known = std::find_if(results.begin(), results.end(),
-                                        [&](const proto::Param& param) { return param.name() == result.name(); });
+        const auto known = std::find_if(results.begin(), results.end(), [&](const proto::Param& param) {
+            return param.name() == result.name();
+        });
         (known == results.end() ? *results.Add() : *known) = result;
     }
     if (event.has_reason()) *status.mutable_reason() = event.reason();
@@ -418,7 +428,8 @@ void Collaboration::reported(std::size_t participant, const proto::StepReport& r
     } else {
         auto reason = toRefusal(event.reason());
         if (reason.ok()) reason.code = RefusalCode::Failed;
-        // Nobody here has asked for this end, so somebody else wanted it: the application itself, a reset, a person.
+        // Nobody here has asked for this end, so somebody else wanted it: the application itself, a reset, a
+        // person.
         const bool stopped = event.state() == proto::TASK_STOPPED || event.state() == proto::TASK_CANCELLED;
         if (stopped)
             conclude(proto::RUN_STOPPED, true, {reason.code, titled(step, reason.message), {}});
@@ -449,7 +460,8 @@ void Collaboration::depart(std::size_t participant, const Refusal& reason, TimeP
     for (auto& step : steps_)
         if (step.participant == participant) step.given_up = false;  // out of reach
     const Refusal why{reason.code, name + ": " + reason.message, {}};
-    const bool failing = state_ == proto::RUN_RUNNING || state_ == proto::RUN_PAUSED || state_ == proto::RUN_HELD;
+    const bool failing =
+        state_ == proto::RUN_RUNNING || state_ == proto::RUN_PAUSED || state_ == proto::RUN_HELD;
     if (isStop(reason))
         conclude(proto::RUN_STOPPED, true, why);
     else if (!failing)
@@ -465,10 +477,12 @@ Refusal Collaboration::pause(TimePoint now) {
     std::string stubborn;
     for (const auto& step : steps_)
         if (step.active() && !step.pausable)
-            stubborn += (stubborn.empty() ? "" : ", ") + titleOf(*step.declared) + " of " + step.status.name();
+            stubborn +=
+                (stubborn.empty() ? "" : ", ") + titleOf(*step.declared) + " of " + step.status.name();
     if (!stubborn.empty())
         return {RefusalCode::NotPausable,
-                "These steps are running and cannot be paused: " + stubborn + ". Wait for their end, or cancel the run.",
+                "These steps are running and cannot be paused: " + stubborn +
+                    ". Wait for their end, or cancel the run.",
                 {}};
     enter(proto::RUN_PAUSED);
     wantOfAll(Want::Pause, now);
@@ -587,9 +601,11 @@ void Collaboration::advance(TimePoint now) {
             return;
         case proto::RUN_RUNNING: {
             const auto done = [this](const Step& step) {
-                return step.status.preced() != levels_[level_] || step.status.state() == proto::TASK_SUCCEEDED;
+                return step.status.preced() != levels_[level_] ||
+                       step.status.state() == proto::TASK_SUCCEEDED;
             };
-            if (!std::all_of(steps_.begin(), steps_.begin() + static_cast<std::ptrdiff_t>(firstCompensation()), done))
+            if (!std::all_of(steps_.begin(),
+                             steps_.begin() + static_cast<std::ptrdiff_t>(firstCompensation()), done))
                 return;
             if (++level_ == levels_.size())
                 conclude(proto::RUN_SUCCEEDED, false, {});
@@ -678,12 +694,16 @@ void Collaboration::onTimer(TimePoint now) {
         const auto& member = members_[i];
         if (isSelf(i)) continue;
         if (member.stage == Member::Stage::Invited && now >= launched_ + pace_.answer_within)
-            depart(i, {RefusalCode::TimedOut,
-                       "It has not answered the invitation within " + inMilliseconds(pace_.answer_within) + '.',
-                       {}},
+            depart(i,
+                   {RefusalCode::TimedOut,
+                    "It has not answered the invitation within " + inMilliseconds(pace_.answer_within) + '.',
+                    {}},
                    now);
         else if (member.stage == Member::Stage::In && now >= member.heard + pace_.watchdog)
-            depart(i, {RefusalCode::TimedOut, "It has been silent for " + inMilliseconds(pace_.watchdog) + '.', {}}, now);
+            depart(
+                i,
+                {RefusalCode::TimedOut, "It has been silent for " + inMilliseconds(pace_.watchdog) + '.', {}},
+                now);
     }
     for (auto& step : steps_) {
         if (over()) return;
@@ -716,7 +736,8 @@ TimePoint Collaboration::nextDeadline() const {
     auto next = TimePoint::max();
     for (std::size_t i = 0; i < members_.size(); ++i) {
         if (isSelf(i)) continue;
-        if (members_[i].stage == Member::Stage::Invited) next = std::min(next, launched_ + pace_.answer_within);
+        if (members_[i].stage == Member::Stage::Invited)
+            next = std::min(next, launched_ + pace_.answer_within);
         if (members_[i].stage == Member::Stage::In)
             next = std::min({next, members_[i].heard + pace_.watchdog, members_[i].beat_at});
     }

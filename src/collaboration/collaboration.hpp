@@ -30,33 +30,34 @@ proto::Problem andMore(int count);
 
 /// Times that a master keeps.
 struct Pace {
-    /// A participant that is silent for so long is lost; a beat goes to it five times in that, or in its own if that is
-    /// shorter.
+    /// A participant that is silent for so long is lost; a beat goes to it five times in that, or in its own
+    /// if that is shorter.
     Duration watchdog = std::chrono::milliseconds{250};
     /// For the answer to an invitation, and for the first word about a step that was ordered.
     Duration answer_within = std::chrono::seconds{5};
-    /// For a step that was told to end or to pause to do so, and for one of the compensation to begin once its
-    /// participant could; then everybody is stopped.
+    /// For a step that was told to end or to pause to do so, and for one of the compensation to begin once
+    /// its participant could; then everybody is stopped.
     Duration end_within = std::chrono::seconds{10};
     /// Between events that tell of nothing but steps. Each costs the master about as much as an order.
     Duration event_period = std::chrono::milliseconds{10};
 };
 
-/// How often those beat who watch each other with these: five times in the shorter one. `other` as it was told; 0 =
-/// not told. Never more often than in the shortest watchdog that can be configured.
+/// How often those beat who watch each other with these: five times in the shorter one. `other` as it was
+/// told; 0 = not told. Never more often than in the shortest watchdog that can be configured.
 Duration beatPeriod(Duration own, std::uint32_t other_ms);
 
-/// Whether somebody wanted the end that has this reason, or who was responsible has gone; all else is a failure.
+/// Whether somebody wanted the end that has this reason, or who was responsible has gone; all else is a
+/// failure.
 bool isStop(const Refusal& reason);
 
-/// One run of a global service, as its master sees it (thesis 3.3.1 COLLAB; docs/adr/0019-collaboration.md): whom it
-/// asked, which steps are under way, what becomes of the rest when one fails.
+/// One run of a global service, as its master sees it (thesis 3.3.1 COLLAB; docs/adr/0019-collaboration.md):
+/// whom it asked, which steps are under way, what becomes of the rest when one fails.
 ///
-/// Where in the flow: inside the Entity Manager of the master. The client's request and what the participants say go
-/// in; orders to participants and events for the client come out. The master's own entity is a participant like the
-/// others, so it makes no difference which of them is the master.
-/// States: checking → running ⇄ paused | held → (stopping → compensating) → one of the final ones. Threads: one
-/// strand. Time is given with each call. Bounded: kStepsMax, kParticipantsMax. Failure: refusals, and the final state.
+/// Where in the flow: inside the Entity Manager of the master. The client's request and what the participants
+/// say go in; orders to participants and events for the client come out. The master's own entity is a
+/// participant like the others, so it makes no difference which of them is the master. States: checking →
+/// running ⇄ paused | held → (stopping → compensating) → one of the final ones. Threads: one strand. Time is
+/// given with each call. Bounded: kStepsMax, kParticipantsMax. Failure: refusals, and the final state.
 class Collaboration {
   public:
     /// One message to a participant, in the order in which they are to be sent.
@@ -65,14 +66,14 @@ class Collaboration {
         proto::FromMaster message;
     };
 
-    /// What is wrong with the request itself, whoever the participants are; empty = it can be carried out by `self`
-    /// as the master. `root` is that of the master's own lease.
-    static std::vector<proto::Problem> problemsOf(const proto::CollaborationRequest& request, const std::string& self,
-                                                  const std::string& root);
+    /// What is wrong with the request itself, whoever the participants are; empty = it can be carried out by
+    /// `self` as the master. `root` is that of the master's own lease.
+    static std::vector<proto::Problem> problemsOf(const proto::CollaborationRequest& request,
+                                                  const std::string& self, const std::string& root);
 
     /// After problemsOf(). Nobody hears of it before begin(). `by` is the client's name.
-    Collaboration(proto::CollaborationRequest request, std::string self, std::string by, RandomSource& random, Pace pace,
-                  TimePoint now);
+    Collaboration(proto::CollaborationRequest request, std::string self, std::string by, RandomSource& random,
+                  Pace pace, TimePoint now);
     /// Invites everybody; once, and not when it is over.
     void begin(TimePoint now);
 
@@ -105,7 +106,8 @@ class Collaboration {
     bool isSelf(std::size_t index) const { return participant(index).entity() == self_; }
 
     std::vector<Order> takeOrders() { return std::exchange(orders_, {}); }
-    /// What has changed since the last one; nothing when nothing has, or only steps and it is not their time yet.
+    /// What has changed since the last one; nothing when nothing has, or only steps and it is not their time
+    /// yet.
     std::optional<proto::RunEvent> takeEvent(TimePoint now);
     /// As it is now.
     proto::RunRecord record(TimePoint now) const;
@@ -116,16 +118,16 @@ class Collaboration {
         const proto::GlobalStep* declared = nullptr;
         std::size_t participant = 0;
         proto::StepStatus status;
-        std::string task_id;             ///< of the present try; empty = not ordered
-        double ordered_s = 0;            ///< since the launch
+        std::string task_id;   ///< of the present try; empty = not ordered
+        double ordered_s = 0;  ///< since the launch
         Want want = Want::Run;
-        Want told = Want::Run;           ///< the last that its participant was told
+        Want told = Want::Run;  ///< the last that its participant was told
         bool pausable = false;
-        bool changed = true;             ///< since the last event
-        bool heard = false;              ///< of this try
-        bool given_up = false;           ///< nothing was heard of it: UNKNOWN, and it may run all the same
+        bool changed = true;    ///< since the last event
+        bool heard = false;     ///< of this try
+        bool given_up = false;  ///< nothing was heard of it: UNKNOWN, and it may run all the same
         TimePoint answer_until{};
-        TimePoint obey_until{};          ///< while another thing is wanted of it than that it runs
+        TimePoint obey_until{};  ///< while another thing is wanted of it than that it runs
         bool active() const { return !task_id.empty() && status.state() < proto::TASK_SUCCEEDED; }
         /// Its participant may be busy with it.
         bool open() const { return active() || given_up; }
@@ -163,7 +165,9 @@ class Collaboration {
     bool anyOpen() const;
     bool anyChanged() const;
     std::string titled(const Step& step, const std::string& message) const;
-    std::size_t firstCompensation() const { return static_cast<std::size_t>(request_.service().steps_size()); }
+    std::size_t firstCompensation() const {
+        return static_cast<std::size_t>(request_.service().steps_size());
+    }
     double progress() const;
     double since(TimePoint now) const;
 

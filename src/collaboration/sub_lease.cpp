@@ -15,9 +15,12 @@ using Mac = std::array<unsigned char, crypto_generichash_BYTES>;
 /// BLAKE2b takes the key as it is, 16 bytes or more. Each field goes with its length, so that none can be
 /// taken for a part of another.
 Mac macOf(const proto::SubLease& lease, const Grant& grant, std::string_view key) {
-    if (key.size() != crypto_generichash_KEYBYTES_MIN) throw std::invalid_argument("a lease key has 16 bytes");
+    if (key.size() != crypto_generichash_KEYBYTES_MIN)
+        throw std::invalid_argument("a lease key has 16 bytes");
     std::string text;
-    const auto add = [&text](std::string_view field) { text.append(std::to_string(field.size())).append(":").append(field); };
+    const auto add = [&text](std::string_view field) {
+        text.append(std::to_string(field.size())).append(":").append(field);
+    };
     add("axon sub-lease 1");
     add(grant.run_id);
     add(grant.master);
@@ -26,7 +29,9 @@ Mac macOf(const proto::SubLease& lease, const Grant& grant, std::string_view key
     add(std::to_string(lease.number()));
     add(lease.root());
     add(std::to_string(lease.stop_generation()));
-    const auto bytes = [](std::string_view from) { return reinterpret_cast<const unsigned char*>(from.data()); };
+    const auto bytes = [](std::string_view from) {
+        return reinterpret_cast<const unsigned char*>(from.data());
+    };
     Mac mac{};
     crypto_generichash(mac.data(), mac.size(), bytes(text), text.size(), bytes(key), key.size());
     return mac;
@@ -41,7 +46,8 @@ void seal(proto::SubLease& lease, const Grant& grant, std::string_view key) {
 
 bool isSealed(const proto::SubLease& lease, const Grant& grant, std::string_view key) {
     const auto mac = macOf(lease, grant, key);
-    return lease.proof().size() == mac.size() && sodium_memcmp(mac.data(), lease.proof().data(), mac.size()) == 0;
+    return lease.proof().size() == mac.size() &&
+           sodium_memcmp(mac.data(), lease.proof().data(), mac.size()) == 0;
 }
 
 }  // namespace axon::collaboration

@@ -6,8 +6,8 @@
 
 namespace axon {
 
-/// Whether an entity may be called so: not by what people write when they mean another one, which is "NAME#2" (the second of those
-/// that are called NAME) or a UUID. So a name that is shown never means two robots.
+/// Whether an entity may be called so: not by what people write when they mean another one, which is "NAME#2"
+/// (the second of those that are called NAME) or a UUID. So a name that is shown never means two robots.
 inline bool isEntityName(std::string_view name) {
     if (Id128::parse(name)) return false;
     const auto hash = name.rfind('#');

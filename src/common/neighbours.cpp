@@ -100,8 +100,7 @@ Neighbours::News Neighbours::news(TimePoint now) {
         reach_changed_ = false;
         news.reachable.emplace();
         for (const auto& [name, its] : all_) {
-            if (its.reached && !its.announcement.signals.empty())
-                news.reachable->push_back(its.announcement);
+            if (its.reached && !its.announcement.signals.empty()) news.reachable->push_back(its.announcement);
         }
     }
     return news;

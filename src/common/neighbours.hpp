@@ -20,15 +20,15 @@ enum class Way : std::uint8_t { Topic, Straight };
 /// The servers of one kind as one of several servers sees them: who there is, where they take signals, and
 /// who lives (safety.md, "front-end → entity server").
 ///
-/// Where in the flow: both servers' cores feed it what the others announce, by the topic and directly, and their
-/// timers ask for news. States of a neighbour:
+/// Where in the flow: both servers' cores feed it what the others announce, by the topic and directly, and
+/// their timers ask for news. States of a neighbour:
 ///
 ///     met ── heard directly ──► watched ── silent ──► lost ── heard directly ──► watched
 ///      └── silent ──► lost ── heard ──► met        another instance: lost and met at once
 ///
-/// Before it was heard directly once, its announcements by the topic count as signs of life; from then on only
-/// direct ones do, because that is the way of the signals. An instance that was replaced is never taken for the
-/// present one, however late its announcements come.
+/// Before it was heard directly once, its announcements by the topic count as signs of life; from then on
+/// only direct ones do, because that is the way of the signals. An instance that was replaced is never taken
+/// for the present one, however late its announcements come.
 ///
 /// Threads: any; a mutex of its own, held for a look into a map of at most `kMost`. It is I/O-free.
 class Neighbours {
@@ -55,8 +55,8 @@ class Neighbours {
 
     /// `lane`: Signal = directly, Data = by the topic. Returns whether there is news to ask for.
     bool heard(Lane lane, const ServerAnnouncement& announcement, TimePoint now);
-    /// Something came by this server. One that was never heard of is awaited from now on: it is lost unless it is
-    /// heard within `met`.
+    /// Something came by this server. One that was never heard of is awaited from now on: it is lost unless
+    /// it is heard within `met`.
     void await(std::string_view server, TimePoint now);
     /// Whether a task runs that hangs on this server. One that was never heard of is awaited, too.
     void setBusy(std::string_view server, bool busy, TimePoint now);
@@ -73,7 +73,7 @@ class Neighbours {
   private:
     struct Neighbour {
         explicit Neighbour(Watchdog its) : watchdog(its) {}
-        ServerAnnouncement announcement;  // its instance is empty until it was heard
+        ServerAnnouncement announcement;    // its instance is empty until it was heard
         std::vector<std::string> replaced;  // instances, the last few
         Watchdog watchdog;
         TimePoint reachable_until;

@@ -7,7 +7,8 @@
 
 namespace axon {
 
-/// Spaces what comes too fast, where the newest is enough: a second's worth at once, then evenly. Not thread-safe.
+/// Spaces what comes too fast, where the newest is enough: a second's worth at once, then evenly. Not
+/// thread-safe.
 class Pace {
   public:
     explicit Pace(std::uint32_t per_second) : step_(Duration(std::chrono::seconds{1}) / per_second) {}
@@ -15,7 +16,9 @@ class Pace {
     /// When the next may go: now, or when what went before has been made up for.
     TimePoint next(TimePoint now) const { return std::max(now, spent_until_ - std::chrono::seconds{1}); }
     /// One has gone that counts as so many.
-    void take(TimePoint now, std::uint32_t count = 1) { spent_until_ = std::max(spent_until_, now) + count * step_; }
+    void take(TimePoint now, std::uint32_t count = 1) {
+        spent_until_ = std::max(spent_until_, now) + count * step_;
+    }
 
   private:
     const Duration step_;

@@ -31,13 +31,16 @@ std::string userPart(std::string_view user) {
     std::uint64_t hash = 0xcbf29ce484222325U;
     for (const char c : user) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3U;
     char text[kUserDigits + 1];
-    std::snprintf(text, sizeof text, "%08x-%04x-", static_cast<unsigned>(hash >> 32U), static_cast<unsigned>(hash & 0xffffU));
+    std::snprintf(text, sizeof text, "%08x-%04x-", static_cast<unsigned>(hash >> 32U),
+                  static_cast<unsigned>(hash & 0xffffU));
     return text;
 }
 
 Refusal queueShareFull(const std::string& consumer) {
     return {RefusalCode::Overloaded,
-            consumer + " reads slowly, and its queue has no more room for this sender; fix: send less, or try again in a moment",
+            consumer +
+                " reads slowly, and its queue has no more room for this sender; fix: send less, or try again "
+                "in a moment",
             {}};
 }
 

@@ -63,12 +63,14 @@ std::span<const Right> rights() {
 }
 
 const Right* rightOf(int body) {
-    const auto found = std::find_if(kRights.begin(), kRights.end(), [body](const Right& right) { return right.number == body; });
+    const auto found = std::find_if(kRights.begin(), kRights.end(),
+                                    [body](const Right& right) { return right.number == body; });
     return body == 0 || found == kRights.end() ? nullptr : &*found;
 }
 
 const Right& rightOfSignal(std::string_view operation) {
-    return *std::find_if(kRights.begin(), kRights.end(), [operation](const Right& right) { return right.msg_type == operation; });
+    return *std::find_if(kRights.begin(), kRights.end(),
+                         [operation](const Right& right) { return right.msg_type == operation; });
 }
 
 bool clientsMaySend(std::string_view msg_type) {
@@ -91,32 +93,45 @@ std::string rightsPage() {
     std::string page =
         "<!-- Made by rights_test from src/common/rights.cpp (AXON_RERECORD=1); do not edit. -->\n"
         "# Who may send an entity what\n"
-        "Servers and Entity Managers consult one table (`src/common/rights.cpp`). Servers see only the `msgType` of the header; the\n"
-        "Entity Manager sees that the message is the one that its `msgType` names, and refuses it otherwise (`MALFORMED`). This page is\n"
-        "made from the table, and it is tested with all kinds of senders: in `src/entity_manager/rights_test.cpp`, and in `tests/hostile`\n"
+        "Servers and Entity Managers consult one table (`src/common/rights.cpp`). Servers see only the "
+        "`msgType` of the header; the\n"
+        "Entity Manager sees that the message is the one that its `msgType` names, and refuses it otherwise "
+        "(`MALFORMED`). This page is\n"
+        "made from the table, and it is tested with all kinds of senders: in "
+        "`src/entity_manager/rights_test.cpp`, and in `tests/hostile`\n"
         "with real sessions.\n\n"
-        "An observer, an operator and an administrator are clients that do not hold the entity; a holder is an operator that does. An\n"
-        "entity is another robot's Entity Manager: *of a run* means that the server passes the message on, and the Entity Manager takes it\n"
-        "from who takes part in the same run, or invites to one with the client's seal. Where a client may (*yes*), more is looked at\n"
-        "([what a message must show](messages.md#what-a-message-must-show)). The codes are those of an entity that is held: of one that is\n"
-        "not, the state is refused first, and in place of `NOT_HOLDER` whoever once held it is told how it lost its lease\n"
+        "An observer, an operator and an administrator are clients that do not hold the entity; a holder is "
+        "an operator that does. An\n"
+        "entity is another robot's Entity Manager: *of a run* means that the server passes the message on, "
+        "and the Entity Manager takes it\n"
+        "from who takes part in the same run, or invites to one with the client's seal. Where a client may "
+        "(*yes*), more is looked at\n"
+        "([what a message must show](messages.md#what-a-message-must-show)). The codes are those of an "
+        "entity that is held: of one that is\n"
+        "not, the state is refused first, and in place of `NOT_HOLDER` whoever once held it is told how it "
+        "lost its lease\n"
         "([refusals](refusals.md#what-a-header-lacks)).\n\n"
-        "| msgType, or the operation of a signal | `ToEntity` | observer | operator | administrator | holder | entity |\n"
+        "| msgType, or the operation of a signal | `ToEntity` | observer | operator | administrator | holder "
+        "| entity |\n"
         "|---|---|---|---|---|---|---|\n";
     for (const auto& right : kRights) {
-        page += "| `" + std::string(right.msg_type) + "` | " + (right.body.empty() ? "" : "`" + std::string(right.body) + '`') + " | " +
+        page += "| `" + std::string(right.msg_type) + "` | " +
+                (right.body.empty() ? "" : "`" + std::string(right.body) + '`') + " | " +
                 cell(right.who, false, false, false) + " | " + cell(right.who, true, false, false) + " | " +
                 cell(right.who, true, true, false) + " | " + cell(right.who, true, false, true) + " | " +
-                (right.number == 0              ? "no such operation"
+                (right.number == 0             ? "no such operation"
                  : right.peers == Peers::OfRun ? "of a run"
                                                : std::string(refusalName(RefusalCode::PermissionDenied))) +
                 " |\n";
     }
     page +=
-        "\n`GLOBAL_SERVICES` is for the front-end server itself, by `sendRequest`. A `msgType` that the table does not have is passed on for a\n"
-        "client, so that servers need not change for a new one, and refused by the Entity Manager: `NOT_SUPPORTED` where it does not know\n"
+        "\n`GLOBAL_SERVICES` is for the front-end server itself, by `sendRequest`. A `msgType` that the "
+        "table does not have is passed on for a\n"
+        "client, so that servers need not change for a new one, and refused by the Entity Manager: "
+        "`NOT_SUPPORTED` where it does not know\n"
         "the message either, otherwise `MALFORMED`. Between entities it is `PERMISSION_DENIED`.\n"
-        "By the [direct path](direct.md) only the holder sends, and of these `CHECKOUT` and `REARM` go by the servers.\n";
+        "By the [direct path](direct.md) only the holder sends, and of these `CHECKOUT` and `REARM` go by "
+        "the servers.\n";
     return page;
 }
 

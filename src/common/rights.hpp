@@ -7,20 +7,21 @@
 
 namespace axon {
 
-/// Whose message is carried out. Where nothing else is said, an operator may do whatever an observer may, and an administrator
-/// whatever an operator may.
+/// Whose message is carried out. Where nothing else is said, an operator may do whatever an observer may, and
+/// an administrator whatever an operator may.
 enum class Who : std::uint8_t {
     Anyone,
-    Operator,       ///< not an observer: PERMISSION_DENIED
-    Holder,         ///< of the present lease: NOT_HOLDER and the like
+    Operator,  ///< not an observer: PERMISSION_DENIED
+    Holder,    ///< of the present lease: NOT_HOLDER and the like
     HolderOrAdmin,
-    Nobody          ///< what is not for Entity Managers at all
+    Nobody  ///< what is not for Entity Managers at all
 };
 
 /// Whether entities may send it to each other, by sendToPeer.
 enum class Peers : std::uint8_t {
     No,     ///< PERMISSION_DENIED, of the entity server
-    OfRun,  ///< the master of a run and those who take part in it, among themselves; its invitation is sealed by the client
+    OfRun,  ///< the master of a run and those who take part in it, among themselves; its invitation is sealed
+            ///< by the client
 };
 
 /// One kind of message to an entity, or one signal.
@@ -32,17 +33,18 @@ struct Right {
     Peers peers;
 };
 
-/// Who may send an entity what: the one table that front-end servers, entity servers and Entity Managers ask, and from which
-/// docs/reference/rights.md is made. Servers know a message by its msgType alone, so each body has one; that it is what it says
-/// is for the Entity Manager to see. Immutable; any thread. Source of the signals: thesis, 3.3.1.
+/// Who may send an entity what: the one table that front-end servers, entity servers and Entity Managers ask,
+/// and from which docs/reference/rights.md is made. Servers know a message by its msgType alone, so each body
+/// has one; that it is what it says is for the Entity Manager to see. Immutable; any thread. Source of the
+/// signals: thesis, 3.3.1.
 std::span<const Right> rights();
 /// Of a field of ToEntity; null for one that this edition does not know.
 const Right* rightOf(int body);
 /// Of a signal, by its operation, which is in the table.
 const Right& rightOfSignal(std::string_view operation);
 
-/// What a front-end server passes on for a client. A msgType that the table does not know is the Entity Manager's business:
-/// servers need not change for a new one.
+/// What a front-end server passes on for a client. A msgType that the table does not know is the Entity
+/// Manager's business: servers need not change for a new one.
 bool clientsMaySend(std::string_view msg_type);
 /// What an entity server passes on from one entity to another.
 bool entitiesMaySend(std::string_view msg_type);

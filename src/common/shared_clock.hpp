@@ -52,8 +52,8 @@ class SharedClock final : public Clock {
     SharedClock& operator=(const SharedClock&) = delete;
 
     TimePoint now() const override;
-    /// At most kLongestWait, so that a change of pace is noticed; at least half a millisecond, in which from a speed of 8
-    /// on more than one of the laboratory's steps passes.
+    /// At most kLongestWait, so that a change of pace is noticed; at least half a millisecond, in which from
+    /// a speed of 8 on more than one of the laboratory's steps passes.
     Duration realTimeUntil(TimePoint deadline) const override;
 
     static constexpr Duration kLongestWait = std::chrono::milliseconds{5};

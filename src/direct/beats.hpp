@@ -8,20 +8,23 @@
 
 #include "common/clock.hpp"
 
-// Times of a direct path. The client beats on its signal connection, each 50 ms while it is busy and each 2 s otherwise,
-// and the Entity Manager answers each beat: so both know of either direction, and there is one pace, which the client names.
-// A path is busy while its entity moves, and for a second after each message that the client sends.
+// Times of a direct path. The client beats on its signal connection, each 50 ms while it is busy and each 2 s
+// otherwise, and the Entity Manager answers each beat: so both know of either direction, and there is one
+// pace, which the client names. A path is busy while its entity moves, and for a second after each message
+// that the client sends.
 namespace axon::direct {
 
-/// Silence of so long ends a path: while it is busy, and otherwise. Those of the hop to the server (safety.md).
+/// Silence of so long ends a path: while it is busy, and otherwise. Those of the hop to the server
+/// (safety.md).
 inline constexpr Duration kWatchdogBusy = std::chrono::milliseconds{250};
 inline constexpr Duration kWatchdogIdle = std::chrono::seconds{10};
 inline constexpr Duration kBeatBusy = std::chrono::milliseconds{50};
 inline constexpr Duration kBeatIdle = std::chrono::seconds{2};
-/// So long after a message of the client's a path is busy, so that a break is seen at once and not with the next idle beat.
+/// So long after a message of the client's a path is busy, so that a break is seen at once and not with the
+/// next idle beat.
 inline constexpr Duration kLively = std::chrono::seconds{1};
-/// While something that it sent is not acknowledged, the Entity Manager asks the client for a sign of life in this interval, which
-/// must come within it. Two watchdogs: the client may have no processor for one.
+/// While something that it sent is not acknowledged, the Entity Manager asks the client for a sign of life in
+/// this interval, which must come within it. Two watchdogs: the client may have no processor for one.
 inline constexpr Duration kAsks = 2 * kWatchdogBusy;
 /// What is held back waits so long for its mark. The relayed way is slow then, or has lost it.
 inline constexpr Duration kMarkWithin = kWatchdogBusy;
@@ -53,8 +56,8 @@ class Silence {
     std::atomic<bool> busy_{false};
 };
 
-/// When a path is tried again: after 1 s, each time twice as long, up to 30 s; from the beginning after one that stood
-/// for 30 s. Not thread-safe.
+/// When a path is tried again: after 1 s, each time twice as long, up to 30 s; from the beginning after one
+/// that stood for 30 s. Not thread-safe.
 class Retry {
   public:
     static constexpr Duration kFirst = std::chrono::seconds{1};

@@ -25,26 +25,28 @@ enum class Verdict : std::uint8_t {
     Overflow  ///< too much is held back: the path is over, and its owner ends its connections
 };
 
-/// How much a receiver holds back of what came by the direct way before its mark. Beyond it the path is given up; what
-/// is forgotten then comes by the relayed way.
+/// How much a receiver holds back of what came by the direct way before its mark. Beyond it the path is given
+/// up; what is forgotten then comes by the relayed way.
 struct HeldBounds {
     std::size_t messages = 16384;
     std::size_t bytes = 16 * 1024 * 1024;
 };
 
-/// The receiver's half of one direction: what of two ways is passed on, so that every message that may not be lost
-/// comes once and in the order of sending (ADR 0021).
+/// The receiver's half of one direction: what of two ways is passed on, so that every message that may not be
+/// lost comes once and in the order of sending (ADR 0021).
 ///
-/// Where in the flow: above the two connections, below the core. Two rules. *A mark*: what comes by a path is held back
-/// until the sender's last message on the relayed way, the mark with this path's number, has come there; so nothing
-/// overtakes what was sent before. *A number*: from the first mark on a message passes when its sequence number is
-/// above that of the last that has passed, by whichever way; so what is sent again after a break comes once. It follows
-/// that nothing is missing: each way keeps its order, and a sender that leaves the direct way sends everything that was
-/// not acknowledged by the relayed one, so that the first number that is new there is the next that is missing.
+/// Where in the flow: above the two connections, below the core. Two rules. *A mark*: what comes by a path is
+/// held back until the sender's last message on the relayed way, the mark with this path's number, has come
+/// there; so nothing overtakes what was sent before. *A number*: from the first mark on a message passes when
+/// its sequence number is above that of the last that has passed, by whichever way; so what is sent again
+/// after a break comes once. It follows that nothing is missing: each way keeps its order, and a sender that
+/// leaves the direct way sends everything that was not acknowledged by the relayed one, so that the first
+/// number that is new there is the next that is missing.
 ///
 ///     relayed ── open(path) ──► held back ── mark(path) ──► both ways, by number
 ///        ▲                          │  ▲                          │
-///        └────────── close() ───────┘  └───────── open() ─────────┘   (after the first mark: by number for ever)
+///        └────────── close() ───────┘  └───────── open() ─────────┘   (after the first mark: by number for
+///        ever)
 ///
 /// Threads: none of its own, not thread-safe; its owner confines it. Bounds: HeldBounds.
 template <class Message>
@@ -69,7 +71,8 @@ class IncomingWay {
     /// By the relayed way.
     Verdict relayed(Keeping keeping, std::int64_t sequence) { return judge(keeping, sequence, ordered_); }
     /// By a path. `message` is moved from when it is held back.
-    Verdict direct(const Id128& path, Keeping keeping, std::int64_t sequence, std::size_t bytes, Message& message) {
+    Verdict direct(const Id128& path, Keeping keeping, std::int64_t sequence, std::size_t bytes,
+                   Message& message) {
         if (path.isZero() || path != path_) return Verdict::LeftOut;
         if (marked_ || AXON_PLANTED(MarkNotAwaited)) return judge(keeping, sequence, true);
         if (held_.size() >= bounds_.messages || held_bytes_ + bytes > bounds_.bytes) {
@@ -80,7 +83,8 @@ class IncomingWay {
         held_.push_back({keeping, sequence, std::move(message)});
         return Verdict::HeldBack;
     }
-    /// By the relayed way: the mark of this path. `pass(message)` is called for each that was held back and counts.
+    /// By the relayed way: the mark of this path. `pass(message)` is called for each that was held back and
+    /// counts.
     template <class Pass>
     void mark(const Id128& path, Pass&& pass) {
         if (path.isZero() || path != path_ || marked_) return;

@@ -13,7 +13,8 @@ constexpr char kVersion = 1;
 constexpr std::size_t kKeyBytes = 16;
 
 void put(std::string& to, std::uint32_t value) {
-    for (int shift = 24; shift >= 0; shift -= 8) to += static_cast<char>(value >> static_cast<unsigned>(shift) & 255U);
+    for (int shift = 24; shift >= 0; shift -= 8)
+        to += static_cast<char>(value >> static_cast<unsigned>(shift) & 255U);
 }
 
 }  // namespace

@@ -9,8 +9,8 @@
 
 namespace axon::direct {
 
-/// What both ends of one connection of a direct path agree on, and prove to know the lease's key for: no server vouches
-/// for either there.
+/// What both ends of one connection of a direct path agree on, and prove to know the lease's key for: no
+/// server vouches for either there.
 struct Claim {
     Lane lane = Lane::Data;
     LeaseNumber lease;
@@ -24,7 +24,8 @@ enum class Prover : std::uint8_t { Client = 1, EntityManager = 2 };
 
 /// HMAC-SHA256 under the lease's key of 16 bytes, over the prover and all fields: 32 bytes. Pure; any thread.
 std::string proofOf(const Claim& claim, Prover prover, std::string_view key);
-/// Whether the proof is right. Takes the same time wherever it is wrong. False for a key that is not 16 bytes.
+/// Whether the proof is right. Takes the same time wherever it is wrong. False for a key that is not 16
+/// bytes.
 bool proves(std::string_view proof, const Claim& claim, Prover prover, std::string_view key);
 
 }  // namespace axon::direct

@@ -47,7 +47,8 @@ TEST(Proof, OfTheWrongLengthOrWithoutAKeyIsNone) {
     EXPECT_FALSE(proves(proofOf(right, Prover::Client, {}), right, Prover::Client, {}));
 }
 
-/// The bytes are part of the contract: a client in another language makes them too (docs/reference/direct.md).
+/// The bytes are part of the contract: a client in another language makes them too
+/// (docs/reference/direct.md).
 TEST(Proof, HasTheBytesOfTheReference) {
     Claim known;
     known.lane = Lane::Data;

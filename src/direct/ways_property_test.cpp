@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Both halves of one direction with two ways between them: a relayed one that is slow, keeps its order and may drop data, and
-// direct paths that are opened, delayed, cut at any moment on either side, and lose what is under way then. Claims: every message
-// that may not be lost comes once, in the order of sending, with its content; data comes at most once and never
-// behind newer data; nothing overtakes what was sent before; what is acknowledged has come.
+// Both halves of one direction with two ways between them: a relayed one that is slow, keeps its order and
+// may drop data, and direct paths that are opened, delayed, cut at any moment on either side, and lose what
+// is under way then. Claims: every message that may not be lost comes once, in the order of sending, with its
+// content; data comes at most once and never behind newer data; nothing overtakes what was sent before; what
+// is acknowledged has come.
 #include <gtest/gtest.h>
 
 #include <cstdlib>
@@ -25,9 +26,12 @@ struct Message {
 class World {
   public:
     explicit World(std::uint64_t seed)
-        : random_(seed), out_({static_cast<std::size_t>(2 + below(40)), static_cast<std::size_t>(200 + below(4000))}),
+        : random_(seed),
+          out_({static_cast<std::size_t>(2 + below(40)), static_cast<std::size_t>(200 + below(4000))}),
           in_({static_cast<std::size_t>(2 + below(40)), static_cast<std::size_t>(200 + below(4000))}),
-          relay_speed_(1 + below(8)), direct_speed_(1 + below(8)), trouble_(1 + below(60)) {}
+          relay_speed_(1 + below(8)),
+          direct_speed_(1 + below(8)),
+          trouble_(1 + below(60)) {}
 
     void run(int steps) {
         for (int i = 0; i < steps; ++i) {
@@ -103,7 +107,8 @@ class World {
             in_.mark(item.path, [&](Message message) { pass(std::move(message), true); });
             return;
         }
-        if (item.message.keeping == Keeping::Droppable && below(5) == 0) return;  // a server had too much of it
+        if (item.message.keeping == Keeping::Droppable && below(5) == 0)
+            return;  // a server had too much of it
         if (in_.relayed(item.message.keeping, item.message.sequence) == Verdict::Pass)
             pass(item.message, false);
         else
@@ -115,10 +120,18 @@ class World {
         direct_.pop_front();
         auto message = item.message;
         switch (in_.direct(item.path, item.message.keeping, item.message.sequence, 100, message)) {
-            case Verdict::Pass: return pass(item.message, true);
-            case Verdict::HeldBack: ++held_back; return;
-            case Verdict::LeftOut: ++left_out; return;
-            case Verdict::Overflow: open_at_receiver_ = false; cut(); return;
+            case Verdict::Pass:
+                return pass(item.message, true);
+            case Verdict::HeldBack:
+                ++held_back;
+                return;
+            case Verdict::LeftOut:
+                ++left_out;
+                return;
+            case Verdict::Overflow:
+                open_at_receiver_ = false;
+                cut();
+                return;
         }
     }
     void pass(Message message, bool direct) {
@@ -140,8 +153,10 @@ class World {
                 in_.close(receiver_path_);
                 open_at_receiver_ = false;
                 return cut();
-            case 2: return senderNotices();
-            default: return openAnew();
+            case 2:
+                return senderNotices();
+            default:
+                return openAnew();
         }
     }
     void cut() {

@@ -606,7 +606,8 @@ bool Communicator::onHello(Pending& pending, const proto::Hello& hello) {
     if (!hello.instance().empty() && hello.instance() != options_.instance)
         return no(RefusalCode::UnknownEntity,
                   "this is instance '" + options_.instance + "' of '" + options_.application + "'");
-    if (const auto stranger = users_.check(pending.socket.get())) return no(stranger->code, stranger->message);
+    if (const auto stranger = users_.check(pending.socket.get()))
+        return no(stranger->code, stranger->message);
     // Who links with us takes it that we have stopped.
     if (stop_failed_)
         return no(RefusalCode::WrongState, "the stop callback of '" + options_.application +

@@ -17,11 +17,11 @@
 
 #include "common/clock.hpp"
 #include "common/life_signs.hpp"
-#include "host/port_range.hpp"
 #include "entity_interfacer/axon/entity_interfacer.hpp"
 #include "entity_interfacer/link.hpp"
 #include "entity_interfacer/running_task.hpp"
 #include "entity_interfacer/stop_level.hpp"
+#include "host/port_range.hpp"
 
 namespace axon::proto {
 class Configuration;
@@ -213,8 +213,8 @@ class Communicator {
     // Stop thread
     std::shared_ptr<Link> signal_link_;
     bool baseline_known_ = false;
-    std::optional<StopSignal> owed_;  // called, and to be called again
-    TimePoint call_again_{};          // not before, where the callback threw
+    std::optional<StopSignal> owed_;        // called, and to be called again
+    TimePoint call_again_{};                // not before, where the callback threw
     std::atomic<bool> stop_failed_{false};  // the last call threw; read by the watch thread
 
     // Watch thread

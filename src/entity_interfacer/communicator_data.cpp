@@ -317,9 +317,7 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
     const auto answer = [&](std::uint64_t request, const char* what, const std::function<Decision()>& ask) {
         auto decision =
             Decision::deny(std::string(what) + " threw an exception: the robot application has stopped");
-        const auto reply = [&] {
-            respond(request, codeOf(decision), decision.reason());
-        };
+        const auto reply = [&] { respond(request, codeOf(decision), decision.reason()); };
         if (guarded(
                 what, [&] { decision = ask(); }, reply))
             reply();

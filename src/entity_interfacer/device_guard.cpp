@@ -165,7 +165,7 @@ class Guard {
         }
         if (now < since_ + kHold) return;
         if (!gone_ && !is_socket_) return;  // it cannot be shut for the application
-        writeStop();  // the last thing that the device hears
+        writeStop();                        // the last thing that the device hears
         if (gone_) ::_exit(0);
         ::shutdown(device_, SHUT_RDWR);
         letGo();
@@ -219,7 +219,8 @@ int becomeGuard(int control) {
     if (::close_range(kControl + 1, ~0U, 0) != 0) {  // of a kernel before 5.9
         rlimit most{};
         ::getrlimit(RLIMIT_NOFILE, &most);
-        for (int fd = kControl + 1; fd < static_cast<int>(std::min<rlim_t>(most.rlim_cur, 1U << 20U)); ++fd) ::close(fd);
+        for (int fd = kControl + 1; fd < static_cast<int>(std::min<rlim_t>(most.rlim_cur, 1U << 20U)); ++fd)
+            ::close(fd);
     }
     return kControl;
 }
@@ -260,7 +261,8 @@ class DeviceGuard::Desk {
             const auto until = clock_.now() + kHold + 2 * kRepeat;
             int left = 1;
             do {
-                left = static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(until - clock_.now()).count());
+                left = static_cast<int>(
+                    std::chrono::duration_cast<std::chrono::milliseconds>(until - clock_.now()).count());
             } while (left > 0 && ::poll(&ended, 1, left) < 0 && errno == EINTR);
         }
         giveUp();
@@ -279,7 +281,8 @@ class DeviceGuard::Desk {
         page_->beats.fetch_add(1, std::memory_order_release);
         if (!watching_ || stopped()) return false;
         const std::lock_guard lock(mutex_);
-        if (!looks_silence_.look(page_->looks.load(std::memory_order_acquire), clock_.now())) return watching_;
+        if (!looks_silence_.look(page_->looks.load(std::memory_order_acquire), clock_.now()))
+            return watching_;
         // First the caller stops the device: whatever takes time comes with its release() or watch().
         watching_ = false;
         lost_ = true;
@@ -319,7 +322,8 @@ class DeviceGuard::Desk {
             if (!std::exchange(lost_, false)) return;
             giveUp();
         }
-        log("the guard of " + options_.device + " was gone or frozen: the device was stopped, and is guarded again once it is connected again");
+        log("the guard of " + options_.device +
+            " was gone or frozen: the device was stopped, and is guarded again once it is connected again");
     }
     bool startGuard() {
         std::array<int, 2> ends{};

@@ -8,8 +8,8 @@
 #include <mutex>
 #include <string>
 
-#include "entity_interfacer/wake_up.hpp"
 #include "entity_interfacer/frame.hpp"
+#include "entity_interfacer/wake_up.hpp"
 
 namespace axon::proto {
 class EiToEm;

@@ -7,9 +7,9 @@
 
 namespace axon {
 
-/// Notices that a peer's counter no longer grows. Of the time between two looks at most a quarter of the limit counts:
-/// while the whole machine stands still, the peer could not count and this side did not look. I/O-free,
-/// without allocation, not thread-safe.
+/// Notices that a peer's counter no longer grows. Of the time between two looks at most a quarter of the
+/// limit counts: while the whole machine stands still, the peer could not count and this side did not look.
+/// I/O-free, without allocation, not thread-safe.
 class SilenceCount {
   public:
     explicit SilenceCount(Duration limit) : limit_(limit) {}

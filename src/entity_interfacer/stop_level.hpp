@@ -53,8 +53,8 @@ class StopLevel {
             epoch_ = epoch_ + 1;
         });
     }
-    /// The stop callback is about to be called, once more perhaps: what was said of a standstill before it counts no
-    /// more. Until acknowledged(), a standstill waits.
+    /// The stop callback is about to be called, once more perhaps: what was said of a standstill before it
+    /// counts no more. Until acknowledged(), a standstill waits.
     void carryOut() {
         const std::lock_guard lock(mutex_);
         acknowledged_ = rested_ = false;
@@ -63,15 +63,15 @@ class StopLevel {
     void settle() {
         change([&] { settled_ = true; });
     }
-    /// That it has been carried out was told, or there is nobody to tell. Whether the machine was said to stand still
-    /// since the stop callback was called last.
+    /// That it has been carried out was told, or there is nobody to tell. Whether the machine was said to
+    /// stand still since the stop callback was called last.
     bool acknowledged() {
         const std::lock_guard lock(mutex_);
         acknowledged_ = true;
         return std::exchange(rested_, false);
     }
-    /// The machine stands still. The generation of the stop for which that can be told; none while one is being carried
-    /// out, for then acknowledged() says it.
+    /// The machine stands still. The generation of the stop for which that can be told; none while one is
+    /// being carried out, for then acknowledged() says it.
     std::optional<std::uint32_t> rest() {
         const std::lock_guard lock(mutex_);
         rested_ = !acknowledged_;

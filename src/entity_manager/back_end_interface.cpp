@@ -482,7 +482,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     }
 
     void closed(const std::shared_ptr<Peer>& peer) {
-        if (peer->parting.empty() && !peer->stopped) return lost(peer, "the robot application has closed the link", LinkEnd::Closed);
+        if (peer->parting.empty() && !peer->stopped)
+            return lost(peer, "the robot application has closed the link", LinkEnd::Closed);
         lost(peer, "the robot application has ended the link: " + peer->parting,
              peer->stopped ? LinkEnd::GoodBye : LinkEnd::Closed);
     }

@@ -7,10 +7,10 @@
 #include <string>
 
 #include "common/ids.hpp"
-#include "host/port_range.hpp"
 #include "entity_manager/application_search.hpp"
 #include "entity_manager/ports.hpp"
 #include "entity_manager/stop_gate.hpp"
+#include "host/port_range.hpp"
 
 namespace axon::proto {
 class EiToEm;
@@ -26,7 +26,7 @@ struct BackEndSettings {
     std::string manager;      ///< who we are, for the messages that a second Entity Manager gets
     std::chrono::milliseconds watchdog_busy{250};
     std::chrono::milliseconds watchdog_idle{500};
-    bool beyond_loopback = false;  ///< the link has no authentication
+    bool beyond_loopback = false;                       ///< the link has no authentication
     Duration report_after = ApplicationSearch::kFirst;  ///< looking for the application in vain
 };
 

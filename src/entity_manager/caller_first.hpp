@@ -6,10 +6,11 @@
 
 namespace axon::entity_manager {
 
-/// An executor that runs what is *dispatched* to it at once, in the thread that dispatches it, whichever that is,
-/// and what is posted to it on the executor behind it. Below a strand it lets the thread that brings a message handle it
-/// when the strand is free, without waking another thread; while the strand is taken, the message waits as ever. Threads:
-/// any. Who dispatches must be a thread that may do the strand's work: never one of the signal lane.
+/// An executor that runs what is *dispatched* to it at once, in the thread that dispatches it, whichever that
+/// is, and what is posted to it on the executor behind it. Below a strand it lets the thread that brings a
+/// message handle it when the strand is free, without waking another thread; while the strand is taken, the
+/// message waits as ever. Threads: any. Who dispatches must be a thread that may do the strand's work: never
+/// one of the signal lane.
 class CallerFirst {
   public:
     static CallerFirst over(asio::any_io_executor behind) { return {std::move(behind), true}; }

@@ -48,7 +48,8 @@ TEST(Collaboration, MakesNoDifferenceWhoTheMasterIs) {
         EXPECT_EQ(fleet.told.state, proto::RUN_SUCCEEDED) << fleet.told.reason.message();
         EXPECT_TRUE(fleet.told.in_order);
         EXPECT_EQ(fleet.told.steps.size(), 5U);
-        for (const auto& [number, step] : fleet.told.steps) EXPECT_EQ(step.state(), proto::TASK_SUCCEEDED) << number;
+        for (const auto& [number, step] : fleet.told.steps)
+            EXPECT_EQ(step.state(), proto::TASK_SUCCEEDED) << number;
         expectAllAtRest(fleet);
         auto order = fleet.order();
         ASSERT_EQ(order.size(), 5U);
@@ -191,7 +192,9 @@ TEST(Collaboration, AShortStepIsOneReportAndALongOneTwo) {
 
 TEST(Collaboration, ARestBetweenTwoStepsIsToldOnlyIfItLasts) {
     Fleet fleet(2);
-    fleet.behave = [](std::size_t robot, const auto&) { return Fleet::Outcome{.lasts = robot == 0 ? 100ms : 10ms}; };
+    fleet.behave = [](std::size_t robot, const auto&) {
+        return Fleet::Outcome{.lasts = robot == 0 ? 100ms : 10ms};
+    };
     std::vector<EntityState> told;
     const auto look = [&] {
         told.clear();
@@ -227,8 +230,10 @@ TEST(Collaboration, EventsOfStepsAloneAreTenMillisecondsApartAndThoseOfTheRunAtO
     const auto& events = fleet.told.events;
     EXPECT_GT(events.size(), 4U);
     for (std::size_t i = 1; i < events.size(); ++i)
-        EXPECT_TRUE(events[i].first != events[i - 1].first || events[i].second >= events[i - 1].second + 10ms) << i;
-    for (const auto& [number, step] : fleet.told.steps) EXPECT_EQ(step.state(), proto::TASK_SUCCEEDED) << number;
+        EXPECT_TRUE(events[i].first != events[i - 1].first || events[i].second >= events[i - 1].second + 10ms)
+            << i;
+    for (const auto& [number, step] : fleet.told.steps)
+        EXPECT_EQ(step.state(), proto::TASK_SUCCEEDED) << number;
 }
 
 TEST(Collaboration, ThoseWithVeryDifferentWatchdogsWorkTogether) {
@@ -284,7 +289,8 @@ TEST(Collaboration, AResultThatIsNotThereFailsTheStepThatNeedsIt) {
 }
 
 TEST(Collaboration, AResultThatNoStepCanTellIsNamedBeforeAnythingMoves) {
-    for (const auto& [output, code] : {std::pair("Height", proto::UNKNOWN_PARAMETER), {"Distance", proto::WRONG_TYPE}}) {
+    for (const auto& [output, code] :
+         {std::pair("Height", proto::UNKNOWN_PARAMETER), {"Distance", proto::WRONG_TYPE}}) {
         Fleet fleet(2);
         auto service = globalService({"0 Driving 1", "1 Driving 2"});
         *service.mutable_steps(0)->add_params() = test::paramOf("Distance=300");
@@ -298,7 +304,8 @@ TEST(Collaboration, AResultThatNoStepCanTellIsNamedBeforeAnythingMoves) {
         EXPECT_EQ(fleet.told.state, proto::RUN_REFUSED) << output;
         ASSERT_EQ(fleet.told.problems.size(), 1U) << output;
         EXPECT_EQ(fleet.told.problems[0].step(), 0);
-        EXPECT_EQ(fleet.told.problems[0].refusal().code(), code) << fleet.told.problems[0].refusal().message();
+        EXPECT_EQ(fleet.told.problems[0].refusal().code(), code)
+            << fleet.told.problems[0].refusal().message();
         EXPECT_TRUE(fleet.log.empty()) << "nothing has moved";
     }
 }
@@ -325,7 +332,8 @@ TEST(Collaboration, ATextThatAStepHasToldIsOneValueWhateverStandsInIt) {
 
 TEST(Collaboration, NothingMovesBeforeEverythingIsPossibleAndAllThatIsNotIsNamed) {
     Fleet fleet(3);
-    auto service = globalService({"0 Driving 1", "0 Turning 1", "1 Dancing 1", "1 Delivery 2", "2 Turning 1"});
+    auto service =
+        globalService({"0 Driving 1", "0 Turning 1", "1 Dancing 1", "1 Delivery 2", "2 Turning 1"});
     auto& wrong = *service.mutable_steps(0)->add_params();
     wrong.set_name("Distance");
     wrong.add_values()->set_str("far");
@@ -336,10 +344,12 @@ TEST(Collaboration, NothingMovesBeforeEverythingIsPossibleAndAllThatIsNotIsNamed
         fleet.advance(100ms);
         EXPECT_EQ(fleet.told.state, proto::RUN_REFUSED);
         std::multiset<std::pair<int, proto::RefusalCode>> found;
-        for (const auto& problem : fleet.told.problems) found.emplace(problem.step(), problem.refusal().code());
-        EXPECT_EQ(found, (std::multiset<std::pair<int, proto::RefusalCode>>{
-                             {0, proto::WRONG_TYPE}, {1, proto::BLOCKED}, {2, proto::UNKNOWN_SERVICE},
-                             {3, proto::MISSING_DEPENDENCY}}));
+        for (const auto& problem : fleet.told.problems)
+            found.emplace(problem.step(), problem.refusal().code());
+        EXPECT_EQ(found, (std::multiset<std::pair<int, proto::RefusalCode>>{{0, proto::WRONG_TYPE},
+                                                                            {1, proto::BLOCKED},
+                                                                            {2, proto::UNKNOWN_SERVICE},
+                                                                            {3, proto::MISSING_DEPENDENCY}}));
         EXPECT_TRUE(fleet.log.empty());
         expectAllAtRest(fleet);
     }
@@ -488,7 +498,9 @@ TEST_F(SubLeases, ForAnotherMasterOrRunOrUnderAnotherKeyAreRefused) {
                   collaboration::seal(lease, {idOf("other"), fleet.uuid(0), fleet.uuid(1)}, key());
               }).code,
               RefusalCode::NotHolder);
-    EXPECT_EQ(refusalOf([&](proto::SubLease& lease, auto& request) { reseal(lease, request, std::string(16, '?')); }).code,
+    EXPECT_EQ(refusalOf([&](proto::SubLease& lease, auto& request) {
+                  reseal(lease, request, std::string(16, '?'));
+              }).code,
               RefusalCode::NotHolder);
 }
 
@@ -580,7 +592,8 @@ TEST(Collaboration, HeldOthersWaitAndTheFailedStepIsTriedAgain) {
         if (robot == 1) return ++tries == 1 ? failing() : Fleet::Outcome{};
         return Fleet::Outcome{.lasts = 500ms};
     };
-    auto service = globalService({"0 Driving 1", "1 Turning 1", "2 Turning 1", "1 Light 2"}, proto::HOLD_OTHERS);
+    auto service =
+        globalService({"0 Driving 1", "1 Turning 1", "2 Turning 1", "1 Light 2"}, proto::HOLD_OTHERS);
     auto& distance = *service.mutable_steps(0)->add_params();
     distance.set_name("Distance");
     distance.add_values()->set_int_(100);
@@ -641,7 +654,8 @@ TEST(Collaboration, AStepThatSomebodyStoppedStopsAllWhateverThePolicy) {
         for (const bool reset : {false, true}) {
             Fleet fleet(2);
             fleet.behave = [&](std::size_t robot, const proto::TaskDispatch&) {
-                if (robot == 1 && !reset) return Fleet::Outcome{.lasts = 50ms, .verdict = proto::TASK_STOPPED};
+                if (robot == 1 && !reset)
+                    return Fleet::Outcome{.lasts = 50ms, .verdict = proto::TASK_STOPPED};
                 return Fleet::Outcome{.lasts = 10s};
             };
             auto service = globalService({"0 Turning 1", "1 Turning 1"}, policy);
@@ -763,7 +777,8 @@ TEST(Collaboration, ALostMasterIsMissedByEverySlave) {
 /// Keeps the first message of a kind back, until it is given up.
 struct Late {
     Late(Fleet& robots, std::function<bool(const proto::ToEntity&)> which) : fleet(robots) {
-        fleet.lose = [this, which = std::move(which)](std::size_t from, std::size_t to, const proto::ToEntity& message) {
+        fleet.lose = [this, which = std::move(which)](std::size_t from, std::size_t to,
+                                                      const proto::ToEntity& message) {
             if (kept || !which(message)) return false;
             kept = message.SerializeAsString();
             head.sender = {fleet.uuid(from), "Robot " + std::to_string(from), Role::Operator};
@@ -885,7 +900,8 @@ TEST(Collaboration, AStepOfWhichNothingIsHeardIsCancelledAndLeavesNobodyMoving) 
     EXPECT_EQ(fleet.told.state, proto::RUN_STOPPING) << "nobody knows that it has ended";
     fleet.advance(11s);
     EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
-    for (const auto& [robot, name] : fleet.order()) EXPECT_NE(name, "Light") << "no compensation beside the unknown";
+    for (const auto& [robot, name] : fleet.order())
+        EXPECT_NE(name, "Light") << "no compensation beside the unknown";
     expectAllAtRest(fleet);
 }
 
@@ -944,7 +960,8 @@ TEST(Collaboration, WhoDoesNotPauseOrEndInTimeIsStopped) {
             if (held && robot == 0) return failing();
             return Fleet::Outcome{.lasts = 60s, .deaf = true};
         };
-        auto service = globalService({"0 Driving 1", "1 Driving 1"}, held ? proto::HOLD_OTHERS : proto::STOP_ALL);
+        auto service =
+            globalService({"0 Driving 1", "1 Driving 1"}, held ? proto::HOLD_OTHERS : proto::STOP_ALL);
         for (const int i : {0, 1}) *service.mutable_steps(i)->add_params() = test::paramOf("Distance=100");
         fleet.launch(service, 0);
         fleet.advance(100ms);
@@ -955,7 +972,8 @@ TEST(Collaboration, WhoDoesNotPauseOrEndInTimeIsStopped) {
         fleet.advance(300ms);
         EXPECT_EQ(fleet.told.state, proto::RUN_FAILED) << held;
         EXPECT_EQ(fleet.told.reason.code(), proto::TIMED_OUT);
-        EXPECT_NE(fleet.told.reason.message().find("Robot"), std::string::npos) << fleet.told.reason.message();
+        EXPECT_NE(fleet.told.reason.message().find("Robot"), std::string::npos)
+            << fleet.told.reason.message();
         expectAllAtRest(fleet);
     }
 }
@@ -999,7 +1017,8 @@ TEST(Collaboration, ACompensationWaitsForItsParticipantForATime) {
         fleet.advance(9900ms);
         EXPECT_EQ(fleet.told.state, proto::RUN_COMPENSATING);
         fleet.advance(1s);
-        EXPECT_EQ(fleet.told.state, occupied ? proto::RUN_FAILED : proto::RUN_COMPENSATING) << "what runs may last";
+        EXPECT_EQ(fleet.told.state, occupied ? proto::RUN_FAILED : proto::RUN_COMPENSATING)
+            << "what runs may last";
         fleet.advance(20s);
         EXPECT_EQ(fleet.told.state, proto::RUN_FAILED);
         expectAllAtRest(fleet);

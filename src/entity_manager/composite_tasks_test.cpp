@@ -12,11 +12,11 @@ namespace axon::entity_manager {
 namespace {
 
 using namespace std::chrono_literals;
+using test::CoreRig;
+using test::idOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
-using test::CoreRig;
-using test::idOf;
 using Kind = JournalRecord::Kind;
 
 constexpr const char* kServices = R"(<ServiceProfile>
@@ -89,7 +89,8 @@ struct CompositeTasks : testing::Test {
     void answer() {
         proto::EiToEm message;
         const auto& asked = rig.to_application.back();
-        message.mutable_answer()->set_request(asked.has_param() ? asked.param().request() : asked.resource().request());
+        message.mutable_answer()->set_request(asked.has_param() ? asked.param().request()
+                                                                : asked.resource().request());
         rig.fromApplication(message);
     }
     void set(const std::string& service, const std::string& param) {
@@ -256,7 +257,8 @@ TEST_F(CompositeTasks, TheValueOfTheOutermostCompositeCounts) {
     rig.update("part2", proto::TASK_FAILED);
     EXPECT_THAT(missing(record("Patrol")), ElementsAre("Drive.Distance", "Drive.Map", "Leg.Distance"))
         << "what is not savable has served one task";
-    EXPECT_EQ(record("Patrol").params(1).initial(0).int_(), 200) << "what came with the task was for the task";
+    EXPECT_EQ(record("Patrol").params(1).initial(0).int_(), 200)
+        << "what came with the task was for the task";
     uploadMap("Drive");
     rig.task("client1", "t2", "Patrol", {"Drive.Distance=3", "Leg.Distance=4"});
     rig.update("part3", proto::TASK_SUCCEEDED);
@@ -398,7 +400,8 @@ TEST_F(CompositeTasks, AnApplicationThatDoesNotAnswerAPartIsNotWaitedFor) {
     rig.update("part1", proto::TASK_SUCCEEDED);
     rig.advance(60s);
     EXPECT_EQ(lastOf("t1").state(), proto::TASK_UNKNOWN);
-    EXPECT_THAT(lastOf("t1").reason().message(), HasSubstr("part 2 of 3, Turn: The robot application has neither"));
+    EXPECT_THAT(lastOf("t1").reason().message(),
+                HasSubstr("part 2 of 3, Turn: The robot application has neither"));
     EXPECT_EQ(rig.to_application.back().cancel().task_id(), rig.idOfSent("part2"));
     EXPECT_EQ(status().state, EntityState::REG);
 }

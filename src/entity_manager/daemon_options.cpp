@@ -46,7 +46,8 @@ const std::set<std::string> kKeys{"Axon.Application",
 fs::path defaultStateFolder(const std::string& application, const std::string& instance) {
     const char* state = std::getenv("XDG_STATE_HOME");
     const char* home = std::getenv("HOME");
-    fs::path root = state && *state ? fs::path(state) : fs::path(home && *home ? home : "/var/lib") / ".local/state";
+    fs::path root =
+        state && *state ? fs::path(state) : fs::path(home && *home ? home : "/var/lib") / ".local/state";
     return root / "axon" / (instance.empty() ? application : application + "-" + instance);
 }
 
@@ -65,7 +66,8 @@ Integer integerBetween(const std::string& what, const std::string& text, Integer
     return static_cast<Integer>(value);
 }
 
-std::chrono::milliseconds secondsBetween(const std::string& what, const std::string& text, double low, double high) {
+std::chrono::milliseconds secondsBetween(const std::string& what, const std::string& text, double low,
+                                         double high) {
     std::size_t used = 0;
     double value = 0;
     try {
@@ -74,7 +76,8 @@ std::chrono::milliseconds secondsBetween(const std::string& what, const std::str
         used = 0;
     }
     if (used != text.size() || text.empty() || !(value >= low && value <= high))
-        throw std::runtime_error(what + ": expected a number of seconds from " + std::to_string(static_cast<int>(low)) + " to " +
+        throw std::runtime_error(what + ": expected a number of seconds from " +
+                                 std::to_string(static_cast<int>(low)) + " to " +
                                  std::to_string(static_cast<int>(high)) + ", not '" + text + "'");
     return std::chrono::milliseconds(std::lround(value * 1000));
 }
@@ -99,8 +102,10 @@ DatagramSettings datagramsOf(const std::string& text) {
     } else if (const auto port = datagrams::Endpoint::parse("0.0.0.0:" + text)) {
         settings.port = port->port;
     } else {
-        throw std::runtime_error("Axon.Datagrams: expected on, off, an address of four numbers, a port, or ADDRESS:PORT, as "
-                                 "192.168.0.7:10420, not '" + text + "'");
+        throw std::runtime_error(
+            "Axon.Datagrams: expected on, off, an address of four numbers, a port, or ADDRESS:PORT, as "
+            "192.168.0.7:10420, not '" +
+            text + "'");
     }
     return settings;
 }
@@ -112,8 +117,11 @@ DirectSettings directOf(const std::string& text) {
     settings.offered = true;
     if (text == "on") return settings;
     const auto fail = [&] {
-        throw std::runtime_error("Axon.Direct: expected on, off, an address of four numbers, at least two ports from 1024 to 65535, or "
-                                 "ADDRESS:FIRST-LAST, as 192.168.0.7:10430-10439, not '" + text + "'");
+        throw std::runtime_error(
+            "Axon.Direct: expected on, off, an address of four numbers, at least two ports from 1024 to "
+            "65535, or "
+            "ADDRESS:FIRST-LAST, as 192.168.0.7:10430-10439, not '" +
+            text + "'");
     };
     const auto colon = text.find(':');
     auto ports = colon == std::string::npos ? text : text.substr(colon + 1);
@@ -131,7 +139,9 @@ DirectSettings directOf(const std::string& text) {
         return number->port;
     };
     settings.ports = {port(ports.substr(0, dash)), port(ports.substr(dash + 1))};
-    if (settings.ports.last <= settings.ports.first || (colon != std::string::npos && settings.address.empty())) fail();
+    if (settings.ports.last <= settings.ports.first ||
+        (colon != std::string::npos && settings.address.empty()))
+        fail();
     return settings;
 }
 
@@ -143,7 +153,8 @@ std::map<std::string, std::string> readConfiguration(const std::string& file,
     std::map<std::string, std::string> values;
     if (file.empty()) return values;
     if (!std::ifstream(file))
-        throw std::runtime_error(file + ": cannot be read; expected a configuration file (docs/reference/configuration.md)");
+        throw std::runtime_error(
+            file + ": cannot be read; expected a configuration file (docs/reference/configuration.md)");
     const auto properties = Ice::createProperties();
     properties->load(file);
     for (const auto& [key, value] : properties->getPropertiesForPrefix("")) {
@@ -166,22 +177,30 @@ std::map<std::string, std::string> readConfiguration(const std::string& file,
 
 DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     CLI::App app{
-        "The Entity Manager: stands beside one robot application, connects it to the Axon server, and guards it: who\n"
+        "The Entity Manager: stands beside one robot application, connects it to the Axon server, and guards "
+        "it: who\n"
         "may command it, what may run, and that it stops.\n\n"
         "  axon-entity-manager --application hello\n"
-        "  axon-entity-manager --application peoplebot --server lab.example:10412 --config entitymanager.cfg\n"};
+        "  axon-entity-manager --application peoplebot --server lab.example:10412 --config "
+        "entitymanager.cfg\n"};
     app.set_version_flag("--version", AXON_VERSION);
     std::string config, application, instance, server, ports, ports_file, users, address, state, log_level;
-    app.add_option("-c,--config", config, "Configuration file in Ice property syntax; the options below win over it");
-    app.add_option("-a,--application", application, "Name the robot application gives its Entity Interfacer (Axon.Application)");
-    app.add_option("--instance", instance, "Which of several applications of the same name on this host (Axon.Instance)");
+    app.add_option("-c,--config", config,
+                   "Configuration file in Ice property syntax; the options below win over it");
+    app.add_option("-a,--application", application,
+                   "Name the robot application gives its Entity Interfacer (Axon.Application)");
+    app.add_option("--instance", instance,
+                   "Which of several applications of the same name on this host (Axon.Instance)");
     app.add_option("-s,--server", server, "host:port of the entity server (Axon.Server) [127.0.0.1:10412]");
     app.add_option("--ports", ports, "Port range to look for the application in (Axon.Ports) [5500-8000]");
     app.add_option("--ports-file", ports_file, "ports.cfg to read the range from (Axon.PortsFile)");
-    app.add_option("--users", users, "Users of this machine, besides this one and root, whose process the application may be, "
-                                     "names or numbers (Axon.Users)");
+    app.add_option("--users", users,
+                   "Users of this machine, besides this one and root, whose process the application may be, "
+                   "names or numbers (Axon.Users)");
     app.add_option("--address", address, "Address where the application listens (Axon.Address) [127.0.0.1]");
-    app.add_option("--state", state, "Folder for identity, leases and resources (Axon.State) [~/.local/state/axon/APPLICATION]");
+    app.add_option(
+        "--state", state,
+        "Folder for identity, leases and resources (Axon.State) [~/.local/state/axon/APPLICATION]");
     app.add_option("--log-level", log_level, "trace, debug, info, warning, error (Axon.LogLevel) [info]");
 
     DaemonOptions options;
@@ -200,8 +219,9 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
 
     options.core.application = chosen(application, "Axon.Application", "");
     if (options.core.application.empty())
-        throw std::runtime_error("no application named; say --application NAME, the name that the robot application gives its "
-                                 "Entity Interfacer, or Axon.Application=NAME in the configuration file");
+        throw std::runtime_error(
+            "no application named; say --application NAME, the name that the robot application gives its "
+            "Entity Interfacer, or Axon.Application=NAME in the configuration file");
     options.back_end.application = options.core.application;
     options.back_end.manager = "axon-entity-manager, process " + std::to_string(::getpid());
     options.back_end.instance = chosen(instance, "Axon.Instance", "");
@@ -214,7 +234,8 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         options.back_end.ports_from = ports.empty() ? "Axon.Ports in " + config : "--ports";
     }
     if (const auto names = chosen(users, "Axon.Users", ""); !names.empty())
-        options.back_end.where.users = accepted(LinkUsers::parse(names, users.empty() ? "Axon.Users in " + config : "--users"));
+        options.back_end.where.users =
+            accepted(LinkUsers::parse(names, users.empty() ? "Axon.Users in " + config : "--users"));
     options.back_end.where.address = chosen(address, "Axon.Address", options.back_end.where.address);
 
     if (file.contains(kRouter) && file.contains("Axon.Server"))
@@ -237,16 +258,17 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         options.server.tls = transport::isTlsRouter(router);
     }
     if (options.server.port == 0)
-        throw std::runtime_error("--server: expected host:port with a port from 1 to 65535, as 127.0.0.1:10412, not '" + at + "'");
+        throw std::runtime_error(
+            "--server: expected host:port with a port from 1 to 65535, as 127.0.0.1:10412, not '" + at + "'");
     if (options.server.tls && !transport::speaksTls(options.ice_properties))
         throw std::runtime_error(transport::certificateMissing(options.server.text(), "entity"));
     options.server.user = chosen("", "Axon.User", "");
     options.server.password = chosen("", "Axon.Password", "");
 
-    options.core.server_watchdog_busy =
-        std::chrono::milliseconds(integerBetween("Axon.WatchdogBusyMs", chosen("", "Axon.WatchdogBusyMs", "250"), 50, 2000));
-    options.core.server_watchdog_idle =
-        std::chrono::milliseconds(integerBetween("Axon.WatchdogIdleMs", chosen("", "Axon.WatchdogIdleMs", "10000"), 250, 60000));
+    options.core.server_watchdog_busy = std::chrono::milliseconds(
+        integerBetween("Axon.WatchdogBusyMs", chosen("", "Axon.WatchdogBusyMs", "250"), 50, 2000));
+    options.core.server_watchdog_idle = std::chrono::milliseconds(
+        integerBetween("Axon.WatchdogIdleMs", chosen("", "Axon.WatchdogIdleMs", "10000"), 250, 60000));
     options.datagrams = datagramsOf(chosen("", "Axon.Datagrams", "on"));
     options.direct = directOf(chosen("", "Axon.Direct", "on"));
     options.lock_memory = integerBetween("Axon.LockMemory", chosen("", "Axon.LockMemory", "1"), 0, 1) != 0;
@@ -272,11 +294,14 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
     ordered("Axon.LinkWatchdogBusyMs", options.back_end.watchdog_busy, "Axon.LinkWatchdogIdleMs",
             options.back_end.watchdog_idle);
     options.log_level = chosen(log_level, "Axon.LogLevel", "info");
-    static const std::set<std::string> kLevels{"trace", "debug", "info", "warning", "error", "critical", "off"};
+    static const std::set<std::string> kLevels{"trace", "debug",    "info", "warning",
+                                               "error", "critical", "off"};
     if (!kLevels.contains(options.log_level))
-        throw std::runtime_error("--log-level: expected trace, debug, info, warning, error, critical or off, not '" +
-                                 options.log_level + "'");
-    options.state_folder = chosen(state, "Axon.State", defaultStateFolder(options.core.application, options.back_end.instance));
+        throw std::runtime_error(
+            "--log-level: expected trace, debug, info, warning, error, critical or off, not '" +
+            options.log_level + "'");
+    options.state_folder =
+        chosen(state, "Axon.State", defaultStateFolder(options.core.application, options.back_end.instance));
     return options;
 }
 

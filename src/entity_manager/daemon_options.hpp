@@ -23,7 +23,7 @@ struct DaemonOptions {
     DirectSettings direct;
     std::filesystem::path state_folder;
     std::string log_level = "info";
-    bool lock_memory = true;  ///< where permitted
+    bool lock_memory = true;                            ///< where permitted
     std::map<std::string, std::string> ice_properties;  ///< Ice.* and IceSSL.* of the configuration
     /// Set when there is nothing to run: --help, --version, or a wrong command line (which has been
     /// explained).

@@ -25,7 +25,8 @@ struct DaemonOptionsTest : testing::Test {
     DaemonOptions read(const std::string& lines) const {
         const auto file = (folder / "entitymanager.cfg").string();
         std::ofstream(file) << "Axon.State=" << folder.string() << "\n" << lines << "\n";
-        const char* const words[] = {"axon-entity-manager", "--application", "hello", "--config", file.c_str()};
+        const char* const words[] = {"axon-entity-manager", "--application", "hello", "--config",
+                                     file.c_str()};
         return readDaemonOptions(5, words);
     }
     std::string refusal(const std::string& lines) const {
@@ -57,9 +58,12 @@ TEST_F(DaemonOptionsTest, DirectPathsAreOfferedUnlessSwitchedOff) {
 }
 
 TEST_F(DaemonOptionsTest, WhatNamesNoTwoPortsIsRefusedWithWhatIsExpected) {
-    for (const auto* wrong : {"yes", "10430", "10430-10430", "10439-10430", "80-90", "10430-70000", "lab:10430-10439", "192.168.0.7:10430",
-                              ":10430-10439", "192.168.0.7:", "10430-", "-10439", "192.168.0.300", "1-2-3"})
-        EXPECT_THAT(refusal(std::string("Axon.Direct=") + wrong), HasSubstr("Axon.Direct: expected on, off, an address")) << wrong;
+    for (const auto* wrong :
+         {"yes", "10430", "10430-10430", "10439-10430", "80-90", "10430-70000", "lab:10430-10439",
+          "192.168.0.7:10430", ":10430-10439", "192.168.0.7:", "10430-", "-10439", "192.168.0.300", "1-2-3"})
+        EXPECT_THAT(refusal(std::string("Axon.Direct=") + wrong),
+                    HasSubstr("Axon.Direct: expected on, off, an address"))
+            << wrong;
 }
 
 TEST_F(DaemonOptionsTest, DatagramsTakeAnAddressAPortOrBoth) {
@@ -70,7 +74,9 @@ TEST_F(DaemonOptionsTest, DatagramsTakeAnAddressAPortOrBoth) {
     EXPECT_EQ(both.address, "192.168.0.7");
     EXPECT_EQ(both.port, 10420);
     for (const auto* wrong : {"yes", "70000", "192.168.0.7:", "lab:10420"})
-        EXPECT_THAT(refusal(std::string("Axon.Datagrams=") + wrong), HasSubstr("Axon.Datagrams: expected on, off, an address")) << wrong;
+        EXPECT_THAT(refusal(std::string("Axon.Datagrams=") + wrong),
+                    HasSubstr("Axon.Datagrams: expected on, off, an address"))
+            << wrong;
 }
 
 TEST_F(DaemonOptionsTest, TheBoundOfAnUploadIsAProperty) {
@@ -84,7 +90,8 @@ TEST_F(DaemonOptionsTest, TheBoundOfAnUploadIsAProperty) {
 }
 
 TEST_F(DaemonOptionsTest, AnUnknownPropertyIsRefusedWithThoseThereAre) {
-    EXPECT_THAT(refusal("Axon.Drect=on"), testing::AllOf(HasSubstr("unknown property 'Axon.Drect'"), HasSubstr("Axon.Direct")));
+    EXPECT_THAT(refusal("Axon.Drect=on"),
+                testing::AllOf(HasSubstr("unknown property 'Axon.Drect'"), HasSubstr("Axon.Direct")));
 }
 
 }  // namespace

@@ -17,7 +17,8 @@ DatagramDesk::DatagramDesk(DatagramSettings settings, const Clock& clock, StopGa
 
 std::string DatagramDesk::open(const std::string& way_to_server) {
     if (!settings_.offered) return {};
-    const auto address = datagrams::parseAddress(settings_.address.empty() ? way_to_server : settings_.address);
+    const auto address =
+        datagrams::parseAddress(settings_.address.empty() ? way_to_server : settings_.address);
     if (!address) return {};
     const datagrams::Endpoint wanted{*address, settings_.port};
     if (lane_ && bound_ == wanted) return lane_->local().toString();
@@ -25,9 +26,8 @@ std::string DatagramDesk::open(const std::string& way_to_server) {
     try {
         lane_ = std::make_unique<datagrams::DatagramLane>(
             "axon-datagrams", wanted, clock_,
-            [this](const datagrams::DatagramLane& lane, const datagrams::Endpoint& from, std::string_view bytes) {
-                return received(lane, from, bytes);
-            },
+            [this](const datagrams::DatagramLane& lane, const datagrams::Endpoint& from,
+                   std::string_view bytes) { return received(lane, from, bytes); },
             nullptr);
     } catch (const std::system_error& error) {
         spdlog::warn(

@@ -8,10 +8,10 @@
 
 #include "common/clock.hpp"
 #include "common/routed.hpp"
-#include "entity_manager/lease_book.hpp"
-#include "entity_manager/stop_gate.hpp"
 #include "datagrams/datagram_lane.hpp"
 #include "datagrams/stop_sentry.hpp"
+#include "entity_manager/lease_book.hpp"
+#include "entity_manager/stop_gate.hpp"
 
 namespace axon::entity_manager {
 
@@ -49,7 +49,8 @@ class DatagramDesk {
 
   private:
     void tellCounts();
-    bool received(const datagrams::DatagramLane& lane, const datagrams::Endpoint& from, std::string_view bytes);
+    bool received(const datagrams::DatagramLane& lane, const datagrams::Endpoint& from,
+                  std::string_view bytes);
 
     const DatagramSettings settings_;
     const Clock& clock_;

@@ -29,7 +29,8 @@ DirectDesk::DirectDesk(const Clock& clock, RelayedWay& server, Log log)
 
 DirectDesk::~DirectDesk() = default;
 
-// -- the path ---------------------------------------------------------------------------------------------------------
+// -- the path
+// ---------------------------------------------------------------------------------------------------------
 
 void DirectDesk::onOpening(const DirectOpening& opening, const LeaseBook::Held* held) {
     const auto& claim = opening.claim;
@@ -45,12 +46,15 @@ void DirectDesk::onOpening(const DirectOpening& opening, const LeaseBook::Held* 
                  "minute)");
         }
         return opening.refuse({RefusalCode::PermissionDenied,
-                               "A direct path is opened by the present holder, with the key of its lease. Check the entity out first.",
+                               "A direct path is opened by the present holder, with the key of its lease. "
+                               "Check the entity out first.",
                                {}});
     }
     const bool first = claim.lane == Lane::Data;
     if (!first && (!path_ || path_->number != claim.path || path_->signal))
-        return opening.refuse({RefusalCode::WrongState, "The signal lane of a direct path is opened after its data lane, once.", {}});
+        return opening.refuse({RefusalCode::WrongState,
+                               "The signal lane of a direct path is opened after its data lane, once.",
+                               {}});
     if (first) {
         end("the holder opens another one", Rest::SendAgain);
         auto& row = rowOf(held->holder.id);
@@ -64,7 +68,8 @@ void DirectDesk::onOpening(const DirectOpening& opening, const LeaseBook::Held* 
         row.in.open(claim.path);
     }
     auto& lane = first ? path_->data : path_->signal;
-    lane = opening.admit(path_->holder, path_->signs, direct::proofOf(claim, direct::Prover::EntityManager, held->key.bytes()));
+    lane = opening.admit(path_->holder, path_->signs,
+                         direct::proofOf(claim, direct::Prover::EntityManager, held->key.bytes()));
     if (!first) begin();
 }
 
@@ -105,7 +110,8 @@ void DirectDesk::end(const std::string& why, Rest rest) {
     out_.acknowledged(ended->signs->acknowledged.load(std::memory_order_relaxed));
     auto left = out_.end();
     if (rest == Rest::Forget) return;
-    for (const auto& kept : left) server_.sendToClientBytes(Lane::Data, kept.message.head, *kept.message.message);
+    for (const auto& kept : left)
+        server_.sendToClientBytes(Lane::Data, kept.message.head, *kept.message.message);
 }
 
 void DirectDesk::hold(const LeaseBook::Held* held) {
@@ -154,9 +160,11 @@ void DirectDesk::onTimer() {
     }
 }
 
-// -- what comes -------------------------------------------------------------------------------------------------------
+// -- what comes
+// -------------------------------------------------------------------------------------------------------
 
-bool DirectDesk::relayed(Keeping keeping, const Header& head, const std::string& bytes, const Deliver& deliver) {
+bool DirectDesk::relayed(Keeping keeping, const Header& head, const std::string& bytes,
+                         const Deliver& deliver) {
     if (rows_.empty() || direct::alwaysRelayed(head.msg_type)) return true;
     const auto row = std::find_if(rows_.begin(), rows_.end(), [&](const Row& one) {
         return one.client == head.sender.id || AXON_PLANTED(AnybodysNumbersCount);
@@ -197,7 +205,8 @@ bool DirectDesk::arrived(const Id128& path, Keeping keeping, Header& head, std::
         case Verdict::Overflow:
             end("too much came before its beginning by the servers", Rest::SendAgain);
             return false;
-        case Verdict::LeftOut: return false;
+        case Verdict::LeftOut:
+            return false;
     }
     return false;
 }
@@ -206,14 +215,17 @@ void DirectDesk::acknowledge() {
     if (path_) path_->signs->passed.store(path_->in->passed(), std::memory_order_release);
 }
 
-// -- what goes --------------------------------------------------------------------------------------------------------
+// -- what goes
+// --------------------------------------------------------------------------------------------------------
 
 void DirectDesk::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
-    if (!path_ || head.sender.id != path_->holder.id || !out_.direct() || direct::alwaysRelayed(head.msg_type))
+    if (!path_ || head.sender.id != path_->holder.id || !out_.direct() ||
+        direct::alwaysRelayed(head.msg_type))
         return server_.sendToClient(lane, head, message);
     auto bytes = std::make_shared<const std::string>(message.SerializeAsString());
     if (lane == Lane::Signal) {
-        // Receipts go by all ways; whoever waits for them takes the first. All else of this lane is an answer, and comes once.
+        // Receipts go by all ways; whoever waits for them takes the first. All else of this lane is an
+        // answer, and comes once.
         if (head.msg_type == kMsgReceipt) path_->signal->send(Keeping::Kept, head, bytes);
         return server_.sendToClientBytes(lane, head, *bytes);
     }
@@ -236,8 +248,10 @@ void DirectDesk::ask() {
 }
 
 void DirectDesk::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
-    if (!path_ || head.sender.id != path_->holder.id || !out_.direct()) return server_.sendToClientDataSeq(head, message);
-    path_->data->send(Keeping::Droppable, head, std::make_shared<const std::string>(message.SerializeAsString()));
+    if (!path_ || head.sender.id != path_->holder.id || !out_.direct())
+        return server_.sendToClientDataSeq(head, message);
+    path_->data->send(Keeping::Droppable, head,
+                      std::make_shared<const std::string>(message.SerializeAsString()));
 }
 
 }  // namespace axon::entity_manager

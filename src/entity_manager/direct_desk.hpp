@@ -52,9 +52,10 @@ class DirectDesk final : public ServerPort {
     void onTimer();
 
     using Deliver = std::function<void(const Header& head, const std::string& bytes)>;
-    /// A message of a client or a peer that came by the servers: whether the core is to hear of it. A mark makes
-    /// `deliver` be called for what was held back.
-    bool relayed(direct::Keeping keeping, const Header& head, const std::string& bytes, const Deliver& deliver);
+    /// A message of a client or a peer that came by the servers: whether the core is to hear of it. A mark
+    /// makes `deliver` be called for what was held back.
+    bool relayed(direct::Keeping keeping, const Header& head, const std::string& bytes,
+                 const Deliver& deliver);
     /// By the direct path.
     bool arrived(const Id128& path, direct::Keeping keeping, Header& head, std::string& bytes);
     /// A path is open, and what is sent to its holder goes by it.
@@ -87,7 +88,7 @@ class DirectDesk final : public ServerPort {
         direct::IncomingWay<Came>* in = nullptr;  // of rows_
         std::shared_ptr<DirectSigns> signs;
         std::shared_ptr<DirectLane> data, signal;
-        TimePoint mark_due = TimePoint::max();  // while something is held back
+        TimePoint mark_due = TimePoint::max();                // while something is held back
         TimePoint asked_at{}, answer_due = TimePoint::max();  // while something is not acknowledged
     };
     struct Sent {

@@ -36,12 +36,14 @@ constexpr std::size_t kChallenges = 64;
 
 class IceLane final : public DirectLane {
   public:
-    IceLane(std::shared_ptr<Ice::Connection> connection, const std::shared_ptr<slice::DirectCallbackPrx>& callback)
+    IceLane(std::shared_ptr<Ice::Connection> connection,
+            const std::shared_ptr<slice::DirectCallbackPrx>& callback)
         : connection_(std::make_shared<transport::DirectConnection>(std::move(connection))),
           callback_(callback),
           outbox_(std::make_shared<transport::Outbox>(
-              transport::OutboxLimits{},
-              [connection = connection_](bool, const std::string& why) { connection->disconnect({false, why}, false); })) {}
+              transport::OutboxLimits{}, [connection = connection_](bool, const std::string& why) {
+                  connection->disconnect({false, why}, false);
+              })) {}
 
     void send(Keeping keeping, const Header& head, std::shared_ptr<const std::string> message) override {
         const auto bytes = kHeadBytes + message->size();
@@ -50,24 +52,29 @@ class IceLane final : public DirectLane {
                                  SendCallbacks&& back) {
             const auto range = transport::toRange(its);
             if (data)
-                to.newEntityMsgDataSeqAsync(transport::toDirectHead(its_head), range, nullptr, std::move(back.failed), std::move(back.sent));
+                to.newEntityMsgDataSeqAsync(transport::toDirectHead(its_head), range, nullptr,
+                                            std::move(back.failed), std::move(back.sent));
             else
-                to.newEntityMsgAsync(transport::toDirectHead(its_head), range, nullptr, std::move(back.failed), std::move(back.sent));
+                to.newEntityMsgAsync(transport::toDirectHead(its_head), range, nullptr,
+                                     std::move(back.failed), std::move(back.sent));
         };
         outbox_->post(
             data ? Traffic::Data : Traffic::Control, bytes,
             [&](SendCallbacks&& back) { call(*callback_, head, *message, std::move(back)); },
             [&] {
-                return transport::Outbox::Parcel([callback = callback_, call, head, message](SendCallbacks&& back) {
-                    call(*callback, head, *message, std::move(back));
-                });
+                return transport::Outbox::Parcel(
+                    [callback = callback_, call, head, message](SendCallbacks&& back) {
+                        call(*callback, head, *message, std::move(back));
+                    });
             });
     }
     void beat(std::int64_t passed, bool asks) override {
         const auto send = [callback = callback_, passed, asks](SendCallbacks&& back) {
-            callback->newHeartbeatAsync(static_cast<double>(passed), asks, nullptr, std::move(back.failed), std::move(back.sent));
+            callback->newHeartbeatAsync(static_cast<double>(passed), asks, nullptr, std::move(back.failed),
+                                        std::move(back.sent));
         };
-        outbox_->post(Traffic::Heartbeat, kHeadBytes, send, [send] { return transport::Outbox::Parcel(send); });
+        outbox_->post(Traffic::Heartbeat, kHeadBytes, send,
+                      [send] { return transport::Outbox::Parcel(send); });
     }
     void close(const std::string& why) override {
         outbox_->close();
@@ -85,8 +92,9 @@ class IceLane final : public DirectLane {
 /// One lane of one path. Who sends is what the opening proved, never an argument.
 class SessionServant final : public slice::DirectSession {
   public:
-    SessionServant(Id128 path, Lane lane, Sender sender, std::string entity, std::shared_ptr<DirectSigns> signs,
-                   std::shared_ptr<IceLane> back, const Clock& clock, std::weak_ptr<DirectEvents> events)
+    SessionServant(Id128 path, Lane lane, Sender sender, std::string entity,
+                   std::shared_ptr<DirectSigns> signs, std::shared_ptr<IceLane> back, const Clock& clock,
+                   std::weak_ptr<DirectEvents> events)
         : path_(path),
           lane_(lane),
           sender_(std::move(sender)),
@@ -102,7 +110,8 @@ class SessionServant final : public slice::DirectSession {
     void sendToEntityDataSeq(slice::Head head, ByteRange data, const Ice::Current& current) override {
         pass(std::move(head), data, Keeping::Droppable, current);
     }
-    void sendStopSignal(slice::Head head, Axon::CommUtil::StopCause ice_cause, const Ice::Current& current) override {
+    void sendStopSignal(slice::Head head, Axon::CommUtil::StopCause ice_cause,
+                        const Ice::Current& current) override {
         auto its = signal(std::move(head), current);
         // What only servers may say is not taken from a client.
         auto cause = transport::fromIce(ice_cause);
@@ -130,12 +139,15 @@ class SessionServant final : public slice::DirectSession {
   private:
     void require(Lane lane, const Ice::Current& current) {
         back_->connection().require(current);
-        if (lane != lane_) throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
+        if (lane != lane_)
+            throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet,
+                                               current.operation);
     }
     Header proper(slice::Head&& head, const Ice::Current& current) {
         if (head.msgType.size() > transport::kHeadStringMax) {
             back_->connection().disconnect({true, std::string(transport::kImproperHead)}, false);
-            throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet, current.operation);
+            throw Ice::ObjectNotExistException(__FILE__, __LINE__, current.id, current.facet,
+                                               current.operation);
         }
         auto its = transport::fromDirectHead(std::move(head));
         its.sender = sender_;
@@ -185,16 +197,20 @@ class GateServant final : public slice::DirectGate {
     Axon::CommUtil::Bytes challenge(const Ice::Current& current) override {
         const auto nonce = Id128::random(random_);
         const std::lock_guard lock(mutex_);
-        std::erase_if(challenges_, [&](const Challenge& one) { return one.connection.lock() == current.con || one.connection.expired(); });
+        std::erase_if(challenges_, [&](const Challenge& one) {
+            return one.connection.lock() == current.con || one.connection.expired();
+        });
         if (challenges_.size() >= kChallenges) challenges_.pop_front();
         challenges_.push_back({current.con, nonce});
         return toIceBytes(nonce.bytes());
     }
 
     void openAsync(slice::Opening opening, std::shared_ptr<slice::DirectCallbackPrx> callback,
-                   std::function<void(const slice::Opened&)> response, std::function<void(std::exception_ptr)> exception,
-                   const Ice::Current& current) override {
-        const auto refuse = [exception](const Refusal& refusal) { exception(std::make_exception_ptr(transport::toIce(refusal))); };
+                   std::function<void(const slice::Opened&)> response,
+                   std::function<void(std::exception_ptr)> exception, const Ice::Current& current) override {
+        const auto refuse = [exception](const Refusal& refusal) {
+            exception(std::make_exception_ptr(transport::toIce(refusal)));
+        };
         DirectOpening its;
         its.claim.lane = transport::fromIce(opening.lane);
         its.claim.lease = {opening.held.epoch, opening.held.number};
@@ -202,34 +218,39 @@ class GateServant final : public slice::DirectGate {
         const auto path = Id128::fromBytes(toBytes(opening.path));
         if (!client || !path || path->isZero() || !callback || its.claim.lane != lane_)
             return refuse({RefusalCode::Malformed,
-                           "direct path: expected the session UUID of the holder, a path of 16 bytes, a callback, and the lane of this port",
+                           "direct path: expected the session UUID of the holder, a path of 16 bytes, a "
+                           "callback, and the lane of this port",
                            {}});
         if (hasSession(transport::DirectConnection::peerOf(*current.con)))
             return refuse(wrongState("expected a connection for each lane; this one has its session"));
         const auto nonce = takeNonce(current.con);
-        if (!nonce) return refuse(wrongState("expected challenge() over the same connection before each open()"));
+        if (!nonce)
+            return refuse(wrongState("expected challenge() over the same connection before each open()"));
         its.claim.client = *client;
         its.claim.path = *path;
         its.claim.nonce = *nonce;
         its.proof = toBytes(opening.proof);
         its.refuse = refuse;
-        its.admit = [lane = lane_, path = *path, entity = entity_, &clock = clock_, events = events_, sessions = sessions_, response, current,
+        its.admit = [lane = lane_, path = *path, entity = entity_, &clock = clock_, events = events_,
+                     sessions = sessions_, response, current,
                      callback = transport::callbackProxy(callback, current)](
-                        const Sender& sender, std::shared_ptr<DirectSigns> signs, std::string proof) -> std::shared_ptr<DirectLane> {
+                        const Sender& sender, std::shared_ptr<DirectSigns> signs,
+                        std::string proof) -> std::shared_ptr<DirectLane> {
             auto back = std::make_shared<IceLane>(current.con, callback);
             const auto peer = back->peer();
             sessions->add(peer);
             if (lane == Lane::Signal) transport::prepareSignalLane(*current.con);
-            const auto session = current.adapter->addWithUUID(
-                std::make_shared<SessionServant>(path, lane, sender, entity, std::move(signs), back, clock, events));
-            back->connection().onClosed([adapter = current.adapter, identity = session->ice_getIdentity(), path,
-                                         events, sessions, peer](const transport::CloseReason& reason) {
+            const auto session = current.adapter->addWithUUID(std::make_shared<SessionServant>(
+                path, lane, sender, entity, std::move(signs), back, clock, events));
+            back->connection().onClosed([adapter = current.adapter, identity = session->ice_getIdentity(),
+                                         path, events, sessions, peer](const transport::CloseReason& reason) {
                 sessions->remove(peer);
                 try {
                     adapter->remove(identity);
                 } catch (const Ice::Exception&) {  // the adapter is being destroyed, and the servant with it
                 }
-                // Its holder closes it as it ends its lease or its program, so an end says nothing of the network.
+                // Its holder closes it as it ends its lease or its program, so an end says nothing of the
+                // network.
                 const auto why = reason.improper ? reason.text : "its holder's end is closed";
                 if (const auto its_events = events.lock()) its_events->directClosed(path, why);
             });
@@ -281,34 +302,44 @@ struct DirectDoor::Adapters {
             if (adapter) adapter->destroy();
     }
     /// At the first free port of the range that is not `taken`.
-    static std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, const std::string& name,
-                                                      const std::string& address, DirectPorts ports, std::uint16_t taken) {
+    static std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator,
+                                                      const std::string& name, const std::string& address,
+                                                      DirectPorts ports, std::uint16_t taken) {
         for (std::uint32_t port = ports.first; port <= ports.last; ++port) {
             if (port != 0 && port == taken) continue;
             try {
-                return transport::listen(communicator, name, "tcp -h " + address + " -p " + std::to_string(port), 0, transport::Idle::Watched);
+                return transport::listen(communicator, name,
+                                         "tcp -h " + address + " -p " + std::to_string(port), 0,
+                                         transport::Idle::Watched);
             } catch (const std::runtime_error&) {
                 if (port == 0) break;
             }
         }
         throw std::runtime_error("no port to listen on at " + address +
-                                 (ports.first == 0 ? std::string() : ", from " + std::to_string(ports.first) + " to " + std::to_string(ports.last)));
+                                 (ports.first == 0 ? std::string()
+                                                   : ", from " + std::to_string(ports.first) + " to " +
+                                                         std::to_string(ports.last)));
     }
 };
 
-DirectDoor::DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports, std::string entity, const Clock& clock,
-                       std::weak_ptr<DirectEvents> events)
+DirectDoor::DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports,
+                       std::string entity, const Clock& clock, std::weak_ptr<DirectEvents> events)
     : adapters_(std::make_unique<Adapters>()) {
-    // A name of its own: many Entity Managers share the communicators, and this one listens anew at another address.
+    // A name of its own: many Entity Managers share the communicators, and this one listens anew at another
+    // address.
     const auto name = "Direct-" + Ice::generateUUID();
     std::uint16_t taken = 0;
-    const auto open = [&](Lane lane, Ice::Communicator& communicator, std::shared_ptr<Ice::ObjectAdapter>& adapter) {
-        adapter = Adapters::listen(communicator, name + (lane == Lane::Data ? "-data" : "-signal"), address, ports, taken);
+    const auto open = [&](Lane lane, Ice::Communicator& communicator,
+                          std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+        adapter = Adapters::listen(communicator, name + (lane == Lane::Data ? "-data" : "-signal"), address,
+                                   ports, taken);
         const auto gate = std::make_shared<GateServant>(lane, entity, clock, events);
         adapter->add(gate, Ice::stringToIdentity(kGate));
-        adapters_->watches.push_back(ice.limits().watch(transport::listenedEndpoints(*adapter), {[gate](const std::string& peer) {
-            return gate->hasSession(peer) ? transport::ConnectionLimits::Peer::HasSession : transport::ConnectionLimits::Peer::Stranger;
-        }}));
+        adapters_->watches.push_back(ice.limits().watch(
+            transport::listenedEndpoints(*adapter), {[gate](const std::string& peer) {
+                return gate->hasSession(peer) ? transport::ConnectionLimits::Peer::HasSession
+                                              : transport::ConnectionLimits::Peer::Stranger;
+            }}));
         const auto at = transport::publishedEndpoints(*adapter).front();
         taken = at.port;
         return address + ":" + std::to_string(at.port);

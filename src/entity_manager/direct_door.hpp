@@ -30,17 +30,18 @@ struct DirectSettings {
     std::function<std::string(const std::string& endpoint)> named = {};
 };
 
-/// Where clients open direct paths: a port for each lane (docs/reference/direct.md). The only file of the direct path at the
-/// Entity Manager that knows Ice.
+/// Where clients open direct paths: a port for each lane (docs/reference/direct.md). The only file of the
+/// direct path at the Entity Manager that knows Ice.
 ///
-/// Where in the flow: beside EntityCommunicator. Threads: those of the two adapters, one each, the signal lane's under SCHED_RR
-/// where permitted; what they bring goes to `events`. Ownership: listens until shut(); the destructor waits until every opening
-/// is answered and joins the threads, so it runs neither on one of them nor on the strand that answers. Failure: the constructor
-/// throws std::runtime_error with the mend where it cannot listen.
+/// Where in the flow: beside EntityCommunicator. Threads: those of the two adapters, one each, the signal
+/// lane's under SCHED_RR where permitted; what they bring goes to `events`. Ownership: listens until shut();
+/// the destructor waits until every opening is answered and joins the threads, so it runs neither on one of
+/// them nor on the strand that answers. Failure: the constructor throws std::runtime_error with the mend
+/// where it cannot listen.
 class DirectDoor {
   public:
-    DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports, std::string entity, const Clock& clock,
-               std::weak_ptr<DirectEvents> events);
+    DirectDoor(ServerCommunicators& ice, const std::string& address, DirectPorts ports, std::string entity,
+               const Clock& clock, std::weak_ptr<DirectEvents> events);
     ~DirectDoor();
     DirectDoor(const DirectDoor&) = delete;
     DirectDoor& operator=(const DirectDoor&) = delete;

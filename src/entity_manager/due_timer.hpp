@@ -12,9 +12,10 @@ namespace axon::entity_manager {
 
 /// A timer of a strand on the injected clock, for one time: the last that was set.
 ///
-/// asio's timer knows the machine's time only, so it is asked again when it rings too early by the clock. States: idle ─ at() ► due ─ rings, or
-/// cancel() ► idle; at() while due replaces time and call, also where the old one was under way. Threads: the strand's alone,
-/// where the call is made as well. The call must hold its owner weakly: it may be under way when the owner ends.
+/// asio's timer knows the machine's time only, so it is asked again when it rings too early by the clock.
+/// States: idle ─ at() ► due ─ rings, or cancel() ► idle; at() while due replaces time and call, also where
+/// the old one was under way. Threads: the strand's alone, where the call is made as well. The call must hold
+/// its owner weakly: it may be under way when the owner ends.
 class DueTimer {
   public:
     DueTimer(const asio::any_io_executor& strand, const Clock& clock)
@@ -37,7 +38,8 @@ class DueTimer {
 
   private:
     struct State {
-        State(const asio::any_io_executor& strand, const Clock& its_clock) : clock(its_clock), timer(strand) {}
+        State(const asio::any_io_executor& strand, const Clock& its_clock)
+            : clock(its_clock), timer(strand) {}
         const Clock& clock;
         asio::steady_timer timer;
         TimePoint due = TimePoint::max();

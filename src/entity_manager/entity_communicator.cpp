@@ -43,16 +43,22 @@ constexpr std::size_t kControlInFlight = 16U << 20U;
 /// Carries what the server pushes to the events, and nothing else. One per lane.
 class EntityCallbackServant final : public EntityCallback {
   public:
-    EntityCallbackServant(Lane lane, std::weak_ptr<ServerEvents> events) : lane_(lane), events_(std::move(events)) {}
+    EntityCallbackServant(Lane lane, std::weak_ptr<ServerEvents> events)
+        : lane_(lane), events_(std::move(events)) {}
 
     void newClientMsg(wire::Header head, ByteRange msg, const Ice::Current&) override {
-        if (const auto events = events_.lock()) events->clientMsg(lane_, transport::fromIce(std::move(head)), std::string(transport::toView(msg)));
+        if (const auto events = events_.lock())
+            events->clientMsg(lane_, transport::fromIce(std::move(head)),
+                              std::string(transport::toView(msg)));
     }
     void newClientMsgDataSeq(wire::Header head, ByteRange data, const Ice::Current&) override {
-        if (const auto events = events_.lock()) events->clientMsgDataSeq(transport::fromIce(std::move(head)), std::string(transport::toView(data)));
+        if (const auto events = events_.lock())
+            events->clientMsgDataSeq(transport::fromIce(std::move(head)),
+                                     std::string(transport::toView(data)));
     }
     void stopSignal(wire::Header head, wire::StopCause cause, const Ice::Current&) override {
-        if (const auto events = events_.lock()) events->stopSignal(transport::fromIce(std::move(head)), transport::fromIce(cause));
+        if (const auto events = events_.lock())
+            events->stopSignal(transport::fromIce(std::move(head)), transport::fromIce(cause));
     }
     void resetSignal(wire::Header head, const Ice::Current&) override {
         if (const auto events = events_.lock()) events->resetSignal(transport::fromIce(std::move(head)));
@@ -61,14 +67,16 @@ class EntityCallbackServant final : public EntityCallback {
         if (const auto events = events_.lock()) events->clearSignal(transport::fromIce(std::move(head)));
     }
     void newClientUpdate(wire::Header head, wire::ClientChange change, const Ice::Current&) override {
-        if (const auto events = events_.lock()) events->clientUpdate(transport::fromIce(std::move(head)), transport::fromIce(change));
+        if (const auto events = events_.lock())
+            events->clientUpdate(transport::fromIce(std::move(head)), transport::fromIce(change));
     }
     void newHeartbeat(double, const Ice::Current&) override {
         if (const auto events = events_.lock()) events->serverHeartbeat();
     }
     void newRefusalMsg(wire::Header head, int code, std::string reason, const Ice::Current&) override {
         if (const auto events = events_.lock())
-            events->undeliverable(lane_, transport::fromIce(std::move(head)), {static_cast<RefusalCode>(code), std::move(reason), {}});
+            events->undeliverable(lane_, transport::fromIce(std::move(head)),
+                                  {static_cast<RefusalCode>(code), std::move(reason), {}});
     }
 
   private:
@@ -78,8 +86,8 @@ class EntityCallbackServant final : public EntityCallback {
 
 }  // namespace
 
-/// Lives on the strand; Ice's callbacks hold it weakly and post to it, with the number of the attempt that they belong
-/// to, so that what arrives late from an earlier attempt changes nothing.
+/// Lives on the strand; Ice's callbacks hold it weakly and post to it, with the number of the attempt that
+/// they belong to, so that what arrives late from an earlier attempt changes nothing.
 class EntityCommunicator::Connection : public std::enable_shared_from_this<Connection> {
   public:
     Connection(asio::any_io_executor strand, std::shared_ptr<ServerCommunicators> ice, ServerAddress address,
@@ -121,7 +129,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         const auto bytes = profile.SerializeAsString();
         const auto attempt = attempt_;
         guarded([&] {
-            session_->sendBasicPrflAsync(transport::toIce(registration), toRange(bytes), toRange(address_.secret),
+            session_->sendBasicPrflAsync(
+                transport::toIce(registration), toRange(bytes), toRange(address_.secret),
                 [weak = weak_from_this(), attempt] {
                     if (const auto self = weak.lock())
                         self->post([attempt](Connection& me) {
@@ -151,9 +160,10 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
             ++dropped_;
             return;
         }
-        sendControl(lane, message.SerializeAsString(), [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
-            proxy.sendToPeerAsync(transport::toIce(head), toRange(bytes), back...);
-        });
+        sendControl(lane, message.SerializeAsString(),
+                    [&](EntitySessionPrx& proxy, const std::string& bytes, auto... back) {
+                        proxy.sendToPeerAsync(transport::toIce(head), toRange(bytes), back...);
+                    });
     }
 
     void sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
@@ -209,7 +219,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         });
     }
 
-    /// AMI calls may throw at once; the close callback of the connection reports the loss, so there is nothing to add.
+    /// AMI calls may throw at once; the close callback of the connection reports the loss, so there is
+    /// nothing to add.
     template <class Call>
     void guarded(Call call) {
         try {
@@ -246,13 +257,12 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     void login() {
         const auto attempt = ++attempt_;
-        open(attempt, Lane::Data, called().text(), {},
-             [attempt](Connection& self, const Opened& opened) {
-                 self.data_connection_ = opened.connection;
-                 self.session_ = opened.session;
-                 self.data_callback_ = opened.callback;
-                 self.nameOurselves(attempt);
-             });
+        open(attempt, Lane::Data, called().text(), {}, [attempt](Connection& self, const Opened& opened) {
+            self.data_connection_ = opened.connection;
+            self.session_ = opened.session;
+            self.data_callback_ = opened.callback;
+            self.nameOurselves(attempt);
+        });
     }
 
     /// A lane's session that was opened, and the callback that the server is told of.
@@ -278,7 +288,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     template <class Then>
     void openAtGate(std::uint64_t attempt, Lane lane, const std::string& endpoint, Then then) {
-        // A connection identifier of its own: Entity Managers that share the communicator must not share connections.
+        // A connection identifier of its own: Entity Managers that share the communicator must not share
+        // connections.
         const auto proxy = communicator(lane)->stringToProxy("EntityGate:" + endpoint + " -t 3000");
         const auto gate = Ice::uncheckedCast<EntityGatePrx>(
             proxy
@@ -391,7 +402,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
 
     void joined() {
         oneway_ = Ice::uncheckedCast<EntitySessionPrx>(session_->ice_oneway()->ice_invocationTimeout(-1));
-        signal_oneway_ = Ice::uncheckedCast<EntitySessionPrx>(signal_session_->ice_oneway()->ice_invocationTimeout(-1));
+        signal_oneway_ =
+            Ice::uncheckedCast<EntitySessionPrx>(signal_session_->ice_oneway()->ice_invocationTimeout(-1));
         paced_ = address_.router.empty() ? oneway_ : session_->ice_invocationTimeout(-1);
         in_flight_ = std::make_shared<std::atomic<std::size_t>>(0);
         up_ = true;
@@ -473,7 +485,8 @@ class EntityCommunicator::Connection : public std::enable_shared_from_this<Conne
         session_ = signal_session_ = oneway_ = paced_ = signal_oneway_ = nullptr;
     }
 
-    void forget(std::shared_ptr<EntityCallbackPrx>& callback, const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
+    void forget(std::shared_ptr<EntityCallbackPrx>& callback,
+                const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
         if (!callback) return;
         try {
             adapter->remove(callback->ice_getIdentity());
@@ -519,13 +532,19 @@ EntityCommunicator::EntityCommunicator(asio::any_io_executor strand, std::shared
     : connection_(std::make_shared<Connection>(std::move(strand), std::move(ice), std::move(address), clock,
                                                std::move(events))) {}
 
-EntityCommunicator::~EntityCommunicator() { connection_->close(); }
+EntityCommunicator::~EntityCommunicator() {
+    connection_->close();
+}
 
-void EntityCommunicator::wantConnection(bool wanted) { connection_->want(wanted); }
+void EntityCommunicator::wantConnection(bool wanted) {
+    connection_->want(wanted);
+}
 void EntityCommunicator::sendBasicPrfl(const Registration& registration, const proto::BasicProfile& profile) {
     connection_->sendBasicPrfl(registration, profile);
 }
-void EntityCommunicator::sendStatus(const EntityStatus& status) { connection_->sendStatus(status); }
+void EntityCommunicator::sendStatus(const EntityStatus& status) {
+    connection_->sendStatus(status);
+}
 void EntityCommunicator::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
     connection_->sendToClientBytes(lane, head, message.SerializeAsString());
 }
@@ -538,7 +557,11 @@ void EntityCommunicator::sendToPeer(Lane lane, const Header& head, const proto::
 void EntityCommunicator::sendToClientDataSeq(const Header& head, const proto::ToClient& message) {
     connection_->sendToClientDataSeq(head, message);
 }
-std::string EntityCommunicator::localAddress() const { return connection_->localAddress(); }
-std::uint64_t EntityCommunicator::droppedData() const { return connection_->dropped(); }
+std::string EntityCommunicator::localAddress() const {
+    return connection_->localAddress();
+}
+std::uint64_t EntityCommunicator::droppedData() const {
+    return connection_->dropped();
+}
 
 }  // namespace axon::entity_manager

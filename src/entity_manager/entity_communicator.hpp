@@ -21,7 +21,7 @@ struct ServerAddress {
     std::string password;
     /// "Axon.Entities/router:tcp -h 127.0.0.1 -p 10415" instead of the first two; empty: none.
     std::string router = {};
-    bool tls = false;  ///< what of these is called is called by TLS
+    bool tls = false;         ///< what of these is called is called by TLS
     std::string secret = {};  ///< that the UUID is bound to (identity.hpp); empty: it is not
 
     /// For people.
@@ -30,8 +30,8 @@ struct ServerAddress {
     }
 };
 
-/// What the server pushes. Called on Ice threads (signals on those of the signal lane); serverUp and serverDown on the
-/// strand.
+/// What the server pushes. Called on Ice threads (signals on those of the signal lane); serverUp and
+/// serverDown on the strand.
 class ServerEvents {
   public:
     virtual ~ServerEvents() = default;
@@ -75,8 +75,8 @@ class EntityCommunicator final : public RelayedWay {
 
     void sendToClientBytes(Lane lane, const Header& head, const std::string& message) override;
 
-    /// The address of this machine at which the way to the server begins; empty while there is no session. On the
-    /// strand.
+    /// The address of this machine at which the way to the server begins; empty while there is no session. On
+    /// the strand.
     std::string localAddress() const;
     std::uint64_t droppedData() const;
 

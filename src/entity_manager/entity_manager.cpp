@@ -18,7 +18,7 @@ namespace axon::entity_manager {
 namespace {
 constexpr int kEventsPerTurn = 128;  // then other strands of the executor get a turn
 constexpr int kOpenings = 8;         // of direct paths that wait for the strand
-}
+}  // namespace
 
 EntityManager::EntityManager(asio::any_io_executor executor, std::string name, const Clock& clock,
                              std::shared_ptr<ServerCommunicators> ice, bool plain_way)
@@ -35,8 +35,8 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
                                                      const BackEndFactory& back_end, const Clock& clock,
                                                      RandomSource& random, Storage& storage,
                                                      ResourceStore& resources, Journal* journal) {
-    const std::shared_ptr<EntityManager> self(
-        new EntityManager(std::move(executor), settings.application, clock, ice, !server.tls && server.router.empty()));
+    const std::shared_ptr<EntityManager> self(new EntityManager(
+        std::move(executor), settings.application, clock, ice, !server.tls && server.router.empty()));
     self->back_end_ = back_end(self->strand_, self->gate_, clock, *self);
     auto identity = identityIn(storage, random);
     server.secret = std::move(identity.secret);
@@ -82,13 +82,14 @@ EntityManager::BackEndFactory EntityManager::overTcp(BackEndSettings settings, R
 }
 
 void EntityManager::receiveDatagrams(const DatagramSettings& settings, const Clock& clock) {
-    datagrams_ = std::make_unique<DatagramDesk>(settings, clock, gate_, uuid(), [this](Header head, StopCause cause) {
-        stopSignal(std::move(head), cause);
-    });
+    datagrams_ = std::make_unique<DatagramDesk>(
+        settings, clock, gate_, uuid(),
+        [this](Header head, StopCause cause) { stopSignal(std::move(head), cause); });
 }
 
 void EntityManager::offerDirect(const DirectSettings& settings) {
-    // What is TLS to the server is not plain to a client, and who comes through a router reaches no endpoint behind it.
+    // What is TLS to the server is not plain to a client, and who comes through a router reaches no endpoint
+    // behind it.
     if (plain_way_ && settings.offered)
         doors_ = std::make_unique<DirectDoors>(settings, ice_, uuid(), clock_, weak_from_this());
 }
@@ -121,7 +122,8 @@ void EntityManager::stop() {
     doors_.reset();  // joins its threads
 }
 
-// -- from the server ------------------------------------------------------------------------------------------------
+// -- from the server
+// ------------------------------------------------------------------------------------------------
 
 void EntityManager::stopSignal(Header head, StopCause cause) {
     if (cause == StopCause::ClientLost && gate_.sparesClientLoss()) {
@@ -144,18 +146,21 @@ Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
         const auto number = gate_.drill(head.sender.id, head.sequence);
         if (!number) return Inbox::Verdict::Dropped;  // by the other path
         back_end_.port->stop(*number, cause);
-        return inbox_.pushSignal(Inbox::Signal::Passing, [this, head = std::move(head), number = *number] {
-            core_->onDrill(head, number);
-        }, from);
+        return inbox_.pushSignal(
+            Inbox::Signal::Passing,
+            [this, head = std::move(head), number = *number] { core_->onDrill(head, number); }, from);
     }
-    const auto generation = gate_.raise(head.sender.id, head.sequence, static_cast<std::uint32_t>(head.stop_generation));
+    const auto generation =
+        gate_.raise(head.sender.id, head.sequence, static_cast<std::uint32_t>(head.stop_generation));
     if (!generation) {  // the same stop by another path, or repeated because its receipt did not arrive
         const auto known = gate_.raisedBy(head.sender.id, head.sequence);
         if (!known) return Inbox::Verdict::Dropped;
-        return inbox_.pushSignal(Inbox::Signal::Passing,
-                                 [this, head = std::move(head), cause, generation = *known] {
-                                     core_->onStopRepeated(head, cause, generation);
-                                 }, from);
+        return inbox_.pushSignal(
+            Inbox::Signal::Passing,
+            [this, head = std::move(head), cause, generation = *known] {
+                core_->onStopRepeated(head, cause, generation);
+            },
+            from);
     }
     back_end_.port->stop(*generation, cause);
     return inbox_.pushSignal(Inbox::Signal::Stop,
@@ -166,17 +171,19 @@ Inbox::Verdict EntityManager::passStop(Header head, StopCause cause) {
 
 void EntityManager::resetSignal(Header head) {
     const auto from = senderKey(head.sender.id);
-    wake(passSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onResetSignal(head); }, from));
+    wake(passSignal(
+        Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onResetSignal(head); }, from));
 }
 
 void EntityManager::clearSignal(Header head) {
     const auto from = senderKey(head.sender.id);
-    wake(passSignal(Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onClearSignal(head); }, from));
+    wake(passSignal(
+        Inbox::Signal::Passing, [this, head = std::move(head)] { core_->onClearSignal(head); }, from));
 }
 
 void EntityManager::clientUpdate(Header head, ClientChange change) {
     wake(passSignal(Inbox::Signal::Client,
-                           [this, head = std::move(head), change] { core_->onClientUpdate(head, change); }));
+                    [this, head = std::move(head), change] { core_->onClientUpdate(head, change); }));
 }
 
 void EntityManager::serverHeartbeat() {
@@ -187,20 +194,29 @@ void EntityManager::serverHeartbeat() {
 void EntityManager::clientMsg(Lane lane, Header head, std::string bytes) {
     const auto size = bytes.size();
     if (lane == Lane::Signal)
-        return wake(passSignal(Inbox::Signal::Peer, [this, head = std::move(head), bytes = std::move(bytes)] { core_->onClientMsg(head, bytes); }));
-    auto event = [this, head = std::move(head), bytes = std::move(bytes)] { handleRelayed(direct::Keeping::Kept, head, bytes); };
+        return wake(passSignal(Inbox::Signal::Peer, [this, head = std::move(head), bytes = std::move(bytes)] {
+            core_->onClientMsg(head, bytes);
+        }));
+    auto event = [this, head = std::move(head), bytes = std::move(bytes)] {
+        handleRelayed(direct::Keeping::Kept, head, bytes);
+    };
     wake(inbox_.pushControl(std::move(event), size), Turn::Here);
 }
 
 void EntityManager::clientMsgDataSeq(Header head, std::string bytes) {
     const auto size = bytes.size();
-    wake(inbox_.pushData([this, head = std::move(head),
-                          bytes = std::move(bytes)] { handleRelayed(direct::Keeping::Droppable, head, bytes); }, size),
+    wake(inbox_.pushData(
+             [this, head = std::move(head), bytes = std::move(bytes)] {
+                 handleRelayed(direct::Keeping::Droppable, head, bytes);
+             },
+             size),
          Turn::Here);
 }
 
 void EntityManager::handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes) {
-    const auto deliver = [this](const Header& its_head, const std::string& its) { core_->onClientMsg(its_head, its); };
+    const auto deliver = [this](const Header& its_head, const std::string& its) {
+        core_->onClientMsg(its_head, its);
+    };
     if (ways_->relayed(keeping, head, bytes, deliver)) core_->onClientMsg(head, bytes);
 }
 
@@ -230,7 +246,8 @@ void EntityManager::serverDown(const std::string& reason) {
     afterEvents();
 }
 
-// -- by the direct path ---------------------------------------------------------------------------------------------
+// -- by the direct path
+// ---------------------------------------------------------------------------------------------
 
 template <class Use>
 void EntityManager::onStrand(Use use) {
@@ -246,7 +263,8 @@ void EntityManager::directOpening(DirectOpening opening) {
     // Strangers come here, so little of it waits.
     if (openings_.fetch_add(1) >= kOpenings) {
         --openings_;
-        return opening.refuse({RefusalCode::Overloaded, "Others open direct paths at the moment. Try again.", {}});
+        return opening.refuse(
+            {RefusalCode::Overloaded, "Others open direct paths at the moment. Try again.", {}});
     }
     onStrand([opening = std::move(opening)](EntityManager& self) {
         --self.openings_;
@@ -259,7 +277,8 @@ void EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header
     Inbox::Event event = [this, path, keeping, head = std::move(head), bytes = std::move(bytes)]() mutable {
         if (ways_->arrived(path, keeping, head, bytes)) core_->onClientMsg(head, bytes);
     };
-    if (keeping == direct::Keeping::Droppable) return wake(inbox_.pushData(std::move(event), size), Turn::Here);
+    if (keeping == direct::Keeping::Droppable)
+        return wake(inbox_.pushData(std::move(event), size), Turn::Here);
     // The holder waits; of the servers' way, where all have a share, the session would end.
     const auto push = [&] { return inbox_.pushControl(std::move(event), size, Inbox::Share::Half); };
     auto verdict = push();
@@ -287,7 +306,8 @@ void EntityManager::directClosed(const Id128& path, const std::string& why) {
     onStrand([path, why](EntityManager& self) { self.ways_->onClosed(path, why); });
 }
 
-// -- from the robot application -------------------------------------------------------------------------------------
+// -- from the robot application
+// -------------------------------------------------------------------------------------
 
 void EntityManager::onLinkUp() {
     core_->onLinkUp();
@@ -301,7 +321,8 @@ void EntityManager::onLinkDown(const std::string& reason, LinkEnd end) {
 }
 
 void EntityManager::onLinkRefused(const Refusal& refusal) {
-    spdlog::warn("{}: no link to the robot application: {} ({})", name_, refusal.message, refusalName(refusal.code));
+    spdlog::warn("{}: no link to the robot application: {} ({})", name_, refusal.message,
+                 refusalName(refusal.code));
 }
 
 void EntityManager::onLinkSought(const SearchReport& report) {
@@ -320,7 +341,8 @@ void EntityManager::onLinkMessage(const proto::EiToEm& message) {
     afterEvents();
 }
 
-// -- the strand -----------------------------------------------------------------------------------------------------
+// -- the strand
+// -----------------------------------------------------------------------------------------------------
 
 void EntityManager::wake(Inbox::Verdict verdict, Turn turn) {
     const auto come = [weak = weak_from_this()] {
@@ -328,7 +350,8 @@ void EntityManager::wake(Inbox::Verdict verdict, Turn turn) {
     };
     switch (verdict) {
         case Inbox::Verdict::AlreadyScheduled:
-        case Inbox::Verdict::Dropped: return;
+        case Inbox::Verdict::Dropped:
+            return;
         case Inbox::Verdict::Scheduled:
             if (turn == Turn::Here) {
                 asio::dispatch(strand_, come);
@@ -337,8 +360,8 @@ void EntityManager::wake(Inbox::Verdict verdict, Turn turn) {
             }
             return;
         case Inbox::Verdict::Overflow:
-            // Control may not be lost, so the peer that sends faster than it is handled is dropped; the loss of the
-            // session stops the robot. Once for each session, and then the core wants a new one.
+            // Control may not be lost, so the peer that sends faster than it is handled is dropped; the loss
+            // of the session stops the robot. Once for each session, and then the core wants a new one.
             if (leaving_.exchange(true)) return;
             asio::post(strand_, [weak = weak_from_this()] {
                 const auto self = weak.lock();
@@ -346,7 +369,8 @@ void EntityManager::wake(Inbox::Verdict verdict, Turn turn) {
                 self->leaving_ = false;
                 // The core may have given the session up by itself, and be seeking a new one already.
                 if (self->stopped_ || !self->core_->serverUp()) return;
-                spdlog::error("{}: more than the bounded number of control messages wait; leaving the server", self->name_);
+                spdlog::error("{}: more than the bounded number of control messages wait; leaving the server",
+                              self->name_);
                 self->server_->wantConnection(false);
                 self->serverDown("control messages arrived faster than they could be handled");
             });
@@ -383,7 +407,8 @@ void EntityManager::afterEvents() {
     const auto state = core_->state();
     if (const auto before = state_.exchange(state); before != state) {
         const auto reason = core_->status().reason;
-        spdlog::info("{}: {} -> {}{}{}", name_, toString(before), toString(state), reason.empty() ? "" : ": ", reason);
+        spdlog::info("{}: {} -> {}{}{}", name_, toString(before), toString(state), reason.empty() ? "" : ": ",
+                     reason);
     }
     if (const bool latched = core_->latched(); std::exchange(latched_, latched) != latched)
         spdlog::info("{}: {}", name_, latched ? "stopped and latched" : "rearmed");
@@ -395,8 +420,8 @@ void EntityManager::afterEvents() {
 void EntityManager::armTimer() {
     if (stopped_) return;
     const auto deadline = std::min(core_->nextDeadline(), ways_->nextDeadline());
-    // What has become later is asked for again when the timer rings: each sign of life moves a watchdog, and setting a timer
-    // wakes the executor.
+    // What has become later is asked for again when the timer rings: each sign of life moves a watchdog, and
+    // setting a timer wakes the executor.
     if (deadline >= timer_.due()) return;
     timer_.at(deadline, [weak = weak_from_this()] {
         const auto self = weak.lock();

@@ -22,17 +22,19 @@
 
 namespace axon::entity_manager {
 
-/// One Entity Manager as it runs: the core on a strand, the link to its robot application and the sessions with the
-/// server (thesis: EntityManager). The daemon has one; a benchmark has thousands on one executor and one pair of
-/// communicators.
+/// One Entity Manager as it runs: the core on a strand, the link to its robot application and the sessions
+/// with the server (thesis: EntityManager). The daemon has one; a benchmark has thousands on one executor and
+/// one pair of communicators.
 ///
-/// Threads: everything is confined to the strand, which a thread that brings data or control messages takes itself
-/// when it is free; but the way of a stop: the signal thread writes it to the Entity
-/// Interfacer, raises the generation, and only then tells the strand (architecture, section 7.1). Nothing that the
-/// server pushes on the signal lane takes a lock that data holds.
-/// Ownership: a shared object, because pushes of the server may be under way while it ends. stop() before the last
-/// reference is dropped.
-class EntityManager final : public ServerEvents, public DirectEvents, private BackEndEvents, public std::enable_shared_from_this<EntityManager> {
+/// Threads: everything is confined to the strand, which a thread that brings data or control messages takes
+/// itself when it is free; but the way of a stop: the signal thread writes it to the Entity Interfacer,
+/// raises the generation, and only then tells the strand (architecture, section 7.1). Nothing that the server
+/// pushes on the signal lane takes a lock that data holds. Ownership: a shared object, because pushes of the
+/// server may be under way while it ends. stop() before the last reference is dropped.
+class EntityManager final : public ServerEvents,
+                            public DirectEvents,
+                            private BackEndEvents,
+                            public std::enable_shared_from_this<EntityManager> {
   public:
     using Strand = asio::strand<CallerFirst>;
     /// The link to the robot application, and what begins it; a benchmark puts one in memory here.
@@ -54,19 +56,21 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
                                                  ResourceStore& resources, Journal* journal = nullptr);
     ~EntityManager() override;
 
-    /// Before start(): stops may arrive as datagrams too, once there is a session with the server. Costs a thread.
+    /// Before start(): stops may arrive as datagrams too, once there is a session with the server. Costs a
+    /// thread.
     void receiveDatagrams(const DatagramSettings& settings, const Clock& clock);
     /// Null when they are not received.
     const DatagramDesk* datagrams() const { return datagrams_.get(); }
 
-    /// Before start(): the holder may talk to it without the servers in between (docs/reference/direct.md). Costs two threads. Without
-    /// effect where the way to the server is TLS or leads through a router.
+    /// Before start(): the holder may talk to it without the servers in between (docs/reference/direct.md).
+    /// Costs two threads. Without effect where the way to the server is TLS or leads through a router.
     void offerDirect(const DirectSettings& settings);
     /// Whether the holder does; any thread, as of the last event.
     bool direct() const { return direct_.load(); }
 
     void start();
-    /// Stops the robot, leaves the server, closes the link. Blocks until the strand has done so (below a second).
+    /// Stops the robot, leaves the server, closes the link. Blocks until the strand has done so (below a
+    /// second).
     void stop();
 
     /// Copies made on the strand after each event; any thread.
@@ -114,11 +118,12 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     void handleRelayed(direct::Keeping keeping, const Header& head, const std::string& bytes);
     template <class Use>
     void onStrand(Use use);
-    /// Where the strand's turn is taken: at once in this thread if the strand is free, or by the executor. Signal
-    /// threads never do the strand's work.
+    /// Where the strand's turn is taken: at once in this thread if the strand is free, or by the executor.
+    /// Signal threads never do the strand's work.
     enum class Turn : std::uint8_t { Here, Executor };
     void wake(Inbox::Verdict verdict, Turn turn = Turn::Executor);
-    /// An Ice thread may run it: what escaped here would be swallowed there, and leave a manager that hears nothing.
+    /// An Ice thread may run it: what escaped here would be swallowed there, and leave a manager that hears
+    /// nothing.
     void drain() noexcept;
     void hearServer();
     void afterEvents();
@@ -143,7 +148,7 @@ class EntityManager final : public ServerEvents, public DirectEvents, private Ba
     DueTimer timer_;
     std::atomic<EntityState> state_{EntityState::UNAV};
     std::atomic<bool> direct_{false};
-    std::atomic<int> openings_{0};  // that wait for the strand
+    std::atomic<int> openings_{0};           // that wait for the strand
     std::atomic<bool> server_heard_{false};  // a heartbeat that the strand has not counted yet
     std::atomic<bool> leaving_{false};       // a control overflow on its way to the strand
     bool latched_ = false;

@@ -28,25 +28,25 @@ struct CoreSettings {
         std::chrono::seconds{5};  ///< how long a lease outlives the loss of its holder; 0 = not at all
     std::size_t task_queue_bound = 64;
     std::uint64_t resource_bytes_max = 1ULL << 30U;  ///< of one upload
-    std::uint64_t resource_window = 512 * 1024;  ///< bytes a client may send ahead
+    std::uint64_t resource_window = 512 * 1024;      ///< bytes a client may send ahead
     Duration answer_within =
         std::chrono::seconds{10};  ///< what the robot application is asked; then TIMED_OUT
     Duration profiles_within =
         std::chrono::seconds{3};  ///< after the link is up; then what has not been uploaded is missing
-    std::string uuid = {};  ///< to take where the state has none; empty: a random one
+    std::string uuid = {};        ///< to take where the state has none; empty: a random one
 };
 
 /// What has been dropped without an answer, because there is nobody to answer or because the answer would be
 /// a flood.
 struct CoreCounters {
     std::uint64_t unexpected = 0;  ///< facts without a row, and reports of tasks that are not known
-    std::uint64_t malformed = 0;   ///< messages that could not be read, or whose header says what they are not
-    std::uint64_t anonymous = 0;   ///< messages without a sender
+    std::uint64_t malformed = 0;  ///< messages that could not be read, or whose header says what they are not
+    std::uint64_t anonymous = 0;  ///< messages without a sender
     std::uint64_t undelivered =
         0;  ///< texts, raw data and samples that nobody held or watched the entity for
-    std::uint64_t raw_refused = 0;  ///< raw data of somebody who may not send it
+    std::uint64_t raw_refused = 0;    ///< raw data of somebody who may not send it
     std::uint64_t peer_refusals = 0;  ///< messages to other entities that did not arrive
-    std::uint64_t unrecorded = 0;   ///< entries that the journal did not take, and refusals above its rate
+    std::uint64_t unrecorded = 0;     ///< entries that the journal did not take, and refusals above its rate
 };
 
 /// The Entity Manager without its sockets: states, latch, profiler, lease, queue (architecture, sections 5
@@ -86,7 +86,8 @@ class EntityManagerCore {
     void onServerDown(const std::string& reason);
     /// Or from another entity, whose UUID is head.sender.id then.
     void onClientMsg(const Header& head, std::string_view bytes);
-    /// What was sent to another entity (ServerPort::sendToPeer) did not arrive; `head` is that of the message.
+    /// What was sent to another entity (ServerPort::sendToPeer) did not arrive; `head` is that of the
+    /// message.
     void onPeerRefusal(const Header& head, const Refusal& refusal);
     /// The signal thread has forwarded the stop to the EI already, under `generation` of the StopGate.
     void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
@@ -108,10 +109,11 @@ class EntityManagerCore {
     /// ResourceStore::onAnswer() or Journal::onAnswer() has called.
     void onStored();
 
-    /// Where the holder may send stops as datagrams (docs/reference/datagrams.md); told with each grant from now on.
+    /// Where the holder may send stops as datagrams (docs/reference/datagrams.md); told with each grant from
+    /// now on.
     void offerDatagrams(std::string endpoint);
-    /// Where the holder may open a direct path (docs/reference/direct.md): "host:port" of each lane, both empty = nowhere;
-    /// told with each grant from now on.
+    /// Where the holder may open a direct path (docs/reference/direct.md): "host:port" of each lane, both
+    /// empty = nowhere; told with each grant from now on.
     void offerDirect(std::string data, std::string signal);
 
     /// The operator of the daemon wants it to end: stop, tell the server, leave.

@@ -92,7 +92,8 @@ TEST(NotReadyYet, AnApplicationThatIsCalledLikeAnotherEntityIsShownInQuotes) {
     CoreRig rig(1, {.application = "PeopleBot#2"});
     rig.core().start();
     rig.core().onServerUp();
-    EXPECT_EQ(rig.takeLines().at(1), "server: not ready \"PeopleBot#2\"") << "the server would refuse the name itself";
+    EXPECT_EQ(rig.takeLines().at(1), "server: not ready \"PeopleBot#2\"")
+        << "the server would refuse the name itself";
 }
 
 TEST_F(NotReady, ACheckOutIsRefusedWithWhatTheSearchForTheApplicationHasFound) {
@@ -154,7 +155,8 @@ TEST_F(NotReady, ADiskThatDoesNotAnswerIsNamed) {
     EXPECT_EQ(rig.core().status().reason, "");
     rig.advance(std::chrono::milliseconds{1});
     EXPECT_EQ(rig.core().state(), EntityState::INIT);
-    EXPECT_TRUE(has(rig.statuses.back().reason, "a disk of the robot's machine does not answer")) << rig.statuses.back().reason;
+    EXPECT_TRUE(has(rig.statuses.back().reason, "a disk of the robot's machine does not answer"))
+        << rig.statuses.back().reason;
     EXPECT_TRUE(has(rig.core().takeWarning(), "a disk of the robot's machine does not answer"));
     EXPECT_TRUE(toldOfProfiles().empty()) << "nothing is wrong with them";
     rig.resources.answerAll();
@@ -640,7 +642,8 @@ TEST_F(Held, NoGenerationThatWasToldIsAboveWhereTheNextLifeBegins) {
         SeededRandom random(7);
         StopGate gate;  // a new process, killed at any moment before
         auto disk = rig.storage;
-        const EntityManagerCore next({.application = "rig"}, rig.clock, random, rig, rig, disk, rig.resources, gate);
+        const EntityManagerCore next({.application = "rig"}, rig.clock, random, rig, rig, disk, rig.resources,
+                                     gate);
         EXPECT_GE(next.status().stop_generation, rig.core().status().stop_generation);
         EXPECT_EQ(static_cast<std::int32_t>(gate.generation()), next.status().stop_generation);
     }
@@ -768,7 +771,8 @@ TEST_F(Held, ARepeatedStopIsAnsweredWithItsReceiptAndStopsNothingMore) {
     rig.core().onStopRepeated(head, StopCause::Requested, *raised);
     const auto lines = rig.takeLines();
     ASSERT_EQ(lines.size(), 1U);
-    EXPECT_EQ(lines[0].find("client2 (signal): StopReceipt client2:1 CALLBACK_RETURNED gen=1"), 0U) << lines[0];
+    EXPECT_EQ(lines[0].find("client2 (signal): StopReceipt client2:1 CALLBACK_RETURNED gen=1"), 0U)
+        << lines[0];
 }
 
 TEST_F(Held, ALateCopyOfAStopAfterTheRearmStopsAndLatchesNothing) {

@@ -111,7 +111,8 @@ Descriptor lockFolder(const fs::path& folder) {
         std::array<char, 32> holder{};
         const auto n = std::max<ssize_t>(::pread(file.get(), holder.data(), holder.size(), 0), 0);
         const std::string process(holder.data(), static_cast<std::size_t>(n));
-        throw std::runtime_error("the state folder " + folder.string() + " is used by another Entity Manager" +
+        throw std::runtime_error("the state folder " + folder.string() +
+                                 " is used by another Entity Manager" +
                                  (process.empty() ? "" : " (process " + process + ')') +
                                  "; fix: end that one, or name another folder with --state DIR (Axon.State)");
     }
@@ -221,14 +222,15 @@ bool FileStorage::carryOut(const std::string& key, const Wish& wish) const {
 }
 
 void FileStorage::run() {
-    // What could not be done since the last pause. It holds nothing else up: on a full disk nothing can be written, and
-    // deleted all the same.
+    // What could not be done since the last pause. It holds nothing else up: on a full disk nothing can be
+    // written, and deleted all the same.
     std::map<std::string, Wish> failed;
-    // Deletions first: the latch is one. And nothing is kept while one of them fails: that a robot is free must not be on
-    // the disk before its latch is (power_loss_test.cpp tries this order).
+    // Deletions first: the latch is one. And nothing is kept while one of them fails: that a robot is free
+    // must not be on the disk before its latch is (power_loss_test.cpp tries this order).
     const auto next = [&] {
         auto found = waiting_.end();
-        const bool deletion_failed = std::any_of(failed.begin(), failed.end(), [](const auto& one) { return !one.second; });
+        const bool deletion_failed =
+            std::any_of(failed.begin(), failed.end(), [](const auto& one) { return !one.second; });
         for (auto at = waiting_.begin(); at != waiting_.end(); ++at) {
             const auto before = failed.find(at->first);
             if (before != failed.end() && before->second == at->second) continue;
@@ -244,9 +246,10 @@ void FileStorage::run() {
         auto at = next();
         if (at == waiting_.end()) {
             if (last || (ending_ && waiting_.empty())) return;
-            if (!ending_) wake_.wait_for(lock, kTryAgain, [&] { return ending_ || next() != waiting_.end(); });
+            if (!ending_)
+                wake_.wait_for(lock, kTryAgain, [&] { return ending_ || next() != waiting_.end(); });
             if (next() != waiting_.end()) continue;
-            failed.clear();   // again
+            failed.clear();  // again
             last = ending_;  // and once more at the end
             continue;
         }

@@ -68,9 +68,9 @@ class FileStorage final : public Storage {
 /// next life and is uploaded again.
 ///
 /// Threads: one at a time; two of its own. Bounded: what waits to be written by whoever calls write(), who
-/// asks waiting() first; begin() takes nothing new above kBacklog bytes or kJobs pieces of work that wait, and
-/// write() no more pieces than that; kUnsynchronised files wait for their thread, of more the oldest is not marked. Failure: refusals; the message names the file. A disk that is
-/// full is OVERLOADED.
+/// asks waiting() first; begin() takes nothing new above kBacklog bytes or kJobs pieces of work that wait,
+/// and write() no more pieces than that; kUnsynchronised files wait for their thread, of more the oldest is
+/// not marked. Failure: refusals; the message names the file. A disk that is full is OVERLOADED.
 class FileResourceStore final : public ResourceStore {
   public:
     static constexpr std::size_t kUnsynchronised = 64;
@@ -113,10 +113,11 @@ class FileResourceStore final : public ResourceStore {
     const std::filesystem::path folder_;
     const std::uint64_t kept_bytes_;
     std::map<std::string, std::shared_ptr<Transfer>, std::less<>> transfers_;
-    std::mutex mutex_;                        // never held while the disk is at work
-    std::map<std::filesystem::path, std::uint64_t> stored_;  // guarded by mutex_: places of what find() finds; bytes
-    std::set<std::filesystem::path> open_;    // the worker's: what of incoming/ is being used
-    ResourceRoots roots_;                     // the worker's; this and the next as locate() was told
+    std::mutex mutex_;  // never held while the disk is at work
+    std::map<std::filesystem::path, std::uint64_t>
+        stored_;                            // guarded by mutex_: places of what find() finds; bytes
+    std::set<std::filesystem::path> open_;  // the worker's: what of incoming/ is being used
+    ResourceRoots roots_;                   // the worker's; this and the next as locate() was told
     std::map<std::pair<std::string, std::string>, std::string> urls_;
     std::unique_ptr<Synchroniser> synchroniser_;
     std::unique_ptr<Worker> worker_;  // last: its thread uses the others

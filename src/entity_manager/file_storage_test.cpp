@@ -100,7 +100,9 @@ TEST_F(Folder, AValueSurvivesAndNoKeyLeavesTheFolder) {
 TEST_F(Folder, TheBeginningOfAWriteIsNotReadAndNotInTheWay) {
     FileStorage(folder).save("latch", "old");
     const auto place = fs::directory_iterator(folder);
-    const auto value = std::find_if(place, {}, [](const auto& entry) { return entry.path().extension() == ".value"; })->path();
+    const auto value = std::find_if(place, {}, [](const auto& entry) {
+                           return entry.path().extension() == ".value";
+                       })->path();
     const std::string fresh = "the new value";
     for (std::size_t length = 0; length <= fresh.size(); ++length) {
         std::ofstream(value.string() + ".new", std::ios::binary) << fresh.substr(0, length);

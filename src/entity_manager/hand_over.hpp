@@ -26,7 +26,8 @@ class HandOver {
 
     const std::optional<Question>& open() const { return open_; }
     bool isOpenFor(const Sender& client, const std::string& request_id) const;
-    /// Whether its question was the last one to be closed: a copy of the request that comes late asks nobody again.
+    /// Whether its question was the last one to be closed: a copy of the request that comes late asks nobody
+    /// again.
     bool wasClosedFor(const Sender& client, const std::string& request_id) const;
     /// RESERVED, with the name of who asks already.
     Refusal mayAsk(const std::string& holder) const;

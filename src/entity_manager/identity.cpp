@@ -11,9 +11,10 @@ namespace {
 constexpr const char* kSecretKey = "secret";
 
 [[noreturn]] void unusable(const std::string& how) {
-    throw std::runtime_error("The stored value \"secret\" " + how +
-                             ", and no server lets this robot register without it. Put the folder's backup in its place. Without "
-                             "one remove the folder: the robot then is a new entity, without saved values and resources.");
+    throw std::runtime_error(
+        "The stored value \"secret\" " + how +
+        ", and no server lets this robot register without it. Put the folder's backup in its place. Without "
+        "one remove the folder: the robot then is a new entity, without saved values and resources.");
 }
 
 }  // namespace
@@ -27,7 +28,9 @@ Identity identityIn(Storage& storage, RandomSource& random) {
         unusable("is missing");
     }
     if (stored) {
-        if (stored->size() != transport::kSecretBytes) unusable("is damaged: expected " + std::to_string(transport::kSecretBytes) + " bytes, found " + std::to_string(stored->size()));
+        if (stored->size() != transport::kSecretBytes)
+            unusable("is damaged: expected " + std::to_string(transport::kSecretBytes) + " bytes, found " +
+                     std::to_string(stored->size()));
         if (uuid && *uuid != transport::boundUuid(*stored)) unusable("is not that of the stored \"uuid\"");
         return {*stored, transport::boundUuid(*stored)};
     }

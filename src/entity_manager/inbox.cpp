@@ -25,7 +25,8 @@ Inbox::Verdict Inbox::pushSignal(Signal kind, Event event, SenderKey from) {
     Event victim;  // destroyed after the lock
     {
         const std::lock_guard lock(signal_mutex_);
-        if (kind == Signal::Peer && (peers_ == kPeerSignals || signal_count_ == kSignals)) return Verdict::Dropped;
+        if (kind == Signal::Peer && (peers_ == kPeerSignals || signal_count_ == kSignals))
+            return Verdict::Dropped;
         if (kind == Signal::Passing && noRoomForPassing(from)) return Verdict::Dropped;
         if (signal_count_ == kSignals) {
             auto at = victimFor(kind);
@@ -84,8 +85,10 @@ Inbox::Verdict Inbox::pushData(Event event, std::size_t bytes) {
     std::vector<Event> dropped;  // destroyed after the lock: an event may own megabytes
     {
         const std::lock_guard lock(mutex_);
-        while (data_events_ > 0 && (data_events_ == bounds_.data_events || data_bytes_ + bytes > bounds_.data_bytes)) {
-            const auto oldest = std::find_if(waiting_.begin(), waiting_.end(), [](const Waiting& w) { return w.data; });
+        while (data_events_ > 0 &&
+               (data_events_ == bounds_.data_events || data_bytes_ + bytes > bounds_.data_bytes)) {
+            const auto oldest =
+                std::find_if(waiting_.begin(), waiting_.end(), [](const Waiting& w) { return w.data; });
             data_bytes_ -= oldest->bytes;
             --data_events_;
             ++dropped_;

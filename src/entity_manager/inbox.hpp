@@ -16,13 +16,14 @@ namespace axon::entity_manager {
 /// What waits to be handled by one Entity Manager's strand. Signals overtake everything else; data is dropped
 /// oldest-first when it piles up; control overflow is reported, so that the owner can drop the peer.
 ///
-/// A stop is never lost: when all signal slots are taken it takes the place of a signal that may be dropped, and
-/// among nothing but stops that of the second newest, whose effect the newest has too. A client's loss or return is
-/// not lost either. What else finds the slots full is dropped; so is what may be dropped of a sender who has a quarter of
-/// the slots already, so that nobody's drills and resets leave none for those of others.
+/// A stop is never lost: when all signal slots are taken it takes the place of a signal that may be dropped,
+/// and among nothing but stops that of the second newest, whose effect the newest has too. A client's loss or
+/// return is not lost either. What else finds the slots full is dropped; so is what may be dropped of a
+/// sender who has a quarter of the slots already, so that nobody's drills and resets leave none for those of
+/// others.
 ///
-/// Threads: push…() from any; take() from the strand alone. Signals have a mutex and preallocated slots of their own,
-/// so that no amount of data holds up a stop (invariant 3).
+/// Threads: push…() from any; take() from the strand alone. Signals have a mutex and preallocated slots of
+/// their own, so that no amount of data holds up a stop (invariant 3).
 class Inbox {
   public:
     using Event = std::function<void()>;
@@ -37,7 +38,8 @@ class Inbox {
     enum class Signal : std::uint8_t {
         Stop,
         Client,   ///< a client was lost, came back, or has left
-        Passing,  ///< may be dropped: reset, clear, a drill, a repeated stop; at most kPassingOfOne of one sender wait, kPassing of all
+        Passing,  ///< may be dropped: reset, clear, a drill, a repeated stop; at most kPassingOfOne of one
+                  ///< sender wait, kPassing of all
         Peer,     ///< of another entity, whose next one repeats it; at most kPeerSignals wait
     };
     static constexpr std::size_t kSignals = 64;
@@ -51,20 +53,22 @@ class Inbox {
     /// Dropped: a passing one or a peer's found no slot. Overflow: one that may not be lost found nothing
     /// that may.
     Verdict pushSignal(Signal kind, Event event, SenderKey from = kServersOwn);
-    /// Whether a passing signal of this sender would be dropped now. False stays false until a signal is pushed.
+    /// Whether a passing signal of this sender would be dropped now. False stays false until a signal is
+    /// pushed.
     bool wouldDrop(SenderKey from) const;
-    /// Half of the bounds is for those who can wait (awaitRoom); the rest is left to those who cannot. One event alone always fits.
+    /// Half of the bounds is for those who can wait (awaitRoom); the rest is left to those who cannot. One
+    /// event alone always fits.
     enum class Share : std::uint8_t { Whole, Half };
     /// On Overflow the event is still the caller's.
     Verdict pushControl(Event&& event, std::size_t bytes = 0, Share share = Share::Whole);
-    /// Not on the strand: returns when a quarter of the bounds is taken at most and so many bytes fit into the half. The strand comes, for
-    /// what fills it was pushed.
+    /// Not on the strand: returns when a quarter of the bounds is taken at most and so many bytes fit into
+    /// the half. The strand comes, for what fills it was pushed.
     void awaitRoom(std::size_t bytes);
     /// May drop older data to make room. `bytes` counts towards the bound.
     Verdict pushData(Event event, std::size_t bytes);
 
-    /// The next event, signals first, then control and data in the order of their arrival; empty = nothing left,
-    /// and the next push answers Scheduled.
+    /// The next event, signals first, then control and data in the order of their arrival; empty = nothing
+    /// left, and the next push answers Scheduled.
     Event take();
     /// The strand is to come although there is no event. Takes no lock.
     Verdict wake() { return scheduled_.exchange(true) ? Verdict::AlreadyScheduled : Verdict::Scheduled; }
@@ -83,7 +87,9 @@ class Inbox {
         SenderKey from = kServersOwn;
     };
     WaitingSignal& signalAt(std::size_t i) { return signals_[(signal_first_ + i) % signals_.size()]; }
-    const WaitingSignal& signalAt(std::size_t i) const { return signals_[(signal_first_ + i) % signals_.size()]; }
+    const WaitingSignal& signalAt(std::size_t i) const {
+        return signals_[(signal_first_ + i) % signals_.size()];
+    }
     bool noRoomForPassing(SenderKey from) const;
     std::size_t victimFor(Signal kind);
     Event next();
@@ -92,17 +98,21 @@ class Inbox {
 
     mutable std::mutex signal_mutex_;
     std::array<WaitingSignal, kSignals> signals_;  // guarded by signal_mutex_: a ring
-    std::size_t signal_first_ = 0;    // guarded by signal_mutex_
-    std::size_t signal_count_ = 0;    // guarded by signal_mutex_
-    std::size_t peers_ = 0;           // guarded by signal_mutex_: of the waiting signals
-    std::atomic<bool> scheduled_{false};  // whether the strand will come; no lock, so that data takes none of signals
+    std::size_t signal_first_ = 0;                 // guarded by signal_mutex_
+    std::size_t signal_count_ = 0;                 // guarded by signal_mutex_
+    std::size_t peers_ = 0;                        // guarded by signal_mutex_: of the waiting signals
+    std::atomic<bool> scheduled_{
+        false};  // whether the strand will come; no lock, so that data takes none of signals
 
     bool fits(std::size_t bytes, Share share) const {
         const std::size_t part = share == Share::Half ? 2 : 1;
-        return control_events_ == 0 || (control_events_ < bounds_.control_events / part && control_bytes_ + bytes <= bounds_.control_bytes / part);
+        return control_events_ == 0 || (control_events_ < bounds_.control_events / part &&
+                                        control_bytes_ + bytes <= bounds_.control_bytes / part);
     }
     /// Those who wait are woken by it, and not for each message.
-    bool roomy() const { return control_events_ <= bounds_.control_events / 4 && control_bytes_ <= bounds_.control_bytes / 4; }
+    bool roomy() const {
+        return control_events_ <= bounds_.control_events / 4 && control_bytes_ <= bounds_.control_bytes / 4;
+    }
 
     mutable std::mutex mutex_;
     std::condition_variable room_;

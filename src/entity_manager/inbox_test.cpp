@@ -57,7 +57,9 @@ TEST_F(InboxTest, ControlOverflowIsReportedAndChangesNothing) {
 
 TEST_F(InboxTest, WhoCanWaitLeavesHalfToThoseWhoCannot) {
     Inbox inbox({.control_events = 4, .control_bytes = 100});
-    const auto push = [&](char name, std::size_t bytes) { return inbox.pushControl(note(name), bytes, Inbox::Share::Half); };
+    const auto push = [&](char name, std::size_t bytes) {
+        return inbox.pushControl(note(name), bytes, Inbox::Share::Half);
+    };
     EXPECT_EQ(push('a', 0), Inbox::Verdict::Scheduled);
     EXPECT_EQ(push('b', 0), Inbox::Verdict::AlreadyScheduled);
     EXPECT_EQ(push('c', 0), Inbox::Verdict::Overflow) << "half is taken";
@@ -77,7 +79,9 @@ TEST(InboxThreads, WhoWaitsForRoomGetsItBesideOthersWhoDoNotWait) {
     constexpr int kEach = 50'000;
     Inbox inbox({.control_events = 8});
     std::atomic<int> handled{0};
-    const auto push = [&](Inbox::Share share) { return inbox.pushControl([&handled] { ++handled; }, 1, share) != Inbox::Verdict::Overflow; };
+    const auto push = [&](Inbox::Share share) {
+        return inbox.pushControl([&handled] { ++handled; }, 1, share) != Inbox::Verdict::Overflow;
+    };
     std::thread waits([&] {
         for (int i = 0; i < kEach; ++i)
             while (!push(Inbox::Share::Half)) inbox.awaitRoom(1);
@@ -126,8 +130,10 @@ TEST_F(InboxTest, TheDrillsOfOneSenderLeaveRoomForThoseOfOthers) {
     for (int i = 0; i < 200; ++i) inbox.pushSignal(Signal::Passing, note('x'), senderKey("flood"));
     EXPECT_TRUE(inbox.wouldDrop(senderKey("flood")));
     EXPECT_FALSE(inbox.wouldDrop(senderKey("honest")));
-    EXPECT_EQ(inbox.pushSignal(Signal::Passing, note('h'), senderKey("honest")), Inbox::Verdict::AlreadyScheduled);
-    EXPECT_EQ(inbox.pushSignal(Signal::Stop, note('S'), senderKey("flood")), Inbox::Verdict::AlreadyScheduled);
+    EXPECT_EQ(inbox.pushSignal(Signal::Passing, note('h'), senderKey("honest")),
+              Inbox::Verdict::AlreadyScheduled);
+    EXPECT_EQ(inbox.pushSignal(Signal::Stop, note('S'), senderKey("flood")),
+              Inbox::Verdict::AlreadyScheduled);
     drain(inbox);
     EXPECT_EQ(seen, std::string(16, 'x') + "hS");
     EXPECT_FALSE(inbox.wouldDrop(senderKey("flood")));
@@ -135,8 +141,10 @@ TEST_F(InboxTest, TheDrillsOfOneSenderLeaveRoomForThoseOfOthers) {
 
 TEST_F(InboxTest, TheDrillsOfManySendersLeaveRoomForWhatMayNotBeLost) {
     Inbox inbox;
-    for (int i = 0; i < 100; ++i) inbox.pushSignal(Signal::Passing, note('x'), senderKey("flood" + std::to_string(i)));
-    for (int i = 0; i < 16; ++i) EXPECT_EQ(inbox.pushSignal(Signal::Client, note('C')), Inbox::Verdict::AlreadyScheduled);
+    for (int i = 0; i < 100; ++i)
+        inbox.pushSignal(Signal::Passing, note('x'), senderKey("flood" + std::to_string(i)));
+    for (int i = 0; i < 16; ++i)
+        EXPECT_EQ(inbox.pushSignal(Signal::Client, note('C')), Inbox::Verdict::AlreadyScheduled);
     drain(inbox);
     EXPECT_EQ(seen, std::string(48, 'x') + std::string(16, 'C'));
 }

@@ -97,16 +97,18 @@ Refusal LeaseBook::mayCommit(const Sender& sender, const std::string& request_id
 Refusal LeaseBook::mayResume(LeaseNumber number, std::string_view key) const {
     if (auto refusal = checkNumber(number); !refusal.ok()) return refusal;
     if (!held_)
-        return {end_code_ == RefusalCode::Ok ? RefusalCode::NotHolder : end_code_,
-                "The lease has ended: " + end_why_ + (end_why_.ends_with('.') ? "" : ".") + " Check it out anew.",
-                {}};
+        return {
+            end_code_ == RefusalCode::Ok ? RefusalCode::NotHolder : end_code_,
+            "The lease has ended: " + end_why_ + (end_why_.ends_with('.') ? "" : ".") + " Check it out anew.",
+            {}};
     if (!equalInConstantTime(held_->key.bytes(), key))
         return {RefusalCode::NotHolder, "This is not the key of the lease." + whoHolds(), nameOfHolder()};
     return {};
 }
 
 void LeaseBook::reserve(const Sender& sender, const std::string& request_id, TimePoint until) {
-    reservation_ = Reservation{sender, request_id, AXON_PLANTED(ReservationNeverExpires) ? TimePoint::max() : until};
+    reservation_ =
+        Reservation{sender, request_id, AXON_PLANTED(ReservationNeverExpires) ? TimePoint::max() : until};
 }
 
 const LeaseBook::Held& LeaseBook::grant(const Claim& claim) {

@@ -20,7 +20,8 @@ constexpr std::size_t kReadOfStrangers = 16 * 1024;
 /// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
 /// deleted on a full disk, and what is in doubt is latched.
 constexpr const char* kRearmedKey = "rearmed";
-constexpr const char* kFreeKey = "free";  // its absence means that somebody holds the entity, as with kRearmedKey
+constexpr const char* kFreeKey =
+    "free";  // its absence means that somebody holds the entity, as with kRearmedKey
 constexpr const char* kThere = "1";
 
 const Refusal kTooLargeForLink{RefusalCode::TooLarge,
@@ -31,10 +32,11 @@ const Refusal kTooLargeForLink{RefusalCode::TooLarge,
 std::string loadUuid(Storage& storage, RandomSource& random, const std::string& given) {
     if (const auto stored = storage.load(kUuidKey)) {
         if (const auto id = Id128::parse(*stored)) return id->toString();
-        throw std::runtime_error(
-            "The stored value \"uuid\" is damaged: expected a UUID, found \"" + stored->substr(0, 64) +
-            "\". Put the folder's backup in its place. Without one remove the folder: the robot then is a new "
-            "entity, without saved values and resources.");
+        throw std::runtime_error("The stored value \"uuid\" is damaged: expected a UUID, found \"" +
+                                 stored->substr(0, 64) +
+                                 "\". Put the folder's backup in its place. Without one remove the folder: "
+                                 "the robot then is a new "
+                                 "entity, without saved values and resources.");
     }
     const auto made = given.empty() ? Id128::uuid(random).toString() : given;
     // Before the uuid: a first life that is broken off in between leaves no latch that nobody set.
@@ -134,7 +136,9 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       journal_(journal),
       parts_lost_(partsAreLost(storage)),
       uuid_(loadUuid(storage, random, settings_.uuid)),
-      presence_(*this, server, {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
+      presence_(
+          *this, server,
+          {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
       lease_(storage, random),
       stops_(*this, storage, stop_gate, back_end),
       saved_(storage),
@@ -147,8 +151,9 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     if (storage.load(kFreeKey) != kThere && !AXON_PLANTED(LatchForgotten)) latched_ = true;
     if (parts_lost_) {
         latched_ = true;
-        warning_ = "parts of the state folder are missing (uuid, lease or stop_generation), so the robot comes up "
-                   "latched; fix: look whether all commands for it are new, then rearm it";
+        warning_ =
+            "parts of the state folder are missing (uuid, lease or stop_generation), so the robot comes up "
+            "latched; fix: look whether all commands for it are new, then rearm it";
     }
     free_kept_ = storage.load(kFreeKey) == kThere;
     keepState();  // the latch says it now, and nobody holds it
@@ -190,7 +195,8 @@ void EntityManagerCore::Machine::complete(JournalRecord& record) const {
 
 bool EntityManagerCore::Machine::note(JournalRecord record) {
     // Not read from the journal, whose line may be lost with a full disk: a deletion is not.
-    if (record.kind == JournalRecord::Kind::Granted && std::exchange(free_kept_, false)) storage_.forget(kFreeKey);
+    if (record.kind == JournalRecord::Kind::Granted && std::exchange(free_kept_, false))
+        storage_.forget(kFreeKey);
     if (journal_ == nullptr) return true;
     complete(record);
     return recorded(journal_->append(record));
@@ -210,8 +216,8 @@ bool EntityManagerCore::Machine::recorded(bool written) {
     return written;
 }
 
-/// After the effects, so that none of them waits for the disk; a rearm that it loses leaves the latch. That the robot is
-/// free comes last: wherever the power is lost before, the next life finds it held or latched.
+/// After the effects, so that none of them waits for the disk; a rearm that it loses leaves the latch. That
+/// the robot is free comes last: wherever the power is lost before, the next life finds it held or latched.
 void EntityManagerCore::Machine::keepState() {
     if (latched_ != latch_kept_ && !AXON_PLANTED(LatchNotKept)) {
         latch_kept_ = latched_;
@@ -268,7 +274,8 @@ void EntityManagerCore::Machine::process(Event event, Who who, const Header& hea
     }
     if (findRow(state_, event) == nullptr) {
         // Free, but the sender may have held it: that is the reason it can act upon.
-        const bool was_held = state_ == EntityState::IDLE && (who == Who::Holder || who == Who::HolderOrAdmin);
+        const bool was_held =
+            state_ == EntityState::IDLE && (who == Who::Holder || who == Who::HolderOrAdmin);
         refuse(incident,
                was_held ? lease_.check(head.sender, head.held) : refusalFor(state_, event, whyNotReady()));
         return;
@@ -294,7 +301,9 @@ Refusal EntityManagerCore::Machine::guard(Event event, Who who, const Header& he
                 "Observers may watch and stop, but not check out. Log in as an operator.",
                 {}};
     if (who == Who::Holder || (who == Who::HolderOrAdmin && head.sender.role != Role::Admin)) {
-        if (auto refusal = lease_.check(head.sender, head.held); !refusal.ok() && !AXON_PLANTED(StrangersObeyed)) return refusal;
+        if (auto refusal = lease_.check(head.sender, head.held);
+            !refusal.ok() && !AXON_PLANTED(StrangersObeyed))
+            return refusal;
     }
     // An invitation shows a seal of its own (considerInvitation).
     if (who == Who::Nobody && event != Event::CollaborationRequest)
@@ -450,8 +459,8 @@ void EntityManagerCore::Machine::settle() {
     dispatchNext();
     // A stop that the signal thread has passed on may end the last task before this strand hears of the stop:
     // it finds a robot that moves.
-    const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_ ||
-                          (busy_told_ && !stops_.allHandled());
+    const bool occupied =
+        !active_.empty() || !lingering_.empty() || application_busy_ || (busy_told_ && !stops_.allHandled());
     if (occupied != busy_told_) {
         busy_told_ = occupied;
         back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
@@ -683,15 +692,17 @@ void EntityManagerCore::Machine::takeProfiles() {
     fire(Event::ProfilesGood);
 }
 
-/// What is missing, where an entity would wait in INIT for ever without a word: an application has uploaded too
-/// little, or the disk does not answer.
+/// What is missing, where an entity would wait in INIT for ever without a word: an application has uploaded
+/// too little, or the disk does not answer.
 void EntityManagerCore::Machine::expireProfiles() {
     if (!profiles_due_ || clock_.now() < *profiles_due_) return;
     profiles_due_.reset();
     if (state_ != EntityState::INIT) return;
     if (located_) {
-        reason_ = warning_ = "a disk of the robot's machine does not answer, so it is not known whether the files of the resources "
-                             "are there; fix: see that the state folder and the folders of the urls can be read";
+        reason_ = warning_ =
+            "a disk of the robot's machine does not answer, so it is not known whether the files of the "
+            "resources "
+            "are there; fix: see that the state folder and the folders of the urls can be read";
         tellStatus();
         return;
     }
@@ -848,11 +859,13 @@ void EntityManagerCore::Machine::onDrill(const Header& head, std::uint32_t numbe
 
 void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
     if (quit_ || passed_.seen(head)) return;
-    process(event, rightOfSignal(event == Event::Reset ? kResetOperation : kClearOperation).who, head, nullptr);
+    process(event, rightOfSignal(event == Event::Reset ? kResetOperation : kClearOperation).who, head,
+            nullptr);
     settle();
 }
 
-void EntityManagerCore::Machine::onStopRepeated(const Header& head, StopCause cause, std::uint32_t generation) {
+void EntityManagerCore::Machine::onStopRepeated(const Header& head, StopCause cause,
+                                                std::uint32_t generation) {
     if (quit_) return;
     stops_.repeated(head, cause, generation, anyRuns());
 }
@@ -862,9 +875,11 @@ void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
     if (incident.event == Event::Reset || incident.event == Event::Clear) {
         ended.emplace();
         ended->tasks = static_cast<std::uint32_t>(active_.size());
-        if (incident.event == Event::Clear) ended->removed = static_cast<std::uint32_t>(queue_.waiting().size());
+        if (incident.event == Event::Clear)
+            ended->removed = static_cast<std::uint32_t>(queue_.waiting().size());
     }
-    if (stops_.acknowledge(*incident.head, incident.cause, incident.generation, busy_told_, ended)) deliverStops();
+    if (stops_.acknowledge(*incident.head, incident.cause, incident.generation, busy_told_, ended))
+        deliverStops();
 }
 
 // -- messages
@@ -872,10 +887,13 @@ void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
 
 void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_view bytes) {
     if (quit_) return;
-    // What is large takes its time to be read, in which nothing else is done: only of who holds the entity, or its fellows.
-    if (bytes.size() > kReadOfStrangers && head.msg_type != kMsgCollaboration && partner(head.sender.id) == nullptr) {
+    // What is large takes its time to be read, in which nothing else is done: only of who holds the entity,
+    // or its fellows.
+    if (bytes.size() > kReadOfStrangers && head.msg_type != kMsgCollaboration &&
+        partner(head.sender.id) == nullptr) {
         if (auto refusal = lease_.check(head.sender, head.held); !refusal.ok()) {
-            refusal.message = "A message of more than " + std::to_string(kReadOfStrangers / 1024) + " KiB is not read. " + refusal.message;
+            refusal.message = "A message of more than " + std::to_string(kReadOfStrangers / 1024) +
+                              " KiB is not read. " + refusal.message;
             return reply(head.sender, {}, refusal);
         }
     }
@@ -894,14 +912,16 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
                {}});
         return;
     }
-    // By the header alone servers and both ends of a direct path know what it is. Nor does a run's message come by such a path.
+    // By the header alone servers and both ends of a direct path know what it is. Nor does a run's message
+    // come by such a path.
     const bool of_run = right->peers == Peers::OfRun && right->who == Who::Nobody;
-    if (head.msg_type != right->msg_type || (of_run && holder() != nullptr && holder()->id == head.sender.id)) {
+    if (head.msg_type != right->msg_type ||
+        (of_run && holder() != nullptr && holder()->id == head.sender.id)) {
         ++counters_.malformed;
         const Refusal refusal{RefusalCode::Malformed,
                               "The header's msgType is " + inQuotes(head.msg_type) + ", and the message is " +
-                                  std::string(right->body) + ", which has \"" + std::string(right->msg_type) + '"' +
-                                  (of_run ? " and is for entities to say." : "."),
+                                  std::string(right->body) + ", which has \"" + std::string(right->msg_type) +
+                                  '"' + (of_run ? " and is for entities to say." : "."),
                               {}};
         if (isRequest(event) && !of_run) {
             refuse({event, &head, &from_client_}, refusal);
@@ -919,7 +939,8 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
         auto refusal = right->who == Who::Holder ? lease_.check(head.sender, head.held) : Refusal{};
         if (refusal.ok())
             refusal = {control ? RefusalCode::Malformed : RefusalCode::NotSupported,
-                       control ? "The action must be PAUSE, RESUME or CANCEL." : "This is no request to an Entity Manager.",
+                       control ? "The action must be PAUSE, RESUME or CANCEL."
+                               : "This is no request to an Entity Manager.",
                        {}};
         reply(head.sender, control ? from_client_.task_control().task_id() : std::string(), refusal);
         return;
@@ -981,7 +1002,8 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
             const auto again = id ? memory_.whyNotAgain(*id) : std::nullopt;
             *event.mutable_reason() = toProto(again ? *again : refusal);
             if (again && again->code == RefusalCode::OutcomeUnknown) event.set_state(proto::TASK_UNKNOWN);
-            // This is its end, so a copy that comes later must not begin. Others than the holder cannot fill the memory.
+            // This is its end, so a copy that comes later must not begin. Others than the holder cannot fill
+            // the memory.
             if (id && !again && lease_.check(to, incident.head->held).ok())
                 memory_.ended(*id, lease_.held()->number, event, clock_.now());
             tell(to, kMsgTask, message);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
 #pragma once
-#include <algorithm>
-#include <array>
 #include <axon/link.pb.h>
 #include <axon/messages.pb.h>
+#include <algorithm>
+#include <array>
 
 #include <deque>
 #include <map>
@@ -35,8 +35,8 @@ namespace axon::entity_manager {
 
 /// The inside of EntityManagerCore: it finds the row of each event in the state table and has one function
 /// for each Action. Private to the core; machine.cpp has states and messages, machine_leases.cpp who holds
-/// the entity and who wants it, machine_tasks.cpp tasks and resources, machine_composites.cpp tasks with parts,
-/// machine_collaboration.cpp what it does with other entities.
+/// the entity and who wants it, machine_tasks.cpp tasks and resources, machine_composites.cpp tasks with
+/// parts, machine_collaboration.cpp what it does with other entities.
 class EntityManagerCore::Machine final : private Turn {
   public:
     Machine(CoreSettings settings, const Clock& clock, RandomSource& random, BackEndPort& back_end,
@@ -89,7 +89,8 @@ class EntityManagerCore::Machine final : private Turn {
         Refusal reason;                ///< what those are told who lose a task or a lease
         proto::CheckOutPhase phase = proto::CHECK_OUT_UNSPECIFIED;  ///< of a check-out that is granted
     };
-    /// A task that has begun: the robot application has been given it, or, of a composite, one part after the other.
+    /// A task that has begun: the robot application has been given it, or, of a composite, one part after the
+    /// other.
     struct Active {
         enum class Phase : std::uint8_t { Dispatched, Running, Paused };
         const ServiceProfiler::Order& order() const { return task.plan.parts[part]; }
@@ -97,16 +98,16 @@ class EntityManagerCore::Machine final : private Turn {
 
         Task task;
         Phase phase = Phase::Dispatched;  ///< of the whole
-        bool halted = false;       ///< by a reset: its end lets the queue go on
-        bool cancelled = false;    ///< asked for: no further part begins
-        bool hold = false;         ///< a pause was asked for: no further part begins before it is resumed
-        std::size_t part = 0;      ///< the present one
-        std::optional<Id128> sent; ///< the id under which the application has it; none between two parts
-        bool answered = false;     ///< the application has granted it
-        TimePoint answer_until{};  ///< while it has not
+        bool halted = false;              ///< by a reset: its end lets the queue go on
+        bool cancelled = false;           ///< asked for: no further part begins
+        bool hold = false;          ///< a pause was asked for: no further part begins before it is resumed
+        std::size_t part = 0;       ///< the present one
+        std::optional<Id128> sent;  ///< the id under which the application has it; none between two parts
+        bool answered = false;      ///< the application has granted it
+        TimePoint answer_until{};   ///< while it has not
         std::optional<TimePoint> alone_until;   ///< without its client: then it is stopped
         std::optional<TimePoint> finish_until;  ///< likewise, of the whole, whatever its parts are allowed
-        std::vector<proto::Param> results;      ///< of the parts of a composite, "Part.Name", the newest of each
+        std::vector<proto::Param> results;  ///< of the parts of a composite, "Part.Name", the newest of each
     };
     /// A task whose end has been told to the client, and of which the robot application has not yet said that
     /// its handler has returned. Nothing that excludes it is dispatched before.
@@ -291,9 +292,9 @@ class EntityManagerCore::Machine final : private Turn {
         std::string run_id;
         Sender master;
         std::vector<proto::Participant> participants;
-        std::map<Id128, OpenStep> steps;      ///< under way, by the task's id
-        TimePoint heard{};                    ///< from the master
-        bool led = false;                     ///< it has begun to beat, or has given an order
+        std::map<Id128, OpenStep> steps;  ///< under way, by the task's id
+        TimePoint heard{};                ///< from the master
+        bool led = false;                 ///< it has begun to beat, or has given an order
         Duration beat_every{};
         TimePoint beat_at{};
         std::uint64_t beat = 0;
@@ -305,8 +306,8 @@ class EntityManagerCore::Machine final : private Turn {
     };
     static constexpr std::size_t kPastRuns = 64;
     static constexpr Duration kRawRefusalPeriod = std::chrono::milliseconds{200};
-    /// An end that was sent and of which it is not known whether it has arrived: until then its participant hears
-    /// from its master on the signal lane.
+    /// An end that was sent and of which it is not known whether it has arrived: until then its participant
+    /// hears from its master on the signal lane.
     struct Farewell {
         std::string entity;
         proto::FromMaster message;  ///< a beat, or a stop once more
@@ -391,7 +392,9 @@ class EntityManagerCore::Machine final : private Turn {
 
     // Messages.
     void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override;
-    void tell(const Sender& to, const char* type, const proto::ToClient& message) { tell(to, type, message, Lane::Data); }
+    void tell(const Sender& to, const char* type, const proto::ToClient& message) {
+        tell(to, type, message, Lane::Data);
+    }
     void reply(const Sender& to, const std::string& request_id, const Refusal& refusal,
                Lane lane = Lane::Data);
     void refuse(const Incident& incident, const Refusal& refusal);
@@ -410,7 +413,7 @@ class EntityManagerCore::Machine final : private Turn {
     ResourceStore& store_;
     StopGate& stop_gate_;
     Journal* const journal_;  ///< null = none is kept
-    const bool parts_lost_;  ///< of the state; before the others, which write theirs
+    const bool parts_lost_;   ///< of the state; before the others, which write theirs
     std::string uuid_;
 
     EntityState state_ = EntityState::UNAV;
@@ -424,7 +427,7 @@ class EntityManagerCore::Machine final : private Turn {
     bool busy_told_ = false;
     bool quit_ = false;
     std::string reason_;
-    std::string taken_;  // by whom from the last holder, and why, until it is granted again
+    std::string taken_;   // by whom from the last holder, and why, until it is granted again
     std::string sought_;  ///< in UNAV: what the search for the application has found instead
 
     std::optional<Reading<proto::BasicProfile>> basic_;
@@ -439,7 +442,7 @@ class EntityManagerCore::Machine final : private Turn {
 
     Presence presence_;
     LeaseBook lease_;
-    std::string datagram_endpoint_;  ///< told with a grant
+    std::string datagram_endpoint_;                         ///< told with a grant
     std::string direct_endpoint_, direct_signal_endpoint_;  ///< likewise
     std::optional<WaitingGrant> waiting_grant_;
     Refusal orphan_reason_;  ///< why the lease is orphaned
@@ -455,7 +458,7 @@ class EntityManagerCore::Machine final : private Turn {
     std::deque<PastRun> past_runs_;                    ///< newest last
     std::vector<Farewell> farewells_;
     bool attending_ = false;
-    proto::RunHistory runs_;                           ///< newest first
+    proto::RunHistory runs_;  ///< newest first
 
     SavedValues saved_;
     ServiceProfiler profiler_;
@@ -471,8 +474,8 @@ class EntityManagerCore::Machine final : private Turn {
     Streams streams_{*this};
     TimePoint raw_refused_{}, not_sent_told_{};
 
-    /// The resets and clears that were taken last. Between servers each goes two ways, and the second one, late,
-    /// would end the next task.
+    /// The resets and clears that were taken last. Between servers each goes two ways, and the second one,
+    /// late, would end the next task.
     struct PassedSignals {
         bool seen(const Header& head) {
             if (head.sequence <= 0) return false;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What the entity does with others: as the master of a run, as a slave, and as its own participant (ADR 0019).
+// What the entity does with others: as the master of a run, as a slave, and as its own participant (ADR
+// 0019).
 #include <algorithm>
 #include <chrono>
 #include <set>
@@ -20,7 +21,8 @@ namespace {
 constexpr const char* kRunsKey = "runs";
 constexpr int kRunsKept = 32;
 constexpr std::size_t kRunsBytes = 512 * 1024;  ///< together; above it the oldest go
-constexpr std::size_t kRunBytes = 128 * 1024;   ///< of one; of a larger one parameters and results are left out
+constexpr std::size_t kRunBytes =
+    128 * 1024;  ///< of one; of a larger one parameters and results are left out
 constexpr auto kReportPeriod = std::chrono::milliseconds{5};
 
 proto::Problem problem(std::int32_t step, const Refusal& refusal) {
@@ -58,7 +60,9 @@ void EntityManagerCore::Machine::considerRun(const Incident& incident) {
         return;
     }
     if (!active_.empty() || !queue_.empty()) {
-        refuse(incident, {RefusalCode::WrongState, "The entity has other tasks. Wait for their end, or clear them.", {}});
+        refuse(
+            incident,
+            {RefusalCode::WrongState, "The entity has other tasks. Wait for their end, or clear them.", {}});
         return;
     }
     auto problems = collaboration::Collaboration::problemsOf(request, uuid_, lease_.held()->root);
@@ -91,12 +95,13 @@ void EntityManagerCore::Machine::beginRun() {
     if (!run_noted_ || !run_noted_->ready()) return;
     const bool written = recorded(std::exchange(run_noted_, std::nullopt)->value());
     if (!written) {
-        run_->abandon(proto::RUN_REFUSED,
-                      {RefusalCode::Overloaded,
-                       "The Entity Manager cannot write its journal, so it begins no run. Is the disk full? Make "
-                       "room, then ask again under a new id.",
-                       {}},
-                      clock_.now());
+        run_->abandon(
+            proto::RUN_REFUSED,
+            {RefusalCode::Overloaded,
+             "The Entity Manager cannot write its journal, so it begins no run. Is the disk full? Make "
+             "room, then ask again under a new id.",
+             {}},
+            clock_.now());
         return;
     }
     memory_.dispatched(*Id128::fromBytes(run_->id()));
@@ -196,17 +201,20 @@ bool EntityManagerCore::Machine::controlRun(const Incident& incident) {
 // ----------------------------------------------------------------------------------------------------------
 
 /// Whether the holder of this entity has given this master the right over it (architecture, section 6).
-Refusal EntityManagerCore::Machine::checkSubLease(const Sender& master, const proto::FromMaster& message) const {
+Refusal EntityManagerCore::Machine::checkSubLease(const Sender& master,
+                                                  const proto::FromMaster& message) const {
     if (!lease_.held()) return {RefusalCode::NotHolder, "Nobody has checked the entity out.", {}};
     const auto& lease = message.invitation().lease();
     const auto& held = *lease_.held();
-    const LeaseNumber number{static_cast<std::int32_t>(lease.epoch()), static_cast<std::int32_t>(lease.number())};
+    const LeaseNumber number{static_cast<std::int32_t>(lease.epoch()),
+                             static_cast<std::int32_t>(lease.number())};
     if (const auto refusal = lease_.check(held.holder, number); !refusal.ok()) return refusal;
     if (lease.root().size() != 16 || lease.root() != held.root ||
         !collaboration::isSealed(lease, {message.run_id(), master.id, uuid_}, held.key.bytes()))
         return {RefusalCode::NotHolder,
                 "The master " + inQuotes(master.name) +
-                    " has no right over this entity from its holder: both must be checked out by the same client.",
+                    " has no right over this entity from its holder: both must be checked out by the same "
+                    "client.",
                 named(held.holder)};
     if (pastRun(message.run_id()) != nullptr)
         return {RefusalCode::Duplicate,
@@ -214,18 +222,23 @@ Refusal EntityManagerCore::Machine::checkSubLease(const Sender& master, const pr
                 {}};
     if (!stops_.allHandled() || lease.stop_generation() < stops_.required())
         return {RefusalCode::OldGeneration,
-                "The run was asked for before the newest stop of the entity was known. Look at the entity, then ask again.",
+                "The run was asked for before the newest stop of the entity was known. Look at the entity, "
+                "then ask again.",
                 {}};
     if (latched_)
-        return {RefusalCode::Latched, "The entity has been stopped. Rearm it first; that starts nothing by itself.", {}};
+        return {RefusalCode::Latched,
+                "The entity has been stopped. Rearm it first; that starts nothing by itself.",
+                {}};
     if (member_) return {RefusalCode::WrongState, "The entity takes part in another run.", {}};
     if (!active_.empty() || !queue_.empty())
-        return {RefusalCode::WrongState, "The entity has other tasks. Wait for their end, or clear them.", {}};
+        return {
+            RefusalCode::WrongState, "The entity has other tasks. Wait for their end, or clear them.", {}};
     return {};
 }
 
 /// All that would make a step fail, so that nothing moves before it is mended.
-void EntityManagerCore::Machine::problemsOf(const proto::Invitation& invitation, proto::InvitationAnswer& answer) const {
+void EntityManagerCore::Machine::problemsOf(const proto::Invitation& invitation,
+                                            proto::InvitationAnswer& answer) const {
     int more = 0;
     const auto add = [&](const proto::Problem& found) {
         if (answer.problems_size() < collaboration::kProblemsMax)
@@ -237,27 +250,31 @@ void EntityManagerCore::Machine::problemsOf(const proto::Invitation& invitation,
     for (const auto& step : invitation.steps()) {
         const std::vector<std::string> later(step.later().begin(), step.later().end());
         const std::vector<std::string> wanted(step.wanted().begin(), step.wanted().end());
-        for (const auto& refusal : profiler_.problems(step.task().service(), step.task().params(), later, wanted))
+        for (const auto& refusal :
+             profiler_.problems(step.task().service(), step.task().params(), later, wanted))
             add(problem(step.step(), refusal));
         const auto service = profiler_.find(step.task().service());
         if (!service) continue;
         if (profiler_.record(service.value()).is_pausable()) answer.add_pausable(step.step());
         for (const auto& other : invitation.steps()) {
-            if (other.step() <= step.step() || other.preced() != step.preced() || blocked.contains(other.step()))
+            if (other.step() <= step.step() || other.preced() != step.preced() ||
+                blocked.contains(other.step()))
                 continue;
             const auto beside = profiler_.find(other.task().service());
             if (!beside) continue;
             const auto& one = profiler_.record(service.value());
             const auto& two = profiler_.record(beside.value());
-            if (!one.is_blocking() && !two.is_blocking() && !profiler_.shareParts(service.value(), beside.value()))
+            if (!one.is_blocking() && !two.is_blocking() &&
+                !profiler_.shareParts(service.value(), beside.value()))
                 continue;
             blocked.insert(other.step());
-            add(problem(other.step(), {RefusalCode::Blocked,
-                                       "It is to run at the same time as " + inQuotes(one.name()) +
-                                           " (both have preced " + std::to_string(step.preced()) +
-                                           "), and one of the two lets nothing run beside it. Give them different "
-                                           "preceds.",
-                                       {}}));
+            add(problem(other.step(),
+                        {RefusalCode::Blocked,
+                         "It is to run at the same time as " + inQuotes(one.name()) + " (both have preced " +
+                             std::to_string(step.preced()) +
+                             "), and one of the two lets nothing run beside it. Give them different "
+                             "preceds.",
+                         {}}));
         }
     }
     if (more > 0) *answer.add_problems() = collaboration::andMore(more);
@@ -286,7 +303,8 @@ void EntityManagerCore::Machine::considerInvitation(const Sender& master, const 
         member_->master = master;
         member_->participants.assign(invitation.participants().begin(), invitation.participants().end());
         member_->heard = member_->beat_at = clock_.now();
-        member_->beat_every = collaboration::beatPeriod(settings_.server_watchdog_busy, invitation.watchdog_ms());
+        member_->beat_every =
+            collaboration::beatPeriod(settings_.server_watchdog_busy, invitation.watchdog_ms());
         if (!isMaster(*member_)) fire(Event::CollaborationJoined);
     }
     sendToMaster(Lane::Data, master, reply);
@@ -309,7 +327,8 @@ bool EntityManagerCore::Machine::hearPeer(const Header& head, proto::ToEntity& m
         case proto::ToEntity::kFromSlave:
             if (message.from_slave().has_departure())
                 std::erase_if(farewells_, [&](const Farewell& farewell) {
-                    return farewell.entity == head.sender.id && farewell.message.run_id() == message.from_slave().run_id();
+                    return farewell.entity == head.sender.id &&
+                           farewell.message.run_id() == message.from_slave().run_id();
                 });
             if (run_) run_->hear(head.sender.id, message.from_slave(), clock_.now());
             return true;
@@ -337,8 +356,10 @@ void EntityManagerCore::Machine::hearMaster(const Sender& master, const proto::F
             const auto* past = pastRun(message.run_id());
             const bool left = past != nullptr && past->master == master.id && !past->reason.ok();
             depart(master, message.run_id(),
-                   left ? past->reason
-                        : Refusal{RefusalCode::NotHolder, "The entity takes no part in this run (any more).", {}});
+                   left
+                       ? past->reason
+                       : Refusal{
+                             RefusalCode::NotHolder, "The entity takes no part in this run (any more).", {}});
         }
         return;
     }
@@ -424,8 +445,8 @@ void EntityManagerCore::Machine::endMembership(const proto::CollaborationEnd& en
     fire(Event::CollaborationEnded);
 }
 
-/// A short step begins and ends within a few milliseconds: one message then, not two, and each costs the master. What
-/// goes on waits for kReportPeriod; what ends or pauses does not.
+/// A short step begins and ends within a few milliseconds: one message then, not two, and each costs the
+/// master. What goes on waits for kReportPeriod; what ends or pauses does not.
 void EntityManagerCore::Machine::tellStep(OpenStep& step, proto::TaskEvent& event) {
     const auto now = clock_.now();
     if (event.state() == proto::TASK_RUNNING && !step.began) step.began = now;
@@ -456,9 +477,11 @@ void EntityManagerCore::Machine::reportStep(const OpenStep& step, const proto::T
     sendToMaster(Lane::Data, member_->master, message);
 }
 
-void EntityManagerCore::Machine::sendToMaster(Lane lane, const Sender& master, const proto::FromSlave& message) {
+void EntityManagerCore::Machine::sendToMaster(Lane lane, const Sender& master,
+                                              const proto::FromSlave& message) {
     if (master.id == uuid_) {
-        if (run_) run_->hear(uuid_, message, clock_.now());  // what follows from it: attendRun(), with settle()
+        if (run_)
+            run_->hear(uuid_, message, clock_.now());  // what follows from it: attendRun(), with settle()
         return;
     }
     proto::ToEntity body;
@@ -466,7 +489,8 @@ void EntityManagerCore::Machine::sendToMaster(Lane lane, const Sender& master, c
     sendToPeer(lane, master.id, kMsgCollaboration, body);
 }
 
-void EntityManagerCore::Machine::depart(const Sender& master, const std::string& run_id, const Refusal& reason) {
+void EntityManagerCore::Machine::depart(const Sender& master, const std::string& run_id,
+                                        const Refusal& reason) {
     proto::FromSlave message;
     message.set_run_id(run_id);
     *message.mutable_departure()->mutable_reason() = toProto(reason);
@@ -492,7 +516,8 @@ void EntityManagerCore::Machine::endPart(const Refusal& reason) {
     member_.reset();
 }
 
-const EntityManagerCore::Machine::PastRun* EntityManagerCore::Machine::pastRun(const std::string& run_id) const {
+const EntityManagerCore::Machine::PastRun* EntityManagerCore::Machine::pastRun(
+    const std::string& run_id) const {
     const auto found = std::find_if(past_runs_.begin(), past_runs_.end(),
                                     [&](const PastRun& past) { return past.run_id == run_id; });
     return found != past_runs_.end() ? &*found : nullptr;
@@ -500,11 +525,12 @@ const EntityManagerCore::Machine::PastRun* EntityManagerCore::Machine::pastRun(c
 
 /// A master beats to those whose answers it has; before, nothing moves.
 TimePoint EntityManagerCore::Machine::masterLostAt() const {
-    return member_->heard + (member_->led ? settings_.server_watchdog_busy : collaboration::Pace{}.answer_within);
+    return member_->heard +
+           (member_->led ? settings_.server_watchdog_busy : collaboration::Pace{}.answer_within);
 }
 
-/// An end waits with the data before it, and a stop's may find no room. Beats, or the stop again, until it is answered:
-/// a participant that has finished must not miss its master.
+/// An end waits with the data before it, and a stop's may find no room. Beats, or the stop again, until it is
+/// answered: a participant that has finished must not miss its master.
 void EntityManagerCore::Machine::bidFarewell(const std::string& entity, const proto::FromMaster& end,
                                              Duration beat_every) {
     if (farewells_.size() == kFarewells) return;
@@ -615,13 +641,13 @@ void EntityManagerCore::Machine::sendRawToPartner(proto::LinkRaw& raw) {
         refuseToApplication(
             raw.to(),
             !connected() ? Refusal{RefusalCode::NotConnected, "There is no session with the server.", {}}
-            : !member_  ? Refusal{RefusalCode::WrongState,
+            : !member_   ? Refusal{RefusalCode::WrongState,
                                  "Robots talk to each other within a run of a global service, and this one "
-                                  "takes part in none. Send it from a task that is a step of a run.",
+                                   "takes part in none. Send it from a task that is a step of a run.",
                                  {}}
-                        : Refusal{RefusalCode::UnknownEntity,
+                         : Refusal{RefusalCode::UnknownEntity,
                                  "No other participant of this run is called so, by name (of which there "
-                                  "may be one only), UUID or role.",
+                                   "may be one only), UUID or role.",
                                  {}});
         return;
     }
@@ -642,10 +668,10 @@ void EntityManagerCore::Machine::loadRuns() {
     for (auto& run : *runs_.mutable_runs()) {
         if (run.state() >= proto::RUN_SUCCEEDED) continue;
         run.set_state(proto::RUN_UNKNOWN);
-        *run.mutable_reason() = toProto(
-            Refusal{RefusalCode::OutcomeUnknown,
-                    "The Entity Manager of the master ended while it ran. The others have stopped by themselves.",
-                    {}});
+        *run.mutable_reason() = toProto(Refusal{
+            RefusalCode::OutcomeUnknown,
+            "The Entity Manager of the master ended while it ran. The others have stopped by themselves.",
+            {}});
         for (auto& step : *run.mutable_steps())
             if (step.state() != proto::TASK_UNSPECIFIED && step.state() < proto::TASK_SUCCEEDED)
                 step.set_state(proto::TASK_UNKNOWN);
@@ -677,7 +703,8 @@ void EntityManagerCore::Machine::tellRunHistory(const Incident& incident) {
     if (run_ && history.runs_size() > 0 && history.runs(0).run_id() == run_->id())
         *history.mutable_runs(0) = trimmed(run_->record(clock_.now()));
     if (request.most() > 0)
-        while (static_cast<std::uint32_t>(history.runs_size()) > request.most()) history.mutable_runs()->RemoveLast();
+        while (static_cast<std::uint32_t>(history.runs_size()) > request.most())
+            history.mutable_runs()->RemoveLast();
     tell(incident.head->sender, kMsgRun, message);
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Tasks of composite services: one part after the other, as tasks of their own to the robot application and as one
-// task to everybody else (docs/reference/profiles.md).
+// Tasks of composite services: one part after the other, as tasks of their own to the robot application and
+// as one task to everybody else (docs/reference/profiles.md).
 #include <algorithm>
 #include <set>
 #include <utility>
@@ -23,8 +23,8 @@ std::string EntityManagerCore::Machine::partText(const Task& task, std::size_t p
            profiler_.record(task.plan.parts[part].service).name();
 }
 
-/// Of the whole, 0 to 1: the parts that are done, and the present one as far as it says. Of a simple task what it
-/// says itself.
+/// Of the whole, 0 to 1: the parts that are done, and the present one as far as it says. Of a simple task
+/// what it says itself.
 double EntityManagerCore::Machine::progressOf(const Active& active, double of_part) const {
     if (!active.task.plan.composite) return of_part;
     return (static_cast<double>(active.part) + std::clamp(of_part, 0.0, 1.0)) /
@@ -106,8 +106,8 @@ void EntityManagerCore::Machine::endAsWhole(const Active& active, proto::TaskEve
     for (const auto& result : active.results) *event.add_results() = result;
 }
 
-/// Composites between two parts: the next one, as soon as it may start. Nothing of the queue comes between, since the
-/// whole stays active.
+/// Composites between two parts: the next one, as soon as it may start. Nothing of the queue comes between,
+/// since the whole stays active.
 void EntityManagerCore::Machine::continueParts() {
     for (std::size_t at = 0; at < active_.size();) {
         auto& active = active_[at];
@@ -120,7 +120,8 @@ void EntityManagerCore::Machine::continueParts() {
             ++at;
             continue;
         }
-        // For people only: that the task is not begun again is noted with its first part, and costs the disk no more.
+        // For people only: that the task is not begun again is noted with its first part, and costs the disk
+        // no more.
         note({.kind = JournalRecord::Kind::Part,
               .who = named(*holder()),
               .task = active.task.id,

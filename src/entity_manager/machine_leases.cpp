@@ -159,7 +159,9 @@ void EntityManagerCore::Machine::take(const Incident& incident, Claim claim) {
         return;
     }
     // A copy of a request whose answer has just been told.
-    if (held_back && request.ask() && !request.wait() && hand_over_.wasClosedFor(claim.client, claim.request_id)) return;
+    if (held_back && request.ask() && !request.wait() &&
+        hand_over_.wasClosedFor(claim.client, claim.request_id))
+        return;
     if (held_back && request.ask() && !in_list && holder() != nullptr && !lease_.orphaned()) {
         refusal = hand_over_.mayAsk(named(*holder()));
         if (refusal.ok()) {
@@ -430,7 +432,8 @@ void EntityManagerCore::Machine::decideHandOver(const HandOver::Question& questi
 /// After each event: who is next.
 void EntityManagerCore::Machine::passOn() {
     const auto grants = [this](proto::CheckOutPhase phase) {
-        return findRow(state_, phase == proto::RESUME_LEASE ? Event::LeaseResumed : Event::CheckOutGranted) != nullptr;
+        return findRow(state_, phase == proto::RESUME_LEASE ? Event::LeaseResumed : Event::CheckOutGranted) !=
+               nullptr;
     };
     if (waiting_grant_ && stops_.standing() && grants(waiting_grant_->phase)) {
         auto waiting = *std::exchange(waiting_grant_, std::nullopt);
@@ -482,7 +485,8 @@ void EntityManagerCore::Machine::passTime() {
                        "The place was given up: the request was not sent again within " +
                            inWords(WaitList::kRefreshWithin) + '.',
                        {}});
-    // A holder that is lost cannot answer: its silence is no consent. The end of the lease answers, or it is asked anew.
+    // A holder that is lost cannot answer: its silence is no consent. The end of the lease answers, or it is
+    // asked anew.
     const auto silent = lease_.orphaned() ? std::nullopt : hand_over_.expire(now);
     if (silent) {
         tellQuestion(*silent, true);

@@ -27,28 +27,32 @@ proto::OnClientLoss EntityManagerCore::Machine::lossPolicyOfParts(const Active& 
     auto strictest = proto::FINISH_TASK;
     for (const auto position : active.order().way) {
         const auto& service = profiler_.record(position);
-        if (service.on_client_loss() == proto::FINISH_TASK && service.max_duration_s() <= 0) return proto::STOP_TASK;
+        if (service.on_client_loss() == proto::FINISH_TASK && service.max_duration_s() <= 0)
+            return proto::STOP_TASK;
         strictest = std::min(strictest, service.on_client_loss());
         // Who comes back resumes the whole.
         if (strictest == proto::HOLD_TASK && !profiler_.record(active.task.plan.service).is_pausable())
             return proto::STOP_TASK;
     }
-    return strictest == proto::HOLD_TASK && settings_.lease_grace <= Duration::zero() ? proto::STOP_TASK : strictest;
+    return strictest == proto::HOLD_TASK && settings_.lease_grace <= Duration::zero() ? proto::STOP_TASK
+                                                                                      : strictest;
 }
 
 /// How long the present part may go on alone, from now on; the whole no longer than its own allows.
 TimePoint EntityManagerCore::Machine::finishesUntil(const Active& active) const {
     auto most = profiler_.record(active.order().service).max_duration_s();
-    for (const auto position : active.order().way) most = std::min(most, profiler_.record(position).max_duration_s());
-    const auto until = clock_.now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(most));
+    for (const auto position : active.order().way)
+        most = std::min(most, profiler_.record(position).max_duration_s());
+    const auto until =
+        clock_.now() + std::chrono::duration_cast<Duration>(std::chrono::duration<double>(most));
     return active.finish_until ? std::min(until, *active.finish_until) : until;
 }
 
 /// Of several that run side by side the strictest counts: a stop cannot leave one of them out.
 bool EntityManagerCore::Machine::survivesClientLoss() const {
     // A step of a run is of more than one robot: nobody would tell the others.
-    return state_ == EntityState::BUSY && !member_ && link_up_ && connected() && !latched_ && !application_busy_ &&
-           !active_.empty() && stops_.allHandled() &&
+    return state_ == EntityState::BUSY && !member_ && link_up_ && connected() && !latched_ &&
+           !application_busy_ && !active_.empty() && stops_.allHandled() &&
            std::all_of(active_.begin(), active_.end(),
                        [this](const Active& active) { return lossPolicyOf(active) != proto::STOP_TASK; });
 }
@@ -87,7 +91,8 @@ void EntityManagerCore::Machine::attendTasks() {
 
 /// A task without its client has changed between running and paused.
 void EntityManagerCore::Machine::watchHeld(Active& active) {
-    if (!lease_.orphaned() || lossPolicyOf(active) != proto::HOLD_TASK || AXON_PLANTED(HeldTaskGoesOn)) return;
+    if (!lease_.orphaned() || lossPolicyOf(active) != proto::HOLD_TASK || AXON_PLANTED(HeldTaskGoesOn))
+        return;
     if (active.phase == Active::Phase::Paused)
         active.alone_until.reset();
     else if (!active.alone_until)

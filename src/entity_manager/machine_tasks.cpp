@@ -5,8 +5,8 @@
 #include <limits>
 #include <utility>
 
-#include "entity_interfacer/frame.hpp"
 #include "common/planted_bug.hpp"
+#include "entity_interfacer/frame.hpp"
 #include "entity_manager/machine.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -64,10 +64,11 @@ Refusal checkSize(std::size_t bytes) {
 
 void EntityManagerCore::Machine::admitTask(const Incident& incident) {
     if (member_ || run_noted_) {
-        refuse(incident, {RefusalCode::WrongState,
-                          "The entity takes part in a collaboration and takes tasks of its master alone. Wait for its "
-                          "end, or stop it.",
-                          {}});
+        refuse(incident,
+               {RefusalCode::WrongState,
+                "The entity takes part in a collaboration and takes tasks of its master alone. Wait for its "
+                "end, or stop it.",
+                {}});
         return;
     }
     if (const auto refusal = admit(incident.body->task(), incident.head->sent_at_us); !refusal.ok())
@@ -76,7 +77,8 @@ void EntityManagerCore::Machine::admitTask(const Incident& incident) {
 
 Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std::int64_t sent_at_us) {
     const auto id = Id128::fromBytes(request.task_id());
-    if (!id || id->isZero()) return {RefusalCode::Malformed, "task_id must be 16 bytes that are not all zero.", {}};
+    if (!id || id->isZero())
+        return {RefusalCode::Malformed, "task_id must be 16 bytes that are not all zero.", {}};
     if (!std::isfinite(request.not_after_s()) || request.not_after_s() < 0)
         return {RefusalCode::Malformed, "not_after_s must be a number of seconds from 0 on.", {}};
     if (const auto again = memory_.whyNotAgain(*id); again && !AXON_PLANTED(TaskIdForgotten)) return *again;
@@ -94,10 +96,12 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
     task.blocking = service.is_blocking();
     task.plan = std::move(plan).value();
     task.generation = stops_.generation();
-    if (request.not_after_s() > 0 && request.not_after_s() < kLongestNotAfter_s && !AXON_PLANTED(ExpiryUnchecked))
-        task.not_after = (AXON_PLANTED(ExpiryByTheSendersClock) ? TimePoint{std::chrono::microseconds{sent_at_us}}
-                                                                : clock_.now()) +
-                         std::chrono::duration_cast<Duration>(std::chrono::duration<double>(request.not_after_s()));
+    if (request.not_after_s() > 0 && request.not_after_s() < kLongestNotAfter_s &&
+        !AXON_PLANTED(ExpiryUnchecked))
+        task.not_after =
+            (AXON_PLANTED(ExpiryByTheSendersClock) ? TimePoint{std::chrono::microseconds{sent_at_us}}
+                                                   : clock_.now()) +
+            std::chrono::duration_cast<Duration>(std::chrono::duration<double>(request.not_after_s()));
     if (const auto refusal = checkSize(dispatchBytes(task.plan)); !refusal.ok()) return refusal;
     memory_.accept(task.id);
     queue_.push(std::move(task));
@@ -126,15 +130,16 @@ bool EntityManagerCore::Machine::admissible(const Task& task) const {
     if (task.blocking && !(active_.empty() && lingering_.empty())) return false;
     // Two tasks of one service do not run at the same time, be it as a part of a composite.
     for (const auto& active : active_)
-        if (active.halted || active.task.blocking || profiler_.shareParts(active.task.plan.service, task.plan.service))
+        if (active.halted || active.task.blocking ||
+            profiler_.shareParts(active.task.plan.service, task.plan.service))
             return false;
     for (const auto& lingering : lingering_)
         if (lingering.blocking || profiler_.shareParts(lingering.service, task.plan.service)) return false;
     return true;
 }
 
-/// After a stop nothing starts before its callback has returned: on its own lane it could arrive after the task and
-/// end that one.
+/// After a stop nothing starts before its callback has returned: on its own lane it could arrive after the
+/// task and end that one.
 bool EntityManagerCore::Machine::mayStart() const {
     return !latched_ && link_up_ && holder() != nullptr && !application_busy_ && stops_.standing();
 }
@@ -148,7 +153,8 @@ void EntityManagerCore::Machine::dispatchNext() {
             continue;
         }
         // A stop that the signal thread has passed on and that has not come here yet: it voids the queue.
-        if (queue_.front().generation != stop_gate_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked)) return;
+        if (queue_.front().generation != stop_gate_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked))
+            return;
         if (!admissible(queue_.front())) return;
         if (const auto prepared = prepare(queue_.front()); !prepared) {
             refusePrepared(prepared.refusal());
@@ -225,8 +231,8 @@ void EntityManagerCore::Machine::dispatch(Task task) {
     sendTask(active_.back().task, proto::TASK_DISPATCHED, {});
 }
 
-/// The present part, to the robot application. It sees ordinary tasks only: each part of a composite has an id of its
-/// own, which nobody else knows.
+/// The present part, to the robot application. It sees ordinary tasks only: each part of a composite has an
+/// id of its own, which nobody else knows.
 void EntityManagerCore::Machine::sendPart(Active& active) {
     if (!busy_told_) {
         // Before the task, so that the short watchdog is running when the robot starts.
@@ -238,8 +244,8 @@ void EntityManagerCore::Machine::sendPart(Active& active) {
     active.sent = task.plan.composite ? Id128::random(random_) : task.id;
     active.answered = false;
     active.answer_until = clock_.now() + settings_.answer_within;
-    auto message =
-        dispatchOf(active.order(), profiler_.record(active.order().service).name(), *active.sent, task.generation);
+    auto message = dispatchOf(active.order(), profiler_.record(active.order().service).name(), *active.sent,
+                              task.generation);
     if (active.part == 0) addGiven(message, task.plan, profiler_);
     if (task.not_after && active.part == 0) {
         const auto left =
@@ -366,14 +372,15 @@ void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskState state,
 void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskEvent event) {
     if (active_[at].task.plan.composite && goOn(at, event)) return;
     if (!event.has_reason() && event.state() == proto::TASK_STOPPED)
-        *event.mutable_reason() =
-            toProto(Refusal{RefusalCode::Stopped,
-                            active_[at].halted ? "Stopped by a reset." : "Stopped by the robot application itself.",
-                            {}});
+        *event.mutable_reason() = toProto(
+            Refusal{RefusalCode::Stopped,
+                    active_[at].halted ? "Stopped by a reset." : "Stopped by the robot application itself.",
+                    {}});
     if (!event.has_reason() && event.state() == proto::TASK_CANCELLED)
         *event.mutable_reason() = toProto(Refusal{RefusalCode::Cancelled, "Cancelled while it ran.", {}});
     if (!event.has_reason() && event.state() == proto::TASK_FAILED)
-        *event.mutable_reason() = toProto(Refusal{RefusalCode::Failed, "The robot application gave no reason.", {}});
+        *event.mutable_reason() =
+            toProto(Refusal{RefusalCode::Failed, "The robot application gave no reason.", {}});
     const auto active = std::move(active_[at]);
     active_.erase(active_.begin() + static_cast<std::ptrdiff_t>(at));
     leaveService(active.task, event.state() != proto::TASK_REFUSED);
@@ -412,7 +419,8 @@ void EntityManagerCore::Machine::haltTasks() {
 /// Of the task's service and of its parts, whether a task that is active uses them.
 void EntityManagerCore::Machine::markExecuting(const Task& task) {
     const auto mark = [this](int service) {
-        profiler_.setExecuting(service, std::any_of(active_.begin(), active_.end(), [service](const Active& active) {
+        profiler_.setExecuting(service,
+                               std::any_of(active_.begin(), active_.end(), [service](const Active& active) {
                                    return active.task.plan.service == service ||
                                           (active.sent && active.order().service == service);
                                }));
@@ -682,10 +690,14 @@ Refusal EntityManagerCore::Machine::keepParameter(const Question& question) {
     const auto& record = profiler_.record(question.service);
     const bool config = profiler_.isConfig(question.service, question.param.name());
     if (config) {
-        // It reaches what runs now, which may have begun after a stop that came before the answer, or go on alone.
-        if (auto refusal = stops_.whyNot(static_cast<std::int32_t>(question.generation)); !refusal.ok()) return refusal;
+        // It reaches what runs now, which may have begun after a stop that came before the answer, or go on
+        // alone.
+        if (auto refusal = stops_.whyNot(static_cast<std::int32_t>(question.generation)); !refusal.ok())
+            return refusal;
         if (lease_.orphaned())
-            return {RefusalCode::ClientLost, "The client was lost before the robot application had answered.", {}};
+            return {RefusalCode::ClientLost,
+                    "The client was lost before the robot application had answered.",
+                    {}};
         if (auto refusal = saved_.mayKeep(record.name(), question.param); !refusal.ok()) return refusal;
         if (auto refusal = leavesRoom(question.service, question.param); !refusal.ok()) return refusal;
     }

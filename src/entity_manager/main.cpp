@@ -43,14 +43,15 @@ int main(int argc, char** argv) {
         FileResourceStore resources(options.state_folder, options.core.resource_bytes_max);
         FileJournal journal(options.state_folder, urgent);
         asio::thread_pool executor(1);
-        // It beats for the robot application, whose watchdog is the shortest: not behind what else wants the processor.
+        // It beats for the robot application, whose watchdog is the shortest: not behind what else wants the
+        // processor.
         asio::post(executor, [] { transport::requestRealTime(transport::kReceiptPriority); });
         const auto ice = std::make_shared<ServerCommunicators>(1, 1, options.ice_properties);
         if (!options.server.router.empty())
             transport::routerProxy(*ice->data(), options.server.router);  // or a mend
         const auto manager = EntityManager::create(executor.get_executor(), ice, options.core, options.server,
-                                                   EntityManager::overTcp(options.back_end, random), clock, random, storage,
-                                                   resources, &journal);
+                                                   EntityManager::overTcp(options.back_end, random), clock,
+                                                   random, storage, resources, &journal);
         for (const auto& finding : journal.findings()) spdlog::warn("{}", finding);
 
         interrupts.setCallback([&](int) {

@@ -72,8 +72,9 @@ class ServerPort {
     virtual void sendStatus(const EntityStatus& status) = 0;
     /// head.sender.id is the recipient, empty = everybody who watches. Lane::Signal for receipts.
     virtual void sendToClient(Lane lane, const Header& head, const proto::ToClient& message) = 0;
-    /// To another entity: head.entity is its UUID, and the server fills in head.sender. Not delivered: comes back as
-    /// onPeerRefusal. Lane::Signal for what the next one repeats (beats): that may be left out without a word.
+    /// To another entity: head.entity is its UUID, and the server fills in head.sender. Not delivered: comes
+    /// back as onPeerRefusal. Lane::Signal for what the next one repeats (beats): that may be left out
+    /// without a word.
     virtual void sendToPeer(Lane lane, const Header& head, const proto::ToEntity& message) = 0;
     /// Stream samples and raw data: may be dropped, oldest first.
     virtual void sendToClientDataSeq(const Header& head, const proto::ToClient& message) = 0;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What the next life of an Entity Manager makes of the state folder, wherever the power was lost between two writes.
+// What the next life of an Entity Manager makes of the state folder, wherever the power was lost between two
+// writes.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -23,9 +24,10 @@ void carryOut(Values& disk, const MemoryStorage::Write& write) {
         disk.erase(write.key);
 }
 
-/// What FileStorage's thread does of these, in its order: of each key the last, deletions first. What was waited for is
-/// there already.
-std::vector<MemoryStorage::Write> inOrderOfTheThread(const MemoryStorage::Write* begin, const MemoryStorage::Write* end) {
+/// What FileStorage's thread does of these, in its order: of each key the last, deletions first. What was
+/// waited for is there already.
+std::vector<MemoryStorage::Write> inOrderOfTheThread(const MemoryStorage::Write* begin,
+                                                     const MemoryStorage::Write* end) {
     std::map<std::string, MemoryStorage::Write> waiting;
     for (; begin != end; ++begin) {
         if (!begin->waited) waiting[begin->key] = *begin;
@@ -36,8 +38,8 @@ std::vector<MemoryStorage::Write> inOrderOfTheThread(const MemoryStorage::Write*
     return order;
 }
 
-/// A life of the rig, event by event: how many writes each had caused when it was over, and whether a robot that comes up
-/// after it must be latched.
+/// A life of the rig, event by event: how many writes each had caused when it was over, and whether a robot
+/// that comes up after it must be latched.
 class Life {
   public:
     explicit Life(std::uint64_t seed) : rig_(seed), random_(seed) {
@@ -56,7 +58,10 @@ class Life {
     const std::vector<MemoryStorage::Write>& writes() const { return rig_.storage.writes; }
 
   private:
-    void over() { events_.push_back({rig_.storage.writes.size(), rig_.core().held() != nullptr || rig_.core().latched()}); }
+    void over() {
+        events_.push_back(
+            {rig_.storage.writes.size(), rig_.core().held() != nullptr || rig_.core().latched()});
+    }
     std::string next(const char* what) { return what + std::to_string(++number_); }
     void event() {
         const std::string client = random_.next() % 3 == 0 ? "client2" : "client1";
@@ -87,17 +92,20 @@ class Life {
             case 10:
             case 11: {  // taken over, or waited for
                 proto::ToEntity take;
-                take.mutable_check_out()->set_request_id(std::string(12, 'x') + std::to_string(1000 + number_++));
+                take.mutable_check_out()->set_request_id(std::string(12, 'x') +
+                                                         std::to_string(1000 + number_++));
                 take.mutable_check_out()->set_phase(proto::TAKE);
                 const bool force = random_.next() % 2 == 0;
-                (force ? take.mutable_check_out()->set_force(true) : take.mutable_check_out()->set_wait(true));
+                (force ? take.mutable_check_out()->set_force(true)
+                       : take.mutable_check_out()->set_wait(true));
                 return rig_.send(force ? "admin1" : client, take);
             }
             case 12:
                 rig_.restart();
                 return;
             default:
-                return rig_.advance(std::chrono::milliseconds{random_.next() % 2000}, random_.next() % 4 != 0);
+                return rig_.advance(std::chrono::milliseconds{random_.next() % 2000},
+                                    random_.next() % 4 != 0);
         }
     }
 
@@ -137,7 +145,8 @@ TEST(PowerLoss, AtNoWriteDoesItUnlatchARobotThatWasHeldOrStoppedSinceWhatTheDisk
                 for (std::size_t done = 0;; ++done) {
                     // From the last event that the disk has whole to the one in which the power was lost.
                     const auto has = done == waiting.size() ? wanted : whole;
-                    auto event = std::find_if(events.begin(), events.end(), [&](const auto& one) { return one.writes > has; });
+                    auto event = std::find_if(events.begin(), events.end(),
+                                              [&](const auto& one) { return one.writes > has; });
                     if (event != events.begin()) --event;
                     bool latches = event->writes <= has;
                     for (; latches && event != events.end(); ++event) {
@@ -146,10 +155,12 @@ TEST(PowerLoss, AtNoWriteDoesItUnlatchARobotThatWasHeldOrStoppedSinceWhatTheDisk
                     }
                     CoreRig next(99);
                     next.storage.values = disk;
-                    ASSERT_NO_THROW(next.restart()) << "seed " << seed << ", write " << wanted << " of " << writes.size();
+                    ASSERT_NO_THROW(next.restart())
+                        << "seed " << seed << ", write " << wanted << " of " << writes.size();
                     if (latches) {
-                        EXPECT_TRUE(next.core().latched()) << "seed " << seed << ", " << wanted << " writes, of which the disk has "
-                                                           << whole << " and " << done << " more" << told(life);
+                        EXPECT_TRUE(next.core().latched())
+                            << "seed " << seed << ", " << wanted << " writes, of which the disk has " << whole
+                            << " and " << done << " more" << told(life);
                     }
                     ++cuts;
                     ++(latches ? must : may);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// The table of common/rights.hpp against what the Entity Manager does, and against the contracts and the page.
+// The table of common/rights.hpp against what the Entity Manager does, and against the contracts and the
+// page.
 #include "common/rights.hpp"
 
 #include <gtest/gtest.h>
@@ -40,7 +41,8 @@ proto::ToEntity messageOf(const Right& right) {
     return message;
 }
 
-/// What `client` is answered while client1 holds the robot: PERMISSION_DENIED and NOT_HOLDER, or 0 where it may.
+/// What `client` is answered while client1 holds the robot: PERMISSION_DENIED and NOT_HOLDER, or 0 where it
+/// may.
 std::string deniedTo(const std::string& client, const proto::ToEntity& message) {
     test::CoreRig rig;
     rig.makeIdle();
@@ -51,7 +53,8 @@ std::string deniedTo(const std::string& client, const proto::ToEntity& message) 
     for (const auto& record : rig.to_clients) {
         if (record.head.sender.id != client) continue;
         const auto code = static_cast<RefusalCode>(codeOf(record.message));
-        if (code == RefusalCode::PermissionDenied || code == RefusalCode::NotHolder) return std::string(refusalName(code));
+        if (code == RefusalCode::PermissionDenied || code == RefusalCode::NotHolder)
+            return std::string(refusalName(code));
     }
     return {};
 }
@@ -68,7 +71,8 @@ TEST(Rights, TheEntityManagerGoesByTheTable) {
         const auto otherwise = operators ? RefusalCode::PermissionDenied : RefusalCode::NotHolder;
         EXPECT_EQ(deniedTo("observer", message), deniedAs(anyone, otherwise)) << right.body;
         EXPECT_EQ(deniedTo("client2", message), deniedAs(anyone || operators, otherwise)) << right.body;
-        EXPECT_EQ(deniedTo("admin", message), deniedAs(anyone || operators || right.who == Who::HolderOrAdmin, otherwise))
+        EXPECT_EQ(deniedTo("admin", message),
+                  deniedAs(anyone || operators || right.who == Who::HolderOrAdmin, otherwise))
             << right.body;
         EXPECT_EQ(deniedTo("client1", message), "") << right.body;
     }
@@ -90,7 +94,8 @@ TEST(Rights, StopIsAnybodysResetAndClearAreTheHolders) {
                 rig.clear(client);
             else
                 rig.reset(client);
-            const bool refused = codeOf(rig.to_clients.at(0).message) == static_cast<int>(RefusalCode::NotHolder);
+            const bool refused =
+                codeOf(rig.to_clients.at(0).message) == static_cast<int>(RefusalCode::NotHolder);
             EXPECT_EQ(refused, client != std::string("client1")) << client << clears;
         }
     }
@@ -127,7 +132,8 @@ TEST(Rights, AMessageIsWhatItsHeaderSays) {
             rig.core().onClientMsg(head, messageOf(right).SerializeAsString());
             ASSERT_FALSE(rig.to_clients.empty()) << right.body << " as " << other.msg_type;
             EXPECT_EQ(codeOf(rig.to_clients[0].message), static_cast<int>(RefusalCode::Malformed))
-                << right.body << " as " << other.msg_type << ": " << rig.to_clients[0].message.ShortDebugString();
+                << right.body << " as " << other.msg_type << ": "
+                << rig.to_clients[0].message.ShortDebugString();
             EXPECT_EQ(rig.core().counters().malformed, 1U);
         }
     }

@@ -27,7 +27,8 @@ transport::ConnectionLimits& ServerCommunicators::limits() {
     // A client opens a path in a moment, and each Entity Manager has one holder at a time.
     static constexpr transport::ConnectionBounds kBounds{.strangers_of_one_address = 256, .strangers = 1024};
     std::call_once(limited_, [this] {
-        limits_.emplace(clock_, [](const std::string& line) { spdlog::warn("direct path: {}", line); }, kBounds);
+        limits_.emplace(
+            clock_, [](const std::string& line) { spdlog::warn("direct path: {}", line); }, kBounds);
     });
     return *limits_;
 }

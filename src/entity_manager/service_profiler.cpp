@@ -233,7 +233,8 @@ Result<ServiceProfiler::Accepted> ServiceProfiler::accept(int service, const pro
             if (!fed) continue;
             auto refusal = axon::checkParam(declared_.services(way[level]).params(*fed), accepted.param);
             if (refusal.ok()) continue;
-            refusal.message = "For its part " + inQuotes(this->record(way[level]).name()) + ": " + refusal.message;
+            refusal.message =
+                "For its part " + inQuotes(this->record(way[level]).name()) + ": " + refusal.message;
             return refusal;
         }
     return accepted;
@@ -379,7 +380,8 @@ ServiceProfiler::Source ServiceProfiler::valuesOf(const Composites::Part& way, s
 }
 
 /// Under which name a client of the service at the beginning of the way sets it.
-std::string ServiceProfiler::nameIn(const Composites::Part& way, std::size_t level, const std::string& name) const {
+std::string ServiceProfiler::nameIn(const Composites::Part& way, std::size_t level,
+                                    const std::string& name) const {
     std::size_t owner = 0;
     while (owner < level && !ownSettable(way[owner], name)) ++owner;
     return owner == 0 ? name : viewName(declared_, way[owner], name);
@@ -417,7 +419,8 @@ ServiceProfiler::Order ServiceProfiler::merge(const Composites::Part& way, const
             if (resource.ready() && simple)
                 order.resources.push_back(resource);
             else if (resource.required() && !resource.ready())
-                lack("resource", level == 0 ? resource.name() : viewName(declared_, way[level], resource.name()));
+                lack("resource",
+                     level == 0 ? resource.name() : viewName(declared_, way[level], resource.name()));
         }
     }
     return order;
@@ -466,10 +469,11 @@ Result<ServiceProfiler::Plan> ServiceProfiler::prepare(std::string_view service,
                        {}};
     const auto& parts = composites_.parts[place(index.value())];
     if (parts.empty())
-        return Refusal{RefusalCode::NotSupported,
-                       "Service " + inQuotes(record.name()) +
-                           " is composite and lists no service that could run. Its profile needs a <Services> list.",
-                       {}};
+        return Refusal{
+            RefusalCode::NotSupported,
+            "Service " + inQuotes(record.name()) +
+                " is composite and lists no service that could run. Its profile needs a <Services> list.",
+            {}};
     Plan plan;
     plan.service = index.value();
     plan.composite = record.type() == proto::CMPLX;
@@ -515,7 +519,8 @@ Result<ServiceProfiler::Params> ServiceProfiler::typed(std::string_view service,
         if (!at) continue;  // prepare() says so
         const auto& meta = record.params(at.value());
         const bool text = param.values_size() == 1 && param.values(0).kind_case() == proto::Value::kStr;
-        const bool whole = !meta.multiple() || std::find(told.begin(), told.end(), param.name()) != told.end();
+        const bool whole =
+            !meta.multiple() || std::find(told.begin(), told.end(), param.name()) != told.end();
         if (!text || (meta.data_type() == proto::STR && whole)) continue;
         auto read = parseParam(meta, param.values(0).str());
         if (!read) return read.refusal();

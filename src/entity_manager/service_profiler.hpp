@@ -28,10 +28,10 @@ namespace axon::entity_manager {
 /// A service's record (proto::Service) always shows the present: `initial` of a parameter is its present
 /// value, `ready` whether it has one, `missing` what must be set before the service can run.
 ///
-/// The record of a composite service shows its parts' parameters and resources too, as "Part.Name": to set one is
-/// to set the part's. What the composite declares itself under the name of a part's parameter is, where it has a
-/// value, the value of that part's. Its flags are those of the whole: active and pausable where it and all its
-/// parts are, blocking where it or one of them is.
+/// The record of a composite service shows its parts' parameters and resources too, as "Part.Name": to set
+/// one is to set the part's. What the composite declares itself under the name of a part's parameter is,
+/// where it has a value, the value of that part's. Its flags are those of the whole: active and pausable
+/// where it and all its parts are, blocking where it or one of them is.
 class ServiceProfiler {
   public:
     using Params = google::protobuf::RepeatedPtrField<proto::Param>;
@@ -79,8 +79,8 @@ class ServiceProfiler {
     /// By name or global id; UNKNOWN_SERVICE names near ones.
     Result<int> find(std::string_view service) const;
 
-    /// A parameter that a client wants to set: of which service (of a composite's "Part.Name" the part), and in
-    /// the profile's own type. UNKNOWN_SERVICE, UNKNOWN_PARAMETER, WRONG_TYPE, WRONG_UNITS, OUT_OF_RANGE;
+    /// A parameter that a client wants to set: of which service (of a composite's "Part.Name" the part), and
+    /// in the profile's own type. UNKNOWN_SERVICE, UNKNOWN_PARAMETER, WRONG_TYPE, WRONG_UNITS, OUT_OF_RANGE;
     /// WRONG_TYPE too for what only the robot may set.
     Result<std::pair<int, proto::Param>> checkParam(std::string_view service,
                                                     const proto::Param& param) const;
@@ -100,7 +100,8 @@ class ServiceProfiler {
     /// profile does not admit it. UNKNOWN_SERVICE, UNKNOWN_PARAMETER, and what checkParam() says.
     Refusal restoreParam(const std::string& service, const proto::Param& param);
 
-    /// Position of service (of a composite's "Part.Name" the part) and resource; UNKNOWN_SERVICE, UNKNOWN_RESOURCE.
+    /// Position of service (of a composite's "Part.Name" the part) and resource; UNKNOWN_SERVICE,
+    /// UNKNOWN_RESOURCE.
     Result<std::pair<int, int>> findResource(std::string_view service, std::string_view resource) const;
     void storeResource(int service, int resource, std::string path, std::string sha256, std::uint64_t size);
 
@@ -113,12 +114,14 @@ class ServiceProfiler {
     Result<Plan> prepare(std::string_view service, const Params& given,
                          const std::vector<std::string>& later = {}) const;
     /// The parameters of a global service: texts become values of the profile's types. The refusals of
-    /// parseParam; a parameter that the service does not have stays as it is. `told`: which come from another step,
-    /// where a text is one value whatever stands in it.
-    Result<Params> typed(std::string_view service, const Params& given, const std::vector<std::string>& told = {}) const;
-    /// Everything for which a task of a global service would be refused; `later` will be given by other steps, and other
-    /// steps take `wanted` from it.
-    std::vector<Refusal> problems(std::string_view service, const Params& given, const std::vector<std::string>& later,
+    /// parseParam; a parameter that the service does not have stays as it is. `told`: which come from another
+    /// step, where a text is one value whatever stands in it.
+    Result<Params> typed(std::string_view service, const Params& given,
+                         const std::vector<std::string>& told = {}) const;
+    /// Everything for which a task of a global service would be refused; `later` will be given by other
+    /// steps, and other steps take `wanted` from it.
+    std::vector<Refusal> problems(std::string_view service, const Params& given,
+                                  const std::vector<std::string>& later,
                                   const std::vector<std::string>& wanted = {}) const;
 
     /// The composites that run this service, or show what is its: their records change with its own.
@@ -133,8 +136,9 @@ class ServiceProfiler {
     void setExecuting(int service, bool executing);
 
     struct Cleared {
-        std::vector<int> changed;                         ///< services
-        std::vector<std::pair<int, std::string>> files;  ///< resources whose files are to be deleted, by service
+        std::vector<int> changed;  ///< services
+        std::vector<std::pair<int, std::string>>
+            files;  ///< resources whose files are to be deleted, by service
     };
     /// What is not savable and was set before the task was accepted goes back to the profile's own value, or
     /// to none: of the service and of all its parts, those included that have not run. A part's value that
@@ -193,7 +197,7 @@ class ServiceProfiler {
     std::vector<Switch> active_;            ///< each by itself, whatever its parts are
     std::vector<Stamps> stamps_;
     std::map<std::pair<int, int>, proto::EntityFinding> findings_;  ///< by service and resource
-    std::uint64_t clock_ = 0;  ///< counts what has been set
+    std::uint64_t clock_ = 0;                                       ///< counts what has been set
 };
 
 }  // namespace axon::entity_manager

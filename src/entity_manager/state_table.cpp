@@ -47,7 +47,8 @@ std::vector<Row> makeRows() {
     rows.add({S::UNAV, S::INIT, S::ENVCONN, S::IDLE, S::ERR, S::REG}, E::Stop,
              {A::Latch, A::Acknowledge, A::EndTasks, A::VoidQueue, A::TellStatus}, kStay);
     rows.add({S::COLLAB, S::SLAVE, S::BUSY}, E::Stop,
-             {A::Latch, A::Acknowledge, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::TellStatus}, to(S::REG));
+             {A::Latch, A::Acknowledge, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::TellStatus},
+             to(S::REG));
 
     // The link to the robot application. Its end ends everything but the session with the server; the Entity
     // Interfacer stops the robot by itself. An end that nobody wanted latches what somebody held (ADR 0022).
@@ -87,26 +88,24 @@ std::vector<Row> makeRows() {
     rows.add({S::IDLE, S::REG, S::COLLAB, S::SLAVE, S::BUSY}, E::CheckOut, {A::ConsiderCheckOut}, kStay);
     rows.add({S::IDLE}, E::CheckOutGranted, {A::TellStatus, A::SendGrant}, to(S::REG));
     for (const auto event : {E::Release, E::ClientEnded})
-        rows.add(
-            held, event,
-            {A::StopApplication, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease,
-             A::TellStatus},
-            to(S::IDLE));
+        rows.add(held, event,
+                 {A::StopApplication, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::SuspendUploads,
+                  A::EndLease, A::TellStatus},
+                 to(S::IDLE));
     // The status is told once it is known whether there is a grace at all.
     rows.add(held, E::ClientLost,
-             {A::StopApplication, A::Latch, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::SuspendUploads,
-              A::OrphanLease},
+             {A::StopApplication, A::Latch, A::LeaveCollaboration, A::EndTasks, A::VoidQueue,
+              A::SuspendUploads, A::OrphanLease},
              to(S::REG));
     // The policy of the services (ADR 0014): the one loss at which the robot is not stopped.
     rows.add({S::BUSY}, E::ClientSpared, {A::SpareTasks, A::VoidQueue, A::SuspendUploads, A::OrphanLease},
              kStay);
     rows.add(held, E::LeaseResumed, {A::TellStatus, A::SendGrant}, kStay);
     for (const auto event : {E::LeaseExpired, E::TakenOver})
-        rows.add(
-            held, event,
-            {A::StopApplication, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::SuspendUploads, A::EndLease,
-             A::TellStatus},
-            to(S::IDLE));
+        rows.add(held, event,
+                 {A::StopApplication, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::SuspendUploads,
+                  A::EndLease, A::TellStatus},
+                 to(S::IDLE));
     rows.add({S::INIT, S::ENVCONN, S::ERR}, E::LeaseExpired, {A::StopApplication, A::EndLease, A::TellStatus},
              kStay);
     rows.add(held, E::HandOver, {A::ConsiderHandOver}, kStay);
@@ -134,9 +133,10 @@ std::vector<Row> makeRows() {
     // The other two commands. Neither latches.
     rows.add({S::REG, S::BUSY}, E::Reset,
              {A::HaltTasks, A::StopApplication, A::Acknowledge, A::TellStatus, A::DispatchNext}, kStay);
-    rows.add(held, E::Clear,
-             {A::StopApplication, A::Acknowledge, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::TellStatus},
-             to(S::REG));
+    rows.add(
+        held, E::Clear,
+        {A::StopApplication, A::Acknowledge, A::LeaveCollaboration, A::EndTasks, A::VoidQueue, A::TellStatus},
+        to(S::REG));
 
     // Anyone, always.
     rows.add(any, E::Status, {A::AnswerStatus}, kStay);
@@ -506,7 +506,8 @@ std::string stateMachinePage() {
     }
     page +=
         "\nFacts (what is not a request) that have no row are counted and change nothing.\n\n"
-        "## What a request must prove first\n\nWho may ask is in [Who may send an entity what](../reference/rights.md). Then:\n\n"
+        "## What a request must prove first\n\nWho may ask is in [Who may send an entity "
+        "what](../reference/rights.md). Then:\n\n"
         "| request | newest stop seen | not latched |\n|---|---|---|\n";
     for (std::size_t e = 0; e < kEvents; ++e) {
         const auto event = static_cast<Event>(e);

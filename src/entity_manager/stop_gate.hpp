@@ -27,7 +27,8 @@ class StopGate {
 
     /// The generation of this stop if it is new, nothing if it has been seen before. `known`: the newest
     /// generation that its sender had been told.
-    std::optional<std::uint32_t> raise(const std::string& sender, std::int64_t sequence, std::uint32_t known = 0) {
+    std::optional<std::uint32_t> raise(const std::string& sender, std::int64_t sequence,
+                                       std::uint32_t known = 0) {
         if (sequence <= 0) return raise();
         const std::lock_guard lock(mutex_);
         const auto* seen = stops_.find(sender, sequence);

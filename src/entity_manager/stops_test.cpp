@@ -152,16 +152,19 @@ TEST_F(Stops, TheNextLifeOfTheEntityManagerKnowsThatItsApplicationIsMissing) {
 
 TEST_F(Stops, AfterTheEndOfTheEntityManagerAnApplicationIsMissingUntilItLinksOrHasSaidGoodBye) {
     rig.core().shutDown();
-    EXPECT_TRUE(rig.storage.values.contains("application_linked")) << "it may have hung, or died, a moment before";
+    EXPECT_TRUE(rig.storage.values.contains("application_linked"))
+        << "it may have hung, or died, a moment before";
 }
 
 TEST_F(Stops, AnOrderlyLifeInWhichATaskRanIsNotFollowedByALatch) {
     run("t1");
     rig.core().shutDown();
     // A file of tasks and one of all else are read one after the other.
-    std::stable_partition(rig.journal.records.begin(), rig.journal.records.end(), [](const JournalRecord& record) {
-        return record.kind != JournalRecord::Kind::Dispatched && record.kind != JournalRecord::Kind::TaskEnded;
-    });
+    std::stable_partition(rig.journal.records.begin(), rig.journal.records.end(),
+                          [](const JournalRecord& record) {
+                              return record.kind != JournalRecord::Kind::Dispatched &&
+                                     record.kind != JournalRecord::Kind::TaskEnded;
+                          });
     rig.restart();
     EXPECT_FALSE(rig.core().latched());
 }

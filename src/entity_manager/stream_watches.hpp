@@ -13,9 +13,9 @@ namespace axon::entity_manager {
 
 /// Who watches which stream of the entity. The stream "" stands for all of them.
 ///
-/// Threads: the core's strand. Bounded: kMaxStreams streams for each client, else OVERLOADED; of kMaxWatchers clients
-/// the one that began first makes room for the next. The server tells of watchers that are gone; one that it
-/// does not tell of, because it was killed itself, is known by its age only.
+/// Threads: the core's strand. Bounded: kMaxStreams streams for each client, else OVERLOADED; of kMaxWatchers
+/// clients the one that began first makes room for the next. The server tells of watchers that are gone; one
+/// that it does not tell of, because it was killed itself, is known by its age only.
 class StreamWatches {
   public:
     static constexpr std::size_t kMaxWatchers = 256;

@@ -15,7 +15,8 @@
 
 namespace axon::entity_manager {
 
-/// An accepted task: all its checks are behind it. That of a composite service is one task with several parts.
+/// An accepted task: all its checks are behind it. That of a composite service is one task with several
+/// parts.
 struct Task {
     Id128 id;
     std::string service;  ///< its name in the profile

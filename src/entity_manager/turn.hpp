@@ -35,7 +35,8 @@ class Turn {
     virtual bool connected() const = 0;
     /// To a client. Nothing happens when there is no session or `to` has no id.
     virtual void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) = 0;
-    /// Stream samples and raw data to a client, which may be dropped, oldest first. Only while there is a session.
+    /// Stream samples and raw data to a client, which may be dropped, oldest first. Only while there is a
+    /// session.
     virtual void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) = 0;
     /// False where the message is larger than the link takes at once: nothing was sent.
     virtual bool toApplication(const proto::EmToEi& message) = 0;

@@ -23,9 +23,12 @@ class EntityServer::Rim {
     Rim(EntityServerSettings settings, const std::shared_ptr<Ice::Communicator>& data,
         const std::shared_ptr<Ice::Communicator>& signal, const Clock& clock, RandomSource& random,
         EntityServerCore::Note note)
-        : topic(data, settings.topic_signals,
-                {[this](const Header& head, const Refusal& refusal) { core.peerRefusal(Lane::Data, head, refusal); },
-                 [this](const Header& head, const Refusal& refusal) { core.clientUnreached(head, refusal); }}),
+        : topic(
+              data, settings.topic_signals,
+              {[this](const Header& head, const Refusal& refusal) {
+                   core.peerRefusal(Lane::Data, head, refusal);
+               },
+               [this](const Header& head, const Refusal& refusal) { core.clientUnreached(head, refusal); }}),
           core(
               settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
               [this] { wake(); },
@@ -35,8 +38,10 @@ class EntityServer::Rim {
           data_lane{core, Lane::Data, {}, {}, transport::OpenSessions<EntitySessionServant>(clock)},
           signal_lane{
               core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<EntitySessionServant>(clock)},
-          data_adapter(transport::listen(*data, "EntityServer", settings.data_endpoint, 0, transport::Idle::Watched)),
-          signal_adapter(transport::listen(*signal, "EntityServerSignal", settings.signal_endpoint, 0, transport::Idle::Watched)),
+          data_adapter(
+              transport::listen(*data, "EntityServer", settings.data_endpoint, 0, transport::Idle::Watched)),
+          signal_adapter(transport::listen(*signal, "EntityServerSignal", settings.signal_endpoint, 0,
+                                           transport::Idle::Watched)),
           limits(*settings.limits) {
         const auto gate = Ice::stringToIdentity("EntityGate");
         data_lane.logins = settings.logins;
@@ -53,7 +58,8 @@ class EntityServer::Rim {
                 transport::listenForRouters(*data, "EntityServerRouter", settings.router_endpoint, *door);
         }
         if (settings.here == nullptr) {
-            others = transport::listenToServers<FrontEndToEntityServant>(core, "EntityServer", settings, *data);
+            others =
+                transport::listenToServers<FrontEndToEntityServant>(core, "EntityServer", settings, *data);
             topic.setDirect(others.signals, others.messages);
         }
         timer = std::make_unique<transport::TimerThread>(

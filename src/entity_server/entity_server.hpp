@@ -48,11 +48,11 @@ struct EntityServerSettings {
 /// The entity server on Ice: two adapters, EntityServer and EntityServerSignal, each with a communicator and
 /// threads of its own; the registry behind them; a timer thread and a publisher. Thesis: EntityServer.
 ///
-/// One of several has two adapters more, EntityServerTopic and EntityServerTopicSignal, for what comes from the
-/// front-end servers.
+/// One of several has two adapters more, EntityServerTopic and EntityServerTopicSignal, for what comes from
+/// the front-end servers.
 ///
-/// Life: construct, activate(); where there is nobody `here`, publishTo() now and whenever that changes; before it
-/// is destroyed, destroy the communicators, then end().
+/// Life: construct, activate(); where there is nobody `here`, publishTo() now and whenever that changes;
+/// before it is destroyed, destroy the communicators, then end().
 class EntityServer {
   public:
     /// Throws std::runtime_error where it cannot listen (misconfiguration).
@@ -66,7 +66,8 @@ class EntityServer {
     std::string subscriber() const;
     /// Where the two topics are, as stringified proxies: publishers, or the servers themselves. None:
     /// they are down.
-    void publishTo(const std::vector<std::string>& front_ends, const std::vector<std::string>& entity_servers);
+    void publishTo(const std::vector<std::string>& front_ends,
+                   const std::vector<std::string>& entity_servers);
     void activate();
     /// Joins its own threads: nothing is published any more.
     void end();

@@ -18,8 +18,9 @@
 namespace axon::entity_server {
 namespace {
 
-// Of one entity for all others, of messages of runs: in one what a step may give back, which is a frame of the link and
-// some more; in a second the invitations of the largest run twice over. Raw data gives way by itself.
+// Of one entity for all others, of messages of runs: in one what a step may give back, which is a frame of
+// the link and some more; in a second the invitations of the largest run twice over. Raw data gives way by
+// itself.
 constexpr std::size_t kPeerBytes = (1024 + 64) * 1024U;
 constexpr std::uint32_t kPeerBytesPerSecond = 8 * 1024 * 1024U;
 // Of one entity for anybody on a signal lane, which stops share: beats and ends of runs, receipts, refusals.
@@ -52,10 +53,11 @@ class EntityServerCore::Session {
     std::string entity;
     std::atomic<bool> registered{false};
 
-    Snapshot<std::string> name;  // of its newest registration
+    Snapshot<std::string> name;    // of its newest registration
     Snapshot<std::string> holder;  // by its newest status
 
-    RateLimit rate, peer_bytes{kPeerBytesPerSecond}, signal_bytes{kSignalBytesPerSecond}, lines{kLinesPerSecond};
+    RateLimit rate, peer_bytes{kPeerBytesPerSecond}, signal_bytes{kSignalBytesPerSecond},
+        lines{kLinesPerSecond};
     LifeSigns signs;  // written without a lock
     // The drill that is out, 0 = none; when it was sent and how long it took, written without a lock.
     std::atomic<std::uint64_t> drill{0};
@@ -88,12 +90,14 @@ class EntityServerCore::Session {
         return std::chrono::milliseconds{watchdog->busy() ? registration.heartbeat_busy_ms
                                                           : registration.heartbeat_idle_ms};
     }
-    /// The last time not after `latest` at which heartbeats of this period are sent: 16 in each period, the same for all
-    /// sessions with that period, so that the timer wakes for many at once.
-    TimePoint beatBy(TimePoint latest) const { return latest - latest.time_since_epoch() % (period() / kBeatsApart); }
+    /// The last time not after `latest` at which heartbeats of this period are sent: 16 in each period, the
+    /// same for all sessions with that period, so that the timer wakes for many at once.
+    TimePoint beatBy(TimePoint latest) const {
+        return latest - latest.time_since_epoch() % (period() / kBeatsApart);
+    }
     static constexpr int kBeatsApart = 16;
-    /// Within a period from now, each session in its turn of the sixteen, so that many that joined, or began to move, together
-    /// are not served all at once for ever.
+    /// Within a period from now, each session in its turn of the sixteen, so that many that joined, or began
+    /// to move, together are not served all at once for ever.
     TimePoint beatInTurn(TimePoint now) const {
         return beatBy(now + period() * static_cast<int>(number % kBeatsApart + 1) / kBeatsApart);
     }
@@ -113,10 +117,12 @@ constexpr int kHeartbeatMinMs = 10;
 constexpr int kHeartbeatMaxMs = 60'000;
 constexpr std::size_t kNameMax = 256;
 constexpr std::size_t kTextMax = 1024;
-// Another entity server says each 50 ms that it lives; one that is killed does not keep its entities from coming here.
+// Another entity server says each 50 ms that it lives; one that is killed does not keep its entities from
+// coming here.
 constexpr std::chrono::milliseconds kPeerLives{250};
 
-/// Raw data is dropped, oldest first, for an entity that is slower than its peer. False: it is beyond its sender's share.
+/// Raw data is dropped, oldest first, for an entity that is slower than its peer. False: it is beyond its
+/// sender's share.
 bool deliver(EntityOutbox& outbox, const Header& head, std::string_view message) {
     if (head.msg_type != kMsgRaw) return outbox.newClientMsg(head, message, QueueShare::OfSender);
     outbox.newClientMsgDataSeq(head, message);
@@ -129,28 +135,31 @@ Refusal slowEntity(const Header& head) {
 
 Refusal notForPeers(const Header& head) {
     return {RefusalCode::PermissionDenied,
-            "an entity sends other entities COLLABORATION and RAW only, found '" + head.msg_type.substr(0, 64) + '\'',
+            "an entity sends other entities COLLABORATION and RAW only, found '" +
+                head.msg_type.substr(0, 64) + '\'',
             {}};
 }
 
 Refusal tooMuchForPeers(bool in_one) {
-    return {in_one ? RefusalCode::TooLarge : RefusalCode::Overloaded,
-            "an entity sends other entities at most " +
-                (in_one ? std::to_string(kPeerBytes / 1024) + " KiB in a message"
-                        : std::to_string(kPeerBytesPerSecond / 1024) + " KiB of messages of runs in a second"),
-            {}};
+    return {
+        in_one ? RefusalCode::TooLarge : RefusalCode::Overloaded,
+        "an entity sends other entities at most " +
+            (in_one ? std::to_string(kPeerBytes / 1024) + " KiB in a message"
+                    : std::to_string(kPeerBytesPerSecond / 1024) + " KiB of messages of runs in a second"),
+        {}};
 }
 
 Refusal tooMuchOnSignalLane() {
     return {RefusalCode::Overloaded,
-            "the signal lane takes no raw data, messages of at most " + std::to_string(kSignalBytes / 1024) + " KiB, and " +
-                std::to_string(kSignalBytesPerSecond / 1024) + " KiB in a second",
+            "the signal lane takes no raw data, messages of at most " + std::to_string(kSignalBytes / 1024) +
+                " KiB, and " + std::to_string(kSignalBytesPerSecond / 1024) + " KiB in a second",
             {}};
 }
 
 Refusal noSuchPeer(const Header& head) {
     return {RefusalCode::UnknownEntity,
-            "no entity " + head.entity.substr(0, 64) + " is connected; 'axon ls' shows those that are there", {}};
+            "no entity " + head.entity.substr(0, 64) + " is connected; 'axon ls' shows those that are there",
+            {}};
 }
 
 /// Like it, and one that isEntityName().
@@ -281,15 +290,18 @@ Result<void> EntityServerCore::sendBasicPrfl(const SessionRef& session, Registra
             if (const auto other = registered_.find(registration.entity); other != registered_.end()) {
                 return refuse(RefusalCode::Duplicate,
                               "entity " + registration.entity + " ('" + *other->second->name.load() +
-                                  "') is connected already; if the state folder of an Entity Manager was copied, give the copy an "
+                                  "') is connected already; if the state folder of an Entity Manager was "
+                                  "copied, give the copy an "
                                   "empty one (--state), and it becomes another entity");
             }
             const auto at = elsewhere(registration.entity, Lane::Data);
             if (at && entity_servers_.hears(at->server, kPeerLives, now)) {
-                return refuse(RefusalCode::Duplicate,
-                              "entity " + registration.entity + " is connected already, to entity server " + at->server +
-                                  "; if the state folder of an Entity Manager was copied, give the copy an empty "
-                                  "one (--state), and it becomes another entity");
+                return refuse(
+                    RefusalCode::Duplicate,
+                    "entity " + registration.entity + " is connected already, to entity server " +
+                        at->server +
+                        "; if the state folder of an Entity Manager was copied, give the copy an empty "
+                        "one (--state), and it becomes another entity");
             }
             if (registered_.size() >= settings_.entities_max) {
                 return refuse(RefusalCode::Overloaded, "the server has its " +
@@ -359,12 +371,14 @@ void EntityServerCore::sendStatus(const SessionRef& session, EntityStatus status
                 ++session->lines_left_out;
                 line.clear();
             } else if (const auto left_out = std::exchange(session->lines_left_out, 0); left_out > 0) {
-                line += " (" + std::to_string(left_out) + " changes of its holder before this one are not in the log)";
+                line += " (" + std::to_string(left_out) +
+                        " changes of its holder before this one are not in the log)";
             }
         }
         if (before.holder.id != status.holder.id)
             session->holder.store(std::make_shared<const std::string>(status.holder.id));
-        late = before.holder.id != status.holder.id && !status.orphaned && !front_ends_.serves(status.holder.id);
+        late =
+            before.holder.id != status.holder.id && !status.orphaned && !front_ends_.serves(status.holder.id);
         if (late) given = status;
         countBusy(before, status, now);
         became_busy = busy && !session->watchdog->busy();
@@ -411,7 +425,8 @@ bool EntityServerCore::flooded(const SessionRef& session) {
 
 bool EntityServerCore::tooMuchSignal(Session& session, std::string_view message) {
     return message.size() > kSignalBytes ||
-           !session.signal_bytes.admit(clock_.now(), static_cast<std::uint32_t>(message.size() + kSignalOverhead));
+           !session.signal_bytes.admit(clock_.now(),
+                                       static_cast<std::uint32_t>(message.size() + kSignalOverhead));
 }
 
 void EntityServerCore::sendToClient(const SessionRef& session, Lane lane, Header head,
@@ -430,7 +445,8 @@ void EntityServerCore::sendToClientDataSeq(const SessionRef& session, Header hea
     topic_.entityMsgDataSeq(head, data);
 }
 
-void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head, std::string_view message) {
+void EntityServerCore::sendToPeer(const SessionRef& session, Lane lane, Header head,
+                                  std::string_view message) {
     if (!session->registered || flooded(session)) return;
     if (!entitiesMaySend(head.msg_type)) return session->outbox(lane).newRefusalMsg(head, notForPeers(head));
     if (lane == Lane::Signal && (head.msg_type == kMsgRaw || tooMuchSignal(*session, message)))
@@ -495,7 +511,9 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
         leaveToPublisher(session->entity);
         pending_();
         note_(*session->name.load() + " left: " + why +
-              (lines_left_out > 0 ? " (" + std::to_string(lines_left_out) + " changes of its holder are not in the log)" : ""));
+              (lines_left_out > 0
+                   ? " (" + std::to_string(lines_left_out) + " changes of its holder are not in the log)"
+                   : ""));
     }
 }
 
@@ -514,8 +532,8 @@ void EntityServerCore::refuseSlow(Lane lane, const Header& head) {
 
 void EntityServerCore::noteSlow(const Header& head) {
     if (slow_lines_.admit(clock_.now()))
-        note_("entity " + head.entity.substr(0, 64) + " reads slowly, and " + head.sender.name + " (" + head.sender.id +
-              ") sends it more than its share of the queue: refused");
+        note_("entity " + head.entity.substr(0, 64) + " reads slowly, and " + head.sender.name + " (" +
+              head.sender.id + ") sends it more than its share of the queue: refused");
 }
 
 // Data is not answered message by message: a sender that streams to an entity that left needs one answer.
@@ -678,8 +696,9 @@ TimePoint EntityServerCore::onNeighboursTimer() {
         pending_();
     }
     for (const auto& name : news.lost) {
-        note_("front-end server " + name + " is gone; its clients held " + std::to_string(left_behind.size()) +
-              (left_behind.size() == 1 ? " entity" : " entities") + " here");
+        note_("front-end server " + name + " is gone; its clients held " +
+              std::to_string(left_behind.size()) + (left_behind.size() == 1 ? " entity" : " entities") +
+              " here");
     }
     for (const auto& name : news.arrived) note_("front-end server " + name + " is there");
     for (const auto& name : peers.lost) note_("entity server " + name + " is gone");
@@ -687,7 +706,8 @@ TimePoint EntityServerCore::onNeighboursTimer() {
     return std::min({news.next, peers.next, next_beat_, next_announcement_});
 }
 
-/// `send` returns whether the outbox took it. All that take it first: no entity's stop waits for others' refusals.
+/// `send` returns whether the outbox took it. All that take it first: no entity's stop waits for others'
+/// refusals.
 template <class Send>
 void EntityServerCore::toEntities(const Header& head, Send&& send) {
     if (!head.entity.empty()) {
@@ -781,7 +801,8 @@ TimePoint EntityServerCore::onTimer() {
             }
             if (session->next_heartbeat <= now) {
                 heartbeats.emplace_back(session, ++session->heartbeats);
-                // From when it was due, so that late ones keep apart. Catching up after a pause would only send a burst.
+                // From when it was due, so that late ones keep apart. Catching up after a pause would only
+                // send a burst.
                 const auto beat = session->beatBy(session->next_heartbeat + session->period());
                 session->next_heartbeat = beat > now ? beat : session->beatInTurn(now);
             }
@@ -949,8 +970,8 @@ bool EntityServerCore::tellsProfile(const RecordRef& before, const RecordRef& no
            (now->profile != before->profile && *now->profile != *before->profile);
 }
 
-/// Under the registry's mutex: whether this entity changes faster than all clients are told. It comes again then, and
-/// what is told is what holds by then.
+/// Under the registry's mutex: whether this entity changes faster than all clients are told. It comes again
+/// then, and what is told is what holds by then.
 bool EntityServerCore::isPaced(Session& session, bool again) {
     const auto now = clock_.now();
     const auto at = session.pace.next(now);
@@ -963,7 +984,8 @@ bool EntityServerCore::isPaced(Session& session, bool again) {
     }
     const auto published = published_.find(session.entity);
     const auto before = published != published_.end() ? published->second : nullptr;
-    const auto profile = tellsProfile(before, session.record, again) ? session.record->profile->size() / kProfileStep : 0;
+    const auto profile =
+        tellsProfile(before, session.record, again) ? session.record->profile->size() / kProfileStep : 0;
     session.pace.take(now, 1 + static_cast<std::uint32_t>(profile));
     return false;
 }
@@ -1028,8 +1050,9 @@ void EntityServerCore::publishPending() {
     }
 }
 
-/// When everything about entities has been said: the list of them, and this server's word of itself, whose count
-/// tells a front-end server whether it has heard everything before it. Returns whether it said one of them.
+/// When everything about entities has been said: the list of them, and this server's word of itself, whose
+/// count tells a front-end server whether it has heard everything before it. Returns whether it said one of
+/// them.
 bool EntityServerCore::publishSummary() {
     std::optional<std::vector<std::string>> entities;
     std::vector<std::string> here;

@@ -24,8 +24,8 @@
 namespace axon::entity_server {
 
 struct CoreSettings {
-    /// Of one of several entity servers in processes of their own (isServerName); empty: it is the only one, with
-    /// the only front-end server beside it.
+    /// Of one of several entity servers in processes of their own (isServerName); empty: it is the only one,
+    /// with the only front-end server beside it.
     std::string name;
     Neighbours::Timeouts front_ends;
     Neighbours::Timeouts entity_servers;
@@ -53,21 +53,20 @@ struct CoreSettings {
 ///
 /// States of a session: opened ─ attach() ► two lanes ─ sendBasicPrfl() ► registered ─ leave() ► gone.
 ///
-/// One of several: it announces itself to the front-end servers, and misses them. A front-end server that falls
-/// silent, or has started anew, leaves clients behind that nobody watches: each entity that one of them holds is
-/// stopped and told that it lost its client, also where the grant becomes known later. What comes by the topic for an
-/// entity that is not here may be another's, and is not refused; what comes straight is. Entity
-/// servers tell each other what entities they have, each second and when that changes: what one entity sends another
-/// finds its way by that, or is refused, and an entity that another living server has is refused as a duplicate
-/// (unless both join within the 50 ms until that is told).
+/// One of several: it announces itself to the front-end servers, and misses them. A front-end server that
+/// falls silent, or has started anew, leaves clients behind that nobody watches: each entity that one of them
+/// holds is stopped and told that it lost its client, also where the grant becomes known later. What comes by
+/// the topic for an entity that is not here may be another's, and is not refused; what comes straight is.
+/// Entity servers tell each other what entities they have, each second and when that changes: what one entity
+/// sends another finds its way by that, or is refused, and an entity that another living server has is
+/// refused as a duplicate (unless both join within the 50 ms until that is told).
 ///
-/// It holds of each entity: UUID → outboxes, UUID → registration, basic profile bytes and last status; of each that
-/// is elsewhere: UUID → entity server.
-/// Payloads are opaque. Threads: any, concurrently; calls for one lane of one session come one after the
-/// other. Routing reads immutable tables, of which each lane has its own reference; the registry's mutex is
-/// taken when entities join, change and leave and by the timer, never by a message, a signal or a sign of
-/// life. Failure:
-/// refusals are returned or sent back; nothing throws.
+/// It holds of each entity: UUID → outboxes, UUID → registration, basic profile bytes and last status; of
+/// each that is elsewhere: UUID → entity server. Payloads are opaque. Threads: any, concurrently; calls for
+/// one lane of one session come one after the other. Routing reads immutable tables, of which each lane has
+/// its own reference; the registry's mutex is taken when entities join, change and leave and by the timer,
+/// never by a message, a signal or a sign of life. Failure: refusals are returned or sent back; nothing
+/// throws.
 class EntityServerCore {
   public:
     class Session;
@@ -106,8 +105,8 @@ class EntityServerCore {
     void clientMsg(const Header& head, std::string_view message, Way way = Way::Topic);
     void clientMsgDataSeq(const Header& head, std::string_view data, Way way = Way::Topic);
     /// STATUS: everything that is known is published again, and a list of it all at the end; for a front-end
-    /// server in a process of its own that comes later than the entities. The embedded one has heard of them all
-    /// and does not ask. `head.entity` names the entity server, empty = all.
+    /// server in a process of its own that comes later than the entities. The embedded one has heard of them
+    /// all and does not ask. `head.entity` names the entity server, empty = all.
     void clientRequest(const Header& head);
     void clientUpdate(const Header& head, ClientChange change);
     void stopSignal(const Header& head, StopCause cause);
@@ -121,7 +120,8 @@ class EntityServerCore {
 
     // From the other entity servers. `head.sender` is an entity, and has been vouched for.
     /// `lane`: Signal = directly, Data = by the topic, with all its entities.
-    void entityServerUpdate(Lane lane, const ServerAnnouncement& server, const std::vector<std::string>& entities);
+    void entityServerUpdate(Lane lane, const ServerAnnouncement& server,
+                            const std::vector<std::string>& entities);
     void peerMsg(Lane lane, const Header& head, std::string_view message);
     void peerRefusal(Lane lane, const Header& head, const Refusal& refusal);
 
@@ -163,7 +163,9 @@ class EntityServerCore {
     template <class Send>
     void toEntities(const Header& head, Send&& send);
     void refuseUnknown(Lane lane, const Header& head, Way way = Way::Topic);
-    SessionRef atHome(const std::string& entity, Lane lane) const { return table_.find(entity, static_cast<std::size_t>(lane)); }
+    SessionRef atHome(const std::string& entity, Lane lane) const {
+        return table_.find(entity, static_cast<std::size_t>(lane));
+    }
     ElsewhereRef elsewhere(const std::string& entity, Lane lane) const {
         return elsewhere_.find(entity, static_cast<std::size_t>(lane));
     }
@@ -203,7 +205,7 @@ class EntityServerCore {
     const std::function<void()> pending_;
 
     const std::string instance_;  // of this start, as the front-end servers know it
-    const std::string drill_;  // what the sender ids of drills begin with; nobody else's do
+    const std::string drill_;     // what the sender ids of drills begin with; nobody else's do
 
     SnapshotTable<SessionRef, 2> table_;        // by entity, for each lane
     SnapshotTable<ElsewhereRef, 2> elsewhere_;  // by entity, for each lane

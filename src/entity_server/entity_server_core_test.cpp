@@ -109,7 +109,8 @@ class FakeTopic final : public FrontEndTopic {
         reached.clear();
         for (const auto& server : servers) reached.push_back(server.signals);
     }
-    void peersUpdate(Lane lane, const ServerAnnouncement&, const std::vector<std::string>& entities) override {
+    void peersUpdate(Lane lane, const ServerAnnouncement&,
+                     const std::vector<std::string>& entities) override {
         if (lane == Lane::Data) told_peers = entities;
     }
     void reachPeers(const std::vector<ServerAnnouncement>& servers) override {
@@ -119,11 +120,12 @@ class FakeTopic final : public FrontEndTopic {
     Result<void> peerMsg(Lane lane, const std::string& server, const Header& head,
                          std::string_view message) override {
         if (!reaches_peers) return Refusal{RefusalCode::NotConnected, "out of reach", {}};
-        lines.push_back((lane == Lane::Signal ? "signal peer at " : "peer at ") + server + " " + head.sender.name +
-                        " " + std::string(message));
+        lines.push_back((lane == Lane::Signal ? "signal peer at " : "peer at ") + server + " " +
+                        head.sender.name + " " + std::string(message));
         return {};
     }
-    void peerRefusal(Lane lane, const std::string& server, const Header& head, const Refusal& refusal) override {
+    void peerRefusal(Lane lane, const std::string& server, const Header& head,
+                     const Refusal& refusal) override {
         lines.push_back((lane == Lane::Signal ? "signal refused " : "refused ") +
                         std::string(refusalName(refusal.code)) + " to " + head.sender.id + " at " + server);
     }
@@ -351,10 +353,12 @@ TEST_F(EntityServerTest, AnEntitySpeaksUnderItsOwnName) {
 TEST_F(EntityServerTest, AnEntityCommandsNoOther) {
     const auto first = join(kFirst, "Master");
     const auto second = join(kSecond, "Slave");
-    for (const auto* type : {"", kMsgCheckOut, kMsgTask, kMsgRearm, kMsgRelease, kMsgParam, kMsgRun, kMsgStatus, kMsgWay}) {
+    for (const auto* type :
+         {"", kMsgCheckOut, kMsgTask, kMsgRearm, kMsgRelease, kMsgParam, kMsgRun, kMsgStatus, kMsgWay}) {
         auto sent = head(kSecond);
         sent.msg_type = type;
-        for (const auto lane : {Lane::Data, Lane::Signal}) core.sendToPeer(first.session, lane, sent, "take it");
+        for (const auto lane : {Lane::Data, Lane::Signal})
+            core.sendToPeer(first.session, lane, sent, "take it");
     }
     EXPECT_THAT(first.data->lines, testing::Each("refused PERMISSION_DENIED"));
     EXPECT_THAT(first.data->lines, testing::SizeIs(9));
@@ -376,7 +380,8 @@ TEST_F(EntityServerTest, AnEntityDoesNotFillTheQueueOfAnother) {
     core.sendToPeer(first.session, Lane::Data, toPeer(kSecond), large);
     core.sendToPeer(first.session, Lane::Data, raw, large);
     EXPECT_THAT(first.data->lines, ElementsAre("refused TOO_LARGE", "refused TOO_LARGE"));
-    for (int i = 0; i < 100; ++i) core.sendToPeer(first.session, Lane::Data, toPeer(kSecond), std::string(1024 * 1024, 'x'));
+    for (int i = 0; i < 100; ++i)
+        core.sendToPeer(first.session, Lane::Data, toPeer(kSecond), std::string(1024 * 1024, 'x'));
     EXPECT_THAT(second.data->lines, testing::SizeIs(8));
     EXPECT_EQ(first.data->lines.back(), "refused OVERLOADED");
     core.sendToPeer(first.session, Lane::Data, raw, std::string(1024 * 1024, 'x'));
@@ -394,8 +399,10 @@ TEST_F(EntityServerTest, ASignalLaneIsNotFilledByAnEntity) {
     core.sendToPeer(first.session, Lane::Signal, raw, "laser");
     core.sendToPeer(first.session, Lane::Signal, toPeer(kSecond), large);
     core.sendToClient(first.session, Lane::Signal, head(kSecond), large);
-    EXPECT_THAT(first.signal->lines, ElementsAre("refused OVERLOADED", "refused OVERLOADED", "refused OVERLOADED"));
-    for (int i = 0; i < 1000; ++i) core.sendToPeer(first.session, Lane::Signal, toPeer(kSecond), std::string(16 * 1024, 'x'));
+    EXPECT_THAT(first.signal->lines,
+                ElementsAre("refused OVERLOADED", "refused OVERLOADED", "refused OVERLOADED"));
+    for (int i = 0; i < 1000; ++i)
+        core.sendToPeer(first.session, Lane::Signal, toPeer(kSecond), std::string(16 * 1024, 'x'));
     EXPECT_THAT(second.signal->lines, testing::SizeIs(64)) << "1 MiB in a second";
 }
 
@@ -417,8 +424,10 @@ TEST_F(EntityServerTest, WhoLeavesTooMuchAtAnEntityThatReadsSlowlyIsToldAndNamed
     core.clearSignal(head(kFirst));
     core.stopSignals(head({}), {kFirst, kSecond}, StopCause::Requested);
     core.stopSignal(head({}), StopCause::Requested);
-    EXPECT_THAT(topic.take(), testing::AllOf(testing::SizeIs(5), testing::Each("refused OVERLOADED to c1 of 9")));
-    EXPECT_THAT(other.signal->lines, ElementsAre("stop requested", "stop requested")) << "and those of nobody else";
+    EXPECT_THAT(topic.take(),
+                testing::AllOf(testing::SizeIs(5), testing::Each("refused OVERLOADED to c1 of 9")));
+    EXPECT_THAT(other.signal->lines, ElementsAre("stop requested", "stop requested"))
+        << "and those of nobody else";
     core.sendToPeer(other.session, Lane::Data, toPeer(kFirst), "step");
     EXPECT_THAT(other.data->lines, ElementsAre("refused OVERLOADED"));
     EXPECT_THAT(notes.back(), HasSubstr("and Robot (" + std::string(kSecond) + ")"));
@@ -455,7 +464,9 @@ TEST_F(EntityServerTest, AnEntityThatChangesWithoutEndIsToldOfEvenlyAndAsItIs) {
         if (i != 99) continue;
         EXPECT_THAT(topic.take(), testing::SizeIs(testing::Le(14U)));
     }
-    EXPECT_THAT(topic.take(), testing::AllOf(testing::Each("changed Robot"), testing::SizeIs(testing::AllOf(testing::Ge(10U), testing::Le(14U)))))
+    EXPECT_THAT(topic.take(),
+                testing::AllOf(testing::Each("changed Robot"),
+                               testing::SizeIs(testing::AllOf(testing::Ge(10U), testing::Le(14U)))))
         << "3.2 MiB of profiles in a second";
     core.leave(peer.session, true, "over");
     pass(1s);
@@ -925,7 +936,8 @@ TEST_F(OneOfSeveral, AnswersAStatusOfItsNameWithEverythingAndTheListAtTheEnd) {
     core.clientRequest(request);
     const auto lines = topic.take();
     ASSERT_EQ(lines.size(), 5U);
-    EXPECT_THAT(lines, testing::IsSupersetOf({"changed Robot", "changed Other", "status IDLE", "status ERR"}));
+    EXPECT_THAT(lines,
+                testing::IsSupersetOf({"changed Robot", "changed Other", "status IDLE", "status ERR"}));
     EXPECT_EQ(lines.back(), "all of es1: 2");
     EXPECT_EQ(topic.last.server, "es1");
 }
@@ -956,7 +968,8 @@ TEST_F(OneOfSeveral, RefusesNothingThatAnotherMayHave) {
 class OtherEntityServers : public OneOfSeveral {
   protected:
     void hear(Lane lane, const std::string& server, const std::vector<std::string>& entities = {}) {
-        core.entityServerUpdate(lane, {server, "one", "signals of " + server, 0, "messages of " + server}, entities);
+        core.entityServerUpdate(lane, {server, "one", "signals of " + server, 0, "messages of " + server},
+                                entities);
     }
 };
 
@@ -993,7 +1006,8 @@ TEST_F(OtherEntityServers, WhatComesForAnEntityThatHasLeftIsRefusedToItsSender) 
     core.leave(here.session, true, "it left");
     topic.take();
     core.peerMsg(Lane::Signal, head(kFirst, kSecond), "beat");
-    EXPECT_THAT(topic.take(), ElementsAre(std::string("signal refused UNKNOWN_ENTITY to ") + kSecond + " at es2"));
+    EXPECT_THAT(topic.take(),
+                ElementsAre(std::string("signal refused UNKNOWN_ENTITY to ") + kSecond + " at es2"));
 
     const auto sender = join(kFirst);
     core.peerRefusal(Lane::Data, head(kSecond, kFirst), {RefusalCode::UnknownEntity, "", {}});

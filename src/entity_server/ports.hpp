@@ -16,8 +16,8 @@ namespace axon::entity_server {
 // What EntityServerCore needs from the world. The core calls these with none of its locks held; none may
 // block, none throws, and none may call back into the core before it returns.
 
-/// The way to one Entity Manager on one lane (thesis: EntityMonitorCallbackAdapter). Those that return false send nothing
-/// then: the message is beyond its sender's share of the queue.
+/// The way to one Entity Manager on one lane (thesis: EntityMonitorCallbackAdapter). Those that return false
+/// send nothing then: the message is beyond its sender's share of the queue.
 class EntityOutbox {
   public:
     virtual ~EntityOutbox() = default;
@@ -44,28 +44,32 @@ class FrontEndTopic {
                                        std::string_view profile) = 0;
     /// `number` grows with each; the only server has no need of it. To each that is reached straight, too.
     virtual void entityUpdate(const EntityStatus& status, std::int64_t number) = 0;
-    /// What is for one client and does not reach its server is told by clientUnreached(), perhaps before this returns.
+    /// What is for one client and does not reach its server is told by clientUnreached(), perhaps before this
+    /// returns.
     virtual void entityMsg(Lane lane, const Header& head, std::string_view message) = 0;
     virtual void entityMsgDataSeq(const Header& head, std::string_view data) = 0;
     virtual void entityRefusal(Lane lane, const Header& head, const Refusal& refusal) = 0;
 
     // Of one of several servers; the only one needs none of them.
     /// Ends an answer to STATUS.
-    virtual void entityServerEntities(const std::string& /*server*/, const std::vector<std::string>& /*entities*/) {}
+    virtual void entityServerEntities(const std::string& /*server*/,
+                                      const std::vector<std::string>& /*entities*/) {}
     /// Data: to all, by the topic. Signal: straight to each that is reached.
     virtual void entityServerUpdate(Lane /*lane*/, const ServerAnnouncement& /*self*/) {}
-    /// The front-end servers that signals are sent to directly besides the topic; replaces those named before.
+    /// The front-end servers that signals are sent to directly besides the topic; replaces those named
+    /// before.
     virtual void reach(const std::vector<ServerAnnouncement>& /*front_ends*/) {}
 
     // And towards the other entity servers.
-    /// Data: which entities are here, to all by the topic of figure 3.15. Signal: that it lives, straight to each
-    /// that is reached, without the entities.
+    /// Data: which entities are here, to all by the topic of figure 3.15. Signal: that it lives, straight to
+    /// each that is reached, without the entities.
     virtual void peersUpdate(Lane /*lane*/, const ServerAnnouncement& /*self*/,
                              const std::vector<std::string>& /*entities*/) {}
     /// The entity servers that are reached directly; replaces those named before.
     virtual void reachPeers(const std::vector<ServerAnnouncement>& /*entity_servers*/) {}
-    /// To an entity of this other entity server, straight, by that lane. Refuses where it is known at once that
-    /// it will not arrive; what is known of a message of the data lane later comes back as peerRefusal().
+    /// To an entity of this other entity server, straight, by that lane. Refuses where it is known at once
+    /// that it will not arrive; what is known of a message of the data lane later comes back as
+    /// peerRefusal().
     virtual Result<void> peerMsg(Lane /*lane*/, const std::string& /*server*/, const Header& /*head*/,
                                  std::string_view /*message*/) {
         return {};

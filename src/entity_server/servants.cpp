@@ -115,20 +115,22 @@ namespace {
 
 Refusal serverUnreached(const std::string& server) {
     return {RefusalCode::NotConnected,
-            "entity server " + server + ", which has that entity, is out of reach at the moment; try again", {}};
+            "entity server " + server + ", which has that entity, is out of reach at the moment; try again",
+            {}};
 }
 
 }  // namespace
 
 IceFrontEndTopic::IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
-                                   const std::shared_ptr<Ice::Communicator>& signal,
-                                   Lost lost)
+                                   const std::shared_ptr<Ice::Communicator>& signal, Lost lost)
     : peer_lost_([lost = std::move(lost.to_peer)](const Header& head) {
           lost(head, {RefusalCode::NotConnected,
-                      "the connection to the entity server that has that entity has failed; try again", {}});
+                      "the connection to the entity server that has that entity has failed; try again",
+                      {}});
       }),
       client_lost_([lost = lost.to_client](const Header& head) {
-          lost(head, {RefusalCode::NotConnected, "the connection to the client's front-end server has failed", {}});
+          lost(head,
+               {RefusalCode::NotConnected, "the connection to the client's front-end server has failed", {}});
       }),
       to_client_refused_(std::move(lost.to_client)),
       front_ends_(data, signal, "entity server"),
@@ -204,7 +206,8 @@ void IceFrontEndTopic::entityServerEntities(const std::string& server,
                                             const std::vector<std::string>& entities) {
     front_ends_.data(Traffic::Control, entities.size() * 40,
                      [server, entities](FrontEndPrx& prx, Answered a, Failed f, Sent s) {
-                         prx.entityServerEntitiesAsync(server, entities, std::move(a), std::move(f), std::move(s));
+                         prx.entityServerEntitiesAsync(server, entities, std::move(a), std::move(f),
+                                                       std::move(s));
                      });
 }
 Axon::CommUtil::ServerAnnouncement IceFrontEndTopic::withProxies(const ServerAnnouncement& self) const {
@@ -226,7 +229,8 @@ void IceFrontEndTopic::reach(const std::vector<ServerAnnouncement>& front_ends) 
 }
 void IceFrontEndTopic::peersUpdate(Lane lane, const ServerAnnouncement& self,
                                    const std::vector<std::string>& entities) {
-    const auto call = [announcement = withProxies(self), entities](PeerPrx& prx, Answered a, Failed f, Sent s) {
+    const auto call = [announcement = withProxies(self), entities](PeerPrx& prx, Answered a, Failed f,
+                                                                   Sent s) {
         prx.entityServerUpdateAsync(announcement, entities, std::move(a), std::move(f), std::move(s));
     };
     peers_.reopen();
@@ -259,8 +263,8 @@ Result<void> IceFrontEndTopic::peerMsg(Lane lane, const std::string& server, con
     const auto taken = peers_.straight(
         lane, server, Traffic::Control, head, message,
         [ticket](PeerPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.peerMsgAsync(h, bytes, std::move(a), transport::PublicationTicket::watch(ticket, std::move(f)),
-                             std::move(s));
+            prx.peerMsgAsync(h, bytes, std::move(a),
+                             transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
             ticket->given();
         },
         from);
@@ -303,11 +307,12 @@ void EntitySessionServant::sendBasicPrfl(Axon::CommUtil::Registration registrati
     const auto& its_session = session_.of(current);
     auto its = fromIce(std::move(registration));
     if (!transport::mayRegister(its.entity, toView(secret))) {
-        spdlog::warn("audit: registration of {} refused, from {}: without its secret", its.entity.substr(0, 64),
-                     session_.peer()->peer());
+        spdlog::warn("audit: registration of {} refused, from {}: without its secret",
+                     its.entity.substr(0, 64), session_.peer()->peer());
         throw toIce(Refusal{RefusalCode::PermissionDenied,
                             "the UUID " + its.entity.substr(0, 64) +
-                                " is bound to a secret, which was not shown: it is in the state folder of the robot that has this UUID "
+                                " is bound to a secret, which was not shown: it is in the state folder of "
+                                "the robot that has this UUID "
                                 "(docs/reference/sessions.md)",
                             {}});
     }
@@ -335,7 +340,8 @@ void EntitySessionServant::sendToClientDataSeq(IceHeader head, ByteRange data, c
     lane_.core.sendToClientDataSeq(session_.of(current), proper(std::move(head), current), toView(data));
 }
 void EntitySessionServant::sendToPeer(IceHeader head, ByteRange message, const Ice::Current& current) {
-    lane_.core.sendToPeer(session_.of(current), lane_.lane, proper(std::move(head), current), toView(message));
+    lane_.core.sendToPeer(session_.of(current), lane_.lane, proper(std::move(head), current),
+                          toView(message));
 }
 void EntitySessionServant::keepAlive(double, const Ice::Current& current) {
     lane_.core.keepAlive(session_.of(current));
@@ -377,7 +383,8 @@ transport::RouterDoor doorForRouters(EntityLane& data,
     return transport::makeDoor<Axon::EntityComm::EntitySessionPrx>(
         data, data_adapter, signal, signal_adapter, routers, &transport::Logins::entity,
         &transport::Logins::vouchedEntity,
-        [](EntityLane& lane, const std::shared_ptr<transport::RoutedConnection>& peer, const transport::LoggedIn& who,
+        [](EntityLane& lane, const std::shared_ptr<transport::RoutedConnection>& peer,
+           const transport::LoggedIn& who,
            const std::string&) { return std::make_shared<EntitySessionServant>(lane, peer, who.entity); });
 }
 
@@ -420,7 +427,8 @@ void FrontEndToEntityServant::peerMsg(IceHeader head, ByteRange message, const I
     core_.peerMsg(lane_, fromIce(std::move(head)), toView(message));
 }
 void FrontEndToEntityServant::peerRefusal(IceHeader head, int code, std::string reason, const Ice::Current&) {
-    core_.peerRefusal(lane_, fromIce(std::move(head)), {static_cast<RefusalCode>(code), std::move(reason), {}});
+    core_.peerRefusal(lane_, fromIce(std::move(head)),
+                      {static_cast<RefusalCode>(code), std::move(reason), {}});
 }
 
 }  // namespace axon::entity_server

@@ -37,12 +37,12 @@ class IceEntityOutbox final : public EntityOutbox {
     const transport::CallbackSender<Axon::EntityComm::EntityCallbackPrx> sender_;
 };
 
-/// FrontEndTopic towards front-end servers in other processes: by the topic; signals and statuses besides straight to
-/// each, and what is for one client straight to its server instead.
+/// FrontEndTopic towards front-end servers in other processes: by the topic; signals and statuses besides
+/// straight to each, and what is for one client straight to its server instead.
 class IceFrontEndTopic final : public FrontEndTopic {
   public:
-    /// What is called for a message that was taken and found nobody then: one to an entity of another server, and
-    /// one to a client. Any thread.
+    /// What is called for a message that was taken and found nobody then: one to an entity of another server,
+    /// and one to a client. Any thread.
     struct Lost {
         std::function<void(const Header&, const Refusal&)> to_peer, to_client;
     };
@@ -50,7 +50,8 @@ class IceFrontEndTopic final : public FrontEndTopic {
     IceFrontEndTopic(const std::shared_ptr<Ice::Communicator>& data,
                      const std::shared_ptr<Ice::Communicator>& signal, Lost lost);
     /// As stringified proxies; none: the topic is down.
-    void publishTo(const std::vector<std::string>& front_ends, const std::vector<std::string>& entity_servers) {
+    void publishTo(const std::vector<std::string>& front_ends,
+                   const std::vector<std::string>& entity_servers) {
         front_ends_.publishTo(front_ends);
         peers_.publishTo(entity_servers);
     }
@@ -68,10 +69,13 @@ class IceFrontEndTopic final : public FrontEndTopic {
     void entityServerEntities(const std::string& server, const std::vector<std::string>& entities) override;
     void entityServerUpdate(Lane lane, const ServerAnnouncement& self) override;
     void reach(const std::vector<ServerAnnouncement>& front_ends) override;
-    void peersUpdate(Lane lane, const ServerAnnouncement& self, const std::vector<std::string>& entities) override;
+    void peersUpdate(Lane lane, const ServerAnnouncement& self,
+                     const std::vector<std::string>& entities) override;
     void reachPeers(const std::vector<ServerAnnouncement>& entity_servers) override;
-    Result<void> peerMsg(Lane lane, const std::string& server, const Header& head, std::string_view message) override;
-    void peerRefusal(Lane lane, const std::string& server, const Header& head, const Refusal& refusal) override;
+    Result<void> peerMsg(Lane lane, const std::string& server, const Header& head,
+                         std::string_view message) override;
+    void peerRefusal(Lane lane, const std::string& server, const Header& head,
+                     const Refusal& refusal) override;
 
   private:
     template <class Call>
@@ -164,7 +168,8 @@ transport::RouterDoor doorForRouters(EntityLane& data,
 /// Listens to the front-end servers on one lane (thesis figure 3.15).
 class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntityComm {
   public:
-    FrontEndToEntityServant(EntityServerCore& core, Lane lane, Way way) : core_(core), lane_(lane), way_(way) {}
+    FrontEndToEntityServant(EntityServerCore& core, Lane lane, Way way)
+        : core_(core), lane_(lane), way_(way) {}
     void clientMsg(Axon::CommUtil::Header head, transport::ByteRange message, const Ice::Current&) override;
     void clientMsgDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,
                           const Ice::Current&) override;

@@ -18,12 +18,12 @@ namespace axon::front_end_server {
 
 namespace {
 
-// Of who does not hold the entity, since its Entity Manager must read a message before it can tell whose it is: in one
-// message, more than a chunk of an upload; in a second, less than a slow link to a robot carries.
+// Of who does not hold the entity, since its Entity Manager must read a message before it can tell whose it
+// is: in one message, more than a chunk of an upload; in a second, less than a slow link to a robot carries.
 constexpr std::size_t kStrangersBytes = 128 * 1024U;
 constexpr std::uint32_t kStrangersBytesPerSecond = 1024 * 1024U;
-constexpr std::size_t kUnknownAsked = 256;     // entities that a client may ask before the server knows them
-constexpr std::uint32_t kListsPerSecond = 4;   // of all entities, for one client
+constexpr std::size_t kUnknownAsked = 256;    // entities that a client may ask before the server knows them
+constexpr std::uint32_t kListsPerSecond = 4;  // of all entities, for one client
 constexpr std::uint32_t kLinesPerSecond = 8;  // of the log, of a kind
 
 }  // namespace
@@ -52,10 +52,11 @@ class FrontEndCore::Client {
     Snapshot<std::shared_ptr<ClientOutbox>> signal;  // null inside until attach()
     LifeSigns signs;                                 // written without a lock
     std::atomic<std::size_t> told{0};                // entities, when it joined
-    mutable std::mutex asked_mutex;                  // after the core's; of who goes on, for a word of a few bytes
-    std::unordered_map<std::string, bool> asked;  // guarded by it: which know of it; whether it wanted a check-out
-    bool asked_taken = false;                     // guarded by it
-    std::unordered_set<std::string> held;         // guarded by it; as holdings_ of the core has it
+    mutable std::mutex asked_mutex;  // after the core's; of who goes on, for a word of a few bytes
+    std::unordered_map<std::string, bool>
+        asked;                             // guarded by it: which know of it; whether it wanted a check-out
+    bool asked_taken = false;              // guarded by it
+    std::unordered_set<std::string> held;  // guarded by it; as holdings_ of the core has it
 
     // Guarded by the core's mutex.
     Watchdog watchdog;
@@ -72,7 +73,8 @@ class FrontEndCore::Client {
         fed = last;
         watchdog.feed(last);
     }
-    /// Not any more once it has left. One that is not known here may be joining; of names that nobody has, the first few.
+    /// Not any more once it has left. One that is not known here may be joining; of names that nobody has,
+    /// the first few.
     bool asks(const std::string& entity, bool check_out, bool known) {
         const std::lock_guard lock(asked_mutex);
         if (asked_taken) return false;
@@ -169,7 +171,8 @@ std::size_t FrontEndCore::told(const Client& client) {
 }
 
 Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& display_name, Role role,
-                                                          std::shared_ptr<ClientOutbox> data, const std::string& user) {
+                                                          std::shared_ptr<ClientOutbox> data,
+                                                          const std::string& user) {
     ClientRef client;
     {
         const std::lock_guard lock(mutex_);
@@ -296,8 +299,9 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
             return;
         }
         head.sender = client->me;
-        const auto refusal = refuse(RefusalCode::Overloaded, "all statuses are told at most " + std::to_string(kListsPerSecond) +
-                                                                 " times in a second; what changes is told without being asked for");
+        const auto refusal = refuse(RefusalCode::Overloaded,
+                                    "all statuses are told at most " + std::to_string(kListsPerSecond) +
+                                        " times in a second; what changes is told without being asked for");
         client->data->newRefusalMsg(head, refusal);
         return noteExcess(*client, refusal);
     }
@@ -312,8 +316,8 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
         return;
     }
     client->data->newRefusalMsg(
-        head, refuse(RefusalCode::NotSupported,
-                     "the server has no request '" + head.msg_type.substr(0, 64) + "'; expected STATUS or GLOBAL_SERVICES"));
+        head, refuse(RefusalCode::NotSupported, "the server has no request '" + head.msg_type.substr(0, 64) +
+                                                    "'; expected STATUS or GLOBAL_SERVICES"));
 }
 
 /// What the server decides about a message to an entity. Also notes of which entities the client asks
@@ -321,23 +325,27 @@ void FrontEndCore::sendRequest(const ClientRef& client, Header head, std::string
 Result<void> FrontEndCore::mayGoOn(Client& client, const Header& head, std::size_t bytes) {
     if (!clientsMaySend(head.msg_type))
         return refuse(RefusalCode::PermissionDenied,
-                      head.msg_type + (entitiesMaySend(head.msg_type) ? " is what entities say to each other; ask their master by RUN"
-                                                                      : " is for the server itself: use sendRequest"));
+                      head.msg_type + (entitiesMaySend(head.msg_type)
+                                           ? " is what entities say to each other; ask their master by RUN"
+                                           : " is for the server itself: use sendRequest"));
     if (!client.holds(head.entity)) {
         // Who has asked for it may have the grant before this server has the status that tells of it.
         if (bytes > kStrangersBytes && !client.hasAsked(head.entity))
-            return refuse(RefusalCode::TooLarge, "a message of more than " + std::to_string(kStrangersBytes / 1024) +
-                                                     " KiB is taken only of who holds the entity; check it out first");
+            return refuse(RefusalCode::TooLarge,
+                          "a message of more than " + std::to_string(kStrangersBytes / 1024) +
+                              " KiB is taken only of who holds the entity; check it out first");
         if (!client.bytes.admit(clock_.now(), static_cast<std::uint32_t>(bytes)))
-            return refuse(RefusalCode::Overloaded,
-                          "more than " + std::to_string(kStrangersBytesPerSecond / 1024) +
-                              " KiB in a second to entities that it does not hold are taken of nobody; send less, or check them out");
+            return refuse(RefusalCode::Overloaded, "more than " +
+                                                       std::to_string(kStrangersBytesPerSecond / 1024) +
+                                                       " KiB in a second to entities that it does not hold "
+                                                       "are taken of nobody; send less, or check them out");
     }
     const bool check_out = head.msg_type == kMsgCheckOut;
     if (!check_out && head.msg_type != kMsgWatch) return {};
     const bool for_itself = check_out && client.me.role != Role::Observer;
     const bool first = for_itself && !client.hasAsked(head.entity);
-    if (!client.asks(head.entity, for_itself, known_.find(head.entity, kData) != nullptr)) return refuse(RefusalCode::NotConnected, "its session has ended");
+    if (!client.asks(head.entity, for_itself, known_.find(head.entity, kData) != nullptr))
+        return refuse(RefusalCode::NotConnected, "its session has ended");
     if (first) believe(client, head.entity);
     return {};
 }
@@ -423,8 +431,10 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     client->signalOutbox()->newStopAccepted(head, static_cast<std::int32_t>(targets));
     if (entities.size() > kStopsAtOnce)
         client->signalOutbox()->newRefusalMsg(
-            head, refuse(RefusalCode::TooLarge, "the stop has been given to the first " + std::to_string(kStopsAtOnce) +
-                                                    " entities of its list, and this session ends; stop all by sendStopSignal without an entity"));
+            head, refuse(RefusalCode::TooLarge, "the stop has been given to the first " +
+                                                    std::to_string(kStopsAtOnce) +
+                                                    " entities of its list, and this session ends; stop all "
+                                                    "by sendStopSignal without an entity"));
     if (!alone() && targets < std::ssize(wanted)) {
         auto refused = head;
         for (const auto& entity : wanted) {
@@ -436,7 +446,8 @@ void FrontEndCore::sendStopSignals(const ClientRef& client, Header head,
     audit(cause == StopCause::Drill ? "drill" : "stop", client->me, wanted);
     // A longer list is for nobody's robots; each costs its sender a session.
     if (entities.size() > kStopsAtOnce)
-        return leave(client, Ending::Improper, "it sent a list of more than " + std::to_string(kStopsAtOnce) + " entities to stop");
+        return leave(client, Ending::Improper,
+                     "it sent a list of more than " + std::to_string(kStopsAtOnce) + " entities to stop");
     flooded(client, 1 + entities.size() / kStopsForOne);
 }
 
@@ -564,7 +575,8 @@ void FrontEndCore::entityBasicPrflUpdate(Presence presence, Registration registr
         const std::lock_guard lock(mutex_);
         hearOf(registration.server);
         const auto found = records_.find(registration.entity);
-        const bool of_another = found != records_.end() && found->second->registration.server != registration.server;
+        const bool of_another =
+            found != records_.end() && found->second->registration.server != registration.server;
         if (presence == Presence::Left) {
             if (found == records_.end() || of_another) return;
             disputed = disputed_.contains(registration.entity);
@@ -626,9 +638,9 @@ ServerAnnouncement FrontEndCore::announcement() const {
 }
 
 void FrontEndCore::refuseUnknown(ClientOutbox& to, const Header& head) const {
-    to.newRefusalMsg(head, refuse(RefusalCode::UnknownEntity,
-                                  "no entity " + head.entity.substr(0, 64) +
-                                      " is connected; 'axon ls' shows those that are there"));
+    to.newRefusalMsg(
+        head, refuse(RefusalCode::UnknownEntity, "no entity " + head.entity.substr(0, 64) +
+                                                     " is connected; 'axon ls' shows those that are there"));
 }
 
 /// STATUS of this server, empty = all.
@@ -793,7 +805,8 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
         countBusy(found->second.get(), next.get());
         found->second = std::move(next);
         if (before != holder && !before.empty()) {
-            if (const auto client = clients_.find(before); client != clients_.end()) client->second->setHolds(entity, false);
+            if (const auto client = clients_.find(before); client != clients_.end())
+                client->second->setHolds(entity, false);
             if (const auto held = holdings_.find(before); held != holdings_.end()) {
                 held->second.erase(entity);
                 if (held->second.empty()) holdings_.erase(held);
@@ -803,11 +816,12 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
         if (!holder.empty()) {
             const auto client = clients_.find(holder);
             if (client != clients_.end()) {
-                // An entity that names a client which never asked for it is told of its end like any other, but does not
-                // decide how often that client must beat.
+                // An entity that names a client which never asked for it is told of its end like any other,
+                // but does not decide how often that client must beat.
                 const bool asked = client->second->hasAsked(entity) || AXON_PLANTED(UnaskedHolderBelieved);
                 if (!asked && before != holder)
-                    doubt = "it names " + client->second->me.name + " as its holder, who has not asked for it";
+                    doubt =
+                        "it names " + client->second->me.name + " as its holder, who has not asked for it";
                 const auto [held, is_new] = holdings_[holder].try_emplace(entity, busy && asked);
                 client->second->setHolds(entity, true);
                 if (is_new || held->second != (busy && asked)) {
@@ -821,10 +835,12 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
             }
         }
     }
-    if (!doubt.empty() && doubts_.admit(clock_.now())) note_("entity " + entity + " is not believed: " + doubt);
+    if (!doubt.empty() && doubts_.admit(clock_.now()))
+        note_("entity " + entity + " is not believed: " + doubt);
     if (late && !AXON_PLANTED(LateGrantLeft)) settle(late->sender, late->ending, {{entity, busy}});
     if (busy) wake_();
-    // Two copies come on two threads, so a newer one may have been told meanwhile: the last word is the newest.
+    // Two copies come on two threads, so a newer one may have been told meanwhile: the last word is the
+    // newest.
     while (true) {
         toClients(Lane::Data, {}, [&](ClientOutbox& client) { client.newStatusMsg(status); });
         if (number == 0) return;
@@ -836,8 +852,9 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way wa
     }
 }
 
-/// `send(outbox, share)` returns false where the message was left out. An entity that a client has asked has its whole
-/// queue of the data lane: what that one sends it must read. On the signal lane nobody waits for the lock of that.
+/// `send(outbox, share)` returns false where the message was left out. An entity that a client has asked has
+/// its whole queue of the data lane: what that one sends it must read. On the signal lane nobody waits for
+/// the lock of that.
 template <class Send>
 void FrontEndCore::toClientsOf(Lane lane, const Header& head, Send&& send) {
     eachOf(lane, head.sender.id, [&](const Client& client, ClientOutbox& outbox) {

@@ -27,8 +27,8 @@
 namespace axon::front_end_server {
 
 struct CoreSettings {
-    /// Of one of several front-end servers in processes of their own (isServerName); empty: it is the only one, with
-    /// the only entity server beside it.
+    /// Of one of several front-end servers in processes of their own (isServerName); empty: it is the only
+    /// one, with the only entity server beside it.
     std::string name;
     Neighbours::Timeouts entity_servers;
     Duration watchdog_busy = std::chrono::milliseconds{250};  ///< safety.md, "Watchdogs"
@@ -44,7 +44,8 @@ struct CoreSettings {
     std::uint32_t drills_per_second = kDrillsPerSecond;
 };
 
-/// The most entities that one list of stops may name. A stop goes to the first of a longer one, and its sender's session ends.
+/// The most entities that one list of stops may name. A stop goes to the first of a longer one, and its
+/// sender's session ends.
 inline constexpr std::size_t kStopsAtOnce = 8192;
 
 /// How a session ended.
@@ -66,15 +67,17 @@ enum class Ending : std::uint8_t {
 /// where the status that names it comes late.
 ///
 /// One of several: it announces itself to the entity servers, and misses them. The entities of one that falls
-/// silent, or has started anew, have left; so have those that are missing in the list at the end of a STATUS. It
-/// asks for STATUS when it finds a server or the topic, and when it has heard fewer registrations and statuses of
-/// a server than that one has published; again, until the answer has come whole. An entity belongs to the server that announced its joining last. As it
-/// knows all entities it refuses what is for none; a stop is passed on all the same.
+/// silent, or has started anew, have left; so have those that are missing in the list at the end of a STATUS.
+/// It asks for STATUS when it finds a server or the topic, and when it has heard fewer registrations and
+/// statuses of a server than that one has published; again, until the answer has come whole. An entity
+/// belongs to the server that announced its joining last. As it knows all entities it refuses what is for
+/// none; a stop is passed on all the same.
 ///
 /// Threads: any, concurrently; calls for one lane of one client, and those from one entity server about
 /// entities, come one after the other. Routing reads immutable tables, of which each lane has its own
-/// reference; the mutex is taken for joins, statuses, leaves, a client's first check-out of an entity and by the timer, never by another message, a sign of
-/// life or a client's signal. Failure: refusals are sent back; nothing throws.
+/// reference; the mutex is taken for joins, statuses, leaves, a client's first check-out of an entity and by
+/// the timer, never by another message, a sign of life or a client's signal. Failure: refusals are sent back;
+/// nothing throws.
 class FrontEndCore {
   public:
     class Client;
@@ -89,14 +92,16 @@ class FrontEndCore {
     // From a client.
     /// A client is here: it is told of every entity, now and from now on. `user` and `role` come from the
     /// login; `user` is empty where the login names none, and each session then counts for itself.
-    Result<ClientRef> setCallback(const std::string& display_name, Role role, std::shared_ptr<ClientOutbox> data,
-                                  const std::string& user = {});
+    Result<ClientRef> setCallback(const std::string& display_name, Role role,
+                                  std::shared_ptr<ClientOutbox> data, const std::string& user = {});
     Result<ClientRef> attach(const std::string& token, std::shared_ptr<ClientOutbox> signal);
     static const Sender& me(const Client& client);
     static const std::string& token(const Client& client);
-    /// Of how many entities it was told profile and status when it joined, those that left meanwhile not counted.
+    /// Of how many entities it was told profile and status when it joined, those that left meanwhile not
+    /// counted.
     static std::size_t told(const Client& client);
-    /// STATUS: everything that is known is sent again. GLOBAL_SERVICES: answered with that msg_type, of no entity.
+    /// STATUS: everything that is known is sent again. GLOBAL_SERVICES: answered with that msg_type, of no
+    /// entity.
     void sendRequest(const ClientRef& client, Header head, std::string_view message);
     void sendToEntity(const ClientRef& client, Header head, std::string_view message);
     void sendToEntityDataSeq(const ClientRef& client, Header head, std::string_view data);
@@ -167,7 +172,9 @@ class FrontEndCore {
     void tellGone(const Sender& client, const std::string& entity, Ending ending);
     void updateHolding(const std::string& holder);
     bool alone() const { return settings_.name.empty(); }
-    bool isOurs(const std::string& client) const { return alone() || originOf(client).server == settings_.name; }
+    bool isOurs(const std::string& client) const {
+        return alone() || originOf(client).server == settings_.name;
+    }
     ServerAnnouncement announcement() const;
     void refuseUnknown(ClientOutbox& to, const Header& head) const;
     void ask(const std::string& server);
@@ -205,10 +212,10 @@ class FrontEndCore {
     std::unordered_map<std::string, std::weak_ptr<Client>> tokens_;
     Records records_;
     std::unordered_map<std::string, std::map<std::string, bool>>
-        holdings_;  // client → entities, whether BUSY
+        holdings_;                                         // client → entities, whether BUSY
     std::unordered_map<std::string, std::int64_t> heard_;  // entity server → registrations and statuses
-    std::unordered_map<std::string, TimePoint> asked_;     // entity server → when, while its list has not come
-    std::unordered_map<std::string, int> busy_of_;         // entity server → entities that are BUSY
+    std::unordered_map<std::string, TimePoint> asked_;  // entity server → when, while its list has not come
+    std::unordered_map<std::string, int> busy_of_;      // entity server → entities that are BUSY
     // Entities that another server than the record's has spoken of; when that one lets go, it is asked.
     std::unordered_set<std::string> disputed_;
     std::unordered_map<std::string, Gone> gone_;

@@ -267,7 +267,9 @@ TEST_F(FrontEndTest, AnEntityThatAClientHasNotAskedMayLeaveLittleForIt) {
     for (int i = 0; i < 100; ++i) core.entityMsg(Lane::Data, to_all, "word");
     EXPECT_THAT(other.data->take(), IsEmpty());
     EXPECT_THAT(notes.back(), HasSubstr("client2 reads slowly"));
-    EXPECT_LE(std::count_if(notes.begin(), notes.end(), [](const auto& line) { return line.find("slowly") != std::string::npos; }), 8);
+    EXPECT_LE(std::count_if(notes.begin(), notes.end(),
+                            [](const auto& line) { return line.find("slowly") != std::string::npos; }),
+              8);
 }
 
 TEST_F(FrontEndTest, WhoAsksAnEntityThatIsJustJoiningIsItsHolderWhenItSaysSo) {
@@ -297,7 +299,8 @@ TEST_F(FrontEndTest, AStatusThatNobodyHasHeardIsNotTold) {
     auto data = std::make_shared<FakeOutbox>();
     const auto client = core.setCallback("client1", Role::Operator, data).value();
     EXPECT_THAT(data->take(), ElementsAre("joined e1"));
-    EXPECT_EQ(FrontEndCore::told(*client), 0U) << "whoever waits for all waits for no status that may never come";
+    EXPECT_EQ(FrontEndCore::told(*client), 0U)
+        << "whoever waits for all waits for no status that may never come";
     status("e1", EntityState::UNAV);
     EXPECT_THAT(data->take(), ElementsAre("e1 UNAV"));
     status("e1", EntityState::UNAV);
@@ -306,7 +309,10 @@ TEST_F(FrontEndTest, AStatusThatNobodyHasHeardIsNotTold) {
 
 TEST_F(FrontEndTest, SessionsOfOneUserShareTheirPartOfEveryQueue) {
     const auto keyOf = [&](const std::string& user) {
-        return senderKey(FrontEndCore::me(*core.setCallback("pc", Role::Operator, std::make_shared<FakeOutbox>(), user).value()).id);
+        return senderKey(
+            FrontEndCore::me(
+                *core.setCallback("pc", Role::Operator, std::make_shared<FakeOutbox>(), user).value())
+                .id);
     };
     EXPECT_EQ(keyOf("bob"), keyOf("bob"));
     EXPECT_NE(keyOf("bob"), keyOf("ann"));
@@ -425,7 +431,8 @@ TEST_F(FrontEndTest, AnEntityThatNamesAHolderWhoHasNotAskedForItIsNotBelieved) {
     EXPECT_FALSE(peer.data->disconnected) << "its watchdog is that of a client whose robots stand";
     EXPECT_EQ(core.clients(), 1U);
     core.leave(peer.client, Ending::Lost, "over");
-    EXPECT_THAT(topic.take(), ElementsAre("stop (client lost) by client1 to e1 liar", "lost to e1", "lost to liar"))
+    EXPECT_THAT(topic.take(),
+                ElementsAre("stop (client lost) by client1 to e1 liar", "lost to e1", "lost to liar"))
         << "what it says of itself is safe to believe";
 }
 
@@ -511,7 +518,8 @@ TEST_F(FrontEndTest, AClientIsNoMasterOfARun) {
     core.sendToEntity(peer.client, head, "order");
     core.sendToEntityDataSeq(peer.client, head, "order");
     EXPECT_THAT(topic.lines, IsEmpty());
-    EXPECT_THAT(peer.data->take(), Contains("refused PERMISSION_DENIED").Times(1)) << "raw data is dropped without a word";
+    EXPECT_THAT(peer.data->take(), Contains("refused PERMISSION_DENIED").Times(1))
+        << "raw data is dropped without a word";
 }
 
 TEST_F(FrontEndTest, AClientWithOneLaneGetsItsSignalsThere) {
@@ -648,7 +656,8 @@ TEST_F(FrontEndTest, GlobalServicesAreAnsweredToWhoAskedAndNeverReadHere) {
             return "services for " + std::string(request);
         }
     } services;
-    FrontEndCore its(settings, clock, random, topic, [](const std::string&) {}, [] {}, &services);
+    FrontEndCore its(
+        settings, clock, random, topic, [](const std::string&) {}, [] {}, &services);
     const auto data = std::make_shared<FakeOutbox>();
     const auto other = std::make_shared<FakeOutbox>();
     const auto client = its.setCallback("client1", Role::Observer, data).value();
@@ -808,7 +817,8 @@ class OneOfSeveral : public FrontEndTest {
         settings.watchdog_busy = settings.watchdog_idle = std::chrono::hours{1};
         return settings;
     }
-    void announce(Lane lane, const std::string& server, std::int64_t published, const char* instance = "one") {
+    void announce(Lane lane, const std::string& server, std::int64_t published,
+                  const char* instance = "one") {
         several.entityServerUpdate(lane, {server, instance, "signals of " + server, published});
     }
     void entityAt(const std::string& server, const std::string& id, Presence presence = Presence::Joined) {
@@ -817,8 +827,8 @@ class OneOfSeveral : public FrontEndTest {
         registration.server = server;
         several.entityBasicPrflUpdate(presence, registration, "profile");
     }
-    void statusAt(const std::string& server, const std::string& id, EntityState state, std::int64_t number = 0,
-                  Way way = Way::Topic) {
+    void statusAt(const std::string& server, const std::string& id, EntityState state,
+                  std::int64_t number = 0, Way way = Way::Topic) {
         EntityStatus out;
         out.entity = id;
         out.state = state;

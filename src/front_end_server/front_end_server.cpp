@@ -27,13 +27,16 @@ class FrontEndServer::Rim {
                 [this](const Header& head, const Refusal& refusal) {
                     core.entityRefusal(Lane::Data, head, refusal);
                 }),
-          core(settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
-               [this] { wake(); }, settings.global_services),
+          core(
+              settings.core, clock, random, settings.here ? *settings.here : topic, std::move(note),
+              [this] { wake(); }, settings.global_services),
           data_lane{core, Lane::Data, {}, {}, transport::OpenSessions<ClientSessionServant>(clock)},
           signal_lane{
               core, Lane::Signal, signalLimits(), {}, transport::OpenSessions<ClientSessionServant>(clock)},
-          data_adapter(transport::listen(*data, "FrontEndServer", settings.data_endpoint, 0, transport::Idle::Watched)),
-          signal_adapter(transport::listen(*signal, "FrontEndServerSignal", settings.signal_endpoint, 0, transport::Idle::Watched)),
+          data_adapter(transport::listen(*data, "FrontEndServer", settings.data_endpoint, 0,
+                                         transport::Idle::Watched)),
+          signal_adapter(transport::listen(*signal, "FrontEndServerSignal", settings.signal_endpoint, 0,
+                                           transport::Idle::Watched)),
           limits(*settings.limits) {
         const auto gate = Ice::stringToIdentity("ClientGate");
         data_lane.logins = settings.logins;
@@ -50,7 +53,8 @@ class FrontEndServer::Rim {
                 transport::listenForRouters(*data, "FrontEndServerRouter", settings.router_endpoint, *door);
         }
         if (settings.here == nullptr) {
-            others = transport::listenToServers<EntityToFrontEndServant>(core, "FrontEndServer", settings, *data);
+            others =
+                transport::listenToServers<EntityToFrontEndServant>(core, "FrontEndServer", settings, *data);
             topic.setDirect(others.signals, others.messages);
         }
         timer = std::make_unique<transport::TimerThread>(

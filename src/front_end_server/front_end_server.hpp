@@ -26,7 +26,8 @@ struct FrontEndServerSettings {
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10411";
     /// Who may come in. Outlives the communicators. Null: anybody, as operator.
     transport::Logins* logins = nullptr;
-    /// What clients are answered who ask for global services. Outlives the communicators. Null: there are none.
+    /// What clients are answered who ask for global services. Outlives the communicators. Null: there are
+    /// none.
     GlobalServicesPort* global_services = nullptr;
     /// Where Glacier2 routers ask for passwords and sessions (FrontEndServerRouter); empty: none may.
     std::string router_endpoint = {};
@@ -37,8 +38,8 @@ struct FrontEndServerSettings {
     /// The entity server in this process, called in the caller's thread. Outlives the communicators and
     /// end(). Null: this is one of several servers, and publishTo() says where the others are.
     EntityTopic* here = nullptr;
-    // Of one of several: where the topic and, directly, signals of entity servers reach it, and the communicator
-    // of those signals.
+    // Of one of several: where the topic and, directly, signals of entity servers reach it, and the
+    // communicator of those signals.
     std::string topic_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::string topic_signal_endpoint = "tcp -h 127.0.0.1 -p 0";
     std::shared_ptr<Ice::Communicator> topic_signals;
@@ -49,11 +50,11 @@ struct FrontEndServerSettings {
 /// The front-end server on Ice: two adapters, FrontEndServer and FrontEndServerSignal, each with a
 /// communicator and threads of its own; the clients behind them; one timer thread. Thesis: FrontEndServer.
 ///
-/// One of several has two adapters more, FrontEndServerTopic and FrontEndServerTopicSignal, for what comes from
-/// the entity servers.
+/// One of several has two adapters more, FrontEndServerTopic and FrontEndServerTopicSignal, for what comes
+/// from the entity servers.
 ///
-/// Life: construct, activate(); where there is nobody `here`, publishTo() now and whenever that changes; before it
-/// is destroyed, destroy the communicators, then end().
+/// Life: construct, activate(); where there is nobody `here`, publishTo() now and whenever that changes;
+/// before it is destroyed, destroy the communicators, then end().
 class FrontEndServer {
   public:
     /// Throws std::runtime_error where it cannot listen (misconfiguration).

@@ -22,8 +22,8 @@ class ClientOutbox {
     virtual void newBasicPrflMsg(Presence presence, const Registration& registration,
                                  std::string_view profile) = 0;
     virtual void newStatusMsg(const EntityStatus& status) = 0;
-    /// False, and nothing is sent, when the message is beyond its share of the queue. `lane`: a receipt on the signal lane never
-    /// waits behind other messages.
+    /// False, and nothing is sent, when the message is beyond its share of the queue. `lane`: a receipt on
+    /// the signal lane never waits behind other messages.
     virtual bool newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) = 0;
     virtual void newEntityMsgDataSeq(const Header& head, std::string_view data) = 0;
     virtual void newRefusalMsg(const Header& head, const Refusal& refusal) = 0;
@@ -39,12 +39,13 @@ class ClientOutbox {
 class EntityTopic {
   public:
     virtual ~EntityTopic() = default;
-    /// `server` has the entity; empty where there is but one. Refuses where it is known at once that nobody will hear
-    /// it; the client is told.
-    virtual Result<void> clientMsg(const std::string& server, const Header& head, std::string_view message) = 0;
+    /// `server` has the entity; empty where there is but one. Refuses where it is known at once that nobody
+    /// will hear it; the client is told.
+    virtual Result<void> clientMsg(const std::string& server, const Header& head,
+                                   std::string_view message) = 0;
     virtual void clientMsgDataSeq(const std::string& server, const Header& head, std::string_view data) = 0;
-    /// STATUS of the entity server that `head.entity` names, empty = all. For one of several front-end servers;
-    /// the only one has heard of everything.
+    /// STATUS of the entity server that `head.entity` names, empty = all. For one of several front-end
+    /// servers; the only one has heard of everything.
     virtual void clientRequest(const Header& head) = 0;
     virtual void clientUpdate(const Header& head, ClientChange change) = 0;
     virtual void stopSignal(const Header& head, StopCause cause) = 0;
@@ -66,7 +67,8 @@ class EntityTopic {
 class GlobalServicesPort {
   public:
     virtual ~GlobalServicesPort() = default;
-    /// An axon.proto.ToEntity in, an axon.proto.ToClient out; refuses what is no such request. Any thread, no I/O.
+    /// An axon.proto.ToEntity in, an axon.proto.ToClient out; refuses what is no such request. Any thread, no
+    /// I/O.
     virtual Result<std::string> answer(std::string_view request) = 0;
 };
 

@@ -47,7 +47,8 @@ void IceClientOutbox::newStatusMsg(const EntityStatus& status) {
     });
 }
 
-bool IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message, QueueShare share) {
+bool IceClientOutbox::newEntityMsg(Lane lane, const Header& head, std::string_view message,
+                                   QueueShare share) {
     return sender_.send(
         lane == Lane::Signal ? Traffic::Signal : Traffic::Control, head, message,
         [](Prx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
@@ -108,7 +109,8 @@ namespace {
 
 Refusal topicDown() {
     return {RefusalCode::NotConnected,
-            "the way to the entity's server has failed, and the topic between the servers is down: only stops may get "
+            "the way to the entity's server has failed, and the topic between the servers is down: only "
+            "stops may get "
             "through; try again in a few seconds, and if that lasts, start icebox again",
             {}};
 }
@@ -121,17 +123,19 @@ IceEntityTopic::IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
     : lost_([lost = std::move(lost)](const Header& head) { lost(head, topicDown()); }),
       publisher_(data, signal, "front-end server") {}
 
-Result<void> IceEntityTopic::clientMsg(const std::string& server, const Header& head, std::string_view message) {
+Result<void> IceEntityTopic::clientMsg(const std::string& server, const Header& head,
+                                       std::string_view message) {
     const auto ticket = std::make_shared<transport::PublicationTicket>(lost_, head);
     const bool taken = publisher_.one(
         server, Traffic::Control, head, message,
         [ticket](EntityPrx& prx, const IceHeader& h, ByteRange bytes, Answered a, Failed f, Sent s) {
-            prx.clientMsgAsync(h, bytes, std::move(a), transport::PublicationTicket::watch(ticket, std::move(f)),
-                               std::move(s));
+            prx.clientMsgAsync(h, bytes, std::move(a),
+                               transport::PublicationTicket::watch(ticket, std::move(f)), std::move(s));
             ticket->given();
         },
         senderKey(head.sender.id));
-    if (ticket.use_count() == 1 && ticket->take()) return taken ? topicDown() : queueShareFull("the entity's server");
+    if (ticket.use_count() == 1 && ticket->take())
+        return taken ? topicDown() : queueShareFull("the entity's server");
     return {};
 }
 void IceEntityTopic::clientMsgDataSeq(const std::string& server, const Header& head, std::string_view data) {
@@ -149,25 +153,26 @@ void IceEntityTopic::clientRequest(const Header& head) {
                     });
 }
 void IceEntityTopic::clientUpdate(const Header& head, ClientChange change) {
-    publisher_.signal(
-        Traffic::Signal, head, std::string_view(),
-        [its_change = toIce(change)](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-            prx.clientUpdateAsync(h, its_change, std::move(a), std::move(f), std::move(s));
-        });
+    publisher_.signal(Traffic::Signal, head, std::string_view(),
+                      [its_change = toIce(change)](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a,
+                                                   Failed f, Sent s) {
+                          prx.clientUpdateAsync(h, its_change, std::move(a), std::move(f), std::move(s));
+                      });
 }
 void IceEntityTopic::stopSignal(const Header& head, StopCause cause) {
-    publisher_.signal(
-        Traffic::Signal, head, std::string_view(),
-        [its_cause = toIce(cause)](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a, Failed f, Sent s) {
-            prx.stopSignalAsync(h, its_cause, std::move(a), std::move(f), std::move(s));
-        });
+    publisher_.signal(Traffic::Signal, head, std::string_view(),
+                      [its_cause = toIce(cause)](EntityPrx& prx, const IceHeader& h, ByteRange, Answered a,
+                                                 Failed f, Sent s) {
+                          prx.stopSignalAsync(h, its_cause, std::move(a), std::move(f), std::move(s));
+                      });
 }
 void IceEntityTopic::stopSignals(const Header& head, const std::vector<std::string>& entities,
                                  StopCause cause) {
     publisher_.signal(Traffic::Signal, head, std::string_view(),
                       [entities, its_cause = toIce(cause)](EntityPrx& prx, const IceHeader& h, ByteRange,
                                                            Answered a, Failed f, Sent s) {
-                          prx.stopSignalsAsync(h, entities, its_cause, std::move(a), std::move(f), std::move(s));
+                          prx.stopSignalsAsync(h, entities, its_cause, std::move(a), std::move(f),
+                                               std::move(s));
                       });
 }
 void IceEntityTopic::resetSignal(const Header& head) {
@@ -204,7 +209,8 @@ Axon::FrontEndComm::SessionFacts ClientSessionServant::setCallback(std::shared_p
                                                                    const Ice::Current& current) {
     auto proxy = session_.newCallback(callback, lane_.lane == Lane::Data, current);
     auto client = transport::valueOrThrow(lane_.core.setCallback(
-        name_, who_.role, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer()), who_.user));
+        name_, who_.role, std::make_shared<IceClientOutbox>(std::move(proxy), lane_.limits, session_.peer()),
+        who_.user));
     Axon::FrontEndComm::SessionFacts facts;
     facts.me = toIce(FrontEndCore::me(*client));
     facts.token = lane_.toPeer(FrontEndCore::token(*client));
@@ -312,8 +318,10 @@ transport::RouterDoor doorForRouters(ClientLane& data,
     return transport::makeDoor<Axon::FrontEndComm::ClientSessionPrx>(
         data, data_adapter, signal, signal_adapter, routers, &transport::Logins::client,
         &transport::Logins::vouchedClient,
-        [](ClientLane& lane, const std::shared_ptr<transport::RoutedConnection>& peer, const transport::LoggedIn& who,
-           const std::string& display_name) { return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who); });
+        [](ClientLane& lane, const std::shared_ptr<transport::RoutedConnection>& peer,
+           const transport::LoggedIn& who, const std::string& display_name) {
+            return std::make_shared<ClientSessionServant>(lane, peer, nameOf(who, display_name), who);
+        });
 }
 
 void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence presence,
@@ -321,7 +329,8 @@ void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence pre
                                                     ByteRange profile, const Ice::Current&) {
     core_.entityBasicPrflUpdate(fromIce(presence), fromIce(std::move(registration)), toView(profile));
 }
-void EntityToFrontEndServant::entityUpdate(Axon::CommUtil::EntityStatus status, double number, const Ice::Current&) {
+void EntityToFrontEndServant::entityUpdate(Axon::CommUtil::EntityStatus status, double number,
+                                           const Ice::Current&) {
     core_.entityUpdate(fromIce(std::move(status)), transport::whole(number), way_);
 }
 void EntityToFrontEndServant::entityMsg(Axon::CommUtil::Lane lane, IceHeader head, ByteRange message,

@@ -38,12 +38,12 @@ class IceClientOutbox final : public ClientOutbox {
     const transport::CallbackSender<Axon::FrontEndComm::ClientCallbackPrx> sender_;
 };
 
-/// EntityTopic towards entity servers in other processes: by the topic; signals besides straight to each, and what is
-/// for one entity straight to its server instead.
+/// EntityTopic towards entity servers in other processes: by the topic; signals besides straight to each, and
+/// what is for one entity straight to its server instead.
 class IceEntityTopic final : public EntityTopic {
   public:
-    /// `signal`: the communicator of signals between servers. `lost` is called for a client's control message that
-    /// found nobody after it was taken; any thread.
+    /// `signal`: the communicator of signals between servers. `lost` is called for a client's control message
+    /// that found nobody after it was taken; any thread.
     IceEntityTopic(const std::shared_ptr<Ice::Communicator>& data,
                    const std::shared_ptr<Ice::Communicator>& signal,
                    std::function<void(const Header&, const Refusal&)> lost);

@@ -24,7 +24,8 @@ std::optional<uid_t> uidOf(const std::string& name) {
     passwd entry{};
     passwd* found = nullptr;
     std::array<char, 4096> texts;
-    if (::getpwnam_r(name.c_str(), &entry, texts.data(), texts.size(), &found) != 0 || found == nullptr) return std::nullopt;
+    if (::getpwnam_r(name.c_str(), &entry, texts.data(), texts.size(), &found) != 0 || found == nullptr)
+        return std::nullopt;
     return entry.pw_uid;
 }
 
@@ -37,7 +38,8 @@ template <class Ask>
 std::optional<End> endOf(int socket, Ask ask) {
     sockaddr_in at{};
     socklen_t size = sizeof at;
-    if (ask(socket, reinterpret_cast<sockaddr*>(&at), &size) != 0 || at.sin_family != AF_INET) return std::nullopt;
+    if (ask(socket, reinterpret_cast<sockaddr*>(&at), &size) != 0 || at.sin_family != AF_INET)
+        return std::nullopt;
     std::array<char, INET_ADDRSTRLEN> text{};
     ::inet_ntop(AF_INET, &at.sin_addr, text.data(), text.size());
     return End{text.data(), std::string(text.data()) + ":" + std::to_string(ntohs(at.sin_port))};
@@ -56,7 +58,9 @@ Result<LinkUsers> LinkUsers::parse(std::string_view names, std::string_view wher
         const auto uid = uidOf(name);
         if (!uid)
             return Refusal{RefusalCode::Malformed,
-                           std::string(where) + ": '" + name.substr(0, 80) + "' is no user of this machine: expected names or numbers, as in 'Axon.Users = axon 1001': correct the name",
+                           std::string(where) + ": '" + name.substr(0, 80) +
+                               "' is no user of this machine: expected names or numbers, as in 'Axon.Users = "
+                               "axon 1001': correct the name",
                            {}};
         out.uids_.push_back(*uid);
     }
@@ -74,13 +78,16 @@ std::optional<Refusal> LinkUsers::check(int socket) const {
         if (admits(*uid)) return std::nullopt;
         const auto its = std::to_string(*uid);
         return Refusal{RefusalCode::PermissionDenied,
-                       "the other end of the link belongs to the user with the number " + its + ", this one to " + std::to_string(::geteuid()) +
-                           ": run both as one user, or let that one in by 'Axon.Users = " + its + "' (ports.cfg, or what this end was started with)",
+                       "the other end of the link belongs to the user with the number " + its +
+                           ", this one to " + std::to_string(::geteuid()) +
+                           ": run both as one user, or let that one in by 'Axon.Users = " + its +
+                           "' (ports.cfg, or what this end was started with)",
                        {}};
     }
     if (peer && own && !isLoopback(peer->address) && peer->address != own->address) return std::nullopt;
     return Refusal{RefusalCode::PermissionDenied,
-                   "the kernel does not say whose the other end of the link is: it has just been closed, or a sandbox forbids netlink and "
+                   "the kernel does not say whose the other end of the link is: it has just been closed, or "
+                   "a sandbox forbids netlink and "
                    "/proc/net/tcp to this process; permit one of them",
                    {}};
 }

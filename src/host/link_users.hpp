@@ -11,23 +11,24 @@
 
 namespace axon {
 
-/// Whose process may have the other end of the link between an Entity Manager and its robot application: that of the
-/// same user, of root, and of those that ports.cfg names. The kernel tells whose a connection on this machine is;
-/// nobody tells of a process on another machine, which is let in (only where the application listens beyond loopback,
-/// Options::beyond_loopback).
+/// Whose process may have the other end of the link between an Entity Manager and its robot application: that
+/// of the same user, of root, and of those that ports.cfg names. The kernel tells whose a connection on this
+/// machine is; nobody tells of a process on another machine, which is let in (only where the application
+/// listens beyond loopback, Options::beyond_loopback).
 ///
-/// Source: docs/explanation/threats.md. Threads: any; a value. check() asks the kernel, which takes some microseconds.
+/// Source: docs/explanation/threats.md. Threads: any; a value. check() asks the kernel, which takes some
+/// microseconds.
 class LinkUsers {
   public:
     /// This process' user, as it is when it checks, and root.
     LinkUsers() = default;
 
-    /// Names of users or numbers, apart by spaces or commas: "axon 1001". `where` begins the message. Refused with
-    /// MALFORMED for a name that this machine does not know.
+    /// Names of users or numbers, apart by spaces or commas: "axon 1001". `where` begins the message. Refused
+    /// with MALFORMED for a name that this machine does not know.
     static Result<LinkUsers> parse(std::string_view names, std::string_view where);
 
-    /// Of a connected IPv4 socket. PERMISSION_DENIED with whose it is and how to let that user in, or that the kernel
-    /// does not say.
+    /// Of a connected IPv4 socket. PERMISSION_DENIED with whose it is and how to let that user in, or that
+    /// the kernel does not say.
     std::optional<Refusal> check(int socket) const;
 
     bool admits(uid_t uid) const;

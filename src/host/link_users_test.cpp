@@ -89,7 +89,8 @@ TEST(LinkUsers, AnotherUserIsRefusedAndToldWhatToWrite) {
         if (::setuid(kNobody) != 0) ::_exit(1);
         const auto client = listener.connect();
         char ignored = 0;
-        while (::read(until[0], &ignored, 1) > 0) {}
+        while (::read(until[0], &ignored, 1) > 0) {
+        }
         ::_exit(0);
     }
     ::close(until[0]);

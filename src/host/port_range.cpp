@@ -81,7 +81,8 @@ Result<LinkPorts> parsePorts(std::string_view text, std::string_view file) {
             if (!users) return users.refusal();
             ports.users = std::move(users).value();
         } else {
-            return malformed("unknown setting: expected Axon.Ports, Axon.Address or Axon.Users: correct the name");
+            return malformed(
+                "unknown setting: expected Axon.Ports, Axon.Address or Axon.Users: correct the name");
         }
     }
     return ports;

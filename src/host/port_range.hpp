@@ -5,8 +5,8 @@
 #include <string>
 #include <string_view>
 
-#include "host/link_users.hpp"
 #include "common/result.hpp"
+#include "host/link_users.hpp"
 
 namespace axon {
 
@@ -33,8 +33,9 @@ struct LinkPorts {
 Result<PortRange> checkPortRange(long first, long last, std::string_view where);
 
 /// Reads the text of a ports.cfg: lines `Axon.Ports = 5500-8000` (or a single port) and, optionally,
-/// `Axon.Address = 127.0.0.1` and `Axon.Users = axon 1001`; `#` begins a comment. Refused with MALFORMED or OUT_OF_RANGE; the message
-/// names file, line, what was expected and the mend. What is not said keeps its default.
+/// `Axon.Address = 127.0.0.1` and `Axon.Users = axon 1001`; `#` begins a comment. Refused with MALFORMED or
+/// OUT_OF_RANGE; the message names file, line, what was expected and the mend. What is not said keeps its
+/// default.
 Result<LinkPorts> parsePorts(std::string_view text, std::string_view file);
 
 /// The same from a file; refused with BAD_NAME when it cannot be read.

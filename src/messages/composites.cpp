@@ -29,7 +29,11 @@ std::size_t at(int position) {
 class CompositesReader {
   public:
     explicit CompositesReader(const proto::ServicesProfile& profile)
-        : profile_(profile), count_(at(profile.services_size())), own_(count_), sizes_(count_), levels_(count_) {
+        : profile_(profile),
+          count_(at(profile.services_size())),
+          own_(count_),
+          sizes_(count_),
+          levels_(count_) {
         out_.parts.resize(count_);
         out_.params.resize(count_);
         out_.resources.resize(count_);
@@ -113,18 +117,22 @@ class CompositesReader {
         }
         ++level;
         if (size > Composites::kParts) {
-            fault(position, "at most " + std::to_string(Composites::kParts) + " parts, found " + std::to_string(size),
+            fault(position,
+                  "at most " + std::to_string(Composites::kParts) + " parts, found " + std::to_string(size),
                   "take some out of its list");
             return;
         }
         if (level > Composites::kLevels) {
-            fault(position, "at most " + std::to_string(Composites::kLevels) + " composites one within the other",
+            fault(position,
+                  "at most " + std::to_string(Composites::kLevels) + " composites one within the other",
                   "list the services themselves");
             return;
         }
         if (together_ + size > Composites::kPartsTogether) {
-            fault(position, "at most " + std::to_string(Composites::kPartsTogether) + " parts in all composites together",
-                  "take some composites out");
+            fault(
+                position,
+                "at most " + std::to_string(Composites::kPartsTogether) + " parts in all composites together",
+                "take some composites out");
             return;
         }
         together_ += size;
@@ -145,8 +153,8 @@ class CompositesReader {
         for (const auto& resource : service(position).resources()) resource_names.insert(resource.name());
         std::set<std::pair<int, int>> params, resources;
         std::set<Composites::Part> seen;
-        const auto show = [&](std::vector<Composites::View>& views, std::set<std::string>& names, int from, int item,
-                              const std::string& name, std::size_t bytes) {
+        const auto show = [&](std::vector<Composites::View>& views, std::set<std::string>& names, int from,
+                              int item, const std::string& name, std::size_t bytes) {
             views.push_back({from, item});
             auto shown = viewName(profile_, from, name);
             shown_bytes_ += bytes + shown.size();
@@ -165,11 +173,13 @@ class CompositesReader {
                     const auto& param = service(from).params(i);
                     const bool visible = isSettable(param) ? !isFed(part, level, param.name()) : simple;
                     if (visible && params.emplace(from, i).second)
-                        show(out_.params[at(position)], param_names, from, i, param.name(), param.ByteSizeLong());
+                        show(out_.params[at(position)], param_names, from, i, param.name(),
+                             param.ByteSizeLong());
                 }
                 for (int i = 0; i < service(from).resources_size(); ++i)
                     if (const auto& resource = service(from).resources(i); resources.emplace(from, i).second)
-                        show(out_.resources[at(position)], resource_names, from, i, resource.name(), resource.ByteSizeLong());
+                        show(out_.resources[at(position)], resource_names, from, i, resource.name(),
+                             resource.ByteSizeLong());
             }
         }
         if (shown_bytes_ <= Composites::kShownBytes || too_much_shown_) return;
@@ -183,7 +193,8 @@ class CompositesReader {
                            [&](int around) { return own_[at(around)].contains(name); });
     }
 
-    /// What a composite declares itself is the value of its parts' parameters of that name: it must suit them.
+    /// What a composite declares itself is the value of its parts' parameters of that name: it must suit
+    /// them.
     void checkOwn(int position) {
         std::set<std::string_view> used;
         std::set<std::pair<int, int>> checked;
@@ -206,8 +217,8 @@ class CompositesReader {
                       "name it like the parameter of the part, or leave it out", false);
     }
     void checkPair(int position, const proto::CtrlParam& own, int part, const proto::CtrlParam& theirs) {
-        const auto of = "parameter " + inQuotes(own.name()) + " as its part " + inQuotes(service(part).name()) +
-                        " declares it";
+        const auto of = "parameter " + inQuotes(own.name()) + " as its part " +
+                        inQuotes(service(part).name()) + " declares it";
         if (own.data_type() != theirs.data_type() || own.units() != theirs.units() ||
             own.multiple() != theirs.multiple()) {
             fault(position, of + ": the same data_type, units and multiple", "make the two agree");
@@ -224,8 +235,9 @@ class CompositesReader {
     const proto::ServicesProfile& profile_;
     const std::size_t count_;
     std::vector<std::vector<int>> references_;
-    std::vector<std::map<std::string_view, int>> own_;  ///< what a composite declares itself and a client may set
-    std::vector<std::size_t> sizes_;                    ///< 0 = has no parts that could be counted
+    std::vector<std::map<std::string_view, int>>
+        own_;                         ///< what a composite declares itself and a client may set
+    std::vector<std::size_t> sizes_;  ///< 0 = has no parts that could be counted
     std::vector<int> levels_;
     std::vector<int> composites_;  ///< without a fault, parts first
     std::size_t together_ = 0, shown_bytes_ = 0;

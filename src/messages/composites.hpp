@@ -46,12 +46,13 @@ bool isSettable(const proto::CtrlParam& meta);
 /// "Part.Name".
 std::string viewName(const proto::ServicesProfile& profile, int service, const std::string& name);
 
-/// Any thread; no recursion, so the profile may be of any form. References to services that are not there, and
-/// those that close a circle, are passed over: they are the reader's to report.
+/// Any thread; no recursion, so the profile may be of any form. References to services that are not there,
+/// and those that close a circle, are passed over: they are the reader's to report.
 ///
-/// A composite shows what its parts need and give: their INPUT and CONFIG parameters and their resources, those
-/// of the composites among them too, and the OUTPUT and FEEDBACK of the simple ones. It does not show what a
-/// composite around the part declares itself as an INPUT or CONFIG of the same name: that value is the part's.
+/// A composite shows what its parts need and give: their INPUT and CONFIG parameters and their resources,
+/// those of the composites among them too, and the OUTPUT and FEEDBACK of the simple ones. It does not show
+/// what a composite around the part declares itself as an INPUT or CONFIG of the same name: that value is the
+/// part's.
 Composites readComposites(const proto::ServicesProfile& profile);
 
 }  // namespace axon

@@ -288,7 +288,8 @@ TEST(ProfileReader, ALongChainOfCompositesIsNoRecursion) {
     xml += "<Service name='s4000' type='SMPL'/></ServiceProfile>";
     const auto reading = readServicesProfile(xml, "x.xml");
     ASSERT_EQ(reading.findings.size(), 1U) << listed(reading.findings);
-    EXPECT_THAT(reading.findings[0].toString(), AllOf(HasSubstr("\"s3991\""), HasSubstr("one within the other")));
+    EXPECT_THAT(reading.findings[0].toString(),
+                AllOf(HasSubstr("\"s3991\""), HasSubstr("one within the other")));
     EXPECT_EQ(reading.message.services(7).service_list(0), "s8");
 }
 

@@ -19,7 +19,8 @@ int main(int argc, char** argv) {
     for (const int signal : {SIGINT, SIGTERM, SIGUSR1}) sigaddset(&awaited, signal);
     // Of a terminal that is closed, unless nohup has it ignored.
     struct sigaction hang_up {};
-    if (sigaction(SIGHUP, nullptr, &hang_up) == 0 && hang_up.sa_handler != SIG_IGN) sigaddset(&awaited, SIGHUP);
+    if (sigaction(SIGHUP, nullptr, &hang_up) == 0 && hang_up.sa_handler != SIG_IGN)
+        sigaddset(&awaited, SIGHUP);
     pthread_sigmask(SIG_BLOCK, &awaited, nullptr);
     std::signal(SIGPIPE, SIG_IGN);
 
@@ -38,8 +39,8 @@ int main(int argc, char** argv) {
             for (const auto& line : server.margins()) spdlog::info("{}", line);
         }
         spdlog::info("shutting down on {}", received == SIGINT   ? "SIGINT"
-                                             : received == SIGHUP ? "SIGHUP"
-                                                                  : "SIGTERM");
+                                            : received == SIGHUP ? "SIGHUP"
+                                                                 : "SIGTERM");
     } catch (const std::exception& error) {
         std::fprintf(stderr, "axon-server: %s\n", error.what());
         return 2;

@@ -43,21 +43,24 @@ void setRole(ServerSettings& settings, const std::string& role) {
     if (settings.role == ServerRole::Both) {
         if (settings.topic_manager.empty()) return;
         throw std::runtime_error(
-            "Server.TopicManager is for one of several servers: add --role front-end or --role entity, or take the "
+            "Server.TopicManager is for one of several servers: add --role front-end or --role entity, or "
+            "take the "
             "key out of the configuration");
     }
     if (settings.name.empty())
-        throw std::runtime_error("--role " + role +
-                                 ": expected Server.Name in the configuration, a name that no other server has, "
-                                 "such as Server.Name=" + (role == "entity" ? "es1" : "fe1"));
+        throw std::runtime_error(
+            "--role " + role +
+            ": expected Server.Name in the configuration, a name that no other server has, "
+            "such as Server.Name=" +
+            (role == "entity" ? "es1" : "fe1"));
     if (settings.topic_manager.empty())
         throw std::runtime_error("--role " + role +
                                  ": expected Server.TopicManager in the configuration, such as "
                                  "Server.TopicManager=IceStorm/TopicManager:tcp -h 127.0.0.1 -p 10430");
 }
 
-/// The folder "inside the server's installation directory" of the thesis (A.4). One that somebody has named must be
-/// there; the default one may come later, or never.
+/// The folder "inside the server's installation directory" of the thesis (A.4). One that somebody has named
+/// must be there; the default one may come later, or never.
 void findGlobalServices(ServerSettings& settings, const std::vector<std::string>& files) {
     auto& folder = settings.global_services;
     if (folder.empty()) {
@@ -97,7 +100,8 @@ void readConfiguration(const std::string& file, ServerSettings& settings) {
         };
     };
     const auto published = [&](const std::string& adapter) {
-        return [&settings, key = adapter + ".PublishedEndpoints"](const std::string& where, const std::string& text) {
+        return [&settings, key = adapter + ".PublishedEndpoints"](const std::string& where,
+                                                                  const std::string& text) {
             settings.ice_properties[key] = transport::textOf(endpointsOf(where, text));
         };
     };
@@ -209,9 +213,10 @@ Parsed parseOptions(int argc, char** argv) {
                  "Other machines may connect without TLS, in a network that you trust (Server.PlainTcp)");
     app.add_option("--users", users,
                    "users.cfg: who may log in; without it, on loopback only, no password is asked");
-    app.add_option("--global-services", global_services,
-                   "The folder whose *.xml are the global services (Server.GlobalServices); by default globalservices "
-                   "beside the first file of --config, or else in the working folder");
+    app.add_option(
+        "--global-services", global_services,
+        "The folder whose *.xml are the global services (Server.GlobalServices); by default globalservices "
+        "beside the first file of --config, or else in the working folder");
     app.add_option(
         "--add-user", user_to_add,
         "Write this user into the file of --users, with the password that is asked for or the first "
@@ -219,7 +224,8 @@ Parsed parseOptions(int argc, char** argv) {
     app.add_option("--user-role", user_role,
                    "Of --add-user: observer, operator, admin, or entity (for Entity Managers)");
     app.add_option("--role", role,
-                   "both (the default), or one of several servers that IceStorm joins: front-end or entity. These need "
+                   "both (the default), or one of several servers that IceStorm joins: front-end or entity. "
+                   "These need "
                    "Server.Name and Server.TopicManager in their configuration")
         ->check(CLI::IsMember({"both", "front-end", "entity"}));
     app.add_option("--log-level", options.log_level, "debug, info, warn or error")

@@ -56,8 +56,9 @@ TEST(ServerOptions, OneOfSeveralServersNeedsANameAndTheTopicManager) {
     const auto file = folder + "/frontendserver.cfg";
     std::ofstream(file) << "Server.Name=fe1\n";
     EXPECT_THAT(complaint({"--role", "front-end", "--config", file}), HasSubstr("Server.TopicManager="));
-    std::ofstream(file) << "Server.Name=fe1\nServer.TopicManager=IceStorm/TopicManager:tcp -h 127.0.0.1 -p 1\n"
-                        << "FrontEndServerTopic.Endpoints=tcp -h 127.0.0.1 -p 10501\n";
+    std::ofstream(file)
+        << "Server.Name=fe1\nServer.TopicManager=IceStorm/TopicManager:tcp -h 127.0.0.1 -p 1\n"
+        << "FrontEndServerTopic.Endpoints=tcp -h 127.0.0.1 -p 10501\n";
     EXPECT_THAT(complaint({"--config", file}), HasSubstr("--role front-end"));
     const auto settings = parse({"--role", "front-end", "--config", file}).options->settings;
     EXPECT_EQ(settings.role, ServerRole::FrontEnd);
@@ -114,7 +115,8 @@ TEST(ServerOptions, GlobalServicesLieBesideTheConfigurationUnlessAFolderIsNamed)
         << "it need not be there";
     std::ofstream(file) << "Server.GlobalServices=" << folder << "\n";
     EXPECT_EQ(parse({"--config", file}).options->settings.global_services, folder);
-    EXPECT_EQ(parse({"--config", file, "--global-services", "/tmp"}).options->settings.global_services, "/tmp");
+    EXPECT_EQ(parse({"--config", file, "--global-services", "/tmp"}).options->settings.global_services,
+              "/tmp");
     EXPECT_THAT(complaint({"--global-services", folder + "/none"}), HasSubstr("is no folder"));
     std::filesystem::remove_all(folder);
 }

@@ -15,8 +15,8 @@
 #include "entity_server/entity_server.hpp"
 #include "front_end_server/front_end_server.hpp"
 #include "global_services/services_folder.hpp"
-#include "server/login_desk.hpp"
 #include "host/socket_owner.hpp"
+#include "server/login_desk.hpp"
 #include "transport/communicator.hpp"
 #include "transport/connection_limits.hpp"
 #include "transport/endpoint.hpp"
@@ -71,7 +71,8 @@ bool checkEndpoints(const std::string& endpoints, bool has_users, bool plain_tcp
             throw std::runtime_error(
                 "'" + endpoints +
                 "' is reachable from other machines, and the server has no users: anybody there could move "
-                "the robots. Name who may log in (axon-server --users FILE --add-user NAME --user-role ROLE, then "
+                "the robots. Name who may log in (axon-server --users FILE --add-user NAME --user-role ROLE, "
+                "then "
                 "--users FILE), or listen on 127.0.0.1 and let other machines in through an SSH tunnel (ssh "
                 "-L 10410:127.0.0.1:10410 -L 10411:127.0.0.1:10411 HOST)");
         }
@@ -117,10 +118,10 @@ void checkBetweenServers(const ServerSettings& settings) {
         try {
             checkEndpoints(endpoint, false, false);
         } catch (const std::runtime_error&) {
-            throw std::runtime_error(
-                "'" + endpoint +
-                "' is for the other servers, whose word is taken without a password: expected an address that only "
-                "this machine can reach, such as 127.0.0.1:0");
+            throw std::runtime_error("'" + endpoint +
+                                     "' is for the other servers, whose word is taken without a password: "
+                                     "expected an address that only "
+                                     "this machine can reach, such as 127.0.0.1:0");
         }
     }
 }
@@ -135,8 +136,10 @@ std::optional<Users> usersOf(const ServerSettings& settings) {
             if (one.tls && !transport::speaksTls(settings.ice_properties))
                 throw std::runtime_error(transport::certificateMissing(one.address(), "server"));
     }
-    if (settings.role != ServerRole::Entity) checkLanes(settings.client_endpoint, settings.client_signal_endpoint);
-    if (settings.role != ServerRole::FrontEnd) checkLanes(settings.entity_endpoint, settings.entity_signal_endpoint);
+    if (settings.role != ServerRole::Entity)
+        checkLanes(settings.client_endpoint, settings.client_signal_endpoint);
+    if (settings.role != ServerRole::FrontEnd)
+        checkLanes(settings.entity_endpoint, settings.entity_signal_endpoint);
     if (open) {
         spdlog::warn(
             "other machines can reach this server without TLS (Server.PlainTcp), and what they send, "
@@ -284,7 +287,8 @@ class Server::Parts {
             }
             its.here = both ? &entities_here : nullptr;
             its.topic_signals = receipts.communicator();
-            front_end.emplace(std::move(its), data.communicator(), signal.communicator(), clock, random, note);
+            front_end.emplace(std::move(its), data.communicator(), signal.communicator(), clock, random,
+                              note);
         }
         if (both) {
             clients_here.set(front_end->core());
@@ -293,8 +297,8 @@ class Server::Parts {
         if (entity) entity->activate();
         if (front_end) front_end->activate();
         if (services_folder)
-            services_timer.emplace("axon-services", Lane::Data, global_services::ServicesFolder::kPeriod, clock,
-                                   [this] { return services_folder->onTimer(); });
+            services_timer.emplace("axon-services", Lane::Data, global_services::ServicesFolder::kPeriod,
+                                   clock, [this] { return services_folder->onTimer(); });
         if (!settings.topic_manager.empty()) joinTopics(settings.topic_manager);
     }
 
@@ -311,8 +315,8 @@ class Server::Parts {
         if (front_end) front_end->end();
     }
 
-    /// Each kind listens to the other one's topic. An entity server has something to say on both: messages of its
-    /// entities to those of other entity servers go the way of the clients'.
+    /// Each kind listens to the other one's topic. An entity server has something to say on both: messages of
+    /// its entities to those of other entity servers go the way of the clients'.
     void joinTopics(const std::string& manager) {
         transport::StormSettings its;
         its.manager = manager;
@@ -334,7 +338,8 @@ class Server::Parts {
             note);
     }
 
-    void publishTo(const std::vector<std::string>& front_ends, const std::vector<std::string>& entity_servers) {
+    void publishTo(const std::vector<std::string>& front_ends,
+                   const std::vector<std::string>& entity_servers) {
         if (entity) entity->publishTo(front_ends, entity_servers);
         if (front_end) front_end->publishTo(entity_servers);
     }
@@ -352,8 +357,8 @@ class Server::Parts {
     EntitiesHere entities_here;
     std::optional<global_services::ServicesFolder> services_folder;  // none in an entity server's process
     std::optional<transport::TimerThread> services_timer;
-    std::optional<entity_server::EntityServer> entity;             // none in a front-end server's process
-    std::optional<front_end_server::FrontEndServer> front_end;     // none in an entity server's process
+    std::optional<entity_server::EntityServer> entity;          // none in a front-end server's process
+    std::optional<front_end_server::FrontEndServer> front_end;  // none in an entity server's process
     std::optional<transport::StormTopics> topics;
 };
 
@@ -389,7 +394,8 @@ std::string Server::readyLine() const {
         line += " client=" + clientAddress(Lane::Data) + " client-signal=" + clientAddress(Lane::Signal);
     if (parts_->entity)
         line += " entity=" + entityAddress(Lane::Data) + " entity-signal=" + entityAddress(Lane::Signal);
-    return line + named(" client-router=", clientRouterAddress()) + named(" entity-router=", entityRouterAddress());
+    return line + named(" client-router=", clientRouterAddress()) +
+           named(" entity-router=", entityRouterAddress());
 }
 
 std::vector<std::string> Server::margins() const {

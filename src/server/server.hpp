@@ -22,8 +22,9 @@ enum class ServerRole : std::uint8_t {
 struct ServerSettings {
     ServerRole role = ServerRole::Both;
     // Of one of several servers only:
-    std::string name;           ///< isServerName()
-    std::string topic_manager;  ///< IceStorm's, a stringified proxy. Empty: publishTo() says where the others are
+    std::string name;  ///< isServerName()
+    std::string
+        topic_manager;  ///< IceStorm's, a stringified proxy. Empty: publishTo() says where the others are
     std::string topic_endpoint = "127.0.0.1:0";         ///< where IceStorm reaches it
     std::string topic_signal_endpoint = "127.0.0.1:0";  ///< where signals of the others reach it directly
     // HOST:PORT, ssl://HOST:PORT, or Ice's form, of which there may be several with ':' between them.
@@ -34,13 +35,13 @@ struct ServerSettings {
     /// For Glacier2 routers; empty: none.
     std::string client_router_endpoint, entity_router_endpoint;
     std::map<std::string, std::string> neighbours;  ///< their session managers, for routers, by name
-    int data_threads = 1;    ///< of each adapter of the data lane
-    int signal_threads = 1;  ///< of each adapter of the signal lane
+    int data_threads = 1;                           ///< of each adapter of the data lane
+    int signal_threads = 1;                         ///< of each adapter of the signal lane
     front_end_server::CoreSettings front_end;
     entity_server::CoreSettings entity;
-    std::string users_file;                             ///< users.cfg; empty: none, and loopback only
-    std::string global_services;                        ///< the folder of global services; empty: there are none
-    bool plain_tcp = false;                             ///< also where other machines can reach it
+    std::string users_file;       ///< users.cfg; empty: none, and loopback only
+    std::string global_services;  ///< the folder of global services; empty: there are none
+    bool plain_tcp = false;       ///< also where other machines can reach it
     std::map<std::string, std::string> ice_properties;  ///< win over the defaults
     bool lock_memory = true;                            ///< of the process of axon-server, where permitted
 };
@@ -51,8 +52,8 @@ struct ServerSettings {
 bool checkEndpoints(const std::string& endpoints, bool has_users, bool plain_tcp);
 
 /// Both servers in one process, the embedded default: each publishes to the other by plain calls, which run
-/// in the caller's thread, one lane apart from the other. Or one of several servers, joined with the others by the
-/// two topics of IceStorm. The only place that knows which.
+/// in the caller's thread, one lane apart from the other. Or one of several servers, joined with the others
+/// by the two topics of IceStorm. The only place that knows which.
 ///
 /// The constructor returns when both listen. The destructor tells the clients, closes their sessions and
 /// joins all threads. Throws std::runtime_error for misconfiguration.
@@ -63,10 +64,11 @@ class Server {
     Server(const Server&) = delete;
     Server& operator=(const Server&) = delete;
 
-    /// Of one of several without a topic manager, for tests: what subscribes to the topic it listens to, and where
-    /// it publishes to, as stringified proxies. A front-end server publishes to entity servers only.
+    /// Of one of several without a topic manager, for tests: what subscribes to the topic it listens to, and
+    /// where it publishes to, as stringified proxies. A front-end server publishes to entity servers only.
     std::string subscriber() const;
-    void publishTo(const std::vector<std::string>& front_ends, const std::vector<std::string>& entity_servers);
+    void publishTo(const std::vector<std::string>& front_ends,
+                   const std::vector<std::string>& entity_servers);
 
     /// The addresses that were taken, as HOST:PORT; each of a server that is here.
     std::string clientAddress(Lane lane) const;
@@ -74,8 +76,8 @@ class Server {
     /// For routers; empty where none are let in.
     std::string clientRouterAddress() const;
     std::string entityRouterAddress() const;
-    /// "ready client=… client-signal=… entity=… entity-signal=…", of the servers that are here, and client-router=…
-    /// entity-router=… where routers are let in.
+    /// "ready client=… client-signal=… entity=… entity-signal=…", of the servers that are here, and
+    /// client-router=… entity-router=… where routers are let in.
     std::string readyLine() const;
 
     /// For people: how near each watchdog came to its end in the last minute, and how long stops take.

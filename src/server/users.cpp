@@ -24,13 +24,14 @@ namespace axon::server {
 namespace {
 
 constexpr std::size_t kFileMax = 1024 * 1024;
-constexpr std::size_t kHashMax = 383;      // CRYPT_OUTPUT_SIZE, with its zero
-constexpr std::size_t kDigestMin = 43;     // of SHA-256 and yescrypt; of MD5 22, of DES 11
+constexpr std::size_t kHashMax = 383;   // CRYPT_OUTPUT_SIZE, with its zero
+constexpr std::size_t kDigestMin = 43;  // of SHA-256 and yescrypt; of MD5 22, of DES 11
 // Of no password: an unknown user's is compared with it where the file has nobody.
 constexpr const char* kNobody =
     "$6$axonnobodyhere$x7C57Za9X2zTX9U.UjLOsDvIz1JNvtCR8yr06Y.07VukDnIAQSiNXEnkuwyb9d.df2OpRUXC.wglXYtbc/"
     "uFK0";
-constexpr const char* kHowTo = "make the line with: axon-server --users FILE --add-user NAME --user-role ROLE";
+constexpr const char* kHowTo =
+    "make the line with: axon-server --users FILE --add-user NAME --user-role ROLE";
 
 std::vector<std::string_view> fieldsOf(std::string_view line) {
     std::vector<std::string_view> fields;

@@ -46,18 +46,22 @@ namespace {
 
 std::vector<Endpoint> withoutWildcards(std::vector<Endpoint> all) {
     for (auto& endpoint : all)
-        if (endpoint.host == "0.0.0.0" || endpoint.host == "*" || endpoint.host == "::") endpoint.host.clear();
+        if (endpoint.host == "0.0.0.0" || endpoint.host == "*" || endpoint.host == "::")
+            endpoint.host.clear();
     return all;
 }
 
 }  // namespace
 
 std::vector<Endpoint> publishedEndpoints(const Ice::ObjectAdapter& adapter) {
-    // Not asked of Ice where none is configured: it publishes every address of the machine for an adapter that
-    // listens on all.
-    const auto configured =
-        !adapter.getCommunicator()->getProperties()->getProperty(adapter.getName() + ".PublishedEndpoints").empty();
-    return withoutWildcards(endpointsOf(configured ? adapter.getPublishedEndpoints() : adapter.getEndpoints()));
+    // Not asked of Ice where none is configured: it publishes every address of the machine for an adapter
+    // that listens on all.
+    const auto configured = !adapter.getCommunicator()
+                                 ->getProperties()
+                                 ->getProperty(adapter.getName() + ".PublishedEndpoints")
+                                 .empty();
+    return withoutWildcards(
+        endpointsOf(configured ? adapter.getPublishedEndpoints() : adapter.getEndpoints()));
 }
 
 std::vector<Endpoint> listenedEndpoints(const Ice::ObjectAdapter& adapter) {

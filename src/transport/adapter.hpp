@@ -19,8 +19,9 @@ enum class Idle : std::uint8_t {
 /// An object adapter that listens, not active yet. With `threads`, calls of one connection run beside each
 /// other on so many; without, in order, on as many as the communicator has for each adapter. Throws
 /// std::runtime_error with the mend where it cannot.
-std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, const std::string& name, const std::string& endpoint,
-                                           int threads = 0, Idle idle = Idle::ClosedByIce);
+std::shared_ptr<Ice::ObjectAdapter> listen(Ice::Communicator& communicator, const std::string& name,
+                                           const std::string& endpoint, int threads = 0,
+                                           Idle idle = Idle::ClosedByIce);
 
 /// Where peers are told to call it: as configured, else as it listens, with the port that was taken where 0
 /// was asked for, and an empty host where it listens on all addresses of this machine.

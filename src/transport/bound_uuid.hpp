@@ -6,9 +6,10 @@
 
 namespace axon::transport {
 
-// A UUID that only who knows a secret can register: of version 8 (RFC 9562), and its other 122 bits are the first ones
-// of SHA-256("axon entity" + secret). A server needs no record of who registered it first, and several servers agree.
-// An entity shows its server the secret; the server passes it on to nobody. Threads: any; all values.
+// A UUID that only who knows a secret can register: of version 8 (RFC 9562), and its other 122 bits are the
+// first ones of SHA-256("axon entity" + secret). A server needs no record of who registered it first, and
+// several servers agree. An entity shows its server the secret; the server passes it on to nobody. Threads:
+// any; all values.
 
 inline constexpr std::size_t kSecretBytes = 32;
 

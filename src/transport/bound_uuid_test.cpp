@@ -30,7 +30,8 @@ TEST(BoundUuid, OnlyWhoKnowsTheSecretMayRegisterIt) {
     EXPECT_FALSE(mayRegister(uuid, std::string(kSecretBytes, 't')));
     EXPECT_FALSE(mayRegister(uuid, kSecret + "s"));
     auto upper = uuid;
-    std::transform(upper.begin(), upper.end(), upper.begin(), [](unsigned char c) { return std::toupper(c); });
+    std::transform(upper.begin(), upper.end(), upper.begin(),
+                   [](unsigned char c) { return std::toupper(c); });
     EXPECT_TRUE(isBoundUuid(upper));
     EXPECT_FALSE(upper != uuid && mayRegister(upper, kSecret)) << "another text for the same UUID";
 }

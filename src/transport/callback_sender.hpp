@@ -20,7 +20,8 @@ class CallbackSender {
           outbox_(std::make_shared<Outbox>(limits, std::move(disconnect), until)) {}
 
     /// `call(prx, head, bytes, answered, failed, sent)` makes the asynchronous call. It is copied when the
-    /// message must wait, so it captures by value. Returns false, and sends nothing, beyond the share of `from`.
+    /// message must wait, so it captures by value. Returns false, and sends nothing, beyond the share of
+    /// `from`.
     template <class Call>
     bool send(Traffic traffic, const Header& head, std::string_view bytes, Call call,
               SenderKey from = kServersOwn) const {

@@ -51,7 +51,8 @@ Ice::CommunicatorHolder makeCommunicator(const CommunicatorSettings& settings) {
     Ice::InitializationData init;
     init.properties = Ice::createProperties();
     const std::map<std::string, std::string> defaults = {
-        {"Ice.MessageSizeMax", std::to_string(settings.lane == Lane::Signal ? kSignalSizeMaxKib : kMessageSizeMaxKib)},
+        {"Ice.MessageSizeMax",
+         std::to_string(settings.lane == Lane::Signal ? kSignalSizeMaxKib : kMessageSizeMaxKib)},
         {"Ice.RetryIntervals", "-1"},
         {"Ice.IPv6", "0"},
         {"Ice.Warn.Connections", "0"},
@@ -100,7 +101,8 @@ bool callsBack(const Ice::ObjectPrx& given, const Ice::Current& current) {
     const auto endpoints = given.ice_getEndpoints();
     return !from.empty() && std::all_of(endpoints.begin(), endpoints.end(), [&](const auto& endpoint) {
         for (auto layer = endpoint->getInfo(); layer; layer = layer->underlying)
-            if (const auto ip = std::dynamic_pointer_cast<Ice::IPEndpointInfo>(layer)) return ip->host == from;
+            if (const auto ip = std::dynamic_pointer_cast<Ice::IPEndpointInfo>(layer))
+                return ip->host == from;
         return false;
     });
 }
@@ -127,11 +129,10 @@ Refusal translate(std::exception_ptr error, bool setting_up_tls) {
         return {
             RefusalCode::TimedOut, "the other side did not answer in time; is it overloaded or stopped?", {}};
     } catch (const Ice::MemoryLimitException&) {
-        return {
-            RefusalCode::TooLarge,
-            "the message is larger than " + std::to_string(kMessageSizeMaxKib) + " KiB (on a signal lane " +
-                std::to_string(kSignalSizeMaxKib) + "); send it in chunks",
-            {}};
+        return {RefusalCode::TooLarge,
+                "the message is larger than " + std::to_string(kMessageSizeMaxKib) +
+                    " KiB (on a signal lane " + std::to_string(kSignalSizeMaxKib) + "); send it in chunks",
+                {}};
     } catch (const Ice::ConnectFailedException&) {
         return {RefusalCode::NotConnected,
                 "nothing listens there; is it running (axon-server, or the router), and is the port right?",

@@ -15,8 +15,8 @@ namespace axon::transport {
 /// The largest message anybody accepts, in KiB: an uncompressed camera picture fits. Whoever sends a larger
 /// one is disconnected by the receiver.
 inline constexpr int kMessageSizeMaxKib = 4096;
-/// The same for what a signal lane receives: a stop of 8,192 entities by their ids fits. Whoever may send there makes
-/// nobody's stop wait for a list to be unpacked.
+/// The same for what a signal lane receives: a stop of 8,192 entities by their ids fits. Whoever may send
+/// there makes nobody's stop wait for a list to be unpacked.
 inline constexpr int kSignalSizeMaxKib = 512;
 
 /// SCHED_RR priorities of signal lanes: above ordinary threads, below the kernel's own interrupt threads
@@ -56,9 +56,9 @@ Refusal translate(std::exception_ptr error, bool setting_up_tls = false);
 /// with the mend.
 std::string tcpEndpoint(const std::string& host_and_port);
 
-/// Whether the proxy calls its peer back: over the connection of `current` (it has no endpoints), or at the address
-/// from which that comes. A peer that names another address would have the server connect where the peer says. Not
-/// for peers behind a Glacier2 router, whose callbacks name the router's own endpoints.
+/// Whether the proxy calls its peer back: over the connection of `current` (it has no endpoints), or at the
+/// address from which that comes. A peer that names another address would have the server connect where the
+/// peer says. Not for peers behind a Glacier2 router, whose callbacks name the router's own endpoints.
 bool callsBack(const Ice::ObjectPrx& given, const Ice::Current& current);
 
 /// The callback proxy to send on: an endpoint-less one is bound to the connection it came over, a routed or

@@ -43,7 +43,8 @@ std::optional<std::pair<std::string, std::uint16_t>> endOf(int fd, int (*ask)(in
     auto* address = reinterpret_cast<sockaddr*>(&found);
     char host[NI_MAXHOST], port[NI_MAXSERV];
     if (ask(fd, address, &size) != 0 || (found.ss_family != AF_INET && found.ss_family != AF_INET6) ||
-        ::getnameinfo(address, size, host, sizeof host, port, sizeof port, NI_NUMERICHOST | NI_NUMERICSERV) != 0)
+        ::getnameinfo(address, size, host, sizeof host, port, sizeof port, NI_NUMERICHOST | NI_NUMERICSERV) !=
+            0)
         return std::nullopt;
     return std::pair(std::string(host), static_cast<std::uint16_t>(std::atoi(port)));
 }
@@ -111,7 +112,8 @@ ConnectionLimits::Ends ConnectionLimits::endsOf(int fd) {
     const auto local = endOf(fd, ::getsockname);
     const auto remote = endOf(fd, ::getpeername);
     if (!local || !remote) return {};
-    return {{local->first, local->second}, remote->first + ":" + std::to_string(remote->second), remote->first};
+    return {
+        {local->first, local->second}, remote->first + ":" + std::to_string(remote->second), remote->first};
 }
 
 /// Under mutex_.
@@ -128,7 +130,8 @@ const ConnectionLimits::Watched* ConnectionLimits::watcherOf(const Ends& ends) c
 }
 
 void ConnectionLimits::shutDown(const Open& connection) {
-    // Ice may have closed it meanwhile, and the descriptor be another's: the copy stays what it is found to be.
+    // Ice may have closed it meanwhile, and the descriptor be another's: the copy stays what it is found to
+    // be.
     if (!spare_.open() || ::dup3(connection.fd, spare_.get(), O_CLOEXEC) < 0) return;
     if (cookieOf(spare_.get()) == connection.id) ::shutdown(spare_.get(), SHUT_RDWR);
     ::dup3(null_.get(), spare_.get(), O_CLOEXEC);
@@ -143,7 +146,9 @@ TimePoint ConnectionLimits::look() {
     std::vector<Open> open;
     if (!readDescriptors(open)) {
         if (!std::exchange(unreadable_told_, true))
-            note_("connections are not bounded: /proc/self/fd cannot be read; fix: mount /proc where this program runs");
+            note_(
+                "connections are not bounded: /proc/self/fd cannot be read; fix: mount /proc where this "
+                "program runs");
         return now + kLook;
     }
     std::unordered_map<std::uint64_t, Ends> still;
@@ -185,7 +190,8 @@ TimePoint ConnectionLimits::look() {
         for (const auto id : verdict.close) {
             const auto& ends = ends_.at(id);
             const auto* watcher = watcherOf(ends);
-            if (watcher != nullptr && watcher->sessions.state(ends.peer) == Peer::Stranger) shutDown(watched.at(id));
+            if (watcher != nullptr && watcher->sessions.state(ends.peer) == Peer::Stranger)
+                shutDown(watched.at(id));
         }
         for (const auto id : verdict.silent) {
             const auto& ends = ends_.at(id);

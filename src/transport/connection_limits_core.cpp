@@ -30,11 +30,13 @@ std::string groupOf(const std::string& address) {
 ConnectionBounds ConnectionBounds::fittingInto(std::size_t descriptors) const {
     auto its = *this;
     its.strangers = std::max<std::size_t>(1, std::min(strangers, descriptors / 4));
-    its.strangers_of_one_address = std::max<std::size_t>(1, std::min(strangers_of_one_address, its.strangers / 2));
+    its.strangers_of_one_address =
+        std::max<std::size_t>(1, std::min(strangers_of_one_address, its.strangers / 2));
     return its;
 }
 
-ConnectionLimitsCore::Verdict ConnectionLimitsCore::look(const std::vector<Seen>& connections, TimePoint now) {
+ConnectionLimitsCore::Verdict ConnectionLimitsCore::look(const std::vector<Seen>& connections,
+                                                         TimePoint now) {
     Verdict verdict;
     const auto count = [&](const std::string& reason, const std::string& address) {
         const bool room = untold_.size() < kAddressesTold || untold_.contains({reason, address});
@@ -58,7 +60,8 @@ ConnectionLimitsCore::Verdict ConnectionLimitsCore::look(const std::vector<Seen>
             if (one.silent_for <= bounds_.silence) continue;
             known.closed = true;
             verdict.silent.push_back(one.id);
-            count("nothing has come over a session's connection for " + seconds(bounds_.silence), one.address);
+            count("nothing has come over a session's connection for " + seconds(bounds_.silence),
+                  one.address);
         } else if (now - known.since > bounds_.to_log_in) {
             close(one.id, one.address, "no session in " + seconds(bounds_.to_log_in));
         } else {
@@ -73,16 +76,19 @@ ConnectionLimitsCore::Verdict ConnectionLimitsCore::look(const std::vector<Seen>
         of.pop_back();
     };
     for (auto& [address, open] : strangers) {
-        std::sort(open.begin(), open.end(), [](const auto& one, const auto& other) { return one.number > other.number; });
+        std::sort(open.begin(), open.end(),
+                  [](const auto& one, const auto& other) { return one.number > other.number; });
         while (open.size() > bounds_.strangers_of_one_address)
-            closeOldest(open, "more than " + std::to_string(bounds_.strangers_of_one_address) + " of one address without a session");
+            closeOldest(open, "more than " + std::to_string(bounds_.strangers_of_one_address) +
+                                  " of one address without a session");
         left += open.size();
     }
     // Of two addresses with as many, the one whose oldest is older.
     const auto hasLess = [](const auto& one, const auto& other) {
         const auto& [a, its] = one;
         const auto& [b, others] = other;
-        return its.size() != others.size() ? its.size() < others.size() : !its.empty() && its.back().number > others.back().number;
+        return its.size() != others.size() ? its.size() < others.size()
+                                           : !its.empty() && its.back().number > others.back().number;
     };
     for (; left > bounds_.strangers; --left)
         closeOldest(std::max_element(strangers.begin(), strangers.end(), hasLess)->second,
@@ -96,8 +102,9 @@ void ConnectionLimitsCore::tell(Verdict& verdict, TimePoint now) {
     if (untold_.empty() || now < tell_from_) return;
     tell_from_ = now + kTellAgain;
     for (const auto& [what, count] : untold_)
-        verdict.notes.push_back(std::to_string(count) + (count == 1 ? " connection" : " connections") + " from " + what.second +
-                                (count == 1 ? " was" : " were") + " closed: " + what.first);
+        verdict.notes.push_back(std::to_string(count) + (count == 1 ? " connection" : " connections") +
+                                " from " + what.second + (count == 1 ? " was" : " were") +
+                                " closed: " + what.first);
     untold_.clear();
 }
 

@@ -25,14 +25,15 @@ struct ConnectionBounds {
     ConnectionBounds fittingInto(std::size_t descriptors) const;
 };
 
-/// Decides which connections are closed: those that have had no session for too long, the oldest of those without one where there
-/// are too many of an address (or in all: of the address that has most), and those of sessions over which nothing has come for too
-/// long. I/O-free and not thread-safe; ConnectionLimits is its rim.
+/// Decides which connections are closed: those that have had no session for too long, the oldest of those
+/// without one where there are too many of an address (or in all: of the address that has most), and those of
+/// sessions over which nothing has come for too long. I/O-free and not thread-safe; ConnectionLimits is its
+/// rim.
 class ConnectionLimitsCore {
   public:
     enum class Peer : std::uint8_t {
         Stranger,
-        Exempt,     ///< its log-in is under way, which is bounded elsewhere, or it is a router
+        Exempt,  ///< its log-in is under way, which is bounded elsewhere, or it is a router
         HasSession
     };
     struct Seen {
@@ -44,13 +45,15 @@ class ConnectionLimitsCore {
     struct Verdict {
         std::vector<std::uint64_t> close;   ///< of strangers
         std::vector<std::uint64_t> silent;  ///< of sessions
-        std::vector<std::string> notes;     ///< for the log: at once, and then what has come together in ten seconds
-        bool strangers = false;             ///< some are left: look again soon
+        std::vector<std::string>
+            notes;               ///< for the log: at once, and then what has come together in ten seconds
+        bool strangers = false;  ///< some are left: look again soon
     };
 
     explicit ConnectionLimitsCore(ConnectionBounds bounds) : bounds_(bounds) {}
 
-    /// `connections`: all that there are. What is closed may be among them for some more calls, and is not reported again.
+    /// `connections`: all that there are. What is closed may be among them for some more calls, and is not
+    /// reported again.
     Verdict look(const std::vector<Seen>& connections, TimePoint now);
 
   private:

@@ -61,7 +61,8 @@ TEST_F(Limits, OfTooManyFromOneAddressTheOldestGoAndOthersAreNotHurt) {
     EXPECT_THAT(verdict.close, ElementsAre(10, 11));
     EXPECT_THAT(
         verdict.notes,
-        ElementsAre(HasSubstr("2 connections from 10.0.0.1 were closed: more than 3 of one address without a session")));
+        ElementsAre(HasSubstr(
+            "2 connections from 10.0.0.1 were closed: more than 3 of one address without a session")));
     EXPECT_TRUE(verdict.strangers);
 }
 

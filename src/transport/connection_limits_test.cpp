@@ -57,8 +57,9 @@ class ConnectionLimitsTest : public testing::Test {
             },
             bounds);
         watch_ = limits_->watch(listenedEndpoints(*adapter_), {[session](const std::string& peer) {
-            return peer == session ? ConnectionLimits::Peer::HasSession : ConnectionLimits::Peer::Stranger;
-        }});
+                                    return peer == session ? ConnectionLimits::Peer::HasSession
+                                                           : ConnectionLimits::Peer::Stranger;
+                                }});
     }
     Descriptor connect() {
         Descriptor socket(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));

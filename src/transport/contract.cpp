@@ -41,8 +41,10 @@ std::optional<Refusal> otherContract(const Ice::Context& of_peer) {
     const auto found = of_peer.find(kContextContract);
     if (found == of_peer.end())
         return Refusal{RefusalCode::NotSupported,
-                       ours + ", and the program that opens the session names none: upgrade that program, or let it send the "
-                              "request context axon-contract (CommUtil.ContractNumber)",
+                       ours +
+                           ", and the program that opens the session names none: upgrade that program, or "
+                           "let it send the "
+                           "request context axon-contract (CommUtil.ContractNumber)",
                        {}};
     const auto& text = found->second;
     const auto theirs = numberIn(text);
@@ -53,8 +55,8 @@ std::optional<Refusal> otherContract(const Ice::Context& of_peer) {
                        {}};
     if (*theirs == kOurs) return std::nullopt;
     return Refusal{RefusalCode::NotSupported,
-                   ours + ", the program that opens the session has contract " + std::to_string(*theirs) + ": upgrade " +
-                       (*theirs < kOurs ? "that program" : "the server"),
+                   ours + ", the program that opens the session has contract " + std::to_string(*theirs) +
+                       ": upgrade " + (*theirs < kOurs ? "that program" : "the server"),
                    {}};
 }
 

@@ -56,9 +56,8 @@ Header fromIce(ice::Header&& head) {
 }
 
 Registration fromIce(ice::Registration&& registration) {
-    return {std::move(registration.entity),        std::move(registration.name),
-            std::move(registration.category),      std::move(registration.type),
-            registration.heartbeatBusyMs,          registration.heartbeatIdleMs,
+    return {std::move(registration.entity), std::move(registration.name), std::move(registration.category),
+            std::move(registration.type),   registration.heartbeatBusyMs, registration.heartbeatIdleMs,
             std::move(registration.server)};
 }
 
@@ -115,7 +114,8 @@ ice::EntityStatus toIce(const EntityStatus& status) {
 }
 
 ice::ServerAnnouncement toIce(const ServerAnnouncement& server) {
-    return {server.name, server.instance, server.signals, server.messages, static_cast<double>(server.published)};
+    return {server.name, server.instance, server.signals, server.messages,
+            static_cast<double>(server.published)};
 }
 
 ice::RequestRefused toIce(const Refusal& refusal) {

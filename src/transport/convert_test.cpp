@@ -64,7 +64,8 @@ TEST(Convert, EverythingOfAHeaderGoesThereAndBack) {
     EXPECT_EQ(back.sequence, head.sequence);
     EXPECT_EQ(back.sent_at_us, head.sent_at_us);
 
-    const EntityStatus status{"uuid", EntityState::BUSY, true, 5, {"c", "n", Role::Operator}, {1, 2}, "why", true, 3, 450, "es1"};
+    const EntityStatus status{
+        "uuid", EntityState::BUSY, true, 5, {"c", "n", Role::Operator}, {1, 2}, "why", true, 3, 450, "es1"};
     EXPECT_EQ(fromIce(toIce(status)), status);
     const Registration registration{"uuid", "name", "ROBOT", "MOBILE", 20, 900, "es1"};
     EXPECT_EQ(fromIce(toIce(registration)), registration);

@@ -7,13 +7,16 @@
 #include "common/routed.hpp"
 #include "transport/convert.hpp"
 
-// The head of messages on a direct path, and the header of which it is a part. Sender and entity are the connection's
-// two ends and are filled in by whoever holds it.
+// The head of messages on a direct path, and the header of which it is a part. Sender and entity are the
+// connection's two ends and are filled in by whoever holds it.
 namespace axon::transport {
 
 inline ::Axon::DirectComm::Head toDirectHead(const Header& head) {
-    return {head.msg_type, {head.held.epoch, head.held.number}, head.stop_generation,
-            static_cast<double>(head.sequence), static_cast<double>(head.sent_at_us)};
+    return {head.msg_type,
+            {head.held.epoch, head.held.number},
+            head.stop_generation,
+            static_cast<double>(head.sequence),
+            static_cast<double>(head.sent_at_us)};
 }
 
 inline Header fromDirectHead(::Axon::DirectComm::Head&& head) {

@@ -114,10 +114,11 @@ class LaneSession {
             throw toIce(
                 Refusal{RefusalCode::Malformed, "the callback is null; give the proxy of a callback", {}});
         if (!peer_->routed() && !callsBack(*given, current))
-            throw toIce(Refusal{RefusalCode::PermissionDenied,
-                                "the callback's proxy names another address than that of its connection; give one "
-                                "without endpoints (of an adapter that is bound to the connection)",
-                                {}});
+            throw toIce(
+                Refusal{RefusalCode::PermissionDenied,
+                        "the callback's proxy names another address than that of its connection; give one "
+                        "without endpoints (of an adapter that is bound to the connection)",
+                        {}});
         if (!fits || ready_)
             throw toIce(Refusal{RefusalCode::WrongState,
                                 current.operation +
@@ -136,27 +137,31 @@ class LaneSession {
     std::atomic<bool> ready_{false};
 };
 
-/// As long as what is returned lives, who has no session of this lane cannot keep connections to its adapter. `routers`: those
-/// whose sessions come by it as well; null where there are none.
+/// As long as what is returned lives, who has no session of this lane cannot keep connections to its adapter.
+/// `routers`: those whose sessions come by it as well; null where there are none.
 template <class Core, class Servant>
-[[nodiscard]] std::shared_ptr<void> watch(ConnectionLimits& limits, const Ice::ObjectAdapter& adapter, SessionLane<Core, Servant>& lane,
+[[nodiscard]] std::shared_ptr<void> watch(ConnectionLimits& limits, const Ice::ObjectAdapter& adapter,
+                                          SessionLane<Core, Servant>& lane,
                                           const RouterConnections* routers) {
     auto& sessions = lane.sessions;
     return limits.watch(listenedEndpoints(adapter),
                         {[&sessions, routers](const std::string& peer) {
-                             return routers != nullptr && routers->has(peer) ? ConnectionLimits::Peer::Exempt : sessions.stateOf(peer);
+                             return routers != nullptr && routers->has(peer) ? ConnectionLimits::Peer::Exempt
+                                                                             : sessions.stateOf(peer);
                          },
                          [&sessions](const std::string& peer) { sessions.endSilent(peer); }});
 }
 
-/// Puts a session's servant behind a proxy that tells of unreadable calls; it ends with its peer (`closed(reason)`).
+/// Puts a session's servant behind a proxy that tells of unreadable calls; it ends with its peer
+/// (`closed(reason)`).
 template <class SessionPrx, class Core, class Servant>
 std::shared_ptr<SessionPrx> addSession(SessionLane<Core, Servant>& lane,
                                        const std::shared_ptr<PeerConnection>& peer,
                                        const std::shared_ptr<Servant>& servant,
                                        const std::shared_ptr<Ice::ObjectAdapter>& adapter) {
     valueOrThrow(lane.sessions.add(*peer, servant));
-    auto proxy = Ice::uncheckedCast<SessionPrx>(adapter->addWithUUID(std::make_shared<UnreadableCalls>(servant, peer->peer())));
+    auto proxy = Ice::uncheckedCast<SessionPrx>(
+        adapter->addWithUUID(std::make_shared<UnreadableCalls>(servant, peer->peer())));
     peer->onClosed([&lane, servant, key = peer->key(), adapter,
                     id = proxy->ice_getIdentity()](const CloseReason& reason) {
         lane.sessions.remove(key);
@@ -194,10 +199,11 @@ void openSession(SessionLane<Core, Servant>& lane, const std::shared_ptr<DirectC
     };
     if (lane.logins == nullptr) return answer(LoggedIn{});
     lane.sessions.asks(request.peer);
-    ask(*lane.logins, std::move(request), [&lane, its_peer = request.peer, answer = std::move(answer)](Result<LoggedIn> who) {
-        answer(std::move(who));
-        lane.sessions.answered(its_peer);
-    });
+    ask(*lane.logins, std::move(request),
+        [&lane, its_peer = request.peer, answer = std::move(answer)](Result<LoggedIn> who) {
+            answer(std::move(who));
+            lane.sessions.answered(its_peer);
+        });
 }
 
 }  // namespace axon::transport

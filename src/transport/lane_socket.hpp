@@ -8,9 +8,9 @@ namespace axon::transport {
 /// process whose two addresses are the connection's. -1 where there is none (closed meanwhile, or not TCP).
 int socketOf(const Ice::Connection& connection);
 
-/// Sets the signal lane's socket options (datagrams/signal_socket.hpp) on this connection, once, at its set-up.
-/// What the kernel does not have is said once in the log and done without. False when the socket was not
-/// found. Any thread.
+/// Sets the signal lane's socket options (datagrams/signal_socket.hpp) on this connection, once, at its
+/// set-up. What the kernel does not have is said once in the log and done without. False when the socket was
+/// not found. Any thread.
 bool prepareSignalLane(const Ice::Connection& connection);
 
 }  // namespace axon::transport

@@ -83,7 +83,8 @@ TEST_F(LaneSocketTest, OptionsOfTheSignalLaneAreSetOnBothEnds) {
         EXPECT_EQ(option(fd, SOL_SOCKET, SO_PRIORITY), 6);
         const auto missing = datagrams::prepareSignalSocket(fd);
         const bool has_minimum = std::find(missing.begin(), missing.end(), "TCP_RTO_MIN_US") == missing.end();
-        EXPECT_TRUE(!has_minimum || option(fd, IPPROTO_TCP, 45) <= 20'000) << "rounded up to the kernel's ticks";
+        EXPECT_TRUE(!has_minimum || option(fd, IPPROTO_TCP, 45) <= 20'000)
+            << "rounded up to the kernel's ticks";
     }
 }
 

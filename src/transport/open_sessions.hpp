@@ -53,7 +53,8 @@ class OpenSessions {
     ConnectionLimits::Peer stateOf(const std::string& peer) {
         if (asking_.has(peer)) return ConnectionLimits::Peer::Exempt;
         const auto servant = servantOf(peer);
-        return servant && servant->ready() ? ConnectionLimits::Peer::HasSession : ConnectionLimits::Peer::Stranger;
+        return servant && servant->ready() ? ConnectionLimits::Peer::HasSession
+                                           : ConnectionLimits::Peer::Stranger;
     }
     void endSilent(const std::string& peer) {
         if (const auto servant = servantOf(peer)) servant->disconnect("nothing was heard of it for a minute");
@@ -95,7 +96,7 @@ class OpenSessions {
     std::unordered_map<const void*, std::string> connections_;
     std::unordered_map<std::string, std::weak_ptr<Servant>> peers_;  // guarded by mutex_
     SessionPeers asking_;
-    std::deque<Opening> opening_;                   // guarded by mutex_, earliest first
+    std::deque<Opening> opening_;  // guarded by mutex_, earliest first
 };
 
 }  // namespace axon::transport

@@ -42,8 +42,8 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
 
     Outbox(OutboxLimits limits, Disconnect disconnect, Until until = Until::Written)
         : disconnect_(std::move(disconnect)), until_(until), core_(limits) {}
-    /// Whoever used it last held the mutex; that its reference was let go of before this one is counted in libIce,
-    /// out of ThreadSanitizer's sight.
+    /// Whoever used it last held the mutex; that its reference was let go of before this one is counted in
+    /// libIce, out of ThreadSanitizer's sight.
     ~Outbox() { const std::lock_guard lock(mutex_); }
 
     /// `send(SendCallbacks&&)` makes the asynchronous call, perhaps at once; `own()` returns a Parcel that
@@ -72,7 +72,8 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
         using Verdict = OutboxCore<Parcel>::Verdict;
         {
             const std::lock_guard lock(mutex_);
-            if (!core_.mayPass() || core_.offer(traffic, bytes, [] { return Parcel(); }) != Verdict::Send) return false;
+            if (!core_.mayPass() || core_.offer(traffic, bytes, [] { return Parcel(); }) != Verdict::Send)
+                return false;
         }
         launch(traffic, bytes, kServersOwn, send);
         return true;
@@ -87,9 +88,13 @@ class Outbox : public std::enable_shared_from_this<Outbox> {
         SendCallbacks back;
         back.failed = [self = shared_from_this()](std::exception_ptr) { self->fail(); };
         if (until_ == Until::Answered && (traffic == Traffic::Control || traffic == Traffic::Data)) {
-            back.answered = [self = shared_from_this(), traffic, bytes, from] { self->onSent(traffic, bytes, from); };
+            back.answered = [self = shared_from_this(), traffic, bytes, from] {
+                self->onSent(traffic, bytes, from);
+            };
         } else {
-            back.sent = [self = shared_from_this(), traffic, bytes, from](bool) { self->onSent(traffic, bytes, from); };
+            back.sent = [self = shared_from_this(), traffic, bytes, from](bool) {
+                self->onSent(traffic, bytes, from);
+            };
         }
         try {
             send(std::move(back));

@@ -15,16 +15,17 @@ namespace axon::transport {
 
 /// What may happen to a message when its consumer does not read.
 enum class Traffic : std::uint8_t {
-    Signal,     ///< never queued: sent at once, or the consumer is disconnected
-    /// Left out while the one before is unsent; the next one repeats the level. Other messages do not hold it back: with the
-    /// same period as theirs it would be left out each time, and the server be taken for silent.
+    Signal,  ///< never queued: sent at once, or the consumer is disconnected
+    /// Left out while the one before is unsent; the next one repeats the level. Other messages do not hold it
+    /// back: with the same period as theirs it would be left out each time, and the server be taken for
+    /// silent.
     Heartbeat,
-    Control,    ///< queued in order; overflow disconnects the consumer
-    Data        ///< queued in order; overflow drops the oldest data
+    Control,  ///< queued in order; overflow disconnects the consumer
+    Data      ///< queued in order; overflow drops the oldest data
 };
 
-/// Of each sender at most a quarter of the control messages and of the signals, and of all of them three quarters of
-/// the control messages; the rest is for the server's own, and for who holds the consumer.
+/// Of each sender at most a quarter of the control messages and of the signals, and of all of them three
+/// quarters of the control messages; the rest is for the server's own, and for who holds the consumer.
 struct OutboxLimits {
     std::size_t window_bytes = 256 * 1024;  ///< given to Ice and not yet written to the socket
     /// Waiting behind the window; one message of the largest size fits. A larger one waits alone.
@@ -49,9 +50,9 @@ struct OutboxCounts {
 /// rest waits here, in the order of arrival and within bounds. While anything waits, or is being taken out of
 /// the queue, nothing but signals and a heartbeat is sent past it.
 ///
-/// A control message or signal beyond its sender's share is Refused, and the sender to be told. Only the server's own
-/// overflow, and that of all signals together, disconnects the consumer. Of data the oldest is dropped, of the sender that
-/// has most of what there is too much of.
+/// A control message or signal beyond its sender's share is Refused, and the sender to be told. Only the
+/// server's own overflow, and that of all signals together, disconnects the consumer. Of data the oldest is
+/// dropped, of the sender that has most of what there is too much of.
 ///
 ///     idle ── offer ──► Send …… sent() ──► idle
 ///     window full ── offer ──► Queued …… sent() → startPump() → next()* → none
@@ -95,7 +96,8 @@ class OutboxCore {
             case Traffic::Control:
                 if (mayPass()) return launch(bytes);
                 if (from != kServersOwn && !withinShare(from, bytes)) return Verdict::Refused;
-                if (control_.messages >= limits_.control_messages || control_.bytes + bytes > limits_.control_bytes) {
+                if (control_.messages >= limits_.control_messages ||
+                    control_.bytes + bytes > limits_.control_bytes) {
                     close();
                     return Verdict::Overflow;
                 }
@@ -215,12 +217,13 @@ class OutboxCore {
         unsent_bytes_ += bytes;
         return Verdict::Send;
     }
-    /// No sender's signals are refused for those of others: who has none unsent may send one, or the consumer is
-    /// disconnected, and its robot stops by itself.
+    /// No sender's signals are refused for those of others: who has none unsent may send one, or the consumer
+    /// is disconnected, and its robot stops by itself.
     Verdict offerSignal(std::size_t bytes, SenderKey from) {
         if (from != kServersOwn) {
             const auto its = shares_.find(from);
-            if (its != shares_.end() && its->second.signals >= std::max<std::size_t>(parts(limits_.signals_unsent, 1), 1))
+            if (its != shares_.end() &&
+                its->second.signals >= std::max<std::size_t>(parts(limits_.signals_unsent, 1), 1))
                 return Verdict::Refused;
         }
         if (unsent_signals_ >= limits_.signals_unsent) {
@@ -243,9 +246,10 @@ class OutboxCore {
                its.bytes + bytes <= parts(limits_.control_bytes, 1);
     }
     void dropData(std::size_t Waiting::*scarce) {
-        const auto most = std::max_element(shares_.begin(), shares_.end(), [&](const auto& one, const auto& other) {
-            return one.second.data.*scarce < other.second.data.*scarce;
-        });
+        const auto most =
+            std::max_element(shares_.begin(), shares_.end(), [&](const auto& one, const auto& other) {
+                return one.second.data.*scarce < other.second.data.*scarce;
+            });
         const auto oldest = most->second.data_items.front();
         forgetOldestData(most);
         queue_.erase(oldest);

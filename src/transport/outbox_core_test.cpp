@@ -25,11 +25,14 @@ OutboxLimits small() {
     return limits;
 }
 
-Verdict offer(Core& core, Traffic traffic, int number, std::size_t bytes = 100, SenderKey from = kServersOwn) {
-    return core.offer(traffic, bytes, [number] { return number; }, from);
+Verdict offer(Core& core, Traffic traffic, int number, std::size_t bytes = 100,
+              SenderKey from = kServersOwn) {
+    return core.offer(
+        traffic, bytes, [number] { return number; }, from);
 }
 
-/// Of which each sender may have 4 messages or 100 bytes, and 2 signals, and all senders 12 messages or 300 bytes.
+/// Of which each sender may have 4 messages or 100 bytes, and 2 signals, and all senders 12 messages or 300
+/// bytes.
 OutboxLimits shared() {
     auto limits = small();
     limits.control_messages = 16;
@@ -164,7 +167,8 @@ TEST(OutboxCoreShares, AnyOneMessageMayWaitWhateverItsSize) {
 TEST(OutboxCoreShares, ManySendersTogetherLeaveAQuarterToTheServer) {
     Core core(shared());
     ASSERT_EQ(offer(core, Traffic::Control, 0), Verdict::Send);
-    for (SenderKey from = 1; from <= 12; ++from) EXPECT_EQ(offer(core, Traffic::Control, 1, 1, from), Verdict::Queued);
+    for (SenderKey from = 1; from <= 12; ++from)
+        EXPECT_EQ(offer(core, Traffic::Control, 1, 1, from), Verdict::Queued);
     EXPECT_EQ(offer(core, Traffic::Control, 2, 1, 13), Verdict::Refused);
     for (int i = 0; i < 4; ++i) EXPECT_EQ(offer(core, Traffic::Control, 3, 1), Verdict::Queued);
     EXPECT_EQ(offer(core, Traffic::Control, 4, 1), Verdict::Overflow) << "only the server's own disconnects";
@@ -178,8 +182,10 @@ TEST(OutboxCoreShares, OneSenderHasAQuarterOfTheSignals) {
     core.sent(Traffic::Signal, 1, 7);
     EXPECT_EQ(offer(core, Traffic::Signal, 4, 1, 7), Verdict::Send);
     for (SenderKey from = 20; from < 25; ++from)
-        EXPECT_EQ(offer(core, Traffic::Signal, 5, 1, from), Verdict::Send) << "nobody's stop is refused for others'";
-    EXPECT_EQ(offer(core, Traffic::Signal, 6, 1, 30), Verdict::Overflow) << "the robot is cut off, and stops by itself";
+        EXPECT_EQ(offer(core, Traffic::Signal, 5, 1, from), Verdict::Send)
+            << "nobody's stop is refused for others'";
+    EXPECT_EQ(offer(core, Traffic::Signal, 6, 1, 30), Verdict::Overflow)
+        << "the robot is cut off, and stops by itself";
     core.sent(Traffic::Signal, 1, 7);
     core.sent(Traffic::Signal, 1, 20);
 }
@@ -240,7 +246,8 @@ TEST(OutboxCoreProperty, KeepsOrderAndBounds) {
             const std::size_t bytes = 1 + random.next() % 90;
             const auto verdict =
                 offer(core, control ? Traffic::Control : Traffic::Data, number, bytes, random.next() % 3);
-            if (control && (verdict == Verdict::Send || verdict == Verdict::Queued)) control_offered.push_back(number);
+            if (control && (verdict == Verdict::Send || verdict == Verdict::Queued))
+                control_offered.push_back(number);
             if (verdict == Verdict::Send) record(number, control, bytes);
             overflow = verdict == Verdict::Overflow;
             const auto counts = core.counts();

@@ -15,8 +15,8 @@ CloseReason reasonOf(const Ice::Connection& connection) {
     } catch (const Ice::CloseTimeoutException&) {
         return {false, "it closed the connection"};
     } catch (const Ice::MemoryLimitException&) {
-        return {true, "it sent a message larger than " + std::to_string(kMessageSizeMaxKib) + " KiB (on a signal lane " +
-                          std::to_string(kSignalSizeMaxKib) + ')'};
+        return {true, "it sent a message larger than " + std::to_string(kMessageSizeMaxKib) +
+                          " KiB (on a signal lane " + std::to_string(kSignalSizeMaxKib) + ')'};
     } catch (const Ice::ProtocolException& error) {
         return {true, std::string("it broke the protocol (") + error.ice_id() + ")"};
     } catch (const Ice::ConnectionTimeoutException&) {

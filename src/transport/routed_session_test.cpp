@@ -7,7 +7,8 @@ namespace axon::transport {
 namespace {
 
 TEST(WayToARouter, IsTlsWithACertificateAndPlainWithoutWhateverTheOrder) {
-    const std::string name = "Axon.Clients/router", plain = "tcp -h 127.0.0.1 -p 10414", tls = "ssl -h 127.0.0.1 -p 10418";
+    const std::string name = "Axon.Clients/router", plain = "tcp -h 127.0.0.1 -p 10414",
+                      tls = "ssl -h 127.0.0.1 -p 10418";
     for (const auto& both : {name + ":" + plain + ":" + tls, name + ":" + tls + ":" + plain}) {
         EXPECT_EQ(wayToRouter(both, true), name + ":" + tls);
         EXPECT_EQ(wayToRouter(both, false), name + ":" + plain);
@@ -18,12 +19,13 @@ TEST(WayToARouter, IsTlsWithACertificateAndPlainWithoutWhateverTheOrder) {
 }
 
 TEST(WayToARouter, ThatHasNoChoiceIsAsItIs) {
-    for (const std::string one :
-         {"Axon.Clients/router:tcp -h 127.0.0.1 -p 10414", "Axon.Clients/router: ssl -h lab -p 10418", "Axon.Clients/router", ""}) {
+    for (const std::string one : {"Axon.Clients/router:tcp -h 127.0.0.1 -p 10414",
+                                  "Axon.Clients/router: ssl -h lab -p 10418", "Axon.Clients/router", ""}) {
         EXPECT_EQ(wayToRouter(one, true), one);
         EXPECT_EQ(wayToRouter(one, false), one);
     }
-    EXPECT_EQ(wayToRouter("Axon.Clients/router:tcp -h \"::1\" -p 10414", true), "Axon.Clients/router:tcp -h \"::1\" -p 10414");
+    EXPECT_EQ(wayToRouter("Axon.Clients/router:tcp -h \"::1\" -p 10414", true),
+              "Axon.Clients/router:tcp -h \"::1\" -p 10414");
 }
 
 TEST(WayToARouter, IsTlsOrNot) {

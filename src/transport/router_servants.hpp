@@ -89,14 +89,15 @@ class CertificateSessionManagerServant final : public Glacier2::SSLSessionManage
     RouterDoor& door_;
 };
 
-/// The door of a server whose sessions `make(lane, peer, who, display name)` makes, a shared_ptr of the servant; they
-/// are put on the lanes' own adapters. `verify` and `vouched` are those of Logins for this kind of peer. All that is
-/// named outlives what it returns.
+/// The door of a server whose sessions `make(lane, peer, who, display name)` makes, a shared_ptr of the
+/// servant; they are put on the lanes' own adapters. `verify` and `vouched` are those of Logins for this kind
+/// of peer. All that is named outlives what it returns.
 template <class SessionPrx, class ItsLane, class Make>
 RouterDoor makeDoor(ItsLane& data, const std::shared_ptr<Ice::ObjectAdapter>& data_adapter, ItsLane& signal,
                     const std::shared_ptr<Ice::ObjectAdapter>& signal_adapter, RouterConnections& routers,
                     void (Logins::*verify)(LoginRequest, Logins::Answer),
-                    Result<LoggedIn> (Logins::*vouched)(const std::string&, const std::optional<PeerCertificate>&),
+                    Result<LoggedIn> (Logins::*vouched)(const std::string&,
+                                                        const std::optional<PeerCertificate>&),
                     Make make) {
     auto* const logins = data.logins;
     RouterDoor door{routers, {}, {}, {}, data.server, {}};

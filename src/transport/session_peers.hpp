@@ -6,8 +6,8 @@
 
 namespace axon::transport {
 
-/// Peers ("127.0.0.1:50122") of which ConnectionLimits is to know something, such as that they have a session. One that
-/// was added twice is there until it has been removed twice. Threads: any.
+/// Peers ("127.0.0.1:50122") of which ConnectionLimits is to know something, such as that they have a
+/// session. One that was added twice is there until it has been removed twice. Threads: any.
 class SessionPeers {
   public:
     void add(const std::string& peer) {

@@ -54,7 +54,8 @@ class StormTopics::Search {
         }
         manager_ = patient(Ice::uncheckedCast<IceStorm::TopicManagerPrx>(manager));
         subscriber_ = communicator_->stringToProxy(settings_.subscriber);
-        thread_ = std::make_unique<TimerThread>("axon-storm", Lane::Data, Duration{}, clock_, [this] { return look(); });
+        thread_ = std::make_unique<TimerThread>("axon-storm", Lane::Data, Duration{}, clock_,
+                                                [this] { return look(); });
     }
 
     ~Search() {
@@ -102,19 +103,22 @@ class StormTopics::Search {
         }
     }
 
-    /// Servers of other editions hear nothing of this one, and it of them. What they do with their topics meanwhile is no
-    /// failure of ours.
+    /// Servers of other editions hear nothing of this one, and it of them. What they do with their topics
+    /// meanwhile is no failure of ours.
     void lookForOthers() {
         if (clock_.now() < look_for_others_) return;
         look_for_others_ = clock_.now() + kLookForOthers;
         try {
             for (const auto& [name, topic] : manager_->retrieveAll()) {
                 const auto contract = contractOfOther(settings_.subscribe_to, name);
-                if (!contract || others_.contains(*contract) || patient(topic)->getSubscribers().empty()) continue;
+                if (!contract || others_.contains(*contract) || patient(topic)->getSubscribers().empty())
+                    continue;
                 others_.insert(*contract);
                 note_("there are subscriptions of servers of contract " + std::to_string(*contract) +
-                      " at this IceStorm; this server has contract " + contractContext().at(kContextContract) +
-                      ", and it and they do not see each other: upgrade those of the smaller number, or start icebox again, if they run no more");
+                      " at this IceStorm; this server has contract " +
+                      contractContext().at(kContextContract) +
+                      ", and it and they do not see each other: upgrade those of the smaller number, or "
+                      "start icebox again, if they run no more");
             }
         } catch (const Ice::Exception&) {
         }
@@ -127,7 +131,8 @@ class StormTopics::Search {
         topic->unsubscribe(subscriber_);  // what an earlier start has left behind leads to another port
         try {
             topic->subscribeAndGetPublisher({{"reliability", "ordered"}, {"retryCount", "-1"}}, subscriber_);
-        } catch (const IceStorm::AlreadySubscribed&) {  // by another thread of IceStorm, a moment ago: it stands
+        } catch (
+            const IceStorm::AlreadySubscribed&) {  // by another thread of IceStorm, a moment ago: it stands
         }
         std::vector<std::string> publishers;
         for (const auto& name : settings_.publish_to) {
@@ -170,8 +175,8 @@ class StormTopics::Search {
 
 StormTopics::StormTopics(StormSettings settings, std::shared_ptr<Ice::Communicator> communicator,
                          const Clock& clock, Changed changed, Note note)
-    : search_(std::make_unique<Search>(std::move(settings), std::move(communicator), clock, std::move(changed),
-                                       std::move(note))) {}
+    : search_(std::make_unique<Search>(std::move(settings), std::move(communicator), clock,
+                                       std::move(changed), std::move(note))) {}
 
 StormTopics::~StormTopics() = default;
 

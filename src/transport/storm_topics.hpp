@@ -13,8 +13,8 @@ class Communicator;
 
 namespace axon::transport {
 
-/// The two topics between the servers (thesis figures 3.14, 3.15). At IceStorm the number of the contracts follows
-/// (contract.hpp).
+/// The two topics between the servers (thesis figures 3.14, 3.15). At IceStorm the number of the contracts
+/// follows (contract.hpp).
 inline constexpr const char* kFrontEndToEntityTopic = "FrontEndToEntity";
 inline constexpr const char* kEntityToFrontEndTopic = "EntityToFrontEnd";
 
@@ -25,19 +25,22 @@ struct StormSettings {
     std::vector<std::string> publish_to;
 };
 
-/// This server's part in topics of IceStorm, kept whole: once a second it looks whether its subscription is still
-/// there, and makes topics and subscription anew where it is not. IceStorm may come later than the server, be
-/// killed and be started again; what was published meanwhile is lost, which `changed` is there for.
+/// This server's part in topics of IceStorm, kept whole: once a second it looks whether its subscription is
+/// still there, and makes topics and subscription anew where it is not. IceStorm may come later than the
+/// server, be killed and be started again; what was published meanwhile is lost, which `changed` is there
+/// for.
 ///
-/// Each ten seconds it looks for servers of other editions of the contracts at the same IceStorm; `note` tells of each edition once.
+/// Each ten seconds it looks for servers of other editions of the contracts at the same IceStorm; `note`
+/// tells of each edition once.
 ///
-/// The subscription is ordered and for ever: one message at a time, and no message that fails ends it. States:
-/// searching ─ changed(publishers) ► found ─ a look failed: changed({}) ► searching. Threads: one of its own,
-/// which calls `changed` and `note` and waits for IceStorm, two seconds at most; the destructor joins it and ends
-/// the subscription. Destroy it before the communicator.
+/// The subscription is ordered and for ever: one message at a time, and no message that fails ends it.
+/// States: searching ─ changed(publishers) ► found ─ a look failed: changed({}) ► searching. Threads: one of
+/// its own, which calls `changed` and `note` and waits for IceStorm, two seconds at most; the destructor
+/// joins it and ends the subscription. Destroy it before the communicator.
 class StormTopics {
   public:
-    /// A publisher for each of `publish_to`, in that order, as stringified proxies; none: they are out of reach.
+    /// A publisher for each of `publish_to`, in that order, as stringified proxies; none: they are out of
+    /// reach.
     using Changed = std::function<void(const std::vector<std::string>& publishers)>;
     using Note = std::function<void(const std::string& line)>;
 

@@ -10,8 +10,8 @@
 
 namespace axon::transport {
 
-/// Where one of several servers is reached by the others: two adapters, one for each lane, and the stringified
-/// proxies of what is behind them.
+/// Where one of several servers is reached by the others: two adapters, one for each lane, and the
+/// stringified proxies of what is behind them.
 struct TopicAdapters {
     std::shared_ptr<Ice::ObjectAdapter> data, signal;  // null where the other server is in this process
     std::string subscriber;                            ///< what comes by the topic
@@ -23,8 +23,8 @@ struct TopicAdapters {
     }
 };
 
-/// Makes them, not active yet; `Servant(core, lane, way)` listens. `kind` is that of the server, "EntityServer". Throws
-/// std::runtime_error where it cannot listen.
+/// Makes them, not active yet; `Servant(core, lane, way)` listens. `kind` is that of the server,
+/// "EntityServer". Throws std::runtime_error where it cannot listen.
 template <class Servant, class Core, class Settings>
 TopicAdapters listenToServers(Core& core, const std::string& kind, const Settings& settings,
                               Ice::Communicator& data) {

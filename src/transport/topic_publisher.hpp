@@ -20,22 +20,24 @@
 
 namespace axon::transport {
 
-/// Where one of several servers publishes to: the topic, on a connection for each lane, and each neighbour straight,
-/// on one for each lane, too: for signals besides the topic and first, for messages that are for it alone instead of
-/// the topic. All that is sent is oneway and asynchronous, behind an Outbox for each of them, so that nobody who does
-/// not read holds up anybody.
+/// Where one of several servers publishes to: the topic, on a connection for each lane, and each neighbour
+/// straight, on one for each lane, too: for signals besides the topic and first, for messages that are for it
+/// alone instead of the topic. All that is sent is oneway and asynchronous, behind an Outbox for each of
+/// them, so that nobody who does not read holds up anybody.
 ///
-/// States: nowhere ─ publishTo() ► there ─ publishTo({}) ► nowhere; the neighbours come and go by reach(), which
-/// leaves alone what leads where it led, for messages may wait there. A
-/// connection that failed stays closed until reopen(), which the owner calls now and then. Threads: any; sending
-/// reads immutable lists, of which each lane has its own.
+/// States: nowhere ─ publishTo() ► there ─ publishTo({}) ► nowhere; the neighbours come and go by reach(),
+/// which leaves alone what leads where it led, for messages may wait there. A connection that failed stays
+/// closed until reopen(), which the owner calls now and then. Threads: any; sending reads immutable lists, of
+/// which each lane has its own.
 template <class Prx>
 class TopicPublisher {
   public:
     /// `data`, `signal`: of their connections; null where nothing will be published. `who` is for the log.
     TopicPublisher(std::shared_ptr<Ice::Communicator> data, std::shared_ptr<Ice::Communicator> signal,
                    std::string who)
-        : data_communicator_(std::move(data)), signal_communicator_(std::move(signal)), who_(std::move(who)) {}
+        : data_communicator_(std::move(data)),
+          signal_communicator_(std::move(signal)),
+          who_(std::move(who)) {}
 
     /// The publishers of the topic, or its subscribers themselves, as stringified proxies; none: it is down.
     void publishTo(const std::vector<std::string>& proxies) {
@@ -53,8 +55,10 @@ class TopicPublisher {
             if (!neighbour.messages.empty()) messages.push_back({neighbour.name, neighbour.messages});
         }
         const std::lock_guard lock(changes_);
-        store(direct_, routes(*signal_communicator_, signals, "axon-direct", signalLimits(), *direct_.load()));
-        store(direct_data_, routes(*data_communicator_, messages, "axon-direct-data", {}, *direct_data_.load()));
+        store(direct_,
+              routes(*signal_communicator_, signals, "axon-direct", signalLimits(), *direct_.load()));
+        store(direct_data_,
+              routes(*data_communicator_, messages, "axon-direct-data", {}, *direct_data_.load()));
     }
     /// Gives those whose connection failed another one.
     void reopen() {
@@ -182,8 +186,8 @@ class TopicPublisher {
 };
 
 /// Follows one control message to the network. Where it ends without having been written, `lost` is called:
-/// while the topic is down, when its connection fails, and when it still waited then. Copies of its shared_ptr
-/// travel in the message's call.
+/// while the topic is down, when its connection fails, and when it still waited then. Copies of its
+/// shared_ptr travel in the message's call.
 class PublicationTicket {
   public:
     using Lost = std::function<void(const Header&)>;

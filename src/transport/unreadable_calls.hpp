@@ -10,9 +10,9 @@
 
 namespace axon::transport {
 
-/// Hands the calls of one session to its servant, and tells the log of those that cannot be read as the contract says:
-/// of the first, and at the end of how many there were. A call without a reply would vanish otherwise. The session
-/// goes on. Threads: any.
+/// Hands the calls of one session to its servant, and tells the log of those that cannot be read as the
+/// contract says: of the first, and at the end of how many there were. A call without a reply would vanish
+/// otherwise. The session goes on. Threads: any.
 class UnreadableCalls final : public Ice::DispatchInterceptor {
   public:
     /// `peer`: for the log.

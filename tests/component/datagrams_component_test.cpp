@@ -21,10 +21,10 @@ namespace {
 
 using namespace std::chrono_literals;
 using client::DatagramSender;
-using entity_manager::BackEndEvents;
-using entity_manager::EntityManager;
 using datagrams::DatagramLane;
 using datagrams::Endpoint;
+using entity_manager::BackEndEvents;
+using entity_manager::EntityManager;
 using test::RawClient;
 using test::waitUntil;
 
@@ -212,7 +212,8 @@ TEST_F(DatagramsTest, ReplayedForgedAndForeignDatagramsAreNotExecuted) {
     ASSERT_EQ(seen_.stops, kStops);
 
     const auto recorded = relay.recorded();
-    // Copies of the last stop may still be on their way: what comes behind them says when they have been counted.
+    // Copies of the last stop may still be on their way: what comes behind them says when they have been
+    // counted.
     relay.swallow(true);
     relay.inject("no datagram of a stop");
     ASSERT_TRUE(waitUntil([&] { return counters().unreadable == 1; }));

@@ -292,7 +292,9 @@ TEST(DeviceGuard, WhoeverBeatsIsToldOfALostGuardBeforeTheLogIs) {
     std::array<int, 2> ends{};
     ASSERT_EQ(::socketpair(AF_UNIX, SOCK_STREAM, 0, ends.data()), 0);
     const Descriptor ours(ends[0]), its(ends[1]);
-    DeviceGuard guard({.device = "the test's device", .stop = "stop", .silence = std::chrono::milliseconds{200},
+    DeviceGuard guard({.device = "the test's device",
+                       .stop = "stop",
+                       .silence = std::chrono::milliseconds{200},
                        .logger = [&](const std::string&) { ++lines; }});
     ASSERT_TRUE(guard.watch(its.get()));
     ASSERT_EQ(::kill(guard.pid(), SIGKILL), 0);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// The direct path: the client library, the servers and the real Entity Manager over loopback, and relays in the direct
-// path's two connections that cut them or fall silent. And somebody who knocks at the Entity Manager's door without a right to.
+// The direct path: the client library, the servers and the real Entity Manager over loopback, and relays in
+// the direct path's two connections that cut them or fall silent. And somebody who knocks at the Entity
+// Manager's door without a right to.
 #include <axon/directcomm.h>
 #include <axon/messages.pb.h>
 #include <gtest/gtest.h>
@@ -45,11 +46,14 @@ class DirectPathTest : public ::testing::Test {
         core.application = "peoplebot";
         manager_ = EntityManager::create(
             executor_.get_executor(), ice_, core,
-            {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))), "", ""},
-            [&](const EntityManager::Strand& strand, const entity_manager::StopGate&, const Clock&, BackEndEvents& events) {
+            {at.substr(0, at.rfind(':')), static_cast<std::uint16_t>(std::stoi(at.substr(at.rfind(':') + 1))),
+             "", ""},
+            [&](const EntityManager::Strand& strand, const entity_manager::StopGate&, const Clock&,
+                BackEndEvents& events) {
                 auto application = std::make_unique<test::MemoryRobot>(strand, events, seen_);
                 application_ = application.get();
-                return EntityManager::BackEnd{std::move(application), [its = application_] { its->start(); }, [] {}};
+                return EntityManager::BackEnd{std::move(application), [its = application_] { its->start(); },
+                                              [] {}};
             },
             clock_, random_, storage_, storage_);
         entity_manager::DirectSettings direct;
@@ -107,8 +111,8 @@ class DirectPathTest : public ::testing::Test {
         proto::ToClient message;
         EXPECT_TRUE(waitUntil([&] {
             for (const auto& line : client.log.lines())
-                if (line.starts_with(beginning) && message.ParseFromString(line.substr(beginning.size())) && message.has_check_out() &&
-                    message.check_out().has_lease())
+                if (line.starts_with(beginning) && message.ParseFromString(line.substr(beginning.size())) &&
+                    message.has_check_out() && message.check_out().has_lease())
                     return true;
             return false;
         }));
@@ -124,7 +128,8 @@ class DirectPathTest : public ::testing::Test {
     std::unique_ptr<server::Server> server_;
     std::vector<std::unique_ptr<TcpGate>> gates_;
     asio::thread_pool executor_{1};
-    const std::shared_ptr<entity_manager::ServerCommunicators> ice_ = std::make_shared<entity_manager::ServerCommunicators>(1, 1);
+    const std::shared_ptr<entity_manager::ServerCommunicators> ice_ =
+        std::make_shared<entity_manager::ServerCommunicators>(1, 1);
     std::shared_ptr<EntityManager> manager_;
     std::unique_ptr<Client> client_;
 };
@@ -164,7 +169,8 @@ TEST_F(DirectPathTest, TasksAndTheirRefusalsAreTheSameByEitherWay) {
         EXPECT_EQ(held.run("Drive").wait(client::Seconds{5}).reason.code, RefusalCode::Latched);
         ASSERT_TRUE(client_->rearm("PeopleBot").ok());
         const auto again = held.run("Drive");
-        ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::BUSY; })) << again.report().reason.message;
+        ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::BUSY; }))
+            << again.report().reason.message;
         ASSERT_TRUE(held.clear().ok());
         EXPECT_EQ(again.wait(client::Seconds{5}).state, client::TaskState::Stopped);
         ASSERT_TRUE(held.release().ok());
@@ -190,13 +196,17 @@ TEST_F(DirectPathTest, EveryMessageComesOnceAndInOrderWhileThePathIsCutAndComesB
     };
     // From before the path is there, so that its beginning is among them.
     int sent = 0;
-    const auto content = [](int number) { return std::to_string(number) + std::string(static_cast<std::size_t>(number % 700), '.'); };
+    const auto content = [](int number) {
+        return std::to_string(number) + std::string(static_cast<std::size_t>(number % 700), '.');
+    };
     const auto some = [&](int count) {
         for (int i = 0; i < count; ++i, ++sent) {
             send(held, content(sent));
             application_->text(content(sent));
             if (sent % 256 == 0) {
-                ASSERT_TRUE(waitUntil([&] { return heardCount() + 1000 > static_cast<std::size_t>(sent); }));  // callbacks are bounded
+                ASSERT_TRUE(waitUntil([&] {
+                    return heardCount() + 1000 > static_cast<std::size_t>(sent);
+                }));  // callbacks are bounded
             }
         }
     };
@@ -212,8 +222,11 @@ TEST_F(DirectPathTest, EveryMessageComesOnceAndInOrderWhileThePathIsCutAndComesB
     }
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
     some(100);
-    ASSERT_TRUE(waitUntil([&] { return seen_.count() >= static_cast<std::size_t>(sent) && heardCount() >= static_cast<std::size_t>(sent); }))
-        << seen_.count() << " and " << heardCount() << " of " << sent;
+    ASSERT_TRUE(waitUntil([&] {
+        return seen_.count() >= static_cast<std::size_t>(sent) &&
+               heardCount() >= static_cast<std::size_t>(sent);
+    })) << seen_.count()
+        << " and " << heardCount() << " of " << sent;
     for (int i = 0; i < sent; ++i) {
         ASSERT_EQ(seen_.texts.at(static_cast<std::size_t>(i)), content(i));
         ASSERT_EQ(heard.at(static_cast<std::size_t>(i)), content(i));
@@ -309,7 +322,8 @@ TEST_F(DirectPathTest, ReleaseAndTheNextCheckOutKeepTheirOrderThoughThePathIsSil
         ASSERT_TRUE(waitUntil([&] { return seen_.count() == 2U * static_cast<std::size_t>(round); }));
         gates_.at(0)->hold(false);
     }
-    for (std::size_t i = 0; i < 6; ++i) EXPECT_EQ(seen_.texts.at(i), i % 2 == 0 ? "the last words" : "the first ones");
+    for (std::size_t i = 0; i < 6; ++i)
+        EXPECT_EQ(seen_.texts.at(i), i % 2 == 0 ? "the last words" : "the first ones");
 }
 
 TEST_F(DirectPathTest, WhoSendsFasterThanIsHandledIsHeldBackAndLosesNothing) {
@@ -347,15 +361,20 @@ TEST_F(DirectPathTest, AResetThatComesByAllWaysCountsOnce) {
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
     const auto first = held.run("Drive");
     const auto second = held.run("Drive");
-    ASSERT_TRUE(waitUntil([&] { return first.report().state == client::TaskState::Running && second.report().state == client::TaskState::Queued; }));
+    ASSERT_TRUE(waitUntil([&] {
+        return first.report().state == client::TaskState::Running &&
+               second.report().state == client::TaskState::Queued;
+    }));
     const auto before = gates_.at(1)->bytes();
     ASSERT_TRUE(held.reset().ok());
     EXPECT_EQ(first.wait(client::Seconds{5}).state, client::TaskState::Stopped);
     ASSERT_TRUE(waitUntil([&] { return second.report().state == client::TaskState::Running; }));
-    EXPECT_TRUE(waitUntil([&] { return gates_.at(1)->bytes() > before + 50; })) << "by the direct signal lane too";
+    EXPECT_TRUE(waitUntil([&] { return gates_.at(1)->bytes() > before + 50; }))
+        << "by the direct signal lane too";
     send(held, "later than both, by either way");
     ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
-    EXPECT_EQ(second.report().state, client::TaskState::Running) << "the second copy of the reset must not end it";
+    EXPECT_EQ(second.report().state, client::TaskState::Running)
+        << "the second copy of the reset must not end it";
 }
 
 TEST_F(DirectPathTest, AStopGoesByAllWaysAndIsExecutedOnce) {
@@ -368,7 +387,8 @@ TEST_F(DirectPathTest, AStopGoesByAllWaysAndIsExecutedOnce) {
         ASSERT_TRUE(receipts.ok()) << receipts.refusal().message;
         ASSERT_EQ(receipts.value().size(), 1U);
         EXPECT_TRUE(receipts.value().front().confirmed());
-        EXPECT_TRUE(waitUntil([&] { return gates_.at(1)->bytes() > before + 100; })) << "by the direct signal lane too";
+        EXPECT_TRUE(waitUntil([&] { return gates_.at(1)->bytes() > before + 100; }))
+            << "by the direct signal lane too";
         EXPECT_EQ(seen_.stops, i);
     }
 }
@@ -445,7 +465,8 @@ class Stranger {
               communicator_->stringToProxy("DirectGate:" + transport::tcpEndpoint(endpoint)))) {
         const auto adapter = communicator_->createObjectAdapter("");
         adapter->activate();
-        callback_ = Ice::uncheckedCast<slice::DirectCallbackPrx>(adapter->addWithUUID(std::make_shared<Deaf>()));
+        callback_ =
+            Ice::uncheckedCast<slice::DirectCallbackPrx>(adapter->addWithUUID(std::make_shared<Deaf>()));
         gate_->ice_ping();
         gate_->ice_getCachedConnection()->setAdapter(adapter);
     }
@@ -491,7 +512,8 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     ASSERT_FALSE(granted.direct_endpoint().empty());
     ASSERT_NE(granted.direct_endpoint(), granted.direct_signal_endpoint());
     const auto key = granted.lease().key();
-    const LeaseNumber lease{static_cast<std::int32_t>(granted.lease().epoch()), static_cast<std::int32_t>(granted.lease().number())};
+    const LeaseNumber lease{static_cast<std::int32_t>(granted.lease().epoch()),
+                            static_cast<std::int32_t>(granted.lease().number())};
 
     Stranger knocks(granted.direct_endpoint());
     const auto right = [&] {
@@ -533,13 +555,15 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     right();
     knocks.challenge();
     ASSERT_EQ(knocks.open(key), RefusalCode::Ok);
-    EXPECT_TRUE(direct::proves({reinterpret_cast<const char*>(knocks.opened.proof.data()), knocks.opened.proof.size()}, knocks.claim,
-                               direct::Prover::EntityManager, key));
+    EXPECT_TRUE(direct::proves(
+        {reinterpret_cast<const char*>(knocks.opened.proof.data()), knocks.opened.proof.size()}, knocks.claim,
+        direct::Prover::EntityManager, key));
     // Half a path is none: what goes by it waits for ever.
     EXPECT_FALSE(manager_->direct());
     // A session is its connection's alone.
     Stranger thief(granted.direct_endpoint());
-    const auto stolen = Ice::uncheckedCast<slice::DirectSessionPrx>(knocks.opened.session->ice_connectionId("thief"));
+    const auto stolen =
+        Ice::uncheckedCast<slice::DirectSessionPrx>(knocks.opened.session->ice_connectionId("thief"));
     EXPECT_THROW(stolen->sendToEntity({}, transport::toRange("x")), Ice::Exception);
 
     // After the end of the lease the key opens nothing.
@@ -566,7 +590,8 @@ TEST_F(DirectPathTest, ARearmEndsThePathThatBringsIt) {
     const auto path = Id128::random(random_);
     for (auto* lane : {&data, &signals}) {
         lane->claim.lane = lane == &data ? Lane::Data : Lane::Signal;
-        lane->claim.lease = {static_cast<std::int32_t>(granted.lease().epoch()), static_cast<std::int32_t>(granted.lease().number())};
+        lane->claim.lease = {static_cast<std::int32_t>(granted.lease().epoch()),
+                             static_cast<std::int32_t>(granted.lease().number())};
         lane->claim.client = Id128::parse(raw.facts.me.id).value();
         lane->claim.path = path;
         lane->challenge();
@@ -587,7 +612,8 @@ TEST_F(DirectPathTest, ARearmEndsThePathThatBringsIt) {
         its.stopGeneration = 1;
         its.seq = ++sequence;
         const auto its_bytes = message.SerializeAsString();
-        Ice::uncheckedCast<slice::DirectSessionPrx>(data.opened.session->ice_oneway())->sendToEntity(its, transport::toRange(its_bytes));
+        Ice::uncheckedCast<slice::DirectSessionPrx>(data.opened.session->ice_oneway())
+            ->sendToEntity(its, transport::toRange(its_bytes));
     };
     client_ = connect(false);
     ASSERT_TRUE(client_->stop({"PeopleBot"}).ok());

@@ -50,8 +50,8 @@ constexpr int kSlow = 5;
 constexpr int kSlow = 1;
 #endif
 
-/// The Entity Manager's side, with a thread for its strand. Its watchdogs are long, so that a machine that stands
-/// still for a moment does not fail a test of something else; who tests them names them.
+/// The Entity Manager's side, with a thread for its strand. Its watchdogs are long, so that a machine that
+/// stands still for a moment does not fail a test of something else; who tests them names them.
 class Manager : public BackEndEvents {
   public:
     explicit Manager(const std::string& application, PortRange ports = {5500, 5600},
@@ -1169,7 +1169,8 @@ TEST(Link, ADeadManagerStopsTheRobot) {
     const auto at = Clock::now();
     manager->die();
     ASSERT_TRUE(waitUntil([&] { return stops.count(Cause::LinkLost) == 1; }));
-    EXPECT_LT(stops.lastAt() - at, 1s * kSlow);  // far below its watchdog: the closed connection is what is seen
+    EXPECT_LT(stops.lastAt() - at,
+              1s * kSlow);  // far below its watchdog: the closed connection is what is seen
     EXPECT_TRUE(waitUntil([&] { return !running && downs == 1; }));
     EXPECT_EQ(seen_by_task, Cause::LinkLost);
     manager = std::make_unique<Manager>("Dead");  // and everything works again
@@ -1247,7 +1248,8 @@ TEST(Link, AStopCallbackMayWaitForALockThatTheTaskHolds) {
     const auto id = manager.dispatch("Grip", 0);
     ASSERT_TRUE(waitUntil([&] { return manager.answerOf(id) == proto::OK; }));
     const auto first = manager.stop();
-    // The task learns of the stop while the callback waits for it: who looks at stopRequested() cannot lock up.
+    // The task learns of the stop while the callback waits for it: who looks at stopRequested() cannot lock
+    // up.
     ASSERT_TRUE(waitUntil([&] { return in_callback && task_saw_it; }));
     const auto second = manager.stop();
     ASSERT_TRUE(waitUntil([&] { return manager.acknowledged(second) && manager.finalOf(id); }));

@@ -47,8 +47,8 @@ class MemoryStore final : public entity_manager::Storage, public entity_manager:
     std::map<std::string, std::string> values_;
 };
 
-/// The link to a robot application in memory, "PeopleBot" with the service "Drive": stands still at once, lets tasks run
-/// until they are stopped, and keeps what it is told.
+/// The link to a robot application in memory, "PeopleBot" with the service "Drive": stands still at once,
+/// lets tasks run until they are stopped, and keeps what it is told.
 class MemoryRobot final : public entity_manager::BackEndPort {
   public:
     struct Seen {
@@ -67,7 +67,9 @@ class MemoryRobot final : public entity_manager::BackEndPort {
     void start() {
         events_.onLinkUp();
         profile(false, R"(<BasicProfile name="PeopleBot" category="ROBOT" type="MOBILE" descr="a robot"/>)");
-        profile(true, R"(<ServiceProfile count="1"><Service name="Drive" global_id="drive" type="SMPL"/></ServiceProfile>)");
+        profile(
+            true,
+            R"(<ServiceProfile count="1"><Service name="Drive" global_id="drive" type="SMPL"/></ServiceProfile>)");
     }
     bool send(const proto::EmToEi& message) override {
         if (message.has_text()) {
@@ -109,7 +111,8 @@ class MemoryRobot final : public entity_manager::BackEndPort {
         if (!ended.task().event().task_id().empty()) answer(std::move(ended));
     }
     void setBusy(bool) override {}
-    /// Nothing more is under way from here to the Entity Manager: before that goes, and the executor does not.
+    /// Nothing more is under way from here to the Entity Manager: before that goes, and the executor does
+    /// not.
     void awaitQuiet() {
         std::promise<void> quiet;
         asio::post(strand_, [&] { quiet.set_value(); });

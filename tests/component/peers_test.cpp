@@ -2,11 +2,11 @@
 // Two Entity Managers' ways to the server, and what one sends the other by them.
 #include <gtest/gtest.h>
 
+#include <axon/messages.pb.h>
+#include <axon/profile.pb.h>
 #include <asio/io_context.hpp>
 #include <asio/post.hpp>
 #include <asio/strand.hpp>
-#include <axon/messages.pb.h>
-#include <axon/profile.pb.h>
 
 #include <thread>
 
@@ -50,7 +50,8 @@ class Peer final : public entity_manager::ServerEvents, public std::enable_share
     void clientMsg(Lane lane, Header head, std::string bytes) override {
         proto::ToEntity message;
         message.ParseFromString(bytes);
-        log.add((lane == Lane::Signal ? "signal from " : "data from ") + head.sender.id + ": " + message.text().text());
+        log.add((lane == Lane::Signal ? "signal from " : "data from ") + head.sender.id + ": " +
+                message.text().text());
     }
     void clientMsgDataSeq(Header, std::string) override {}
     void stopSignal(Header, StopCause) override {}
@@ -91,7 +92,8 @@ TEST(Peers, AnEntityManagerReachesAnotherOnBothLanesAndHearsOfWhatDidNotArrive) 
         master->send(Lane::Data, kSecond, "step");
         EXPECT_TRUE(waitUntil([&] { return slave->log.has(std::string("data from ") + kFirst + ": step"); }));
         master->send(Lane::Signal, kSecond, "beat");
-        EXPECT_TRUE(waitUntil([&] { return slave->log.has(std::string("signal from ") + kFirst + ": beat"); }));
+        EXPECT_TRUE(
+            waitUntil([&] { return slave->log.has(std::string("signal from ") + kFirst + ": beat"); }));
         master->send(Lane::Data, "nobody", "step");
         EXPECT_TRUE(waitUntil([&] { return master->log.has("data refused nobody UNKNOWN_ENTITY"); }));
         master->send(Lane::Signal, "nobody", "beat");

@@ -194,8 +194,8 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
             wait();
             ++entity_.messages_received;
             entity_.last_role = static_cast<Role>(head.sender.role);
-            entity_.log.add((lane_ == "signal" ? "signal msg " : "msg ") + head.sender.name + " " + head.msgType +
-                            " " + std::string(toView(message)));
+            entity_.log.add((lane_ == "signal" ? "signal msg " : "msg ") + head.sender.name + " " +
+                            head.msgType + " " + std::string(toView(message)));
         }
         void newClientMsgDataSeq(Axon::CommUtil::Header head, ByteRange, const Ice::Current&) override {
             wait();
@@ -226,8 +226,8 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
             entity_.log.add(lane_ + " client " + text[static_cast<int>(change)] + " " + head.sender.id);
         }
         void newRefusalMsg(Axon::CommUtil::Header head, int code, std::string, const Ice::Current&) override {
-            entity_.log.add((lane_ == "signal" ? "signal refused " : "refused ") + std::to_string(code) + " " +
-                            head.msgType);
+            entity_.log.add((lane_ == "signal" ? "signal refused " : "refused ") + std::to_string(code) +
+                            " " + head.msgType);
         }
         void newHeartbeat(double, const Ice::Current&) override { entity_.log.add(lane_ + " heartbeat"); }
 

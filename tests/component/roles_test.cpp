@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Several servers of each kind: in one process, joined without IceStorm, and as real processes with a real icebox.
+// Several servers of each kind: in one process, joined without IceStorm, and as real processes with a real
+// icebox.
 #include <IceStorm/IceStorm.h>
 #include <axon/messages.pb.h>
 #include <gtest/gtest.h>
@@ -85,7 +86,8 @@ TEST_F(SeveralServers, PresenceIsTheSameOnEveryFrontEndServer) {
     right.join();
     right.status(EntityState::IDLE);
     for (auto* client : {&client1, &client2}) {
-        EXPECT_TRUE(waitUntil([&] { return client->log.has("joined Left") && client->log.has("joined Right"); }));
+        EXPECT_TRUE(
+            waitUntil([&] { return client->log.has("joined Left") && client->log.has("joined Right"); }));
         EXPECT_TRUE(waitUntil([&] { return client->log.has(std::string("status ") + kSecond + " IDLE"); }));
     }
     left.data()->destroy();
@@ -209,8 +211,8 @@ TEST_F(SeveralServers, AReceiptThatComesTwoWaysIsOneToTheClientLibrary) {
         Header head;
         head.sender.id = stop.sender.id;
         head.msg_type = kMsgReceipt;
-        robot.signalOneway()->sendToClientAsync(transport::toIce(head), toRange(message.SerializeAsString()), [] {},
-                                                {}, {});
+        robot.signalOneway()->sendToClientAsync(transport::toIce(head), toRange(message.SerializeAsString()),
+                                                [] {}, {}, {});
     };
     robot.join();
     robot.status(EntityState::IDLE);
@@ -321,16 +323,17 @@ class RealServers : public testing::Test {
         folder = ::mkdtemp(name.data());
         const auto host = loopbackAddress();
         std::ofstream(folder / "icebox.cfg")
-            << "IceBox.Service.IceStorm=IceStormService,37:createIceStorm --Ice.Config=" << (folder / "storm.cfg").string()
-            << "\n";
-        std::ofstream(folder / "storm.cfg") << "IceStorm.InstanceName=IceStorm\nIceStorm.Transient=1\n"
-                                            << "IceStorm.TopicManager.Endpoints=tcp -h " << host << " -p 10430\n"
-                                            << "IceStorm.Publish.Endpoints=tcp -h " << host << " -p 10431\n"
-                                            << "IceStorm.Publish.ThreadPool.Size=4\n"
-                                            << "IceStorm.Publish.ThreadPool.Serialize=1\n"
-                                            << "IceStorm.Send.QueueSizeMax=1000\n"
-                                            << "IceStorm.Send.QueueSizeMaxPolicy=DropEvents\n"
-                                            << "IceStorm.Discard.Interval=1\nIce.MessageSizeMax=4096\n";
+            << "IceBox.Service.IceStorm=IceStormService,37:createIceStorm --Ice.Config="
+            << (folder / "storm.cfg").string() << "\n";
+        std::ofstream(folder / "storm.cfg")
+            << "IceStorm.InstanceName=IceStorm\nIceStorm.Transient=1\n"
+            << "IceStorm.TopicManager.Endpoints=tcp -h " << host << " -p 10430\n"
+            << "IceStorm.Publish.Endpoints=tcp -h " << host << " -p 10431\n"
+            << "IceStorm.Publish.ThreadPool.Size=4\n"
+            << "IceStorm.Publish.ThreadPool.Serialize=1\n"
+            << "IceStorm.Send.QueueSizeMax=1000\n"
+            << "IceStorm.Send.QueueSizeMaxPolicy=DropEvents\n"
+            << "IceStorm.Discard.Interval=1\nIce.MessageSizeMax=4096\n";
         for (const std::string server : {"fe1", "fe2", "es1"}) {
             std::ofstream(folder / (server + ".cfg"))
                 << "Server.Name=" << server << "\nServer.TopicManager=IceStorm/TopicManager:tcp -h " << host
@@ -345,7 +348,8 @@ class RealServers : public testing::Test {
     }
     void startStorm() {
         programs["icebox"] = std::make_unique<Program>(
-            std::vector<std::string>{"icebox", "--Ice.Config=" + (folder / "icebox.cfg").string()}, folder / "icebox.log");
+            std::vector<std::string>{"icebox", "--Ice.Config=" + (folder / "icebox.cfg").string()},
+            folder / "icebox.log");
     }
     Program& start(const std::string& name) {
         const bool front_end = name.rfind("fe", 0) == 0;
@@ -373,13 +377,15 @@ TEST_F(RealServers, IceStormMayComeLaterDieAndComeBack) {
     client.text(kFirst, "too early", 1);
     EXPECT_TRUE(waitUntil([&] { return client.log.has(kUnknownEntity + " of 1"); }));
     startStorm();
-    EXPECT_TRUE(waitUntil([&] { return client.log.has("joined Robot"); }, 5s)) << front_end.text() << entity_server.text();
+    EXPECT_TRUE(waitUntil([&] { return client.log.has("joined Robot"); }, 5s))
+        << front_end.text() << entity_server.text();
     client.text(kFirst, "first", 2);
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg client1@lab TEXT first"); }));
     ASSERT_TRUE(reaches(client, robot)) << "straight, too: before that the topic is the only way";
 
     programs["icebox"]->kill();
-    // Messages and statuses go straight: nothing of them waits or is lost, all the time until it is there again.
+    // Messages and statuses go straight: nothing of them waits or is lost, all the time until it is there
+    // again.
     std::int64_t number = 100;
     for (; number < 120; ++number) client.text(kFirst, "n" + std::to_string(number), number);
     EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg client1@lab TEXT n119"); }));
@@ -398,9 +404,11 @@ TEST_F(RealServers, IceStormMayComeLaterDieAndComeBack) {
     while (std::chrono::steady_clock::now() < deadline) {
         client.text(kFirst, "n" + std::to_string(number), number);
         ++number;
-        EXPECT_TRUE(waitUntil([&] { return robot.log.has("msg client1@lab TEXT n" + std::to_string(number - 1)); }));
+        EXPECT_TRUE(
+            waitUntil([&] { return robot.log.has("msg client1@lab TEXT n" + std::to_string(number - 1)); }));
     }
-    EXPECT_EQ(robot.log.count("msg client1@lab TEXT n"), static_cast<std::size_t>(number - 100)) << "each once";
+    EXPECT_EQ(robot.log.count("msg client1@lab TEXT n"), static_cast<std::size_t>(number - 100))
+        << "each once";
     EXPECT_TRUE(waitUntil([&] { return client.log.has(std::string("status ") + kFirst + " ERR"); }, 5s));
     RawEntity late(entity_server.ready("entity"), kSecond, "Late");
     late.join();
@@ -411,24 +419,29 @@ TEST_F(RealServers, IceStormMayComeLaterDieAndComeBack) {
 TEST_F(RealServers, ServersOfAnotherEditionAreNotMetAndToldOf) {
     startStorm();
     const Ice::CommunicatorHolder communicator(Ice::initialize());
-    const auto proxy = communicator->stringToProxy("IceStorm/TopicManager:tcp -h " + loopbackAddress() + " -p 10430");
-    ASSERT_TRUE(waitUntil([&] {
-        try {
-            proxy->ice_ping();
-            return true;
-        } catch (const Ice::ConnectFailedException&) {
-            return false;
-        }
-    }, 5s));
+    const auto proxy =
+        communicator->stringToProxy("IceStorm/TopicManager:tcp -h " + loopbackAddress() + " -p 10430");
+    ASSERT_TRUE(waitUntil(
+        [&] {
+            try {
+                proxy->ice_ping();
+                return true;
+            } catch (const Ice::ConnectFailedException&) {
+                return false;
+            }
+        },
+        5s));
     const auto manager = Ice::uncheckedCast<IceStorm::TopicManagerPrx>(proxy);
     const auto other = std::to_string(Axon::CommUtil::ContractNumber + 1);
     const auto newer = manager->create("FrontEndToEntity-" + other);
-    newer->subscribeAndGetPublisher({}, communicator->stringToProxy("nobody:tcp -h " + loopbackAddress() + " -p 1"));
+    newer->subscribeAndGetPublisher(
+        {}, communicator->stringToProxy("nobody:tcp -h " + loopbackAddress() + " -p 1"));
     const auto nobodys = std::to_string(Axon::CommUtil::ContractNumber + 2);
     manager->create("FrontEndToEntity-" + nobodys);
     auto& entity_server = start("es1");
     const auto tells = [&](const std::string& number) {
-        return entity_server.text().find("subscriptions of servers of contract " + number) != std::string::npos;
+        return entity_server.text().find("subscriptions of servers of contract " + number) !=
+               std::string::npos;
     };
     EXPECT_TRUE(waitUntil([&] { return tells(other); }, 5s)) << entity_server.text();
     EXPECT_FALSE(tells(nobodys)) << "a topic to which nobody listens";
@@ -475,7 +488,8 @@ TEST_F(RealServers, TheEntitiesOfAKilledEntityServerHaveLeftAndComeBackWithIt) {
     for (auto* one : {&client, &other})
         ASSERT_TRUE(waitUntil([&] { return one->log.has("joined Robot"); })) << programs["fe1"]->text();
     programs["es1"]->kill();
-    for (auto* one : {&client, &other}) EXPECT_TRUE(waitUntil([&] { return one->log.has("left Robot"); }, 5s));
+    for (auto* one : {&client, &other})
+        EXPECT_TRUE(waitUntil([&] { return one->log.has("left Robot"); }, 5s));
     robot = std::make_unique<RawEntity>(start("es1").ready("entity"), kFirst);
     robot->join();
     for (auto* one : {&client, &other}) {

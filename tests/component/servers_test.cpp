@@ -239,7 +239,8 @@ TEST_F(Servers, AStopOfSeveralIsOneMessageAndReachesNobodyElse) {
     third.join();
     RawClient client(clients());
     client.signalOneway()->sendStopSignals(transport::toIce(client.headTo(kSecond, 7)),
-                                           Axon::CommUtil::StopList({kFirst, "nobody", kThird}), Axon::CommUtil::StopCause::Requested);
+                                           Axon::CommUtil::StopList({kFirst, "nobody", kThird}),
+                                           Axon::CommUtil::StopCause::Requested);
     EXPECT_TRUE(waitUntil([&] { return first.log.has("signal stop requested client1@lab"); }));
     EXPECT_TRUE(waitUntil([&] { return third.log.has("signal stop requested client1@lab"); }));
     EXPECT_TRUE(waitUntil([&] { return client.log.has("refused 20 of 7"); }));
@@ -430,9 +431,10 @@ TEST_F(ServerUsers, ASessionOnTheSignalPortIsNothingWithoutAToken) {
     RawEntity robot(entities(), kFirst, "Robot", "left", "password of left");
     robot.join();
     const auto communicator = transport::makeCommunicator({});
-    const auto gate =
-        Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(communicator.communicator()->stringToProxy(
-            "ClientGate:" + transport::tcpEndpoint(server->clientAddress(Lane::Signal)))->ice_context(transport::contractContext()));
+    const auto gate = Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(
+        communicator.communicator()
+            ->stringToProxy("ClientGate:" + transport::tcpEndpoint(server->clientAddress(Lane::Signal)))
+            ->ice_context(transport::contractContext()));
     const auto opened = gate->open("", "", "eve");
     const auto session = Ice::uncheckedCast<Axon::FrontEndComm::ClientSessionPrx>(
         gate->ice_getCachedConnection()->createProxy(opened->ice_getIdentity()));
@@ -448,7 +450,9 @@ TEST_F(ServerUsers, GuessingHoldsUpNoStop) {
     const auto client = logIn("client1", "password of client1");
     const auto communicator = transport::makeCommunicator({});
     const auto gate = Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(
-        communicator.communicator()->stringToProxy("ClientGate:" + transport::tcpEndpoint(clients()))->ice_context(transport::contractContext()));
+        communicator.communicator()
+            ->stringToProxy("ClientGate:" + transport::tcpEndpoint(clients()))
+            ->ice_context(transport::contractContext()));
     std::atomic<int> refused{0};
     for (int i = 0; i < 40; ++i) {
         gate->openAsync(
@@ -485,7 +489,8 @@ TEST(ServerWithoutUsers, OnlyItsOwnUserAndRootAreAdmin) {
 
 TEST(ServerWithoutUsers, AsSomebodyElse) {
     const char* address = std::getenv("AXON_TEST_SERVER");
-    if (address == nullptr) GTEST_SKIP() << "runs as a child of OnlyItsOwnUserAndRootAreAdmin, under another user";
+    if (address == nullptr)
+        GTEST_SKIP() << "runs as a child of OnlyItsOwnUserAndRootAreAdmin, under another user";
     const RawClient other(address);
     EXPECT_EQ(static_cast<Role>(other.facts.me.role), Role::Operator);
 }
@@ -555,7 +560,8 @@ TEST_F(Servers, RefuseASecondEntityOfTheSameUuid) {
         FAIL() << "expected a refusal";
     } catch (const Axon::CommUtil::RequestRefused& refused) {
         EXPECT_EQ(refused.code, static_cast<int>(RefusalCode::Duplicate));
-        EXPECT_NE(refused.reason.find("give the copy an empty one (--state)"), std::string::npos) << refused.reason;
+        EXPECT_NE(refused.reason.find("give the copy an empty one (--state)"), std::string::npos)
+            << refused.reason;
     }
 }
 
@@ -574,14 +580,17 @@ TEST_F(Servers, AnswerASessionOnlyOnItsOwnConnection) {
 TEST_F(Servers, OpenOneSessionForEachConnection) {
     const auto communicator = transport::makeCommunicator({});
     const auto gate = Ice::uncheckedCast<Axon::FrontEndComm::ClientGatePrx>(
-        communicator.communicator()->stringToProxy("ClientGate:" + transport::tcpEndpoint(clients()))->ice_context(transport::contractContext()));
+        communicator.communicator()
+            ->stringToProxy("ClientGate:" + transport::tcpEndpoint(clients()))
+            ->ice_context(transport::contractContext()));
     gate->open("", "", "one");
     EXPECT_THROW(gate->open("", "", "two"), Axon::CommUtil::RequestRefused);
 }
 
 TEST_F(Servers, RefuseWhoHasAnotherContract) {
     const auto communicator = transport::makeCommunicator({});
-    const auto answer = [&](const std::string& identity, const std::string& address, const Ice::Context& context) {
+    const auto answer = [&](const std::string& identity, const std::string& address,
+                            const Ice::Context& context) {
         const auto proxy = communicator.communicator()
                                ->stringToProxy(identity + ":" + transport::tcpEndpoint(address))
                                ->ice_connectionId(Ice::generateUUID())
@@ -600,11 +609,12 @@ TEST_F(Servers, RefuseWhoHasAnotherContract) {
     constexpr int kOurs = Axon::CommUtil::ContractNumber;
     using At = std::pair<std::string, std::string>;
     for (const auto& [identity, address] :
-         {At{"ClientGate", clients()}, At{"ClientGate", server.clientAddress(Lane::Signal)}, At{"EntityGate", entities()},
-          At{"EntityGate", server.entityAddress(Lane::Signal)}}) {
+         {At{"ClientGate", clients()}, At{"ClientGate", server.clientAddress(Lane::Signal)},
+          At{"EntityGate", entities()}, At{"EntityGate", server.entityAddress(Lane::Signal)}}) {
         EXPECT_EQ(answer(identity, address, {}), RefusalCode::NotSupported) << identity << ' ' << address;
         for (const int number : {kOurs - 1, kOurs + 1})
-            EXPECT_EQ(answer(identity, address, {{"axon-contract", std::to_string(number)}}), RefusalCode::NotSupported)
+            EXPECT_EQ(answer(identity, address, {{"axon-contract", std::to_string(number)}}),
+                      RefusalCode::NotSupported)
                 << identity << ' ' << address << ' ' << number;
         EXPECT_EQ(answer(identity, address, {{"axon-contract", std::to_string(kOurs)}}), RefusalCode::Ok);
     }

@@ -239,8 +239,8 @@ TEST_F(SlowDiskTest, NoRobotStopsAndNoWatchdogWarnsWhateverTheDiskHoldsUp) {
     EXPECT_EQ(lost, 0);
     EXPECT_THAT(warnings_->lines(), IsEmpty());
 
-    // A task that waits for its entry when the robot is stopped does not begin. One that has not been accepted
-    // yet would be overtaken by the stop and refused.
+    // A task that waits for its entry when the robot is stopped does not begin. One that has not been
+    // accepted yet would be overtaken by the stop and refused.
     test::makeSlow(folder_ / "state", 4 * kEach);
     const auto late = held.run("Look");
     ASSERT_TRUE(waitUntil([&] { return late.report().accepted; }));

@@ -12,7 +12,8 @@ int main(int argc, char** argv) try {
         return 2;
     }
     const std::filesystem::path profiles = argv[1];
-    axon::EntityInterfacer interfacer({.application = argv[3], .ports_file = argv[2], .reports_standstill = true});
+    axon::EntityInterfacer interfacer(
+        {.application = argv[3], .ports_file = argv[2], .reports_standstill = true});
     interfacer.uploadBasicProfile(profiles / "basic.xml");
     interfacer.uploadServiceProfile(profiles / "services.xml");
     auto stream = interfacer.stream("count");

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What comes over a robot's serial line, at either end: however the bytes are cut, the robot's reader finds the same
-// packets; what a client makes of them survives writing and reading; the virtual robot and the client's session take
-// anything, and the virtual robot does not move its wheels before a session was open.
+// What comes over a robot's serial line, at either end: however the bytes are cut, the robot's reader finds
+// the same packets; what a client makes of them survives writing and reading; the virtual robot and the
+// client's session take anything, and the virtual robot does not move its wheels before a session was open.
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>
@@ -24,7 +24,9 @@ void require(bool holds) {
 struct Ignored final : lab::ArcosServer::Port, arcos::ClientSession::Port {
     void send(const Bytes& /*bytes*/) override {}
     void onOnline(const arcos::RobotIdentity& /*identity*/) override {}
-    void onState(const arcos::RobotState& state) override { require(std::isfinite(state.x_mm) && std::isfinite(state.heading_deg)); }
+    void onState(const arcos::RobotState& state) override {
+        require(std::isfinite(state.x_mm) && std::isfinite(state.heading_deg));
+    }
     void onLost(const std::string& /*reason*/) override {}
 };
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// A journal file with anything in it: what can be read is told, and what is written next is read back as it was.
+// A journal file with anything in it: what can be read is told, and what is written next is read back as it
+// was.
 #include <unistd.h>
 
 #include <cstdint>
@@ -8,9 +9,9 @@
 #include <optional>
 #include <string>
 
+#include "claim.hpp"
 #include "common/ids.hpp"
 #include "entity_manager/file_journal.hpp"
-#include "claim.hpp"
 
 namespace {
 

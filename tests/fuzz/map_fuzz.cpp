@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// A Mapper3 map: any text is accepted or refused with its line, and of what is accepted every goal can be found by its
-// name.
+// A Mapper3 map: any text is accepted or refused with its line, and of what is accepted every goal can be
+// found by its name.
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// A camera's stream of PPM pictures: however it is cut, the same last picture comes out or the same refusal, and a
-// picture has the bytes that its size says.
+// A camera's stream of PPM pictures: however it is cut, the same last picture comes out or the same refusal,
+// and a picture has the bytes that its size says.
 #include <cstdint>
 #include <cstdlib>
 #include <optional>

@@ -5,9 +5,9 @@
 #include <cstdint>
 #include <string_view>
 
+#include "claim.hpp"
 #include "messages/profile_reader.hpp"
 #include "messages/profile_writer.hpp"
-#include "claim.hpp"
 
 namespace {
 

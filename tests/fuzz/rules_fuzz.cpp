@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Fuzzy rules: any text is accepted or refused with its line, and what is accepted gives a number for each output,
-// whatever the inputs.
+// Fuzzy rules: any text is accepted or refused with its line, and what is accepted gives a number for each
+// output, whatever the inputs.
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>

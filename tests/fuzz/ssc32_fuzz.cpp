@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What comes over an arm's serial line, at either end: however the bytes are cut, the virtual controller answers the
-// same and its servos stay where servos can be; the client's session takes anything as an answer.
+// What comes over an arm's serial line, at either end: however the bytes are cut, the virtual controller
+// answers the same and its servos stay where servos can be; the client's session takes anything as an answer.
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>
@@ -51,7 +51,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
         now += milliseconds{20};
     }
     require(answers == pieces);
-    require(whole.counters().moves == cut.counters().moves && whole.counters().refused_lines == cut.counters().refused_lines);
+    require(whole.counters().moves == cut.counters().moves &&
+            whole.counters().refused_lines == cut.counters().refused_lines);
     for (int i = 0; i < 20; ++i) {
         whole.step(milliseconds{100});
         for (std::size_t channel = 0; channel < lab::Ssc32Server::kChannels; ++channel)

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// A value of the state folder that is damaged in any way: the Entity Manager says so and does not start, or the robot, which
-// was held and stopped when the last life ended, comes up latched. The first byte chooses the value, the rest is its content.
+// A value of the state folder that is damaged in any way: the Entity Manager says so and does not start, or
+// the robot, which was held and stopped when the last life ended, comes up latched. The first byte chooses
+// the value, the rest is its content.
 #include <cstdint>
 #include <iterator>
 #include <stdexcept>
@@ -9,9 +10,7 @@
 #include "claim.hpp"
 #include "tests/support/core_rig.hpp"
 
-namespace {
-
-}  // namespace
+namespace {}  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t size) {
     using axon::test::CoreRig;

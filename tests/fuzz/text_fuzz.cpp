@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What people write or pass on: a query for entities, a ports.cfg, and a lease's ticket. Any text is one or a refusal that says
-// what was expected; a ticket that is taken says the same again. The first byte chooses.
+// What people write or pass on: a query for entities, a ports.cfg, and a lease's ticket. Any text is one or a
+// refusal that says what was expected; a ticket that is taken says the same again. The first byte chooses.
 #include <cstdint>
 #include <string_view>
 
+#include "claim.hpp"
 #include "client/entity_query.hpp"
 #include "client/session_core.hpp"
 #include "host/port_range.hpp"
-#include "claim.hpp"
 
 namespace {
 
@@ -32,7 +32,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
         requireMend(ticket);
         if (!ticket) return 0;
         const auto again = client::LeaseTicket::parse(ticket->toText());
-        require(again.ok() && again->entity == ticket->entity && again->lease == ticket->lease && again->key == ticket->key,
+        require(again.ok() && again->entity == ticket->entity && again->lease == ticket->lease &&
+                    again->key == ticket->key,
                 "a ticket that is taken is written and read as the same");
         return 0;
     }

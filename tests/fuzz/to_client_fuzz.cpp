@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Whatever an entity sends a client, as an axon.proto.ToClient, a profile or a record of a service: the client neither ends
-// nor believes that it holds what it has not asked for. The input is messages of a byte for the kind and for the entity,
-// two for the length, then the message.
+// Whatever an entity sends a client, as an axon.proto.ToClient, a profile or a record of a service: the
+// client neither ends nor believes that it holds what it has not asked for. The input is messages of a byte
+// for the kind and for the entity, two for the length, then the message.
 #include <axon/messages.pb.h>
 
 #include <cstdint>
 #include <string>
 
-#include "client/test_environment.hpp"
 #include "claim.hpp"
+#include "client/test_environment.hpp"
 
 namespace {
 
@@ -48,6 +48,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
                 world.core.onEntityMsg(head, message);
         }
     }
-    for (const auto& held : world.core.leases().held()) require(held.entity == uuid(3), "it holds only what it asked for");
+    for (const auto& held : world.core.leases().held())
+        require(held.entity == uuid(3), "it holds only what it asked for");
     return 0;
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Whatever clients and other entities send an Entity Manager, as an axon.proto.ToEntity under any header: nobody but who
-// was granted the robot moves it, and no latch goes without a rearm. The input is messages of a byte for who sends and a
-// byte for the header, two for the length, then the message.
+// Whatever clients and other entities send an Entity Manager, as an axon.proto.ToEntity under any header:
+// nobody but who was granted the robot moves it, and no latch goes without a rearm. The input is messages of
+// a byte for who sends and a byte for the header, two for the length, then the message.
 #include <axon/messages.pb.h>
 
 #include <cstdint>
@@ -16,7 +16,8 @@ namespace {
 using namespace axon;
 using namespace std::chrono_literals;
 
-const std::vector<std::string> kSenders{"client1", "client2", "admin1", "observer1", "22222222-1111-4111-8111-111111111111"};
+const std::vector<std::string> kSenders{"client1", "client2", "admin1", "observer1",
+                                        "22222222-1111-4111-8111-111111111111"};
 const std::vector<const char*> kTypes{kMsgCheckOut, kMsgTask,   kMsgRearm, kMsgWatch,         kMsgRaw,
                                       kMsgRun,      kMsgStatus, "",        kMsgCollaboration, "no such type"};
 

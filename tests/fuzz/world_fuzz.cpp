@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// A laboratory's description: any text is accepted or refused with its line, and what is accepted can be completed,
-// checked and written as a world. All maps that it names are one small square here; map_fuzz has maps.
+// A laboratory's description: any text is accepted or refused with its line, and what is accepted can be
+// completed, checked and written as a world. All maps that it names are one small square here; map_fuzz has
+// maps.
 #include <cstdint>
 #include <cstdlib>
 #include <string_view>
@@ -11,8 +12,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* bytes, std::size_t siz
     using namespace axon::lab;
     const std::string_view text(reinterpret_cast<const char*>(bytes), size);
     try {
-        constexpr const char* kMap = "2D-Map\nLineMinPos: 0 0\nLineMaxPos: 4000 4000\nNumLines: 4\nLINES\n0 0 4000 0\n4000 0 4000 4000\n"
-                                     "4000 4000 0 4000\n0 4000 0 0\n";
+        constexpr const char* kMap =
+            "2D-Map\nLineMinPos: 0 0\nLineMaxPos: 4000 4000\nNumLines: 4\nLINES\n0 0 4000 0\n4000 0 4000 "
+            "4000\n"
+            "4000 4000 0 4000\n0 4000 0 0\n";
         auto world = [&] {
             try {
                 return parseWorld(text, "f", [=](const std::string&) { return std::string(kMap); });

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// Random global services over random entities, with failures, denials, stops, cancels, pauses, cuts, lost signals and
-// frozen masters:
-// the order is kept, equal places run side by side, nobody is left moving, and events and record agree.
+// Random global services over random entities, with failures, denials, stops, cancels, pauses, cuts, lost
+// signals and frozen masters: the order is kept, equal places run side by side, nobody is left moving, and
+// events and record agree.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -123,8 +123,8 @@ TEST(CollaborationProperty, RandomRunsKeepOrderAndLeaveNobodyMoving) {
             fleet.lose = [&](std::size_t, std::size_t, const proto::ToEntity& message) {
                 const auto& of_slave = message.from_slave();
                 const auto& of_master = message.from_master();
-                const bool droppable = of_slave.has_beat() || of_slave.has_departure() || of_master.has_beat() ||
-                                       of_master.end().stop();
+                const bool droppable = of_slave.has_beat() || of_slave.has_departure() ||
+                                       of_master.has_beat() || of_master.end().stop();
                 return droppable && story.oneIn(5);
             };
         fleet.launch(service, story.master);
@@ -163,7 +163,8 @@ TEST(CollaborationProperty, RandomRunsKeepOrderAndLeaveNobodyMoving) {
         EXPECT_EQ(record.state(), fleet.told.state);
         ASSERT_EQ(record.steps_size(), static_cast<int>(fleet.told.steps.size()));
         for (const auto& step : record.steps())
-            EXPECT_EQ(step.SerializeAsString(), fleet.told.steps[step.step()].SerializeAsString()) << step.step();
+            EXPECT_EQ(step.SerializeAsString(), fleet.told.steps[step.step()].SerializeAsString())
+                << step.step();
         if (faulty) continue;
         EXPECT_EQ(record.state(), proto::RUN_SUCCEEDED) << record.reason().message();
         // All that share a place begin before the first of them ends.
@@ -178,7 +179,8 @@ TEST(CollaborationProperty, RandomRunsKeepOrderAndLeaveNobodyMoving) {
         overlapping += most > 1 ? 1 : 0;
     }
     EXPECT_GT(overlapping, 5);
-    for (const auto state : {proto::RUN_SUCCEEDED, proto::RUN_FAILED, proto::RUN_STOPPED, proto::RUN_CANCELLED})
+    for (const auto state :
+         {proto::RUN_SUCCEEDED, proto::RUN_FAILED, proto::RUN_STOPPED, proto::RUN_CANCELLED})
         EXPECT_GT(outcomes[state], 0) << proto::RunState_Name(state);
 }
 

@@ -122,7 +122,8 @@ class World {
         if (service != (parts == 0 ? "Driving" : "Turning")) broken("a part out of its order: " + whole);
         if (++parts > 2) broken("a composite with more parts than it has: " + whole);
         if (ended_.contains(whole)) broken("a part of a task that has ended: " + whole);
-        if (parts == 2 && last_end_ != proto::TASK_SUCCEEDED) broken("a part after one that failed: " + whole);
+        if (parts == 2 && last_end_ != proto::TASK_SUCCEEDED)
+            broken("a part after one that failed: " + whole);
         parts_run_ += parts == 2 ? 1 : 0;
     }
     void noteStops() {
@@ -171,7 +172,8 @@ class World {
                 if (state != proto::TASK_REFUSED && parts_.contains(id)) ended_.insert(id);
             }
             // Who resumes a lease is told again how its tasks have ended.
-            if (!told_again_ || !concluded_.contains(id) || open_.contains("task " + id)) answered("task " + id);
+            if (!told_again_ || !concluded_.contains(id) || open_.contains("task " + id))
+                answered("task " + id);
             if (message.task().reason().code() != proto::DUPLICATE) concluded_.insert(id);
         } else if (state == proto::TASK_RUNNING || state == proto::TASK_PAUSED) {
             running_.insert(id);
@@ -362,7 +364,8 @@ class World {
         proto::ToEntity message;
         auto& task = *message.mutable_task();
         task.set_task_id(idOf(id));
-        task.set_service(any<std::string>({"Driving", "Turning", "Sonar", "Light", "Light", "Tour", "Nonsense"}));
+        task.set_service(
+            any<std::string>({"Driving", "Turning", "Sonar", "Light", "Light", "Tour", "Nonsense"}));
         if (task.service() == "Driving")
             *task.add_params() = paramOf("Distance=" + std::to_string(roll(5200)));
         if (task.service() == "Tour")
@@ -398,7 +401,8 @@ class World {
     }
     void control(const std::string& client) {
         proto::ToEntity message;
-        const auto id = running_.empty() || roll(4) == 0 ? "t" + std::to_string(roll(ids_ + 1)) : *running_.begin();
+        const auto id =
+            running_.empty() || roll(4) == 0 ? "t" + std::to_string(roll(ids_ + 1)) : *running_.begin();
         message.mutable_task_control()->set_task_id(idOf(id));
         message.mutable_task_control()->set_action(
             any<proto::TaskAction>({proto::PAUSE, proto::RESUME, proto::CANCEL}));
@@ -656,9 +660,9 @@ class World {
     std::set<std::string> concluded_;  ///< whose end was told
     std::set<std::string> ended_;      ///< composites that had begun: told to the holder
     bool told_again_ = false;          ///< since a lease was resumed it may have been told more than once
-    std::set<std::string> offered_;  ///< tasks ever sent
-    std::set<std::string> voided_;   ///< of them, those sent before the newest stop and not again since
-    std::set<std::string> excused_;  ///< requests whose answer was lost with the server
+    std::set<std::string> offered_;    ///< tasks ever sent
+    std::set<std::string> voided_;     ///< of them, those sent before the newest stop and not again since
+    std::set<std::string> excused_;    ///< requests whose answer was lost with the server
     std::map<std::string, TimePoint> not_after_;
     std::map<std::string, int> open_;  ///< requests that wait for their answer
     std::map<std::string, std::string> request_;
@@ -668,7 +672,7 @@ class World {
         proved_;                         ///< of which leases a client has sent the right key
     std::set<std::string> held_before_;  ///< client and key: told again, no new grant
     std::string asked_;                  ///< the request of the last question to a holder
-    std::map<std::string, int> parts_;  ///< of composites, how many were dispatched
+    std::map<std::string, int> parts_;   ///< of composites, how many were dispatched
     proto::TaskState last_end_ = proto::TASK_UNSPECIFIED;  ///< that the application has reported
     std::size_t resumed_ = 0, passed_on_ = 0, taken_over_ = 0, parts_run_ = 0, configured_tasks_ = 0;
     std::int64_t speed_ = 0;  ///< as the application was told

@@ -634,7 +634,8 @@ std::string shown(const proto::EmToEi& message, const CoreRig& rig) {
 bool CoreRig::send(const proto::EmToEi& message) {
     if (message.ByteSizeLong() > frame_max) return false;
     // Which task it is of stands in the journal, always.
-    if (message.has_task() && (journal.records.empty() || journal.records.back().task.bytes() != message.task().task_id()))
+    if (message.has_task() &&
+        (journal.records.empty() || journal.records.back().task.bytes() != message.task().task_id()))
         parts_.push_back(message.task().task_id());
     note("application: " + shown(message, *this));
     to_application.push_back(message);

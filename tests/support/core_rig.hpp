@@ -98,8 +98,8 @@ class MemoryResources final : public entity_manager::ResourceStore, public Answe
     Refusal failure;           ///< why it never will
 };
 
-/// An EntityManagerCore between fake ports that write every effect down, as a line of text and as it is. The parts of
-/// composites, whose ids are random, are called part1, part2 and so on as they are dispatched.
+/// An EntityManagerCore between fake ports that write every effect down, as a line of text and as it is. The
+/// parts of composites, whose ids are random, are called part1, part2 and so on as they are dispatched.
 /// Clients are known by their names: "admin…" is an administrator, "observer…" an observer. A client sends
 /// what it would in truth: the lease it was given and the newest stop generation it was told, unless `lease`
 /// or `generation` say otherwise.

@@ -32,7 +32,8 @@ proto::GlobalService globalService(const std::vector<std::string>& steps, proto:
     return service;
 }
 
-Fleet::Fleet(std::size_t robots, std::uint64_t seed, const std::vector<Duration>& watchdogs) : robots_(robots) {
+Fleet::Fleet(std::size_t robots, std::uint64_t seed, const std::vector<Duration>& watchdogs)
+    : robots_(robots) {
     for (std::size_t i = 0; i < robots; ++i) {
         entity_manager::CoreSettings settings{.application = "rig"};
         if (i < watchdogs.size()) settings.server_watchdog_busy = watchdogs[i];
@@ -43,7 +44,8 @@ Fleet::Fleet(std::size_t robots, std::uint64_t seed, const std::vector<Duration>
         rig.on_application = [this, i](const proto::EmToEi& message) { serve(i, message); };
         rig.on_peer = [this, i](Lane, const Header& head, const proto::ToEntity& message) {
             for (std::size_t to = 0; to < robots_.size(); ++to)
-                if (uuid(to) == head.entity && !(lose && lose(i, to, message))) letters_.push_back({i, to, head, message.SerializeAsString()});
+                if (uuid(to) == head.entity && !(lose && lose(i, to, message)))
+                    letters_.push_back({i, to, head, message.SerializeAsString()});
         };
         rig.on_client = [this](const CoreRig::ToClientRecord& record) {
             if (record.message.has_reply() && record.message.reply().has_refusal())
@@ -67,7 +69,8 @@ Fleet::Fleet(std::size_t robots, std::uint64_t seed, const std::vector<Duration>
 void Fleet::serve(std::size_t robot, const proto::EmToEi& message) {
     auto& self = robots_[robot];
     const auto find = [&](const std::string& id) {
-        return std::find_if(self.running.begin(), self.running.end(), [&](const Running& task) { return task.id == id; });
+        return std::find_if(self.running.begin(), self.running.end(),
+                            [&](const Running& task) { return task.id == id; });
     };
     if (message.has_task()) {
         const auto& dispatch = message.task();
@@ -96,7 +99,8 @@ void Fleet::serve(std::size_t robot, const proto::EmToEi& message) {
         task->outcome = {.verdict = proto::TASK_CANCELLED};
     } else if (message.has_pause()) {
         const auto task = find(message.pause().task_id());
-        if (task == self.running.end() || task->outcome.deaf || task->paused != message.pause().resume()) return;
+        if (task == self.running.end() || task->outcome.deaf || task->paused != message.pause().resume())
+            return;
         const auto now = rig(robot).clock.now();
         task->paused = !task->paused;
         if (task->paused)
@@ -106,7 +110,8 @@ void Fleet::serve(std::size_t robot, const proto::EmToEi& message) {
         proto::EiToEm answer;
         answer.mutable_task()->mutable_event()->set_task_id(task->id);
         answer.mutable_task()->mutable_event()->set_progress(-1);
-        answer.mutable_task()->mutable_event()->set_state(task->paused ? proto::TASK_PAUSED : proto::TASK_RUNNING);
+        answer.mutable_task()->mutable_event()->set_state(task->paused ? proto::TASK_PAUSED
+                                                                       : proto::TASK_RUNNING);
         self.answers.push_back(answer);
     }
 }

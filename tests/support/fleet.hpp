@@ -15,10 +15,11 @@
 namespace axon::test {
 
 /// "role service preced", e.g. "0 Turning 1"; the roles are the robots' numbers.
-proto::GlobalService globalService(const std::vector<std::string>& steps, proto::OnFailure on_failure = proto::STOP_ALL);
+proto::GlobalService globalService(const std::vector<std::string>& steps,
+                                   proto::OnFailure on_failure = proto::STOP_ALL);
 
-/// Several Entity Managers that one client holds under one root lease, each with a robot application that does what
-/// `behave` says, and a network between them that can be cut. Everything on one virtual time.
+/// Several Entity Managers that one client holds under one root lease, each with a robot application that
+/// does what `behave` says, and a network between them that can be cut. Everything on one virtual time.
 class Fleet {
   public:
     /// Those with a watchdog of their own: `watchdogs`, in the robots' order.
@@ -43,12 +44,16 @@ class Fleet {
     TimePoint now() { return rig(0).clock.now(); }
 
     /// Every role that has a step is played by the robot of its number.
-    proto::CollaborationRequest request(const proto::GlobalService& service, std::size_t master, const std::string& run);
+    proto::CollaborationRequest request(const proto::GlobalService& service, std::size_t master,
+                                        const std::string& run);
     void launch(const proto::GlobalService& service, std::size_t master, const std::string& run = "run");
     void launch(const proto::CollaborationRequest& request, std::size_t master);
     void control(std::size_t master, const std::string& run, proto::TaskAction action);
     /// Of the client, as on its signal lane.
-    void stop(std::size_t robot) { rig(robot).stop("client2"); deliver(); }
+    void stop(std::size_t robot) {
+        rig(robot).stop("client2");
+        deliver();
+    }
     void advance(Duration by);
 
     /// Nothing that its Entity Manager sends to others arrives, nor what they send to it; it does not know.
@@ -68,7 +73,7 @@ class Fleet {
         std::uint64_t sequence = 0;
         bool in_order = true;  ///< each event's number is one more than that of the last
         std::vector<std::pair<proto::RunState, TimePoint>> events;
-        Refusal refused;       ///< the request itself, by a reply
+        Refusal refused;  ///< the request itself, by a reply
     };
     Told told;
     /// The master's record of the newest run, as any client may ask for it.

@@ -16,9 +16,10 @@ inline std::string loopbackAddress() {
            std::to_string(1 + (pid & 255U) % 254);
 }
 
-/// Waits until the condition holds, or the deadline passes; returns whether it holds. For effects of real threads,
-/// sockets and processes only: everything that can be is tested on a ManualClock.
-inline bool waitUntil(const std::function<bool()>& holds, std::chrono::milliseconds deadline = std::chrono::seconds{10}) {
+/// Waits until the condition holds, or the deadline passes; returns whether it holds. For effects of real
+/// threads, sockets and processes only: everything that can be is tested on a ManualClock.
+inline bool waitUntil(const std::function<bool()>& holds,
+                      std::chrono::milliseconds deadline = std::chrono::seconds{10}) {
     const auto end = std::chrono::steady_clock::now() + deadline;
     while (!holds()) {
         if (std::chrono::steady_clock::now() >= end) return holds();

@@ -196,7 +196,8 @@ void client(CoreRig& rig, const std::string& name, Words& words) {
     if (verb == "rearms") return rig.rearm(name, words.need("a request"));
     if (verb == "is") {
         const auto what = words.need("lost or ended");
-        return rig.core().onClientUpdate(rig.headOf(name), what == "lost" ? ClientChange::Lost : ClientChange::Ended);
+        return rig.core().onClientUpdate(rig.headOf(name),
+                                         what == "lost" ? ClientChange::Lost : ClientChange::Ended);
     }
     if (verb == "runs") {
         const auto task = words.need("a task");

@@ -8,8 +8,9 @@
 
 namespace Axon::CommUtil {
 
-/// The entities of one stop of several, as C++ reads them from a message: at most one more than a server takes, so that
-/// the thread of the stops makes no strings of a list of half a million names. The rest is skipped.
+/// The entities of one stop of several, as C++ reads them from a message: at most one more than a server
+/// takes, so that the thread of the stops makes no strings of a list of half a million names. The rest is
+/// skipped.
 struct StopList {
     static constexpr std::size_t kMost = 8192;
 

@@ -14,7 +14,8 @@ namespace {
 
 int bench(Session& session) {
     std::error_code unknown;
-    const auto program = std::filesystem::read_symlink("/proc/self/exe", unknown).parent_path() / "axon-bench";
+    const auto program =
+        std::filesystem::read_symlink("/proc/self/exe", unknown).parent_path() / "axon-bench";
     std::vector<std::string> words{program.string()};
     if (session.args.contains("words")) {
         for (const auto& word : session.args.at("words")) words.push_back(word);
@@ -31,10 +32,11 @@ int bench(Session& session) {
     const int error = errno;
     ::pthread_sigmask(SIG_SETMASK, &before, nullptr);
     ::signal(SIGPIPE, SIG_IGN);
-    return misused(session, "cannot run " + program.string() + ": " + std::strerror(error),
-                   "the benchmark is not installed with the command: build it from the sources with ./check, or "
-                   "with libmosquitto-dev installed and ninja -C build/release axon-bench, and run axon bench "
-                   "from that folder");
+    return misused(
+        session, "cannot run " + program.string() + ": " + std::strerror(error),
+        "the benchmark is not installed with the command: build it from the sources with ./check, or "
+        "with libmosquitto-dev installed and ninja -C build/release axon-bench, and run axon bench "
+        "from that folder");
 }
 
 }  // namespace

@@ -228,7 +228,8 @@ class Completer {
                 session_.perform("global history", Json::object(), seen);
                 std::vector<std::string> ids;
                 if (const auto* list = seen.first("runs")) {
-                    for (const auto& run : list->at("runs")) ids.push_back(run.at("id").get<std::string>().substr(0, 8));
+                    for (const auto& run : list->at("runs"))
+                        ids.push_back(run.at("id").get<std::string>().substr(0, 8));
                 }
                 return ids;
             }

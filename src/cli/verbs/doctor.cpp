@@ -153,9 +153,9 @@ void checkSignalLane(Report& report, Station& station) {
             continue;
         }
         const auto slowest = measured.quantile(1).value_or(0);
-        const auto message = fmt::format("a stop is at {} and back in {}, {} at most (a drill of {})", name,
-                                         duration(measured.quantile(0.5).value_or(0) / 1000),
-                                         duration(slowest / 1000), tries);
+        const auto message =
+            fmt::format("a stop is at {} and back in {}, {} at most (a drill of {})", name,
+                        duration(measured.quantile(0.5).value_or(0) / 1000), duration(slowest / 1000), tries);
         if (slowest > kSlow_ms) {
             report.warn("signal lane", message, "see what loads the machine or the network");
         } else {
@@ -274,7 +274,8 @@ extern const Verb kDoctor{
     "Each line is fine (✓), worth a look (!) or wrong (✗); exit status 1 when one is wrong.\n",
     Runs::Local,
     {},
-    {{"security", Takes::Nothing, "Who could be let in who should not be, and what others on the way or on this machine could read"}},
+    {{"security", Takes::Nothing,
+      "Who could be let in who should not be, and what others on the way or on this machine could read"}},
     doctor};
 
 }  // namespace axon::cli

@@ -6,7 +6,8 @@
 
 namespace axon::cli {
 
-/// Emits the findings of `axon doctor` as they are made, and remembers whether one of them is bad. One thread.
+/// Emits the findings of `axon doctor` as they are made, and remembers whether one of them is bad. One
+/// thread.
 class Report {
   public:
     explicit Report(Events& events) : events_(events) {}
@@ -31,7 +32,8 @@ class Report {
     bool any_bad_ = false;
 };
 
-/// `axon doctor --security`: what of the set-up lets somebody in who should not be (docs/explanation/threats.md).
+/// `axon doctor --security`: what of the set-up lets somebody in who should not be
+/// (docs/explanation/threats.md).
 void checkSecurity(Report& report, Session& session);
 
 }  // namespace axon::cli

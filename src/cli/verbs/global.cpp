@@ -29,8 +29,9 @@ int refuseGlobal(Session& session, const Refusal& refusal) {
     auto event = errorEvent(refusal);
     switch (refusal.code) {
         case RefusalCode::UnknownService:
-            event["mend"] = "axon global ls shows the services and what is wrong with their files; axon global "
-                            "info SERVICE who could do what";
+            event["mend"] =
+                "axon global ls shows the services and what is wrong with their files; axon global "
+                "info SERVICE who could do what";
             break;
         case RefusalCode::UnknownTask:
             event["mend"] = "axon global history shows the runs";
@@ -110,13 +111,13 @@ Result<RunReport> findRun(Session& session, const std::string& word) {
     }
     if (open.size() == 1) return open.front();
     if (open.empty()) {
-        return Refusal{RefusalCode::UnknownTask,
-                       !over.empty()  ? over.back().service + " has ended already: " +
-                                           client::toString(over.back().state)
-                       : session.kept ? "no such run was begun here"
-                                      : "no run was begun here: only a run under axon checkout can be reached "
-                                        "from another command",
-                       {}};
+        return Refusal{
+            RefusalCode::UnknownTask,
+            !over.empty() ? over.back().service + " has ended already: " + client::toString(over.back().state)
+            : session.kept ? "no such run was begun here"
+                           : "no run was begun here: only a run under axon checkout can be reached "
+                             "from another command",
+            {}};
     }
     std::string list;
     for (const auto& run : open) list += "\n  " + run.id + "  " + run.service;
@@ -152,8 +153,8 @@ bool mayTakePart(const Entity& entity) {
            entity.state == EntityState::BUSY;
 }
 
-/// Who takes part in the runs of others that are meant, as their masters say. One that does not say may be the master,
-/// and stops the others with itself.
+/// Who takes part in the runs of others that are meant, as their masters say. One that does not say may be
+/// the master, and stops the others with itself.
 Ids askWhoTakesPart(Session& session, const std::string& word) {
     Ids meant;
     const auto history = session.station->runHistory(0);
@@ -165,9 +166,11 @@ Ids askWhoTakesPart(Session& session, const std::string& word) {
         }
     }
     for (const auto& entity : all) {
-        const bool silent = !history || std::any_of(history->silent.begin(), history->silent.end(), [&](const auto& one) {
-            return one.first == entity.name || one.first == entity.id || one.first == callName(entity, all);
-        });
+        const bool silent =
+            !history || std::any_of(history->silent.begin(), history->silent.end(), [&](const auto& one) {
+                return one.first == entity.name || one.first == entity.id ||
+                       one.first == callName(entity, all);
+            });
         if (silent && mayTakePart(entity)) meant.insert(entity.id);
     }
     return meant;
@@ -177,7 +180,8 @@ int stopThose(Session& session, const Ids& meant) {
     const auto all = session.station->entities();
     std::string names;
     for (const auto& id : meant) {
-        const auto known = std::find_if(all.begin(), all.end(), [&](const Entity& entity) { return entity.id == id; });
+        const auto known =
+            std::find_if(all.begin(), all.end(), [&](const Entity& entity) { return entity.id == id; });
         names += (names.empty() ? "" : ", ") + (known == all.end() ? id : callName(*known, all));
     }
     const auto exit = stopAndShow(session, {meant.begin(), meant.end()}, stopTimes(session.args));
@@ -239,10 +243,11 @@ int history(Session& session) {
     }
     std::string list;
     for (const auto* run : found) list += "\n  " + run->id + "  " + run->service.name;
-    return refuseGlobal(session, {RefusalCode::UnknownTask,
-                                  found.empty() ? "no run that is remembered has an id that begins with " + word
-                                                : "several runs may be meant; write more of the id:" + list,
-                                  {}});
+    return refuseGlobal(session,
+                        {RefusalCode::UnknownTask,
+                         found.empty() ? "no run that is remembered has an id that begins with " + word
+                                       : "several runs may be meant; write more of the id:" + list,
+                         {}});
 }
 
 std::vector<Operand> runOperand() {

@@ -42,7 +42,8 @@ class Cast {
             const auto* end = word.data() + std::min(equals, word.size());
             const auto read = std::from_chars(word.data(), end, role);
             if (equals == std::string::npos || read.ec != std::errc() || read.ptr != end || role < 0)
-                return misused(session_, "expected --bind ROLE=ENTITY, for example 0=PeopleBot, found " + word);
+                return misused(session_,
+                               "expected --bind ROLE=ENTITY, for example 0=PeopleBot, found " + word);
             const auto found = session_.station->find(word.substr(equals + 1));
             if (!found) return refuse(session_, found.refusal(), word.substr(equals + 1));
             if (!chosen.emplace(role, found->id).second)
@@ -51,7 +52,8 @@ class Cast {
         Deadline until;
         if (const auto wait = session_.args.find("wait"); wait != session_.args.end()) {
             const Seconds time(wait->is_number() ? wait->get<double>() : 86400.0);
-            until = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::min(time, Seconds(86400)));
+            until =
+                Clock::now() + std::chrono::duration_cast<Clock::duration>(std::min(time, Seconds(86400)));
         }
         auto proposal = propose(service, chosen, until);
         if (!proposal) {
@@ -73,10 +75,9 @@ class Cast {
                         [&](const auto& outlook) { return chosen.count(outlook.role) != 0; });
         if (!proposal->complete() && !all_named) {
             auto event = errorEvent(proposal->why);
-            event["mend"] = "axon global info " + shellWord(service.name) + " shows who could play what" +
-                            (proposal->why.code == RefusalCode::AlreadyHeld
-                                 ? "; --wait waits for what others hold"
-                                 : "");
+            event["mend"] =
+                "axon global info " + shellWord(service.name) + " shows who could play what" +
+                (proposal->why.code == RefusalCode::AlreadyHeld ? "; --wait waits for what others hold" : "");
             if (const auto stopped = stoppedOnes(proposal.value()); !stopped.empty())
                 event["mend"] = "axon rearm" + stopped + ", when it is safe to move again";
             session_.events.emit(event);
@@ -123,8 +124,7 @@ class Cast {
 
   private:
     /// CANCELLED when the user does not want to wait any more.
-    Result<client::Proposal> propose(const GlobalService& service, const Bindings& chosen,
-                                            Deadline until) {
+    Result<client::Proposal> propose(const GlobalService& service, const Bindings& chosen, Deadline until) {
         while (true) {
             auto proposal = session_.station->propose(service, chosen);
             const bool worth = proposal && (proposal->why.code == RefusalCode::AlreadyHeld ||
@@ -182,8 +182,8 @@ class Cast {
         std::string names;
         for (const auto& name : names_) names += (names.empty() ? "" : ", ") + name;
         return misused(session_, master_name_ + " plays no role, so it cannot be the master",
-                       "name one of " + names + ", or give " + master_name_ + " a role with --bind ROLE=" +
-                           shellWord(master_name_));
+                       "name one of " + names + ", or give " + master_name_ +
+                           " a role with --bind ROLE=" + shellWord(master_name_));
     }
 
     std::optional<int> take(Deadline until) {
@@ -246,8 +246,9 @@ class RunFollower {
                 return kInterrupted;
             }
             if (ended_by != kDone) {
-                session_.events.emit(errorEvent(
-                    {RefusalCode::OutcomeUnknown, "the run was cancelled and has not said that it ended", {}}));
+                session_.events.emit(errorEvent({RefusalCode::OutcomeUnknown,
+                                                 "the run was cancelled and has not said that it ended",
+                                                 {}}));
                 return ended_by;
             }
             ended_by = interrupted ? kInterrupted : kNotConfirmed;
@@ -285,7 +286,8 @@ class RunFollower {
         session_.events.emit({{"event", "notice"}, {"message", message}});
     }
 
-    /// On a thread of its own: the answer comes when the run has ended, and a second Ctrl-C must be heard before.
+    /// On a thread of its own: the answer comes when the run has ended, and a second Ctrl-C must be heard
+    /// before.
     void cancel() {
         std::thread([station = session_.station, mailbox = session_.mailbox, run = run_] {
             if (const auto done = station->controlRun(run, TaskAction::Cancel); !done)
@@ -313,9 +315,10 @@ class RunFollower {
         event["steps"] = std::move(steps);
         session_.events.emit(event);
         if (event.at("state") == "HELD" && !told_held_) {
-            say(session_.kept ? "axon global resume tries again what failed; axon global cancel, or Ctrl-C here, "
-                                "ends the run"
-                              : "Ctrl-C ends the run; under axon checkout another command could resume it");
+            say(session_.kept
+                    ? "axon global resume tries again what failed; axon global cancel, or Ctrl-C here, "
+                      "ends the run"
+                    : "Ctrl-C ends the run; under axon checkout another command could resume it");
         }
         told_held_ = event.at("state") == "HELD";
         return true;
@@ -355,21 +358,22 @@ int perform(Session& session, bool check_only) {
     std::vector<std::shared_ptr<void>> listening;
     if (!detached) {
         for (const auto& id : cast.ids()) {
-            if (const auto entity = session.station->find(id)) listening.push_back(listenTo(session, entity.value()));
+            if (const auto entity = session.station->find(id))
+                listening.push_back(listenTo(session, entity.value()));
         }
     }
     const auto started = Clock::now();
-    const auto run = session.station->runGlobal(
-        service.value(), cast.players(), cast.master(), check_only,
-        [mailbox = session.mailbox](const RunReport& report) {
-            auto event = toJson(report);
-            event["exit"] = exitOf(report.state, report.reason);
-            if (!report.reason.ok()) {
-                const auto error = errorEvent(report.reason);
-                if (error.contains("mend")) event["mend"] = error["mend"];
-            }
-            mailbox->post(std::move(event), !client::isFinal(report.state));
-        });
+    const auto run =
+        session.station->runGlobal(service.value(), cast.players(), cast.master(), check_only,
+                                   [mailbox = session.mailbox](const RunReport& report) {
+                                       auto event = toJson(report);
+                                       event["exit"] = exitOf(report.state, report.reason);
+                                       if (!report.reason.ok()) {
+                                           const auto error = errorEvent(report.reason);
+                                           if (error.contains("mend")) event["mend"] = error["mend"];
+                                       }
+                                       mailbox->post(std::move(event), !client::isFinal(report.state));
+                                   });
     if (!run) return refuseGlobal(session, run.refusal());
     RunFollower follower(session, run.value(), cast.ids());
     if (detached) return follower.detach(Clock::now() + std::chrono::seconds(10));
@@ -391,7 +395,8 @@ int check(Session& session) {
 
 std::vector<Option> bindingOptions() {
     return {{"bind", Takes::Binding, "Who plays a role; again for the next. The others are found", {}, true},
-            {"master", Takes::Entity, "Which participant leads; it makes no difference (who plays the first role)"},
+            {"master", Takes::Entity,
+             "Which participant leads; it makes no difference (who plays the first role)"},
             {"wait", Takes::MaybeDuration, "Wait for what others hold, perhaps at most so many seconds"}};
 }
 
@@ -399,7 +404,8 @@ std::vector<Option> runOptions() {
     auto options = bindingOptions();
     options.push_back(
         {"at-most", Takes::Duration, "Cancel the run when it has not ended after so many seconds (exit 4)"});
-    options.push_back({"detach", Takes::Nothing, "Do not follow it; needs axon checkout of all who take part"});
+    options.push_back(
+        {"detach", Takes::Nothing, "Do not follow it; needs axon checkout of all who take part"});
     return options;
 }
 
@@ -423,16 +429,16 @@ extern const Verb kGlobalRun{
     false,
     2};
 
-extern const Verb kGlobalCheck{
-    "global check",
-    "Ask everybody whether a global service would go; nothing moves",
-    "  axon global check 'Fetch ball'\n"
-    "  axon global check 'Fetch ball' --bind 0=PeopleBot#2\n"
-    "Prints all that is in the way, with the step, the entity and how to mend it, and exits with 1 then. The\n"
-    "robots are checked out for as long as it takes.\n",
-    Runs::Anywhere,
-    {{"name", Takes::GlobalService, true, false, "Name of the global service"}},
-    bindingOptions(),
-    check};
+extern const Verb kGlobalCheck{"global check",
+                               "Ask everybody whether a global service would go; nothing moves",
+                               "  axon global check 'Fetch ball'\n"
+                               "  axon global check 'Fetch ball' --bind 0=PeopleBot#2\n"
+                               "Prints all that is in the way, with the step, the entity and how to mend it, "
+                               "and exits with 1 then. The\n"
+                               "robots are checked out for as long as it takes.\n",
+                               Runs::Anywhere,
+                               {{"name", Takes::GlobalService, true, false, "Name of the global service"}},
+                               bindingOptions(),
+                               check};
 
 }  // namespace axon::cli

@@ -68,7 +68,8 @@ struct Global : testing::Test {
 
     Global() {
         station->global_services.services = {fetchBall()};
-        station->global_services.files = {{"ball.xml", {"ball.xml:1: warning: count"}, false}, {"bad.xml", {}, true}};
+        station->global_services.files = {{"ball.xml", {"ball.xml:1: warning: count"}, false},
+                                          {"bad.xml", {}, true}};
         station->run_script = {running, succeeded};
     }
     int perform(const std::string& verb, Json args) {
@@ -176,11 +177,12 @@ TEST_F(Global, WaitingIsGivenUpByCtrlC) {
 }
 
 TEST_F(Global, RunExitsByWhatBecameOfIt) {
-    for (const auto& [state, exit] : std::vector<std::pair<RunState, int>>{{RunState::Failed, kRefused},
-                                                                            {RunState::Refused, kRefused},
-                                                                            {RunState::Stopped, kStopped},
-                                                                            {RunState::Cancelled, kStopped},
-                                                                            {RunState::Unknown, kNotConfirmed}}) {
+    for (const auto& [state, exit] :
+         std::vector<std::pair<RunState, int>>{{RunState::Failed, kRefused},
+                                               {RunState::Refused, kRefused},
+                                               {RunState::Stopped, kStopped},
+                                               {RunState::Cancelled, kStopped},
+                                               {RunState::Unknown, kNotConfirmed}}) {
         station->run_script = {[state = state](RunReport& report) { report.state = state; }};
         EXPECT_EQ(perform("run", {{"name", "Fetch ball"}}), exit) << client::toString(state);
     }
@@ -247,7 +249,8 @@ TEST_F(Global, DetachNeedsCheckOutsThatOutliveIt) {
     EXPECT_EQ(seen.last("done")->at("run"), "fedcba00-0000-4000-8000-00000000000b");
     EXPECT_EQ(perform("cancel", Json::object()), kDone);
     EXPECT_EQ(perform("cancel", Json::object()), kRefused) << "it is over";
-    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(), HasSubstr("has ended already: CANCELLED"));
+    EXPECT_THAT(seen.last("error")->at("message").get<std::string>(),
+                HasSubstr("has ended already: CANCELLED"));
 }
 
 TEST_F(Global, WhoOnlyNeedsARearmIsNamed) {
@@ -314,7 +317,8 @@ TEST_F(Global, StopByNameStopsWhatIsKnownBeforeAnybodyIsAsked) {
     station->on_history = [&] { before = station->stopped; };
     EXPECT_EQ(perform("stop", {{"run", "fetch ball"}}), kDone);
     EXPECT_THAT(before, ElementsAre(peopleBot(), cyton()));
-    EXPECT_THAT(station->stopped, ElementsAre(station->entities_[1].id)) << "it works and does not say with whom";
+    EXPECT_THAT(station->stopped, ElementsAre(station->entities_[1].id))
+        << "it works and does not say with whom";
     station->on_history = nullptr;
     station->history.silent.clear();
     EXPECT_EQ(perform("stop", {{"run", "fedc"}}), kDone);
@@ -373,8 +377,9 @@ TEST_F(Global, InfoShowsStepsByTheirOrderAndWhatIsInTheWay) {
     EXPECT_EQ(perform("info", {{"name", "Fetch ball"}}), kDone);
     auto event = seen.events.back();
     event["roles"][1]["able"] = Json::array();
-    event["roles"][1]["unfit"] = {{{"entity", "Cyton"}, {"code", "LATCHED"}, {"why", "was stopped"}},
-                                  {{"entity", "PeopleBot#1"}, {"code", "WRONG_TYPE"}, {"why", "is ROBOT/MOBILE"}}};
+    event["roles"][1]["unfit"] = {
+        {{"entity", "Cyton"}, {"code", "LATCHED"}, {"why", "was stopped"}},
+        {{"entity", "PeopleBot#1"}, {"code", "WRONG_TYPE"}, {"why", "is ROBOT/MOBILE"}}};
     event["nobody_offers"] = {"grab"};
     event["possible"] = false;
     seen.events = {event};
@@ -422,7 +427,8 @@ TEST_F(Global, HistoryIsATableAndOneRunItsSteps) {
     EXPECT_EQ(perform("history", {{"run", "0a0a"}}), kDone);
     seen.events = {seen.events.back()};
     text = shown();
-    EXPECT_THAT(text, HasSubstr("1      approach  PeopleBot  drive    failed  500 ms  12.0 s  Distance = 1000\n"));
+    EXPECT_THAT(text,
+                HasSubstr("1      approach  PeopleBot  drive    failed  500 ms  12.0 s  Distance = 1000\n"));
 }
 
 // ---- the picture of a run
@@ -439,15 +445,19 @@ TEST_F(Global, LinesWhereNothingCanBeRedrawn) {
 TEST_F(Global, ATableThatIsDrawnAnewOnATerminal) {
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}}), kDone);
     const auto text = shown({true, false, 100, 24});
-    EXPECT_THAT(text, HasSubstr("1      approach  PeopleBot#1  drive    running  [#####-----]  50 %  2.0 s\x1b[K\n"));
+    EXPECT_THAT(
+        text, HasSubstr("1      approach  PeopleBot#1  drive    running  [#####-----]  50 %  2.0 s\x1b[K\n"));
     EXPECT_THAT(text, HasSubstr("\x1b[4F")) << "four lines up: the whole, the heads, two steps";
-    EXPECT_THAT(text, HasSubstr("2                Cyton        grab     succeeded  [##########] 100 %  4.0 s\x1b[K\n"));
+    EXPECT_THAT(
+        text,
+        HasSubstr("2                Cyton        grab     succeeded  [##########] 100 %  4.0 s\x1b[K\n"));
 }
 
 TEST_F(Global, NoLineOfTheTableIsWiderThanTheTerminal) {
     station->run_script = {[](RunReport& report) {
                                running(report);
-                               report.steps[0].feedback = "a remark that goes on and on and on and on and on and on";
+                               report.steps[0].feedback =
+                                   "a remark that goes on and on and on and on and on and on";
                                report.steps[0].called = "a step with a long name";
                                report.steps[0].service = "a_service_with_a_very_long_global_id";
                            },
@@ -475,7 +485,8 @@ TEST_F(Global, MoreStepsThanLinesShowWhatIsUnderWay) {
                                    step.state.reset();
                                    report.steps.push_back(step);
                                }
-                               for (std::size_t i = 0; i < 40; ++i) report.steps[i].state = TaskState::Succeeded;
+                               for (std::size_t i = 0; i < 40; ++i)
+                                   report.steps[i].state = TaskState::Succeeded;
                                report.steps[40].state = TaskState::Running;
                                report.steps[40].service = "the_one_that_runs";
                                report.state = RunState::Running;
@@ -494,7 +505,8 @@ TEST_F(Global, MoreStepsThanLinesShowWhatIsUnderWay) {
 TEST(GlobalCommandLine, TwoWordsAreOneVerb) {
     const auto nothing = [](const char*) -> const char* { return nullptr; };
     const auto parsed = parseCommandLine(
-        {"global", "run", "--bind", "0=PeopleBot", "--bind", "1=Cyton", "Fetch ball", "--wait", "--json"}, nothing);
+        {"global", "run", "--bind", "0=PeopleBot", "--bind", "1=Cyton", "Fetch ball", "--wait", "--json"},
+        nothing);
     ASSERT_TRUE(parsed.line) << parsed.err;
     EXPECT_STREQ(parsed.line->verb->name, "global run");
     EXPECT_EQ(parsed.line->args["bind"], (Json{"0=PeopleBot", "1=Cyton"}));

@@ -97,12 +97,14 @@ Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std:
     if (!interrupted) return *answer;
     // Granted in the very moment that it was given up.
     if (answered && answer->ok())
-        for (const auto& entity : answer->value()) static_cast<void>(session.station->release(entity.id).ok());
+        for (const auto& entity : answer->value())
+            static_cast<void>(session.station->release(entity.id).ok());
     session.events.emit({{"event", "notice"}, {"message", "given up; nothing was checked out"}});
     return Refusal{RefusalCode::Cancelled, "it was given up", {}};
 }
 
-std::optional<Holding> Holding::of(Session& session, const std::string& name, const std::string& what, int& exit) {
+std::optional<Holding> Holding::of(Session& session, const std::string& name, const std::string& what,
+                                   int& exit) {
     const auto found = session.station->find(name);
     if (!found) {
         exit = refuse(session, found.refusal(), name);

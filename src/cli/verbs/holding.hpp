@@ -17,9 +17,10 @@ int misused(Session& session, const std::string& message, const std::string& men
 /// run"). Ctrl-C gives the check-out up, whatever it waits for.
 class Holding {
   public:
-    /// `what` completes the sentence: "run", "upload". None: the reason has been emitted, and `exit` is what the
-    /// verb ends with.
-    static std::optional<Holding> of(Session& session, const std::string& name, const std::string& what, int& exit);
+    /// `what` completes the sentence: "run", "upload". None: the reason has been emitted, and `exit` is what
+    /// the verb ends with.
+    static std::optional<Holding> of(Session& session, const std::string& name, const std::string& what,
+                                     int& exit);
     Holding(Holding&& other) noexcept;
     Holding& operator=(Holding&&) = delete;
     ~Holding();
@@ -35,8 +36,8 @@ class Holding {
     bool own_;
 };
 
-/// A check-out whose wait is shown and which Ctrl-C gives up. `interrupted`: it was given up, the user has been told, and
-/// nothing is held.
+/// A check-out whose wait is shown and which Ctrl-C gives up. `interrupted`: it was given up, the user has
+/// been told, and nothing is held.
 Result<std::vector<Entity>> takeAndShow(Session& session, const std::vector<std::string>& ids,
                                         const std::string& query, CheckOutOptions options, bool& interrupted);
 

@@ -19,7 +19,7 @@ namespace fs = std::filesystem;
 
 /// What others could see of the way to the server.
 struct Way {
-    bool tls = true;   ///< by every endpoint that is offered
+    bool tls = true;  ///< by every endpoint that is offered
     bool some_tls = false;
     bool here = true;  ///< all of them are on this machine
 };
@@ -28,7 +28,8 @@ bool isHere(const std::string& host) {
     return host == "localhost" || isLoopback(host);
 }
 
-/// Of "HOST:PORT", "ssl://HOST:PORT", and of a router's proxy: "Axon.Clients/router:ssl -h HOST -p PORT:tcp -h …".
+/// Of "HOST:PORT", "ssl://HOST:PORT", and of a router's proxy: "Axon.Clients/router:ssl -h HOST -p PORT:tcp
+/// -h …".
 Way wayOf(const std::string& server) {
     Way way;
     if (server.find(" -") == std::string::npos) {
@@ -41,7 +42,8 @@ Way wayOf(const std::string& server) {
     }
     std::istringstream words(server);
     for (std::string word; words >> word;) {
-        const auto kind = word.substr(word.find_last_of(':') == std::string::npos ? 0 : word.find_last_of(':') + 1);
+        const auto kind =
+            word.substr(word.find_last_of(':') == std::string::npos ? 0 : word.find_last_of(':') + 1);
         if (kind == "tcp" || kind == "ws") way.tls = false;
         if (kind == "ssl" || kind == "wss") way.some_tls = true;
         if (word != "-h" || !(words >> word)) continue;
@@ -59,9 +61,11 @@ void checkWay(Report& report, const std::string& server, const Way& way) {
         report.warn("way", server + " offers plain TCP beside TLS, and who has no certificates takes that",
                     "leave the tcp endpoint out of the router's configuration");
     else
-        report.bad("way",
-                   "plain TCP to " + server + ": whoever is on the way reads passwords and leases, and may stop and order robots",
-                   "axon certs makes certificates; then give the server ssl endpoints (docs/reference/tls.md)");
+        report.bad(
+            "way",
+            "plain TCP to " + server +
+                ": whoever is on the way reads passwords and leases, and may stop and order robots",
+            "axon certs makes certificates; then give the server ssl endpoints (docs/reference/tls.md)");
 }
 
 /// Whether somebody without a password is let in.
@@ -73,13 +77,16 @@ void checkLogIn(Report& report, Session& session, const Way& way) {
         return;
     }
     if (mine.value()->self().role == Role::Admin && !session.settings.user.empty())
-        report.warn("role", "you are " + session.settings.user + ", an administrator, who may take robots over and rearm those of others",
+        report.warn("role",
+                    "you are " + session.settings.user +
+                        ", an administrator, who may take robots over and rearm those of others",
                     "log in as an operator for daily work, as an observer to look on");
-    const bool shows_certificate = std::any_of(session.settings.properties.begin(), session.settings.properties.end(), [](const auto& one) {
-        return one.first == "IceSSL.CertFile" || one.first == "IceSSL.FindCert";
-    });
+    const bool shows_certificate = std::any_of(
+        session.settings.properties.begin(), session.settings.properties.end(),
+        [](const auto& one) { return one.first == "IceSSL.CertFile" || one.first == "IceSSL.FindCert"; });
     if (shows_certificate) {
-        report.ok("log-in", "you log in by a certificate; whether somebody without one is let in was not tried");
+        report.ok("log-in",
+                  "you log in by a certificate; whether somebody without one is let in was not tried");
         return;
     }
     auto nobody = session.settings;
@@ -91,27 +98,36 @@ void checkLogIn(Report& report, Session& session, const Way& way) {
         return;
     }
     if (!let_in) {
-        report.warn("log-in", "whether somebody without a password is let in could not be tried: " + let_in.refusal().message,
-                    "try again when the server has time");
+        report.warn(
+            "log-in",
+            "whether somebody without a password is let in could not be tried: " + let_in.refusal().message,
+            "try again when the server has time");
         return;
     }
     const auto role = let_in.value()->self().role;
     const auto message = std::string("whoever reaches the server is let in without a password, you as ") +
-                         (role == Role::Observer ? "an observer" : role == Role::Operator ? "an operator" : "an administrator");
-    const std::string mend = "axon-server --users users.cfg --add-user NAME, for each; then start the server with --users users.cfg";
+                         (role == Role::Observer   ? "an observer"
+                          : role == Role::Operator ? "an operator"
+                                                   : "an administrator");
+    const std::string mend =
+        "axon-server --users users.cfg --add-user NAME, for each; then start the server with --users "
+        "users.cfg";
     if (way.here)
         report.warn("log-in", message + "; only processes of this machine reach it by this address", mend);
     else
         report.bad("log-in", message, mend);
 }
 
-/// What the Entity Managers of this user keep here: the leases' keys and the secrets that prove who a robot is.
+/// What the Entity Managers of this user keep here: the leases' keys and the secrets that prove who a robot
+/// is.
 void checkStateFolders(Report& report) {
     const char* state = std::getenv("XDG_STATE_HOME");
     const char* home = std::getenv("HOME");
-    const auto root = (state != nullptr && *state != '\0' ? fs::path(state)
-                                                          : fs::path(home != nullptr && *home != '\0' ? home : "/var/lib") / ".local/state") /
-                      "axon";
+    const auto root =
+        (state != nullptr && *state != '\0'
+             ? fs::path(state)
+             : fs::path(home != nullptr && *home != '\0' ? home : "/var/lib") / ".local/state") /
+        "axon";
     std::error_code none;
     std::size_t folders = 0;
     bool open = false;
@@ -122,17 +138,20 @@ void checkStateFolders(Report& report) {
         const auto name = folder.path().string();
         if (found.st_uid != ::getuid()) {
             open = true;
-            report.bad("state", name + ", where a robot keeps its secret and its leases, belongs to another user",
+            report.bad("state",
+                       name + ", where a robot keeps its secret and its leases, belongs to another user",
                        "chown -R $USER " + shellWord(name) + ", as that user or root");
         } else if ((found.st_mode & 0077U) != 0) {
             open = true;
-            report.bad("state", "others may look into " + name + ", where a robot keeps its secret and its leases",
+            report.bad("state",
+                       "others may look into " + name + ", where a robot keeps its secret and its leases",
                        "chmod 700 " + shellWord(name));
         }
     }
     if (folders > 0 && !open)
-        report.ok("state", std::to_string(folders) + (folders == 1 ? " folder" : " folders") + " of robots in " + root.string() +
-                               (folders == 1 ? " is" : " are") + " private; folders elsewhere (Axon.State) are not looked at");
+        report.ok("state", std::to_string(folders) + (folders == 1 ? " folder" : " folders") +
+                               " of robots in " + root.string() + (folders == 1 ? " is" : " are") +
+                               " private; folders elsewhere (Axon.State) are not looked at");
 }
 
 }  // namespace

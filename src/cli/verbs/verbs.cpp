@@ -6,31 +6,31 @@
 namespace axon::cli {
 
 extern const Verb kLs, kInfo, kCheckout, kRelease, kRun, kSet, kUpload, kSend, kWatch, kTasks, kWait, kPause,
-    kResume, kCancel, kStop, kDrill, kHandover, kRearm, kReset, kClear, kProfile, kDoctor, kAgent,
-    kBench, kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
+    kResume, kCancel, kStop, kDrill, kHandover, kRearm, kReset, kClear, kProfile, kDoctor, kAgent, kBench,
+    kCerts, kCompletion, kComplete, kVersion, kGlobalLs, kGlobalInfo, kGlobalCheck, kGlobalRun, kGlobalStop,
     kGlobalPause, kGlobalResume, kGlobalCancel, kGlobalHistory;
 
 const std::vector<const Verb*>& verbs() {
     static const std::vector<const Verb*> all{
-        &kLs,          //
-        &kInfo,        //
-        &kCheckout,    //
-        &kRun,         //
-        &kStop,        //
-        &kRearm,       //
-        &kRelease,     //
-        &kHandover,    //
-        &kSet,         //
-        &kUpload,      //
-        &kSend,        //
-        &kWatch,       //
-        &kTasks,       //
-        &kWait,        //
-        &kPause,       //
-        &kResume,      //
-        &kCancel,      //
-        &kReset,       //
-        &kClear,       //
+        &kLs,             //
+        &kInfo,           //
+        &kCheckout,       //
+        &kRun,            //
+        &kStop,           //
+        &kRearm,          //
+        &kRelease,        //
+        &kHandover,       //
+        &kSet,            //
+        &kUpload,         //
+        &kSend,           //
+        &kWatch,          //
+        &kTasks,          //
+        &kWait,           //
+        &kPause,          //
+        &kResume,         //
+        &kCancel,         //
+        &kReset,          //
+        &kClear,          //
         &kGlobalLs,       //
         &kGlobalInfo,     //
         &kGlobalCheck,    //
@@ -40,15 +40,15 @@ const std::vector<const Verb*>& verbs() {
         &kGlobalResume,   //
         &kGlobalCancel,   //
         &kGlobalHistory,  //
-        &kProfile,     //
-        &kDrill,       //
-        &kDoctor,      //
-        &kBench,       //
-        &kCerts,       //
-        &kAgent,       //
-        &kCompletion,  //
-        &kComplete,    //
-        &kVersion,     //
+        &kProfile,        //
+        &kDrill,          //
+        &kDoctor,         //
+        &kBench,          //
+        &kCerts,          //
+        &kAgent,          //
+        &kCompletion,     //
+        &kComplete,       //
+        &kVersion,        //
     };
     return all;
 }

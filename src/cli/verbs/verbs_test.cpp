@@ -99,7 +99,8 @@ TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
         seen.events.clear();
         Session session{{{"security", true}}, seen, mailbox, nullptr, settings, kept};
         session.connect = [&](const Settings& with) -> Result<std::shared_ptr<Station>> {
-            if (with.password.empty() && (needs_password || refusal.code == RefusalCode::Overloaded)) return refusal;
+            if (with.password.empty() && (needs_password || refusal.code == RefusalCode::Overloaded))
+                return refusal;
             return std::shared_ptr<Station>(station);
         };
         findVerb("doctor")->perform(session);
@@ -124,7 +125,8 @@ TEST_F(Verbs, DoctorLooksForWhoeverCouldBeLetInWhoShouldNotBe) {
              {"Axon.Clients/router:tcp -h 127.0.0.1 -p 10414", "ok"},
              {"Axon.Clients/router:ssl -h lab.example.org -p 10414", "ok"},
              {"Axon.Clients/router:tcp -h lab.example.org -p 10414", "bad"},
-             {"Axon.Clients/router:ssl -h lab.example.org -p 10414:tcp -h lab.example.org -p 10415", "warn"}}) {
+             {"Axon.Clients/router:ssl -h lab.example.org -p 10414:tcp -h lab.example.org -p 10415",
+              "warn"}}) {
         settings.server = router;
         EXPECT_EQ(examine()["way"], level) << router;
     }

@@ -31,17 +31,18 @@ namespace axon {
 /// application that wakes up cannot drive on by it; on any other descriptor it repeats them until release()
 /// or watch(). The guard watches the application, and the application the guard: beat() is false when the
 /// guard has stopped the device, and also when the guard is gone or frozen. Then the application itself stops
-/// the device, and closes the connection; release() or the next watch() logs it, and that one starts another guard.
+/// the device, and closes the connection; release() or the next watch() logs it, and that one starts another
+/// guard.
 ///
 /// The guard's process is made by fork(), at construction and when it has to be replaced; construct early,
 /// while the process is small. It leaves signals of the terminal alone, has a session of its own, and ends
 /// with the application. Time is CLOCK_MONOTONIC. Time in which the guard itself got no processor counts as
 /// a quarter of `silence` at most, so that a machine that stands still stops nothing.
 ///
-/// Threads: any. beat() and stopped() never log and wait for nothing but the lock of watch() and release(). Not copyable; the destructor waits for the guard's end, at most 0.4 s. Failure:
-/// the constructor throws std::invalid_argument for options that cannot be used; a guard that cannot be
-/// started makes watch() false. Not noticed: an application whose one thread beats on while another one
-/// hangs.
+/// Threads: any. beat() and stopped() never log and wait for nothing but the lock of watch() and release().
+/// Not copyable; the destructor waits for the guard's end, at most 0.4 s. Failure: the constructor throws
+/// std::invalid_argument for options that cannot be used; a guard that cannot be started makes watch() false.
+/// Not noticed: an application whose one thread beats on while another one hangs.
 class AXON_EI_API DeviceGuard {
   public:
     struct Options {
@@ -59,8 +60,8 @@ class AXON_EI_API DeviceGuard {
     DeviceGuard& operator=(const DeviceGuard&) = delete;
 
     /// The device behind this open descriptor is guarded from now on, instead of the one before. The caller
-    /// keeps the descriptor. False, and nothing is guarded, when it is negative, or when there is no guard and none can be started:
-    /// do not drive then.
+    /// keeps the descriptor. False, and nothing is guarded, when it is negative, or when there is no guard
+    /// and none can be started: do not drive then.
     bool watch(int descriptor);
     /// The application lives. False when nothing is guarded, or no longer: see above.
     bool beat();

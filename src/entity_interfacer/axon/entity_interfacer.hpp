@@ -133,12 +133,13 @@ class AXON_EI_API Stream {
 ///
 /// States: running, paused (the client paused it), stop requested, decided (a verdict was given), ended (the
 /// handler has returned). The client is told of a verdict when the handler has returned: whatever the handler
-/// gives back on its return, such as the drive, is free for the task that the client begins then. After a stop,
-/// or the loss of the link, the client is told of the end at once, and a handler of another service may begin
-/// before this one has returned: a device that several services use needs a lock. A handler may block; it should return soon after stopRequested() becomes true, and use
-/// waitFor() instead of sleeping. One that passes the task on to another thread waits for that thread, for
-/// its return is the end. A stop is acknowledged whether or not the handler returns. Threads: every member
-/// may be called from any thread; what is said after the verdict or the end is ignored.
+/// gives back on its return, such as the drive, is free for the task that the client begins then. After a
+/// stop, or the loss of the link, the client is told of the end at once, and a handler of another service may
+/// begin before this one has returned: a device that several services use needs a lock. A handler may block;
+/// it should return soon after stopRequested() becomes true, and use waitFor() instead of sleeping. One that
+/// passes the task on to another thread waits for that thread, for its return is the end. A stop is
+/// acknowledged whether or not the handler returns. Threads: every member may be called from any thread; what
+/// is said after the verdict or the end is ignored.
 class AXON_EI_API Task {
   public:
     const std::string& id() const;  ///< UUID text
@@ -229,9 +230,10 @@ class AXON_EI_API EntityInterfacer {
         std::uint16_t first_port = 5500;  ///< the range is within 5500 to 8000, both included
         std::uint16_t last_port = 8000;
         std::string address = "127.0.0.1";  ///< IPv4 address to listen on
-        std::string users{};  ///< of this machine, besides this one and root, whose Entity Manager is let in: "axon 1001"
-        bool beyond_loopback = false;       ///< the link has no authentication: only for networks you trust
-        bool watch_profiles = true;         ///< upload the profiles again when their files change
+        std::string users{};  ///< of this machine, besides this one and root, whose Entity Manager is let in:
+                              ///< "axon 1001"
+        bool beyond_loopback = false;  ///< the link has no authentication: only for networks you trust
+        bool watch_profiles = true;    ///< upload the profiles again when their files change
         /// Below these folders a resource's url may be an absolute path; a relative one begins in the folder
         /// of the services profile. The Entity Manager reads and replaces files there, and nowhere else but
         /// in its own.
