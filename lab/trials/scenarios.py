@@ -447,5 +447,5 @@ def stop(trial):
 SCENARIOS = {"transport": transport, "transport-arm-leads": transport_arm_leads, "two-transports": two_transports, "figure": figure,
              "navigation": navigation, "doors": doors, "obstacle": obstacle, "wander": wander, "grab-and-place": grab_and_place,
              "tracking": tracking, "stop": stop}
-# What the issue of the trials promises: the share of seeds that must be kept.
-PROMISED = {"transport": 0.95, "transport-arm-leads": 0.95, "two-transports": 0.95, "grab-and-place": 0.95, "tracking": 0.95, "doors": 0.95}
+# The share of seeds that must be kept, where it is not all of them.
+PROMISED = {"grab-and-place": 0.95, "tracking": 0.95, "doors": 0.95}

@@ -262,13 +262,13 @@ class CommandTest(unittest.TestCase):
             self.assertEqual(end.exception.code, 2, wrong)
             self.assertIn(told, said.getvalue(), wrong)
 
-    def test_19_of_20_transports_are_enough_and_18_are_not(self):
+    def test_19_of_20_doors_are_enough_and_of_transports_all_are_needed(self):
         def outcomes(ok):
             return [{"ok": i < ok} for i in range(20)]
-        self.assertTrue(COMMAND.kept("transport", outcomes(19), 20))
-        self.assertFalse(COMMAND.kept("transport", outcomes(18), 20))
-        self.assertFalse(COMMAND.kept("wander", outcomes(19), 20), "nothing may be touched at all")
-        self.assertFalse(COMMAND.kept("transport", outcomes(19)[:10], 20), "seeds that were not tried are not kept")
+        self.assertTrue(COMMAND.kept("doors", outcomes(19), 20))
+        self.assertFalse(COMMAND.kept("doors", outcomes(18), 20))
+        self.assertFalse(COMMAND.kept("transport", outcomes(19), 20))
+        self.assertFalse(COMMAND.kept("doors", outcomes(19)[:10], 20), "seeds that were not tried are not kept")
 
     OUTCOME = {"scenario": "navigation", "seed": 9, "ok": True, "why": "", "map": "room", "pace": 7.9, "took_s": 20.0, "figures": {}}
 
