@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Shows that check_invariants.py and check_docs.py can fail: one small tree for each rule; and what unless_stalled does."""
+"""Shows that check_invariants.py, check_docs.py and check_style can fail: one small tree for each rule; and what
+unless_stalled does."""
 import argparse
 import contextlib
 import importlib.machinery
 import importlib.util
 import io
+import json
 import signal
 import socket
 import subprocess
@@ -248,6 +250,98 @@ class Docs(TreeCase):
     def test_other_code_is_not_taken_for_a_path(self):
         self.write("README.md", "`axon run PeopleBot Driving distance=1` `a/b` `build/dev/bin` `http://x/src/y`\n")
         self.assertEqual(self.found(), [])
+
+
+class Style(TreeCase):
+    """A checkout with one commit, of one source that is formatted and in which clang-tidy finds something."""
+
+    FORMATTED = GPL + "#include <memory>\n\nint* nothing() { return 0; }\n"
+
+    def setUp(self):
+        super().setUp()
+        self.write(".clang-format", "BasedOnStyle: Google\n")
+        self.write(".clang-tidy", "Checks: '-*,modernize-use-nullptr'\n")
+        self.write("src/a.cpp", self.FORMATTED)
+        self.write("build/dev/compile_commands.json",
+                   json.dumps([{"directory": str(self.root), "file": "src/a.cpp", "command": "c++ -std=c++20 -c src/a.cpp"}]))
+        self.write(".gitignore", "/build/\n")
+        self.git("init", "--quiet", "--initial-branch=main")
+        self.commit()
+
+    def git(self, *words):
+        subprocess.run(["git", "-C", self.root, "-c", "user.name=x", "-c", "user.email=x@example.org", *words], check=True,
+                       stdout=subprocess.DEVNULL)
+
+    def commit(self):
+        self.git("add", ".")
+        self.git("commit", "--quiet", "--message", "x")
+
+    def check(self, *words):
+        done = subprocess.run([Path(__file__).with_name("check_style"), *words, "--root", self.root], capture_output=True, text=True,
+                              timeout=120, check=False)
+        return done.returncode, done.stdout, done.stderr
+
+    def test_what_is_formatted_and_not_changed_passes(self):
+        self.assertEqual(self.check(), (0, "", ""))
+
+    def test_a_file_that_is_not_formatted_is_named_with_the_command_that_formats_it(self):
+        self.write("src/a.cpp", self.FORMATTED.replace("{ return", "{return"))
+        self.write("src/b.hpp", GPL + "int  b();\n")  # git does not know it yet
+        code, said, _ = self.check("format")
+        self.assertEqual(code, 1)
+        self.assertEqual(said.splitlines()[:2], [f"src/{name}: not formatted by .clang-format" for name in ("a.cpp", "b.hpp")])
+        command = said.splitlines()[2].removeprefix("fix: ").split()
+        subprocess.run(command, cwd=self.root, check=True)
+        self.assertEqual(self.check("format"), (0, "", ""))
+
+    def test_what_was_unpacked_from_an_archive_is_judged_too(self):
+        (self.root / ".git").rename(self.root / "git")
+        self.write("src/b.hpp", GPL + "int  b();\n")
+        code, said, _ = self.check("format")
+        self.assertEqual((code, said.splitlines()[0]), (1, "src/b.hpp: not formatted by .clang-format"))
+        code, _, failed = self.check("tidy")
+        self.assertEqual(code, 2)
+        self.assertIn("\nfix: ", failed)
+
+    def test_clang_tidy_judges_changed_lines_only(self):
+        self.write("src/a.cpp", self.FORMATTED + "int* something() { return 0; }\n")
+        code, said, _ = self.check("tidy")
+        self.assertEqual(code, 1)
+        self.assertIn("src/a.cpp:5: ", said)
+        self.assertIn("[modernize-use-nullptr]\nfix: ", said)
+        self.assertNotIn("src/a.cpp:4: ", said)
+
+    def test_and_files_that_git_does_not_know_yet(self):
+        self.write("src/b.cpp", self.FORMATTED)
+        code, said, _ = self.check("tidy")
+        self.assertEqual(code, 1)
+        self.assertIn("src/b.cpp:4: ", said)
+
+    def test_what_was_committed_since_the_upstream_branch_is_changed(self):
+        self.git("branch", "upstream")
+        self.git("checkout", "--quiet", "-b", "work")
+        self.git("branch", "--quiet", "--set-upstream-to=upstream")
+        self.write("src/a.cpp", self.FORMATTED + "int* something() { return 0; }\n")
+        self.commit()
+        code, said, _ = self.check("tidy")
+        self.assertEqual(code, 1)
+        self.assertIn("src/a.cpp:5: ", said)
+        self.git("branch", "--quiet", "--unset-upstream")
+        self.assertEqual(self.check("tidy"), (0, "", ""))
+
+    def test_what_clang_tidy_cannot_read_is_no_success(self):
+        self.write("src/a.cpp", GPL + '#include "generated.hpp"\n')
+        code, said, _ = self.check("tidy")
+        self.assertEqual(code, 1)
+        self.assertIn("'generated.hpp' file not found", said)
+        self.assertIn("fix: ", said)
+
+    def test_without_the_commands_of_the_build_it_says_how_to_get_them(self):
+        (self.root / "build/dev/compile_commands.json").unlink()
+        self.write("src/a.cpp", self.FORMATTED + "\n")
+        code, said, failed = self.check("tidy")
+        self.assertEqual((code, said), (2, ""))
+        self.assertIn("compile_commands.json\nfix: cmake --preset dev", failed)
 
 
 if __name__ == "__main__":
