@@ -28,7 +28,8 @@ struct MotionLimits {
 /// wheels are to have now. Not thread-safe.
 class MotionControl {
   public:
-    /// The PeopleBot's: top speeds of its parameter file, working limits of MobileSim's model (robots.md 2a).
+    /// The PeopleBot's: top speeds of the vendor's parameter file peoplebot-sh.p, working limits of
+    /// MobileSim's model of the robot.
     MotionControl();
 
     MotionLimits& translation() { return translation_.limits; }

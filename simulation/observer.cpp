@@ -14,7 +14,8 @@ namespace {
 
 using namespace std::chrono_literals;
 
-/// safety.md: the watchdog of each hop while a task runs, and what is allowed beside it.
+/// docs/explanation/safety.md, "Watchdogs": the watchdog of each hop while a task runs, and what is allowed
+/// beside it.
 constexpr Duration kClientWatchdog = 250ms;
 constexpr Duration kServerWatchdog = 250ms;
 constexpr Duration kManagerWatchdog = 100ms;

@@ -1,11 +1,14 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Checks that what the documentation points to exists.
+"""Checks that what the documentation and the comments point to exists.
 
-Two things are followed: relative links of every Markdown page of the repository, with the heading they name; and
-paths in `backticks` that look like paths of this repository, in docs/, README.md, ARCHITECTURE.md, CONTRIBUTING.md
-and the components' README.md. Fenced code blocks are not read. Prints `file:line: what: how to mend it` and exits
-with 1 when something is missing, with 0 when not, with 2 when it was called wrongly.
+In every Markdown page: relative links with the heading they name, and paths in `backticks` that look like paths of this
+repository. Fenced code blocks are not read.
+In every source, comments and texts alike: pages (`safety.md`, `docs/reference/ports.md`) and other paths under docs/, headings
+(`safety.md, "Watchdogs"`), numbered sections (`ARCHITECTURE.md, section 2`; of the thesis and of RFCs they are not followed)
+and decisions (`ADR 0007`).
+Prints `file:line: what: how to fix it` and exits with 1 when something is missing, with 0 when not, with 2 when it was
+called wrongly.
 """
 import argparse
 import os
@@ -23,6 +26,15 @@ FILES = {"README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "CMa
 LINK = re.compile(r"!?\[[^\]]*\]\(\s*<?([^)>\s]+)>?(?:\s+\"[^\"]*\")?\s*\)")
 CODE = re.compile(r"`([^`\n]+)`")
 
+SOURCES = {".cpp", ".hpp", ".proto", ".ice", ".py", ".mjs", ".xsd", ".cmake", ".sh"}
+UNREAD = {"tools/checks_test.py"}  # points to what is missing, on purpose
+# A comment that goes on in the next line is read as one text.
+CONTINUED = re.compile(r"\n[ \t]*(?:///?<?|#|\*(?!/))?[ \t]*")
+PATH = re.compile(r"(?<![\w./-])(?:(?:\.\./)*[\w-]+/)*[\w-]+\.md\b|(?<![\w./-])docs/[\w./-]*\w")
+HEADING = re.compile(r'([\w./-]+\.md),\s+"([^"]+)"')
+SECTION = re.compile(r"([\w./-]+),\s+(?:chapter|section)s?\s+(\d+)", re.IGNORECASE)
+DECISION = re.compile(r"\bADR\s+(\d+)")
+
 
 def pages(root):
     for folder, folders, names in os.walk(root):
@@ -30,6 +42,21 @@ def pages(root):
         for name in sorted(names):
             if name.endswith(".md"):
                 yield Path(folder) / name
+
+
+def sources(root):
+    for folder, folders, names in os.walk(root):
+        folders[:] = sorted(f for f in folders if f not in SKIPPED_FOLDERS)
+        for name in sorted(names):
+            file = Path(folder) / name
+            if file.relative_to(root).as_posix() in UNREAD:
+                continue
+            if file.suffix in SOURCES or name == "CMakeLists.txt":
+                yield file, file.read_text(encoding="utf-8")
+            elif not file.suffix:  # a script
+                with file.open("rb") as opened:
+                    if opened.read(2) == b"#!":
+                        yield file, file.read_text(encoding="utf-8")
 
 
 def prose(text):
@@ -91,8 +118,54 @@ def exists(root, text):
     return None
 
 
+def headings(page):
+    return [m.group(1) for _, line in prose(page.read_text(encoding="utf-8")) if (m := re.match(r"#{1,6}\s+(.*?)\s*#*$", line))]
+
+
+def dead_references(root):
+    """Of sources."""
+    all_pages = [page.relative_to(root) for page in pages(root)]
+
+    def page_of(file, name):
+        """The page that a source means by a path or, where only one has it, by its name."""
+        for there in (root / name, file.parent / name):
+            if there.is_file():
+                return there
+        ends = [page for page in all_pages if f"/{page.as_posix()}".endswith("/" + re.sub(r"^(\.\./)+", "", name))]
+        return root / ends[0] if len(ends) == 1 else None
+
+    for file, text in sources(root):
+        shown = file.relative_to(root).as_posix()
+        text = CONTINUED.sub(lambda gap: "\n" + " " * (len(gap.group()) - 1), text)
+
+        def at(hit):
+            return shown, text.count("\n", 0, hit.start()) + 1
+
+        for hit in PATH.finditer(text):
+            name = hit.group()
+            if not (page_of(file, name) if name.endswith(".md") else (root / name).exists()):
+                yield *at(hit), f"{name} is no page of the repository", "name one by its path from the root, such as docs/reference/ports.md"
+        for hit in HEADING.finditer(text):
+            page, heading = page_of(file, hit.group(1)), re.sub(r"\s+", " ", hit.group(2))
+            if page and heading not in headings(page):
+                yield *at(hit), f"{hit.group(1)} has no heading \"{heading}\"", "use the words of a heading"
+        for hit in SECTION.finditer(text):
+            name, number = hit.groups()
+            page = page_of(file, name)
+            if name.isdecimal() or name == "thesis" or name.endswith(".md") and not page:
+                continue  # of an RFC, of the thesis; or reported already
+            if not page:
+                yield *at(hit), f"{name}, section {number}: no text of the repository is called so", "name the page by its path"
+            elif not any(heading.startswith(f"{number}.") for heading in headings(page)):
+                yield *at(hit), f"{name} has no section {number}", "use the number of a heading"
+        for hit in DECISION.finditer(text):
+            if not any(root.glob(f"docs/adr/{hit.group(1)}-*.md")):
+                yield *at(hit), f"ADR {hit.group(1)} does not exist", "use a number of docs/adr/README.md"
+
+
 def findings(root):
     root = Path(root).resolve()
+    yield from dead_references(root)
     for page in pages(root):
         shown = page.relative_to(root).as_posix()
         for number, line in prose(page.read_text(encoding="utf-8")):

@@ -251,6 +251,35 @@ class Docs(TreeCase):
         self.write("README.md", "`axon run PeopleBot Driving distance=1` `a/b` `build/dev/bin` `http://x/src/y`\n")
         self.assertEqual(self.found(), [])
 
+    def test_what_comments_point_to_is_not_reported_where_it_exists(self):
+        self.write("ARCHITECTURE.md", "# A\n## 2. Folders\n")
+        self.write("docs/reference/page.md", "# One\n## Two words\n")
+        self.write("docs/adr/0007-leases.md", "# Leases\n")
+        self.write("src/a.hpp", GPL + '/// See docs/reference/page.md, "Two\n/// words"; page.md, and docs/adr, docs/reference/. (ADR\n/// 0007)\n'
+                                      "// ARCHITECTURE.md, section 2; RFC 2104, section 5; thesis, chapter 5; appendix, section B\n")
+        self.write("docs/run", "#!/bin/sh\n# docs/reference/page.md\n")
+        self.assertEqual(self.found(), [])
+
+    def test_comments_that_point_to_what_is_missing_are_reported(self):
+        self.write("ARCHITECTURE.md", "# A\n## 2. Folders\n")
+        self.write("docs/reference/page.md", "# One\n## Two words\n")
+        self.write("src/a.hpp", GPL + "/// docs/reference/gone.md\nint a;  ///< gone.md\n// docs/folder/gone\n// ADR 0007\n"
+                                      '/// So it is (page.md, "Two\n/// birds").\n// ARCHITECTURE.md, section 3\n// (architecture, section 6)\n')
+        for path in ("api/a.proto", "api/a.ice", "tests/client.mjs"):
+            self.write(path, "// docs/gone.md\n")
+        for path in ("tests/a.py", "src/CMakeLists.txt"):
+            self.write(path, "# docs/gone.md\n")
+        self.write("tools/run", "#!/bin/sh\n# docs/gone.md\n")
+        self.assertEqual(sorted(": ".join(f.split(": ")[:2]) for f in self.found()), [
+            "api/a.ice:1: docs/gone.md is no page of the repository", "api/a.proto:1: docs/gone.md is no page of the repository",
+            "src/CMakeLists.txt:1: docs/gone.md is no page of the repository",
+            "src/a.hpp:2: docs/reference/gone.md is no page of the repository", "src/a.hpp:3: gone.md is no page of the repository",
+            "src/a.hpp:4: docs/folder/gone is no page of the repository", "src/a.hpp:5: ADR 0007 does not exist",
+            'src/a.hpp:6: page.md has no heading "Two birds"', "src/a.hpp:8: ARCHITECTURE.md has no section 3",
+            "src/a.hpp:9: architecture, section 6",
+            "tests/a.py:1: docs/gone.md is no page of the repository", "tests/client.mjs:1: docs/gone.md is no page of the repository",
+            "tools/run:2: docs/gone.md is no page of the repository"])
+
 
 class Style(TreeCase):
     """A checkout with one commit, of one source that is formatted and in which clang-tidy finds something."""

@@ -28,7 +28,7 @@ class ServerWatch;
 class Tasks;
 class Watches;
 
-/// Settings of one session's behaviour; the defaults are those of safety.md.
+/// Settings of one session's behaviour.
 struct CoreSettings {
     Duration timeout = std::chrono::seconds{5};              ///< of every request that waits for an answer
     Duration server_silence_busy = std::chrono::seconds{1};  ///< 20 heartbeats of the server missed

@@ -43,7 +43,7 @@ class ServerLink {
     virtual void keepAlive(std::int64_t sequence, bool busy) = 0;
 };
 
-/// The way of a stop, apart from everything else (architecture, section 7.1): Lane::Signal is the ordinary
+/// The way of a stop, apart from everything else (ADR 0003): Lane::Signal is the ordinary
 /// one, Lane::Data the second chance of an escalation.
 class StopLink {
   public:

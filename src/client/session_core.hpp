@@ -30,8 +30,8 @@ class Reply;
 
 namespace axon::client {
 
-/// A client's session without its connections: entities, leases, tasks, runs, requests (architecture,
-/// sections 6 and 8). Stops are StopDesk's.
+/// A client's session without its connections: entities, leases, tasks, runs, requests (ADR 0007).
+/// Stops are StopDesk's.
 ///
 /// Where in the flow: the first station. An event of the server goes in as one call of on…(), a wish of the
 /// user as one of the other calls; messages leave through ServerLink, news through SessionObserver, answers

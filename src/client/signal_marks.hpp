@@ -10,7 +10,7 @@
 namespace axon::client {
 
 /// What the two halves of the session logic share, which run under different locks: the newest stop
-/// generation this client has seen of each entity (architecture, section 6; receipts raise it on the signal
+/// generation this client has seen of each entity (ADR 0007; receipts raise it on the signal
 /// lane, commands carry it on the data lane), and the counter that numbers what is sent on the signal lane.
 /// Threads: any; the lock is held for one look-up, and sending a stop to everything does not take it.
 class SignalMarks {

@@ -12,7 +12,7 @@
 namespace axon::client {
 namespace {
 
-constexpr std::ptrdiff_t kListedAtOnce = 4096;  // half of what a server takes (sessions.md)
+constexpr std::ptrdiff_t kListedAtOnce = 4096;  // half of what a server takes (sessions.md, "Limits")
 
 /// The sequence at the end of a stop_id ("sender:sequence"), or -1.
 std::int64_t sequenceOf(std::string_view stop_id) {

@@ -29,7 +29,7 @@ inline constexpr Duration kStopResendPeriod = std::chrono::milliseconds{250};
 /// of thousands take their time, and to ask again before they are through would make it longer.
 inline constexpr Duration kStopPatience = std::chrono::seconds{1};
 
-/// Gives stops and collects their receipts (architecture, section 7.4).
+/// Gives stops and collects their receipts (docs/explanation/safety.md, "What a receipt says").
 ///
 /// Where in the flow: beside SessionCore, not in it. It has its own lock in the Ice rim, its own link and its
 /// own list of names, so that a stop never waits for anything that data does. An order is *open* from stop()

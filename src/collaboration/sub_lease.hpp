@@ -14,7 +14,7 @@ struct Grant {
     std::string_view entity;  ///< UUID of the entity that obeys them
 };
 
-/// Makes `lease` the right of one master over one entity in one run (architecture, section 6): sets its
+/// Makes `lease` the right of one master over one entity in one run (ADR 0019): sets its
 /// proof, a MAC over all of it under the key of the entity's own lease, which only its holder and its Entity
 /// Manager know. So an entity obeys a master because the client that holds it said so, and not because a
 /// server or the master says so. The seal does not wear out by being used: that an invitation is not accepted

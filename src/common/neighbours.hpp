@@ -18,7 +18,7 @@ namespace axon {
 enum class Way : std::uint8_t { Topic, Straight };
 
 /// The servers of one kind as one of several servers sees them: who there is, where they take signals, and
-/// who lives (safety.md, "front-end → entity server").
+/// who lives (safety.md, "Watchdogs").
 ///
 /// Where in the flow: both servers' cores feed it what the others announce, by the topic and directly, and
 /// their timers ask for news. States of a neighbour:

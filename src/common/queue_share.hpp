@@ -23,7 +23,7 @@ inline constexpr SenderKey kServersOwn = 0;
 /// Whose share a message of the peer with this id counts towards. All sessions of one user have the same: the
 /// UUIDs at the end of their ids begin with userPart(), 48 bits that are made of the user's name. UUIDs of
 /// clients are of version 8, as are those of entities that are bound to a secret; whoever has tried 2^48
-/// secrets has one that begins like a user's (docs/adr/0024).
+/// secrets has one that begins like a user's (ADR 0024).
 SenderKey senderKey(std::string_view id, QueueShare share = QueueShare::OfSender);
 /// Of stops: each session has its own, so that no program of a user keeps the user's own stop back.
 SenderKey sessionKey(std::string_view id);

@@ -41,7 +41,7 @@ struct LeaseNumber {
     auto operator<=>(const LeaseNumber&) const = default;
 };
 
-/// Header of every routed operation (architecture, section 4).
+/// Header of every routed operation (docs/reference/sessions.md, "The header").
 struct Header {
     Sender sender;
     std::string entity;    ///< UUID

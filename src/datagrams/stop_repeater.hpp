@@ -19,7 +19,7 @@
 
 namespace axon::datagrams {
 
-/// When the copies of a stop are sent, counted from the first (safety.md, "Lossy radio links"). Close
+/// When the copies of a stop are sent, counted from the first (datagrams.md, "Rules"). Close
 /// together at first, because most losses are single, and then further apart, because an outage lasts.
 inline constexpr std::array<std::chrono::milliseconds, 9> kCopiesAt{
     std::chrono::milliseconds{0},  std::chrono::milliseconds{4},   std::chrono::milliseconds{10},

@@ -15,7 +15,7 @@
 namespace axon::direct {
 
 /// Silence of so long ends a path: while it is busy, and otherwise. Those of the hop to the server
-/// (safety.md).
+/// (docs/explanation/safety.md, "Watchdogs").
 inline constexpr Duration kWatchdogBusy = std::chrono::milliseconds{250};
 inline constexpr Duration kWatchdogIdle = std::chrono::seconds{10};
 inline constexpr Duration kBeatBusy = std::chrono::milliseconds{50};

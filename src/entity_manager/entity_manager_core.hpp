@@ -49,8 +49,8 @@ struct CoreCounters {
     std::uint64_t unrecorded = 0;     ///< entries that the journal did not take, and refusals above its rate
 };
 
-/// The Entity Manager without its sockets: states, latch, profiler, lease, queue (architecture, sections 5
-/// and 6).
+/// The Entity Manager without its sockets: states, latch, profiler, lease, queue (ADR 0007,
+/// docs/design/state-machine.md).
 ///
 /// Where in the flow: between the entity server (ServerPort) and the robot application's Entity Interfacer
 /// (BackEndPort). An event goes in as one call of on…(); effects leave through the ports before the call

@@ -30,7 +30,7 @@ struct Claim {
     HandOverPolicy hand_over = {};
 };
 
-/// Who holds the entity, and the fence against everybody else (architecture, section 6).
+/// Who holds the entity, and the fence against everybody else (ADR 0007).
 ///
 /// Where in the flow: EntityManagerCore asks it before it obeys a command. States: free, held, orphaned (held
 /// by a client that was lost; only its key resumes it), each with or without a reservation: for a check-out

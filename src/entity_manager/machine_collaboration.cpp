@@ -200,7 +200,7 @@ bool EntityManagerCore::Machine::controlRun(const Incident& incident) {
 // -- a participant
 // ----------------------------------------------------------------------------------------------------------
 
-/// Whether the holder of this entity has given this master the right over it (architecture, section 6).
+/// Whether the holder of this entity has given this master the right over it (ADR 0019).
 Refusal EntityManagerCore::Machine::checkSubLease(const Sender& master,
                                                   const proto::FromMaster& message) const {
     if (!lease_.held()) return {RefusalCode::NotHolder, "Nobody has checked the entity out.", {}};

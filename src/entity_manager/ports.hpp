@@ -55,7 +55,8 @@ class BackEndPort {
     /// thread; never blocks, takes no lock that data holds. Does nothing when the link is down (the EI has
     /// stopped by itself then).
     virtual void stop(std::uint32_t generation, StopCause cause) = 0;
-    /// Whether a task runs: heartbeat period and watchdog of the link (safety.md: 250 ms and 500 ms).
+    /// Whether a task runs: heartbeat period and watchdog of the link (safety.md, "Watchdogs": 250 ms
+    /// and 500 ms).
     virtual void setBusy(bool busy) = 0;
     /// Of both directions of the link, as far as they have been measured.
     virtual std::vector<HopMargin> margins() const { return {}; }

@@ -15,7 +15,7 @@ namespace axon::entity_manager {
 
 /// The two Ice communicators of a process that hosts Entity Managers, shared by all of them: data, and
 /// signals with a client thread pool of its own, because pushes over an outgoing connection are dispatched by
-/// that pool (performance.md). Destroying it closes every connection and joins the threads, so it outlives
+/// that pool (ADR 0003). Destroying it closes every connection and joins the threads, so it outlives
 /// its Entity Managers.
 class ServerCommunicators {
   public:

@@ -134,7 +134,7 @@ struct Row {
     Next next;
 };
 
-/// What a request must prove before its row runs (architecture, section 6), besides who sends it
+/// What a request must prove before its row runs (ADR 0007), besides who sends it
 /// (common/rights.hpp).
 struct Needs {
     bool stop_generation = false;  ///< the sender has seen the newest stop

@@ -14,7 +14,7 @@ namespace axon::entity_manager {
 
 /// The stop generation, shared by the signal thread that raises it and the strand that reads it. A stop is
 /// known by its sender and sequence number, which counts from 1: the same stop that arrives by two paths
-/// raises the generation once (architecture, section 7), and one without such a number is always new. So is
+/// raises the generation once (ADR 0007), and one without such a number is always new. So is
 /// one under a number that was used before, if its sender knew of that stop and the robot has been rearmed
 /// since: no late copy knows that.
 /// Threads: any. The mutex is the signal lane's own and is held for a comparison of a few strings. Drills

@@ -20,7 +20,7 @@ inline constexpr const char* kGenerationKey =
     "stop_generation";  ///< in the Storage, of how far lives have counted
 
 /// Which stops were ordered, commanded to the robot application and confirmed by it; how far each has come,
-/// and who is told so (safety.md, "What a stop does").
+/// and who is told so (safety.md, "What a receipt says").
 ///
 /// It owns the strand's stop generation. StopGate gives every stop its generation on the signal thread, which
 /// passes the stop on at once; the strand hears of it later, so for a moment StopGate is ahead

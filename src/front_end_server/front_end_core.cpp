@@ -184,7 +184,7 @@ Result<FrontEndCore::ClientRef> FrontEndCore::setCallback(const std::string& dis
         // A name that is no UTF-8 would make every receipt that carries it unreadable.
         std::string name(cutUtf8(validUtf8(display_name), 256));
         const auto origin = alone() ? std::string() : settings_.name + ":" + instance_ + ":";
-        // Of version 8: no entity can register under it without a secret that nobody has (docs/adr/0024).
+        // Of version 8: no entity can register under it without a secret that nobody has (ADR 0024).
         auto id = Id128::uuid(random_).toString();
         id[kUserDigits] = '8';
         if (!user.empty()) id.replace(0, kUserDigits, userPart(user));

@@ -27,7 +27,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// The seed's range for the link between a robot application and its Entity Manager (thesis B.3.1).
+// Thesis B.3.1's range of ports for the link between a robot application and its Entity Manager.
 constexpr int kFirstPort = 5500;
 constexpr int kLastPort = 8000;
 

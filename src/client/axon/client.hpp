@@ -15,7 +15,7 @@
 #include "axon/result.hpp"
 #include "axon/types.hpp"
 
-/// The client library: what an operator's program links to use robots (architecture, section 10).
+/// The client library: what an operator's program links to use robots.
 /// Its log goes to the spdlog logger "axon" when the program has registered one before its first Client, else
 /// to standard error (warnings and worse). It writes nothing to standard output.
 namespace axon::client {
@@ -178,7 +178,7 @@ class CheckOut {
 
 /// A connection to an Axon server, with its own signal lane, heartbeats and reconnection.
 ///
-/// Where in the flow: the first station (architecture, section 3).
+/// Where in the flow: the first station (ARCHITECTURE.md, section 1).
 /// States: connected; lost (reconnecting with backoff, calls answer NOT_CONNECTED, leases are orphaned);
 /// closed.
 /// Threads: every member may be called from any thread. Callbacks run on one thread of the library, in order;

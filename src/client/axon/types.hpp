@@ -156,8 +156,8 @@ struct TaskReport {
     bool accepted = false;  ///< the Entity Manager has taken it: it waits there for its turn, or has begun
 };
 
-/// What became of a stop, stage by stage (architecture, section 7.4). Times since the call, on the client's
-/// clock; a stage that has not answered within the deadline has no time.
+/// What became of a stop, stage by stage (docs/explanation/safety.md, "What a receipt says"). Times since
+/// the call, on the client's clock; a stage that has not answered within the deadline has no time.
 struct Receipt {
     std::string entity, name;
     std::int32_t stop_generation = 0;
