@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Prints the results of axon-bench (--json) as the tables of docs/reference/benchmarks.md.
+"""Prints the results of axon-bench (--json) as the tables of docs/results.md.
 
     python3 bench/tables.py bench/reference/*.json
 """
