@@ -396,6 +396,41 @@ TEST(PickAndPlace, WhatIsCarriedIsHeldLevelWhereverTheArmReaches) {
     }
 }
 
+TEST(PickAndPlace, AnotherSpeedOnTheWayLeavesTheClawsTheirOwn) {
+    Kinematics kinematics;
+    const auto plan = planPickAndPlace(kinematics, {}, atHome());
+    ASSERT_TRUE(plan) << plan.refusal().message;
+    constexpr double kStep_s = 0.004;
+    /// The seconds of each leg, and the greatest speed of the claws in those in which the arm stands, mm/s.
+    const auto play = [&](double times) {
+        Playback playback(plan->legs);
+        std::pair<std::vector<double>, double> seen{std::vector<double>(plan->legs.size()), 0};
+        Posture last = atHome();
+        for (Playback::Step step; !step.done; last = step.posture) {
+            step = playback.advance(kStep_s, false, times);
+            seen.first[step.leg] += kStep_s;
+            if (step.posture.joints == last.joints)
+                seen.second =
+                    std::max(seen.second, std::abs(step.posture.opening_mm - last.opening_mm) / kStep_s);
+        }
+        return seen;
+    };
+    const auto planned = play(1);
+    EXPECT_GT(planned.second, 10) << "the claws do move";
+    for (const double times : {0.2, 4.0}) {
+        const auto changed = play(times);
+        for (const auto claws : {plan->grasped - 1, plan->released})
+            EXPECT_NEAR(changed.first[claws], planned.first[claws], 0.05)
+                << plan->legs[claws].name << " at " << times << " times the speed";
+        EXPECT_NEAR(changed.second, planned.second, 0.5) << times;
+        const auto carrying = plan->grasped + 1;
+        if (times < 1)
+            EXPECT_GT(changed.first[carrying], 2 * planned.first[carrying]);
+        else
+            EXPECT_LT(changed.first[carrying], planned.first[carrying] / 2);
+    }
+}
+
 TEST(PickAndPlace, PlanningEndsWhenTheTaskIsStopped) {
     Kinematics kinematics;
     const auto plan = planPickAndPlace(kinematics, {}, atHome(), [] { return true; });

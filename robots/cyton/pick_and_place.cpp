@@ -20,7 +20,8 @@ constexpr double kStep = 0.010;            // of the tool on a line
 constexpr double kLargestTurn_rad = 0.35;  // of a joint on one step: more is another configuration
 constexpr double kArmClearance = 0.030;    // half as thick as the arm
 constexpr double kHandClearance = 0.012;
-constexpr double kCareful = 0.4;  // of the speed, close to the object
+constexpr double kCareful = 0.4;    // of the speed, close to the object
+constexpr double kClawSpeed = 0.5;  // of the claws' highest rate
 constexpr double kLevel_rad =
     radians(45);  // what is round turns between the claws when it is carried upside down
 constexpr double kTilts_deg[] = {0, 10, 20, 30, 40, 50, 60, 70, 80, 90};
@@ -373,15 +374,21 @@ class Planner {
         const auto leg = [&plan](const char* name, std::vector<Posture> way, double part, double rest_s) {
             plan.legs.push_back({name, Trajectory(std::move(way), part), rest_s});
         };
+        // However fast the arm is: pads that hit the object fast push it away before they hold it.
+        const auto claws = [&leg, &plan](const char* name, const Posture& from, const Posture& to,
+                                         double rest_s) {
+            leg(name, {from, to}, kClawSpeed, rest_s);
+            plan.legs.back().keeps_speed = true;
+        };
         leg("going to the object", std::move(first), speed, 0.3);
         leg("approaching it", postures(reversed(pick.along_tool), open), careful, 0.3);
-        leg("closing the gripper", {{pick.at, open}, {pick.at, held}}, 0.5, 0.5);
+        claws("closing the gripper", {pick.at, open}, {pick.at, held}, 0.5);
         plan.grasped = plan.legs.size();
         leg("lifting it", postures(pick.upwards, held), careful, 0.2);
         leg("carrying it", postures(*carry, held), speed * 0.8, 0.3);
         leg("lowering it", postures(reversed(place.upwards), held), careful, 0.5);
         plan.released = plan.legs.size();
-        leg("opening the gripper", {{place.at, held}, {place.at, open}}, 0.5, 0.4);
+        claws("opening the gripper", {place.at, held}, {place.at, open}, 0.4);
         leg("backing off", postures(place.along_tool, open), careful, 0.1);
         auto last = postures(*home, open);
         last.back().opening_mm = gripper::kHome_mm;

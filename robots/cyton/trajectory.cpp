@@ -80,7 +80,7 @@ Playback::Step Playback::advance(double time_s, bool paused, double times) {
     const auto approach = [&](double& value, double wanted, double span) {
         value += std::clamp(wanted - value, -span * time_s / kRamp_s, span * time_s / kRamp_s);
     };
-    const auto wanted = [&] { return legs_[leg_].way.paceAt(times); };
+    const auto wanted = [&] { return legs_[leg_].keeps_speed ? 1 : legs_[leg_].way.paceAt(times); };
     approach(going_, paused ? 0 : 1, 1);
     approach(pace_, wanted(), std::max({1.0, wanted(), pace_}));
     const auto& way = legs_[leg_].way;

@@ -41,7 +41,8 @@ class Trajectory {
 struct Leg {
     std::string name;
     Trajectory way;
-    double rest_s = 0;  ///< afterwards: servos lag behind their pulses
+    double rest_s = 0;         ///< afterwards: servos lag behind their pulses
+    bool keeps_speed = false;  ///< played as it was planned, whatever speed the others are played at
 };
 
 /// Plays legs one after the other. I/O-free: time comes in, postures come out. A pause lets the motion run
@@ -60,7 +61,8 @@ class Playback {
         bool done = false;
         bool resting = false;  ///< paused, and run out
     };
-    /// `times`: so many times as fast as the legs were planned, above 0.
+    /// `times`: that many times as fast as the legs were planned, above 0; not for legs that keep their
+    /// speed.
     Step advance(double time_s, bool paused, double times = 1);
 
     const std::vector<Leg>& legs() const { return legs_; }
