@@ -195,7 +195,6 @@ class RawClient::Session {
         void newStatusMsg(::Axon::CommUtil::EntityStatus status, const Ice::Current&) override {
             if (const auto session = session_.lock()) session->told(transport::fromIce(std::move(status)));
         }
-        void newSvcRecordMsg(::Axon::CommUtil::Header, int, int, ByteRange, const Ice::Current&) override {}
         void newEntityMsg(::Axon::CommUtil::Header head, ByteRange message, const Ice::Current&) override {
             const auto session = session_.lock();
             if (!session) return;
