@@ -191,7 +191,7 @@ int runCrowd(const CrowdWish& wish) {
     };
     const auto startManager = [&](Member& member, std::size_t index, const std::string& name) {
         auto& slot = board[index];
-        CoreSettings settings;
+        EntityManagerCoreSettings settings;
         settings.application = name;
         member.manager = EntityManager::create(
             executor.get_executor(), ice, settings, server,

@@ -165,7 +165,7 @@ int runManagers(const RobotsPlan& plan) {
     const auto end = plan.count == 0 ? plan.entities : plan.first + plan.count;
     for (auto i = plan.first; i < end; ++i) {
         auto member = std::make_unique<Member>(plan.folder / ("state-" + std::to_string(i)));
-        CoreSettings core;
+        EntityManagerCoreSettings core;
         core.application = applicationName(i);
         core.lease_grace = std::chrono::duration_cast<Duration>(Seconds(kLeaseGrace));
         BackEndSettings link;

@@ -127,7 +127,7 @@ class EntityManagerStation::BackLane final : public entity_manager::DirectLane {
 
 /// All that is lost when the process dies.
 struct EntityManagerStation::Life {
-    Life(EntityManagerStation& station, entity_manager::CoreSettings settings)
+    Life(EntityManagerStation& station, entity_manager::EntityManagerCoreSettings settings)
         : link_watchdog(kWatchdogBusy, kWatchdogIdle, station.process_.now()),
           servers(station),
           ways(station.process_, servers,
@@ -217,7 +217,7 @@ void EntityManagerStation::start() {
     alarm_.forget();
     beat_.forget();
     observer_.managerStarts(entity_);
-    entity_manager::CoreSettings settings;
+    entity_manager::EntityManagerCoreSettings settings;
     settings.application = application_.process().name();
     life_ = std::make_unique<Life>(*this, std::move(settings));
     life_->ways.setEntity(life_->core.uuid());

@@ -19,8 +19,8 @@ constexpr Duration kSetUp = 10s;  // a session without both lanes is closed (doc
 constexpr int kProcess = 1;
 constexpr Duration kDrillPeriod = 7s;
 
-entity_server::CoreSettings settings() {
-    entity_server::CoreSettings settings;
+entity_server::EntityServerCoreSettings settings() {
+    entity_server::EntityServerCoreSettings settings;
     settings.drill_period = kDrillPeriod;
     return settings;
 }

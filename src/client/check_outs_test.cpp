@@ -520,7 +520,7 @@ TEST_F(CheckOutsTest, WithoutGraceTheLeaseGoesWithTheConnection) {
     take("Cyton", 1, 0s);
     loseConnection();
     EXPECT_THAT(observer.lost, SizeIs(1));
-    CoreSettings settings;
+    SessionCoreSettings settings;
     settings.resume = false;
     CoreWorld world(settings);
     world.connect();
@@ -689,7 +689,7 @@ TEST_F(CheckOutsTest, OnlyATicketIsATicket) {
 // ---- what ends while other things end
 
 TEST(FinishedTasksTest, ATableOfOneForgetsWhileALeaseEnds) {
-    CoreSettings settings;
+    SessionCoreSettings settings;
     settings.tasks_kept = 1;
     CoreWorld world(settings);
     world.connect();

@@ -29,7 +29,7 @@ class Tasks;
 class Watches;
 
 /// Settings of one session's behaviour.
-struct CoreSettings {
+struct SessionCoreSettings {
     Duration timeout = std::chrono::seconds{5};              ///< of every request that waits for an answer
     Duration server_silence_busy = std::chrono::seconds{1};  ///< 20 heartbeats of the server missed
     Duration server_silence_idle = std::chrono::seconds{10};
@@ -59,7 +59,7 @@ struct CoreContext {
                 {}};
     }
 
-    const CoreSettings settings;
+    const SessionCoreSettings settings;
     const Clock& clock;
     RandomSource& random;
     ServerLink& link;

@@ -38,8 +38,8 @@ struct RunOrder {
 /// offers. Part of SessionCore.
 ///
 /// A run shares the fate of its master's lease: Unknown when that is lost, asked after when it is resumed. A
-/// report never leaves a final state. Of those that are over the newest CoreSettings::runs_kept can still be
-/// asked for.
+/// report never leaves a final state. Of those that are over the newest SessionCoreSettings::runs_kept can
+/// still be asked for.
 class Runs {
   public:
     explicit Runs(const CoreParts& parts) : parts_(parts) {}

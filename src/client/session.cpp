@@ -24,8 +24,8 @@ using namespace std::chrono_literals;
 
 constexpr Duration kReleaseTime = 1s;
 
-CoreSettings settingsOf(const Options& options) {
-    CoreSettings settings;
+SessionCoreSettings settingsOf(const Options& options) {
+    SessionCoreSettings settings;
     settings.timeout = timeoutOf(options);
     settings.resume = options.resume && options.reconnect;
     return settings;

@@ -33,8 +33,8 @@ std::int64_t CoreContext::send(const std::string& entity, const char* msg_type, 
     return head.sequence;
 }
 
-SessionCore::SessionCore(CoreSettings settings, const Clock& clock, RandomSource& random, ServerLink& link,
-                         SessionObserver& observer, SignalMarks& marks)
+SessionCore::SessionCore(SessionCoreSettings settings, const Clock& clock, RandomSource& random,
+                         ServerLink& link, SessionObserver& observer, SignalMarks& marks)
     : context_{settings, clock, random, link, observer, marks},
       requests_(clock, settings.timeout,
                 [this](const std::string& entity, LeaseNumber under, const Refusal& why) {

@@ -53,7 +53,7 @@ namespace axon::client {
 /// counted and dropped.
 class SessionCore {
   public:
-    SessionCore(CoreSettings settings, const Clock& clock, RandomSource& random, ServerLink& link,
+    SessionCore(SessionCoreSettings settings, const Clock& clock, RandomSource& random, ServerLink& link,
                 SessionObserver& observer, SignalMarks& marks);
     SessionCore(const SessionCore&) = delete;  // its parts refer to each other
     SessionCore& operator=(const SessionCore&) = delete;

@@ -27,7 +27,8 @@ namespace axon::client {
 /// The tasks that this client has asked for, and their newest reports. Part of SessionCore.
 ///
 /// A report never leaves a final state. A task that nobody answers for becomes Unknown, and is cancelled
-/// where that is possible. Of those that are over the newest CoreSettings::tasks_kept can still be asked for.
+/// where that is possible. Of those that are over the newest SessionCoreSettings::tasks_kept can still be
+/// asked for.
 class Tasks {
   public:
     explicit Tasks(const CoreParts& parts) : parts_(parts) {}

@@ -86,7 +86,8 @@ inline const Sender kMe{"99999999-1111-4111-8111-111111111111", "client1@lab", R
 /// A core that is connected and knows of PeopleBot, PeopleBot and Cyton.
 class CoreWorld {
   public:
-    explicit CoreWorld(CoreSettings settings = {}) : core(settings, clock, random, link, observer, marks) {}
+    explicit CoreWorld(SessionCoreSettings settings = {})
+        : core(settings, clock, random, link, observer, marks) {}
 
     void connect(const Watchdogs& watchdogs = {}) {
         core.onConnected(kMe, 3, watchdogs);

@@ -16,7 +16,7 @@ namespace axon::entity_manager {
 /// All that axon-entity-manager is told: command line over configuration file over defaults
 /// (docs/reference/configuration.md).
 struct DaemonOptions {
-    CoreSettings core;
+    EntityManagerCoreSettings core;
     ServerAddress server;
     BackEndSettings back_end;
     DatagramSettings datagrams;

@@ -31,7 +31,7 @@ EntityManager::EntityManager(asio::any_io_executor executor, std::string name, c
 
 std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor executor,
                                                      std::shared_ptr<ServerCommunicators> ice,
-                                                     CoreSettings settings, ServerAddress server,
+                                                     EntityManagerCoreSettings settings, ServerAddress server,
                                                      const BackEndFactory& back_end, const Clock& clock,
                                                      RandomSource& random, Storage& storage,
                                                      ResourceStore& resources, Journal* journal) {

@@ -50,7 +50,7 @@ class EntityManager final : public ServerEvents,
     /// The executor's threads run the strand; it and all references must outlive the object.
     static std::shared_ptr<EntityManager> create(asio::any_io_executor executor,
                                                  std::shared_ptr<ServerCommunicators> ice,
-                                                 CoreSettings settings, ServerAddress server,
+                                                 EntityManagerCoreSettings settings, ServerAddress server,
                                                  const BackEndFactory& back_end, const Clock& clock,
                                                  RandomSource& random, Storage& storage,
                                                  ResourceStore& resources, Journal* journal = nullptr);

@@ -7,9 +7,10 @@
 
 namespace axon::entity_manager {
 
-EntityManagerCore::EntityManagerCore(CoreSettings settings, const Clock& clock, RandomSource& random,
-                                     BackEndPort& back_end, ServerPort& server, Storage& storage,
-                                     ResourceStore& resources, StopGate& stop_gate, Journal* journal)
+EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock,
+                                     RandomSource& random, BackEndPort& back_end, ServerPort& server,
+                                     Storage& storage, ResourceStore& resources, StopGate& stop_gate,
+                                     Journal* journal)
     : machine_(std::make_unique<Machine>(std::move(settings), clock, random, back_end, server, storage,
                                          resources, stop_gate, journal)) {}
 

@@ -20,7 +20,7 @@ class EiToEm;
 namespace axon::entity_manager {
 
 /// Settings of one Entity Manager that its behaviour depends on (docs/reference/configuration.md).
-struct CoreSettings {
+struct EntityManagerCoreSettings {
     std::string application;  ///< name of the robot application it is for
     Duration server_watchdog_busy = std::chrono::milliseconds{250};  ///< 50 ms to 2 s
     Duration server_watchdog_idle = std::chrono::seconds{10};
@@ -61,9 +61,9 @@ struct CoreCounters {
 class EntityManagerCore {
   public:
     /// Without a journal a task id is known for this life only.
-    EntityManagerCore(CoreSettings settings, const Clock& clock, RandomSource& random, BackEndPort& back_end,
-                      ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate,
-                      Journal* journal = nullptr);
+    EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock, RandomSource& random,
+                      BackEndPort& back_end, ServerPort& server, Storage& storage, ResourceStore& resources,
+                      StopGate& stop_gate, Journal* journal = nullptr);
     ~EntityManagerCore();
     EntityManagerCore(const EntityManagerCore&) = delete;
     EntityManagerCore& operator=(const EntityManagerCore&) = delete;

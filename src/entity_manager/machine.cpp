@@ -122,9 +122,10 @@ Event eventOf(const proto::ToEntity& message) {
 
 }  // namespace
 
-EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, RandomSource& random,
-                                    BackEndPort& back_end, ServerPort& server, Storage& storage,
-                                    ResourceStore& resources, StopGate& stop_gate, Journal* journal)
+EntityManagerCore::Machine::Machine(EntityManagerCoreSettings settings, const Clock& clock,
+                                    RandomSource& random, BackEndPort& back_end, ServerPort& server,
+                                    Storage& storage, ResourceStore& resources, StopGate& stop_gate,
+                                    Journal* journal)
     : settings_(std::move(settings)),
       clock_(clock),
       random_(random),

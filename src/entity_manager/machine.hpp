@@ -39,9 +39,9 @@ namespace axon::entity_manager {
 /// parts, machine_collaboration.cpp what it does with other entities.
 class EntityManagerCore::Machine final : private Turn {
   public:
-    Machine(CoreSettings settings, const Clock& clock, RandomSource& random, BackEndPort& back_end,
-            ServerPort& server, Storage& storage, ResourceStore& resources, StopGate& stop_gate,
-            Journal* journal);
+    Machine(EntityManagerCoreSettings settings, const Clock& clock, RandomSource& random,
+            BackEndPort& back_end, ServerPort& server, Storage& storage, ResourceStore& resources,
+            StopGate& stop_gate, Journal* journal);
 
     void start();
     void onLinkUp();
@@ -404,7 +404,7 @@ class EntityManagerCore::Machine final : private Turn {
     Header headFor(const Sender& to, const char* type);
     const Sender* holder() const override { return lease_.held() ? &lease_.held()->holder : nullptr; }
 
-    const CoreSettings settings_;
+    const EntityManagerCoreSettings settings_;
     const Clock& clock_;
     RandomSource& random_;
     BackEndPort& back_end_;

@@ -22,7 +22,7 @@ class Logins;
 namespace axon::entity_server {
 
 struct EntityServerSettings {
-    CoreSettings core;
+    EntityServerCoreSettings core;
     std::string data_endpoint = "tcp -h 127.0.0.1 -p 10412";
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10413";
     /// Who may come in. Outlives the communicators. Null: anybody.

@@ -213,9 +213,9 @@ Result<void> check(const Registration& registration, std::size_t profile_bytes,
 
 }  // namespace
 
-EntityServerCore::EntityServerCore(CoreSettings settings, const Clock& clock, RandomSource& random,
-                                   FrontEndTopic& topic, Note note, std::function<void()> wake,
-                                   std::function<void()> pending)
+EntityServerCore::EntityServerCore(EntityServerCoreSettings settings, const Clock& clock,
+                                   RandomSource& random, FrontEndTopic& topic, Note note,
+                                   std::function<void()> wake, std::function<void()> pending)
     : settings_(settings),
       clock_(clock),
       random_(random),

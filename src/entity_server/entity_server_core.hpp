@@ -23,7 +23,7 @@
 
 namespace axon::entity_server {
 
-struct CoreSettings {
+struct EntityServerCoreSettings {
     /// Of one of several entity servers in processes of their own (isServerName); empty: it is the only one,
     /// with the only front-end server beside it.
     std::string name;
@@ -75,8 +75,9 @@ class EntityServerCore {
 
     /// `note` gets a line for people; `wake` is called when onTimer() is due earlier than it said, `pending`
     /// when publishPending() is to be called, by a thread that is not the signal lane's.
-    EntityServerCore(CoreSettings settings, const Clock& clock, RandomSource& random, FrontEndTopic& topic,
-                     Note note, std::function<void()> wake, std::function<void()> pending);
+    EntityServerCore(EntityServerCoreSettings settings, const Clock& clock, RandomSource& random,
+                     FrontEndTopic& topic, Note note, std::function<void()> wake,
+                     std::function<void()> pending);
     ~EntityServerCore();
 
     // From an Entity Manager. `session` is never null.
@@ -196,7 +197,7 @@ class EntityServerCore {
     void loseClient(EntityOutbox& signal, const EntityStatus& status) const;
     TimePoint onNeighboursTimer();
 
-    const CoreSettings settings_;
+    const EntityServerCoreSettings settings_;
     const Clock& clock_;
     RandomSource& random_;
     FrontEndTopic& topic_;

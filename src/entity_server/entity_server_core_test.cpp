@@ -203,8 +203,8 @@ class EntityServerTest : public testing::Test {
     int woken = 0;
     int pending = 0;
     bool publish_at_once = true;
-    CoreSettings settings;
-    explicit EntityServerTest(CoreSettings its = {}) : settings(std::move(its)) {}
+    EntityServerCoreSettings settings;
+    explicit EntityServerTest(EntityServerCoreSettings its = {}) : settings(std::move(its)) {}
     EntityServerCore core{settings,
                           clock,
                           random,
@@ -738,7 +738,7 @@ class DrillTest : public EntityServerTest {
         drilled.onTimer();
     }
     EntityServerCore drilled{[] {
-                                 CoreSettings its;
+                                 EntityServerCoreSettings its;
                                  its.drill_period = 10s;
                                  return its;
                              }(),
@@ -841,7 +841,7 @@ TEST(EntityServerFlood, DropsAnEntityThatFloods) {
     ManualClock clock;
     SeededRandom random{1};
     FakeTopic topic;
-    CoreSettings settings;
+    EntityServerCoreSettings settings;
     settings.messages_per_second = 3;
     EntityServerCore core(
         settings, clock, random, topic, [](const std::string&) {}, [] {}, [] {});
@@ -861,8 +861,8 @@ TEST(EntityServerFlood, DropsAnEntityThatFloods) {
 
 class OneOfSeveral : public EntityServerTest {
   protected:
-    static CoreSettings named() {
-        CoreSettings settings;
+    static EntityServerCoreSettings named() {
+        EntityServerCoreSettings settings;
         settings.name = "es1";
         settings.heartbeats_missed = 1'000'000;
         return settings;

@@ -31,7 +31,7 @@ constexpr std::uint32_t kLinesPerSecond = 8;  // of the log, of a kind
 class FrontEndCore::Client {
   public:
     Client(Sender its_sender, std::string its_token, std::shared_ptr<ClientOutbox> its_data,
-           const CoreSettings& settings, TimePoint now)
+           const FrontEndCoreSettings& settings, TimePoint now)
         : me(std::move(its_sender)),
           token(std::move(its_token)),
           data(std::move(its_data)),
@@ -143,7 +143,7 @@ StopCause causeOf(Ending ending) {
 
 }  // namespace
 
-FrontEndCore::FrontEndCore(CoreSettings settings, const Clock& clock, RandomSource& random,
+FrontEndCore::FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random,
                            EntityTopic& topic, Note note, std::function<void()> wake,
                            GlobalServicesPort* global_services)
     : settings_(settings),

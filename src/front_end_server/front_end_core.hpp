@@ -26,7 +26,7 @@
 
 namespace axon::front_end_server {
 
-struct CoreSettings {
+struct FrontEndCoreSettings {
     /// Of one of several front-end servers in processes of their own (isServerName); empty: it is the only
     /// one, with the only entity server beside it.
     std::string name;
@@ -85,7 +85,7 @@ class FrontEndCore {
     using Note = std::function<void(const std::string& line)>;
 
     /// `global_services`: null where there are none.
-    FrontEndCore(CoreSettings settings, const Clock& clock, RandomSource& random, EntityTopic& topic,
+    FrontEndCore(FrontEndCoreSettings settings, const Clock& clock, RandomSource& random, EntityTopic& topic,
                  Note note, std::function<void()> wake, GlobalServicesPort* global_services = nullptr);
     ~FrontEndCore();
 
@@ -137,7 +137,7 @@ class FrontEndCore {
 
     std::size_t clients() const;
     std::size_t entities() const;
-    const CoreSettings& settings() const { return settings_; }
+    const FrontEndCoreSettings& settings() const { return settings_; }
 
   private:
     struct Record {
@@ -186,7 +186,7 @@ class FrontEndCore {
     void tellLeft(const std::vector<RecordRef>& records);
     TimePoint onNeighboursTimer();
 
-    const CoreSettings settings_;
+    const FrontEndCoreSettings settings_;
     const Clock& clock_;
     RandomSource& random_;
     EntityTopic& topic_;

@@ -183,7 +183,7 @@ class FrontEndTest : public testing::Test {
     FakeTopic topic;
     std::vector<std::string> notes;
     std::map<std::string, FrontEndCore::ClientRef> here;
-    CoreSettings settings;
+    FrontEndCoreSettings settings;
     FrontEndCore core{
         settings, clock, random, topic, [this](const std::string& line) { notes.push_back(line); }, [] {}};
 };
@@ -782,7 +782,7 @@ TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
     ManualClock clock;
     SeededRandom random{1};
     FakeTopic topic;
-    CoreSettings settings;
+    FrontEndCoreSettings settings;
     settings.messages_per_second = 3;
     settings.clients_max = 1;
     FrontEndCore core(
@@ -811,8 +811,8 @@ TEST(FrontEndLimits, AFloodIsImproperAndItsLastStopIsStillAStop) {
 
 class OneOfSeveral : public FrontEndTest {
   protected:
-    static CoreSettings named() {
-        CoreSettings settings;
+    static FrontEndCoreSettings named() {
+        FrontEndCoreSettings settings;
         settings.name = "fe1";
         settings.watchdog_busy = settings.watchdog_idle = std::chrono::hours{1};
         return settings;

@@ -21,7 +21,7 @@ class Logins;
 namespace axon::front_end_server {
 
 struct FrontEndServerSettings {
-    CoreSettings core;
+    FrontEndCoreSettings core;
     std::string data_endpoint = "tcp -h 127.0.0.1 -p 10410";
     std::string signal_endpoint = "tcp -h 127.0.0.1 -p 10411";
     /// Who may come in. Outlives the communicators. Null: anybody, as operator.

@@ -37,8 +37,8 @@ struct ServerSettings {
     std::map<std::string, std::string> neighbours;  ///< their session managers, for routers, by name
     int data_threads = 1;                           ///< of each adapter of the data lane
     int signal_threads = 1;                         ///< of each adapter of the signal lane
-    front_end_server::CoreSettings front_end;
-    entity_server::CoreSettings entity;
+    front_end_server::FrontEndCoreSettings front_end;
+    entity_server::EntityServerCoreSettings entity;
     std::string users_file;       ///< users.cfg; empty: none, and loopback only
     std::string global_services;  ///< the folder of global services; empty: there are none
     bool plain_tcp = false;       ///< also where other machines can reach it

@@ -100,7 +100,7 @@ class DatagramsTest : public ::testing::Test {
         settings.entity_endpoint = settings.entity_signal_endpoint = any_port;
         server_ = std::make_unique<server::Server>(settings);
         const auto at = server_->entityAddress(Lane::Data);
-        entity_manager::CoreSettings core;
+        entity_manager::EntityManagerCoreSettings core;
         core.application = "peoplebot";
         manager_ = EntityManager::create(
             executor_.get_executor(), ice_, core,

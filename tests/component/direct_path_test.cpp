@@ -42,7 +42,7 @@ class DirectPathTest : public ::testing::Test {
     /// Clients are told of relays where the Entity Manager listens: first that of data, then that of signals.
     void startManager(bool offered = true, bool with_gates = true) {
         const auto at = server_->entityAddress(Lane::Data);
-        entity_manager::CoreSettings core = core_;
+        entity_manager::EntityManagerCoreSettings core = core_;
         core.application = "peoplebot";
         manager_ = EntityManager::create(
             executor_.get_executor(), ice_, core,
@@ -123,7 +123,7 @@ class DirectPathTest : public ::testing::Test {
     SystemRandom random_;
     test::MemoryStore storage_;
     test::MemoryRobot::Seen seen_;
-    entity_manager::CoreSettings core_;  // of the Entity Manager
+    entity_manager::EntityManagerCoreSettings core_;  // of the Entity Manager
     test::MemoryRobot* application_ = nullptr;
     std::unique_ptr<server::Server> server_;
     std::vector<std::unique_ptr<TcpGate>> gates_;

@@ -77,7 +77,7 @@ class PresenceTest : public ::testing::Test {
     }
     void startManager(const std::string& application) {
         const auto at = server_->entityAddress(Lane::Data);
-        entity_manager::CoreSettings core;
+        entity_manager::EntityManagerCoreSettings core;
         core.application = application;
         core.profiles_within = 50ms;
         entity_manager::BackEndSettings link;
@@ -220,7 +220,7 @@ TEST_F(PresenceTest, AServerThatIsNotReachableIsReportedBeforeAnyApplicationIsTh
     std::unique_ptr<server::Server> ended = std::move(server_);
     const auto port = static_cast<std::uint16_t>(std::stoi(gone.substr(gone.rfind(':') + 1)));
     ended.reset();
-    entity_manager::CoreSettings core;
+    entity_manager::EntityManagerCoreSettings core;
     core.application = "greeter";
     entity_manager::BackEndSettings link;
     link.application = "greeter";

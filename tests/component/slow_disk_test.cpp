@@ -94,7 +94,7 @@ class SlowDiskTest : public testing::Test {
         resources_ = std::make_unique<entity_manager::FileResourceStore>(folder_ / "state");
         journal_ = std::make_unique<entity_manager::FileJournal>(folder_ / "state");
         const auto at = server_->entityAddress(Lane::Data);
-        entity_manager::CoreSettings core;
+        entity_manager::EntityManagerCoreSettings core;
         core.application = "slow";
         core.server_watchdog_busy = kWatchdog;
         entity_manager::BackEndSettings link;

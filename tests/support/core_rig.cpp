@@ -205,7 +205,7 @@ entity_manager::Later<std::vector<std::string>> MemoryResources::absent(std::vec
 // -- the rig
 // --------------------------------------------------------------------------------------------------------
 
-CoreRig::CoreRig(std::uint64_t seed, entity_manager::CoreSettings settings)
+CoreRig::CoreRig(std::uint64_t seed, entity_manager::EntityManagerCoreSettings settings)
     : settings_(std::move(settings)), random_(seed) {
     restart();
 }

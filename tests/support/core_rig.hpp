@@ -105,7 +105,8 @@ class MemoryResources final : public entity_manager::ResourceStore, public Answe
 /// or `generation` say otherwise.
 class CoreRig final : public entity_manager::BackEndPort, public entity_manager::ServerPort {
   public:
-    explicit CoreRig(std::uint64_t seed = 1, entity_manager::CoreSettings settings = {.application = "rig"});
+    explicit CoreRig(std::uint64_t seed = 1,
+                     entity_manager::EntityManagerCoreSettings settings = {.application = "rig"});
 
     // The robot application's side.
     void linkUp();
@@ -147,7 +148,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     /// A new core over the same storage, gate and ports; what the old one knew is gone.
     void restart();
     /// From the next restart() on.
-    entity_manager::CoreSettings& settings() { return settings_; }
+    entity_manager::EntityManagerCoreSettings& settings() { return settings_; }
 
     // BackEndPort and ServerPort.
     bool send(const proto::EmToEi& message) override;
@@ -204,7 +205,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
   private:
     void note(std::string line) { lines_.push_back(std::move(line)); }
 
-    entity_manager::CoreSettings settings_;
+    entity_manager::EntityManagerCoreSettings settings_;
     SeededRandom random_;
     TimePoint beat_{};  ///< of the server, the next
     std::vector<std::string> lines_;

@@ -35,7 +35,7 @@ proto::GlobalService globalService(const std::vector<std::string>& steps, proto:
 Fleet::Fleet(std::size_t robots, std::uint64_t seed, const std::vector<Duration>& watchdogs)
     : robots_(robots) {
     for (std::size_t i = 0; i < robots; ++i) {
-        entity_manager::CoreSettings settings{.application = "rig"};
+        entity_manager::EntityManagerCoreSettings settings{.application = "rig"};
         if (i < watchdogs.size()) settings.server_watchdog_busy = watchdogs[i];
         robots_[i].rig = std::make_unique<CoreRig>(seed * 1000 + i, settings);
         auto& rig = *robots_[i].rig;
