@@ -56,20 +56,20 @@ int run(const ChannelSettings& settings, std::uint64_t seed, const std::string& 
 int measure(const ChannelSettings& settings, std::uint64_t seed, const Workload& workload,
             const std::string& json_file) {
     TwoSides sides(settings, seed);
-    const Way ways[] = {{"TCP as it is", false, false},
-                        {"TCP with the lane's options", true, false},
-                        {"the same and datagrams", true, true}};
+    const Sending sendings[] = {{"TCP as it is", false, false},
+                                {"TCP with the lane's options", true, false},
+                                {"the same and datagrams", true, true}};
     nlohmann::json rows = nlohmann::json::array();
     std::printf("%-28s %7s %10s %10s %10s %7s %8s\n", "way", "n", "p50 ms", "p99 ms", "max ms", "never",
                 "copies");
     std::size_t never = 0;
-    for (const auto& way : ways) {
-        const auto figures = measureStops(sides, way, workload, seed);
-        std::printf("%-28s %7zu %10.1f %10.1f %10.1f %7zu %8.2f\n", way.name.c_str(), figures.n,
+    for (const auto& sending : sendings) {
+        const auto figures = measureStops(sides, sending, workload, seed);
+        std::printf("%-28s %7zu %10.1f %10.1f %10.1f %7zu %8.2f\n", sending.name.c_str(), figures.n,
                     figures.p50_ms, figures.p99_ms, figures.max_ms, figures.never, figures.copies);
         std::fflush(stdout);
         never += figures.never;
-        rows.push_back({{"way", way.name},
+        rows.push_back({{"way", sending.name},
                         {"n", figures.n},
                         {"p50_ms", figures.p50_ms},
                         {"p99_ms", figures.p99_ms},

@@ -65,10 +65,10 @@ class Socket {
 };
 
 /// As the product does it, or as Ice alone does.
-void prepare(int fd, const Way& way) {
+void prepare(int fd, const Sending& sending) {
     const int on = 1;
     ::setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
-    if (way.options) datagrams::prepareSignalSocket(fd);
+    if (sending.options) datagrams::prepareSignalSocket(fd);
 }
 
 bool readable(int fd, Duration time) {
@@ -110,7 +110,7 @@ struct Connections {
     std::vector<Socket> left, right;  // by the number of the flow
 };
 
-Connections connectAll(const TwoSides& sides, const Way& way, std::size_t flows) {
+Connections connectAll(const TwoSides& sides, const Sending& sending, std::size_t flows) {
     sides.enter(Side::Right);
     const Socket listening(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
     auto at = addressOf(TwoSides::kRight, 0);
@@ -136,7 +136,7 @@ Connections connectAll(const TwoSides& sides, const Way& way, std::size_t flows)
         if (::poll(&waiting, 1, static_cast<int>(left / 1ms)) != 1 ||
             ::getsockopt(socket.get(), SOL_SOCKET, SO_ERROR, &error, &error_size) != 0 || error != 0)
             fail("a connection over the channel was not made within " + std::to_string(kSetUp / 1s) + " s");
-        prepare(socket.get(), way);
+        prepare(socket.get(), sending);
         const auto number = static_cast<std::uint32_t>(&socket - connections.left.data());
         (void)!::send(socket.get(), &number, sizeof number, MSG_NOSIGNAL);
     }
@@ -144,7 +144,7 @@ Connections connectAll(const TwoSides& sides, const Way& way, std::size_t flows)
     for (std::size_t i = 0; i < flows; ++i) {
         if (!readable(listening.get(), kSetUp)) fail("a connection over the channel was not accepted");
         Socket socket(::accept4(listening.get(), nullptr, nullptr, SOCK_CLOEXEC));
-        prepare(socket.get(), way);
+        prepare(socket.get(), sending);
         std::uint32_t number = 0;
         if (!readable(socket.get(), kSetUp) ||
             ::recv(socket.get(), &number, sizeof number, MSG_WAITALL) != sizeof number || number >= flows)
@@ -278,15 +278,16 @@ double percentile(const std::vector<double>& sorted, double share) {
 
 }  // namespace
 
-Figures measureStops(const TwoSides& sides, const Way& way, const Workload& workload, std::uint64_t seed) {
+Figures measureStops(const TwoSides& sides, const Sending& sending, const Workload& workload,
+                     std::uint64_t seed) {
     const auto per_flow = (workload.stops + workload.flows - 1) / workload.flows;
     const auto total = per_flow * workload.flows;
     Ledger ledger(workload.flows, per_flow);
     SeededRandom random(seed);
-    const auto connections = connectAll(sides, way, workload.flows);
+    const auto connections = connectAll(sides, sending, workload.flows);
     const TcpReceiver receiver(connections.right, ledger);
     std::unique_ptr<Datagrams> datagrams;
-    if (way.datagrams) datagrams = std::make_unique<Datagrams>(sides, workload.flows, ledger, random);
+    if (sending.datagrams) datagrams = std::make_unique<Datagrams>(sides, workload.flows, ledger, random);
 
     for (std::size_t i = 0; i < workload.heartbeats; ++i) {
         const std::uint32_t nobodys[2] = {kNoStop, kNoStop};

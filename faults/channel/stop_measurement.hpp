@@ -9,7 +9,7 @@
 namespace axon::faults {
 
 /// How a stop travels in one row of the figures.
-struct Way {
+struct Sending {
     std::string name;
     bool options =
         false;  ///< the signal lane's socket options on both ends; otherwise TCP_NODELAY alone, as Ice has it
@@ -38,6 +38,7 @@ struct Figures {
 
 /// Sends stops from left to right and measures each from its call of send to its first arrival. Blocks.
 /// Throws std::runtime_error when the connections could not be made.
-Figures measureStops(const TwoSides& sides, const Way& way, const Workload& workload, std::uint64_t seed);
+Figures measureStops(const TwoSides& sides, const Sending& sending, const Workload& workload,
+                     std::uint64_t seed);
 
 }  // namespace axon::faults

@@ -35,7 +35,7 @@ MessageSender::MessageSender(const Clock& clock, const DirectLinks& links, std::
     : clock_(clock),
       links_(links),
       wake_(std::move(wake)),
-      ways_(
+      direct_(
           [this](Operation kind, const Header& head, std::string bytes) {
               if (const auto lane = lane_.load()) lane->send(kind, head, std::move(bytes));
           },
@@ -100,7 +100,7 @@ void MessageSender::depart(Leaving leaving) {
 void MessageSender::sendAll() {
     {
         const std::lock_guard sending(mutex_);
-        ways_.fallBackFromEnded();
+        direct_.fallBackFromEnded();
     }
     flush();
 }
@@ -112,9 +112,9 @@ void MessageSender::send(std::uint64_t ticket) {
     for (auto item = queue_.take(ticket); item;) {
         auto next = queue_.take(ticket);
         auto& message = item->message;
-        if (ways_.concerns(message))
+        if (direct_.concerns(message))
             burst.end();  // what may go by the servers now comes behind what was added
-        if (!ways_.takes(message)) {
+        if (!direct_.takes(message)) {
             auto lane = lane_.load();
             const bool joins = item->bytes <= kTogetherBytes && !isSignal(message.kind);
             if (!joins || !burst.goesTo(lane.get())) burst.end();

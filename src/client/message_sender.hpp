@@ -114,8 +114,8 @@ class MessageSender final : public ServerLink {
 
     SendQueue<Outgoing> queue_;  // put into under the core's lock
     Snapshot<DataLane> lane_{nullptr};
-    std::mutex mutex_;    // the order of queue_ is that on the wire
-    DirectSending ways_;  // guarded by mutex_
+    std::mutex mutex_;      // the order of queue_ is that on the wire
+    DirectSending direct_;  // guarded by mutex_
 };
 
 }  // namespace axon::client

@@ -166,12 +166,12 @@ void NewsDesk::onHandOver(const Held& held, const HandOverRequest& request) {
 }
 
 void NewsDesk::onDatagrams(const Held& held, const std::string& endpoint, const std::string& key) {
-    ways_.onDatagrams(held, endpoint, key);
+    offers_.onDatagrams(held, endpoint, key);
 }
 
 void NewsDesk::onDirect(const Held& held, const std::string& data_endpoint,
                         const std::string& signal_endpoint, const std::string& key) {
-    ways_.onDirect(held, data_endpoint, signal_endpoint, key);
+    offers_.onDirect(held, data_endpoint, signal_endpoint, key);
 }
 
 // ---- streams, uploads, texts

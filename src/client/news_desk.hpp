@@ -31,7 +31,8 @@ class NewsDesk final : public SessionObserver {
   public:
     /// `ways`: for what a lease offers besides messages, which is not for the program. `overflow`: the
     /// program does not return from its callbacks; called on any thread, under the core's lock or not.
-    NewsDesk(LeaseWays& ways, std::function<void()> overflow) : ways_(ways), overflow_(std::move(overflow)) {}
+    NewsDesk(LeaseOffers& offers, std::function<void()> overflow)
+        : offers_(offers), overflow_(std::move(overflow)) {}
 
     // SessionObserver.
     void onEntity(Presence presence, const Entity& entity) override;
@@ -99,7 +100,7 @@ class NewsDesk final : public SessionObserver {
     void withCheckOut(const Held& held, Tell&& tell) const;
     void overflow();
 
-    LeaseWays& ways_;
+    LeaseOffers& offers_;
     const std::function<void()> overflow_;
 
     // Guarded by the core's lock:

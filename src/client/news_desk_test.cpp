@@ -13,7 +13,7 @@ namespace {
 using Noted = std::vector<std::string>;
 
 /// A program whose callback thread does not return from its first callback until it is told to.
-class NewsDeskTest : public ::testing::Test, public LeaseWays {
+class NewsDeskTest : public ::testing::Test, public LeaseOffers {
   protected:
     NewsDeskTest() {
         std::promise<void> entered;

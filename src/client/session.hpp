@@ -38,7 +38,7 @@ class ServerConnection;
 /// MessageSender's, stops StopSender's, and what the program is told is NewsDesk's; neither lock is held
 /// across a call of Ice or of the user. Lifetime: held by the Client; handles refer to it weakly. close()
 /// ends all threads, so the last reference may be dropped anywhere.
-class Client::Session final : public LeaseWays,
+class Client::Session final : public LeaseOffers,
                               public ConnectionEvents,
                               public DirectPathEvents,
                               public std::enable_shared_from_this<Client::Session> {
@@ -91,7 +91,7 @@ class Client::Session final : public LeaseWays,
     const Options& options() const { return options_; }
     const std::shared_ptr<const Clock>& clock() const { return clock_; }
 
-    // LeaseWays: under core_mutex_.
+    // LeaseOffers: under core_mutex_.
     void onDatagrams(const Held& held, const std::string& endpoint, const std::string& key) override;
     void onDirect(const Held& held, const std::string& data_endpoint, const std::string& signal_endpoint,
                   const std::string& key) override;

@@ -21,9 +21,9 @@ struct Held {
 };
 
 /// Ways to an entity besides the servers, as its lease offers them. Called from inside the core.
-class LeaseWays {
+class LeaseOffers {
   public:
-    virtual ~LeaseWays() = default;
+    virtual ~LeaseOffers() = default;
     /// Stops of this lease may be sent to `endpoint` as datagrams, keyed by `key`; empty = not, or no longer.
     virtual void onDatagrams(const Held& /*held*/, const std::string& /*endpoint*/,
                              const std::string& /*key*/) {}
@@ -35,7 +35,7 @@ class LeaseWays {
 
 /// What the core tells its owner. Called from inside the core: implementations queue, they do not call back
 /// and do not wait.
-class SessionObserver : public LeaseWays {
+class SessionObserver : public LeaseOffers {
   public:
     /// Of those that are ready: one that becomes so joins.
     virtual void onEntity(Presence presence, const Entity& entity) = 0;

@@ -15,7 +15,7 @@
 namespace axon {
 
 /// How something came from another server: by the topic, or straight.
-enum class Way : std::uint8_t { Topic, Straight };
+enum class Via : std::uint8_t { Topic, Straight };
 
 /// The servers of one kind as one of several servers sees them: who there is, where they take signals, and
 /// who lives (safety.md, "Watchdogs").

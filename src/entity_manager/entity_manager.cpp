@@ -43,14 +43,14 @@ std::shared_ptr<EntityManager> EntityManager::create(asio::any_io_executor execu
     settings.uuid = std::move(identity.uuid);
     self->server_ =
         std::make_unique<EntityCommunicator>(self->strand_, std::move(ice), std::move(server), clock, self);
-    self->ways_ =
+    self->direct_desk_ =
         std::make_unique<DirectDesk>(clock, *self->server_, [](bool warning, const std::string& line) {
             spdlog::log(warning ? spdlog::level::warn : spdlog::level::info, "{}", line);
         });
     self->core_ =
         std::make_unique<EntityManagerCore>(std::move(settings), clock, random, *self->back_end_.port,
-                                            *self->ways_, storage, resources, self->gate_, journal);
-    self->ways_->setEntity(self->core_->uuid());
+                                            *self->direct_desk_, storage, resources, self->gate_, journal);
+    self->direct_desk_->setEntity(self->core_->uuid());
     self->resources_ = &resources;
     self->journal_ = journal;
     // The thread of a store must not be the one that drops the last reference.
@@ -111,7 +111,7 @@ void EntityManager::stop() {
             core_->shutDown();
             server_->wantConnection(false);
             if (datagrams_) datagrams_->close();
-            ways_->close();
+            direct_desk_->close();
             if (doors_) doors_->shut();
             back_end_.close();
             timer_.cancel();
@@ -217,7 +217,7 @@ void EntityManager::handleRelayed(direct::Keeping keeping, const Header& head, c
     const auto deliver = [this](const Header& its_head, const std::string& its) {
         core_->onClientMsg(its_head, its);
     };
-    if (ways_->relayed(keeping, head, bytes, deliver)) core_->onClientMsg(head, bytes);
+    if (direct_desk_->relayed(keeping, head, bytes, deliver)) core_->onClientMsg(head, bytes);
 }
 
 void EntityManager::undeliverable(Lane lane, Header head, const Refusal& refusal) {
@@ -241,7 +241,7 @@ void EntityManager::serverUp() {
 }
 
 void EntityManager::serverDown(const std::string& reason) {
-    ways_->serverDown();
+    direct_desk_->serverDown();
     core_->onServerDown(reason);
     afterEvents();
 }
@@ -268,14 +268,14 @@ void EntityManager::directOpening(DirectOpening opening) {
     }
     onStrand([opening = std::move(opening)](EntityManager& self) {
         --self.openings_;
-        self.ways_->onOpening(opening, self.stopped_ ? nullptr : self.core_->held());
+        self.direct_desk_->onOpening(opening, self.stopped_ ? nullptr : self.core_->held());
     });
 }
 
 void EntityManager::directMsg(const Id128& path, direct::Keeping keeping, Header head, std::string bytes) {
     const auto size = bytes.size();
     Inbox::Event event = [this, path, keeping, head = std::move(head), bytes = std::move(bytes)]() mutable {
-        if (ways_->arrived(path, keeping, head, bytes)) core_->onClientMsg(head, bytes);
+        if (direct_desk_->arrived(path, keeping, head, bytes)) core_->onClientMsg(head, bytes);
     };
     if (keeping == direct::Keeping::Droppable)
         return wake(inbox_.pushData(std::move(event), size), Turn::Here);
@@ -303,7 +303,7 @@ void EntityManager::directPace() {
 }
 
 void EntityManager::directClosed(const Id128& path, const std::string& why) {
-    onStrand([path, why](EntityManager& self) { self.ways_->onClosed(path, why); });
+    onStrand([path, why](EntityManager& self) { self.direct_desk_->onClosed(path, why); });
 }
 
 // -- from the robot application
@@ -402,8 +402,8 @@ void EntityManager::hearServer() {
 void EntityManager::afterEvents() {
     // First: who sees the state below may rely on it.
     if (datagrams_) datagrams_->hold(core_->held());
-    ways_->hold(core_->held());
-    direct_ = ways_->direct();
+    direct_desk_->hold(core_->held());
+    direct_ = direct_desk_->direct();
     const auto state = core_->state();
     if (const auto before = state_.exchange(state); before != state) {
         const auto reason = core_->status().reason;
@@ -419,7 +419,7 @@ void EntityManager::afterEvents() {
 
 void EntityManager::armTimer() {
     if (stopped_) return;
-    const auto deadline = std::min(core_->nextDeadline(), ways_->nextDeadline());
+    const auto deadline = std::min(core_->nextDeadline(), direct_desk_->nextDeadline());
     // What has become later is asked for again when the timer rings: each sign of life moves a watchdog, and
     // setting a timer wakes the executor.
     if (deadline >= timer_.due()) return;
@@ -428,7 +428,7 @@ void EntityManager::armTimer() {
         if (!self || self->stopped_) return;
         self->hearServer();
         self->core_->onTimer();
-        self->ways_->onTimer();
+        self->direct_desk_->onTimer();
         self->afterEvents();
     });
 }

@@ -140,8 +140,8 @@ class EntityManager final : public ServerEvents,
     const std::shared_ptr<ServerCommunicators> ice_;
     const bool plain_way_;  // to the server: neither TLS nor a router
     std::unique_ptr<EntityCommunicator> server_;
-    std::unique_ptr<DirectDesk> ways_;    // between it and the core
-    std::unique_ptr<DirectDoors> doors_;  // null: no direct path is offered
+    std::unique_ptr<DirectDesk> direct_desk_;  // between it and the core
+    std::unique_ptr<DirectDoors> doors_;       // null: no direct path is offered
     ResourceStore* resources_ = nullptr;
     Journal* journal_ = nullptr;
     std::unique_ptr<EntityManagerCore> core_;

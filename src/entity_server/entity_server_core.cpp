@@ -517,8 +517,8 @@ void EntityServerCore::leave(const SessionRef& session, bool orderly, const std:
     }
 }
 
-void EntityServerCore::refuseUnknown(Lane lane, const Header& head, Way way) {
-    if (!alone() && way == Way::Topic) return;
+void EntityServerCore::refuseUnknown(Lane lane, const Header& head, Via via) {
+    if (!alone() && via == Via::Topic) return;
     topic_.entityRefusal(
         lane, head,
         refuse(RefusalCode::UnknownEntity, "no entity " + head.entity.substr(0, 64) +
@@ -548,18 +548,18 @@ bool EntityServerCore::refusedLately(const std::string& sender) {
     return false;
 }
 
-void EntityServerCore::clientMsg(const Header& head, std::string_view message, Way way) {
+void EntityServerCore::clientMsg(const Header& head, std::string_view message, Via via) {
     const auto entity = table_.find(head.entity, kData);
-    if (!entity) return refuseUnknown(Lane::Data, head, way);
+    if (!entity) return refuseUnknown(Lane::Data, head, via);
     // Its holder's orders are never refused for what others send: it has the whole queue.
     const auto share = head.sender.id == *entity->holder.load() ? QueueShare::Whole : QueueShare::OfSender;
     if (!entity->data->newClientMsg(head, message, share)) refuseSlow(Lane::Data, head);
 }
 
-void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view data, Way way) {
+void EntityServerCore::clientMsgDataSeq(const Header& head, std::string_view data, Via via) {
     const auto entity = table_.find(head.entity, kData);
     if (!entity) {
-        if (!refusedLately(head.sender.id)) refuseUnknown(Lane::Data, head, way);
+        if (!refusedLately(head.sender.id)) refuseUnknown(Lane::Data, head, via);
         return;
     }
     entity->data->newClientMsgDataSeq(head, data);

@@ -103,8 +103,8 @@ class EntityServerCore {
 
     // From the front-end servers. `head.sender` has been vouched for.
     /// What came straight was for an entity here: it is refused where that is not.
-    void clientMsg(const Header& head, std::string_view message, Way way = Way::Topic);
-    void clientMsgDataSeq(const Header& head, std::string_view data, Way way = Way::Topic);
+    void clientMsg(const Header& head, std::string_view message, Via via = Via::Topic);
+    void clientMsgDataSeq(const Header& head, std::string_view data, Via via = Via::Topic);
     /// STATUS: everything that is known is published again, and a list of it all at the end; for a front-end
     /// server in a process of its own that comes later than the entities. The embedded one has heard of them
     /// all and does not ask. `head.entity` names the entity server, empty = all.
@@ -163,7 +163,7 @@ class EntityServerCore {
 
     template <class Send>
     void toEntities(const Header& head, Send&& send);
-    void refuseUnknown(Lane lane, const Header& head, Way way = Way::Topic);
+    void refuseUnknown(Lane lane, const Header& head, Via via = Via::Topic);
     SessionRef atHome(const std::string& entity, Lane lane) const {
         return table_.find(entity, static_cast<std::size_t>(lane));
     }

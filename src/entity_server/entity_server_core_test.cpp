@@ -961,7 +961,7 @@ TEST_F(OneOfSeveral, RefusesNothingThatAnotherMayHave) {
     core.stopSignal(head(kSecond), StopCause::Requested);
     core.stopSignals(head(""), {kSecond}, StopCause::Requested);
     EXPECT_THAT(topic.take(), IsEmpty());
-    core.clientMsg(head(kSecond), "hello", Way::Straight);
+    core.clientMsg(head(kSecond), "hello", Via::Straight);
     EXPECT_THAT(topic.take(), ElementsAre("refused UNKNOWN_ENTITY to c1 of 9")) << "it has left since";
 }
 

@@ -389,10 +389,10 @@ transport::RouterDoor doorForRouters(EntityLane& data,
 }
 
 void FrontEndToEntityServant::clientMsg(IceHeader head, ByteRange message, const Ice::Current&) {
-    core_.clientMsg(fromIce(std::move(head)), toView(message), way_);
+    core_.clientMsg(fromIce(std::move(head)), toView(message), via_);
 }
 void FrontEndToEntityServant::clientMsgDataSeq(IceHeader head, ByteRange data, const Ice::Current&) {
-    core_.clientMsgDataSeq(fromIce(std::move(head)), toView(data), way_);
+    core_.clientMsgDataSeq(fromIce(std::move(head)), toView(data), via_);
 }
 void FrontEndToEntityServant::clientRequest(IceHeader head, const Ice::Current&) {
     core_.clientRequest(fromIce(std::move(head)));

@@ -168,8 +168,8 @@ transport::RouterDoor doorForRouters(EntityLane& data,
 /// Listens to the front-end servers on one lane (thesis figure 3.15).
 class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntityComm {
   public:
-    FrontEndToEntityServant(EntityServerCore& core, Lane lane, Way way)
-        : core_(core), lane_(lane), way_(way) {}
+    FrontEndToEntityServant(EntityServerCore& core, Lane lane, Via via)
+        : core_(core), lane_(lane), via_(via) {}
     void clientMsg(Axon::CommUtil::Header head, transport::ByteRange message, const Ice::Current&) override;
     void clientMsgDataSeq(Axon::CommUtil::Header head, transport::ByteRange data,
                           const Ice::Current&) override;
@@ -191,7 +191,7 @@ class FrontEndToEntityServant final : public Axon::FrontEndComm::FrontEndToEntit
   private:
     EntityServerCore& core_;
     const Lane lane_;
-    const Way way_;
+    const Via via_;
 };
 
 }  // namespace axon::entity_server

@@ -774,13 +774,13 @@ TimePoint FrontEndCore::onNeighboursTimer() {
     return std::min({news.next, next_beat_, next_announcement_});
 }
 
-void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Way way) {
+void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via via) {
     const bool busy = status.state == EntityState::BUSY;
     std::optional<Gone> late;
     std::string entity, doubt;
     {
         const std::lock_guard lock(mutex_);
-        if (way == Way::Topic) hearOf(status.server);
+        if (via == Via::Topic) hearOf(status.server);
         const auto found = records_.find(status.entity);
         if (found == records_.end()) return;
         if (found->second->registration.server != status.server) {

@@ -117,7 +117,7 @@ class FrontEndCore {
     // From the entity servers. `head.sender` is the recipient, its id empty for all.
     void entityBasicPrflUpdate(Presence presence, Registration registration, std::string_view profile);
     /// `number`: grows with each of its server, and the first copy counts; 0 = there is one copy.
-    void entityUpdate(EntityStatus status, std::int64_t number = 0, Way way = Way::Topic);
+    void entityUpdate(EntityStatus status, std::int64_t number = 0, Via via = Via::Topic);
     void entityMsg(Lane lane, const Header& head, std::string_view message);
     void entityMsgDataSeq(const Header& head, std::string_view data);
     void entityRefusal(Lane lane, const Header& head, const Refusal& refusal);

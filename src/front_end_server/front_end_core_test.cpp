@@ -828,12 +828,12 @@ class OneOfSeveral : public FrontEndTest {
         several.entityBasicPrflUpdate(presence, registration, "profile");
     }
     void statusAt(const std::string& server, const std::string& id, EntityState state,
-                  std::int64_t number = 0, Way way = Way::Topic) {
+                  std::int64_t number = 0, Via via = Via::Topic) {
         EntityStatus out;
         out.entity = id;
         out.state = state;
         out.server = server;
-        several.entityUpdate(out, number, way);
+        several.entityUpdate(out, number, via);
     }
     void passHere(Duration time) {
         const auto end = clock.now() + time;
@@ -1004,8 +1004,8 @@ TEST_F(OneOfSeveral, OfAStatusThatComesTwoWaysTheFirstCounts) {
     announce(Lane::Data, "es1", 1);
     several.entityServerEntities("es1", {"e1"});
     data->take();
-    statusAt("es1", "e1", EntityState::REG, 2, Way::Straight);
-    statusAt("es1", "e1", EntityState::BUSY, 3, Way::Straight);
+    statusAt("es1", "e1", EntityState::REG, 2, Via::Straight);
+    statusAt("es1", "e1", EntityState::BUSY, 3, Via::Straight);
     const auto told = data->take();
     EXPECT_EQ(told.size(), 2U);
     statusAt("es1", "e1", EntityState::REG, 2);

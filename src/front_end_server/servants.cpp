@@ -331,7 +331,7 @@ void EntityToFrontEndServant::entityBasicPrflUpdate(Axon::CommUtil::Presence pre
 }
 void EntityToFrontEndServant::entityUpdate(Axon::CommUtil::EntityStatus status, double number,
                                            const Ice::Current&) {
-    core_.entityUpdate(fromIce(std::move(status)), transport::whole(number), way_);
+    core_.entityUpdate(fromIce(std::move(status)), transport::whole(number), via_);
 }
 void EntityToFrontEndServant::entityMsg(Axon::CommUtil::Lane lane, IceHeader head, ByteRange message,
                                         const Ice::Current&) {

@@ -155,7 +155,7 @@ transport::RouterDoor doorForRouters(ClientLane& data,
 /// Listens to the entity servers on one lane (thesis figure 3.14).
 class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndComm {
   public:
-    EntityToFrontEndServant(FrontEndCore& core, Lane lane, Way way) : core_(core), lane_(lane), way_(way) {}
+    EntityToFrontEndServant(FrontEndCore& core, Lane lane, Via via) : core_(core), lane_(lane), via_(via) {}
     void entityBasicPrflUpdate(Axon::CommUtil::Presence presence, Axon::CommUtil::Registration registration,
                                transport::ByteRange profile, const Ice::Current&) override;
     void entityUpdate(Axon::CommUtil::EntityStatus status, double number, const Ice::Current&) override;
@@ -172,7 +172,7 @@ class EntityToFrontEndServant final : public Axon::EntityComm::EntityToFrontEndC
   private:
     FrontEndCore& core_;
     const Lane lane_;
-    const Way way_;
+    const Via via_;
 };
 
 }  // namespace axon::front_end_server

@@ -16,7 +16,7 @@ class CallbackSender {
   public:
     CallbackSender(const std::shared_ptr<Prx>& oneway, OutboxLimits limits, Until until,
                    Outbox::Disconnect disconnect)
-        : way_{oneway, oneway->ice_twoway()},
+        : proxies_{oneway, oneway->ice_twoway()},
           outbox_(std::make_shared<Outbox>(limits, std::move(disconnect), until)) {}
 
     /// `call(prx, head, bytes, answered, failed, sent)` makes the asynchronous call. It is copied when the
@@ -28,14 +28,14 @@ class CallbackSender {
         return outbox_->post(
             traffic, kOverhead + stringBytes(head) + bytes.size(),
             [&](SendCallbacks&& back) {
-                auto& prx = way_.of(back);  // before `answered` is moved from
+                auto& prx = proxies_.of(back);  // before `answered` is moved from
                 call(prx, toIce(head), toRange(bytes), std::move(back.answered), std::move(back.failed),
                      std::move(back.sent));
             },
             [&] {
-                return Outbox::Parcel([way = way_, call, its_head = toIce(head),
+                return Outbox::Parcel([proxies = proxies_, call, its_head = toIce(head),
                                        its_bytes = std::string(bytes)](SendCallbacks&& back) {
-                    auto& prx = way.of(back);
+                    auto& prx = proxies.of(back);
                     call(prx, its_head, toRange(its_bytes), std::move(back.answered), std::move(back.failed),
                          std::move(back.sent));
                 });
@@ -49,12 +49,12 @@ class CallbackSender {
         return outbox_->post(
             traffic, kOverhead + bytes,
             [&](SendCallbacks&& back) {
-                auto& prx = way_.of(back);  // before `answered` is moved from
+                auto& prx = proxies_.of(back);  // before `answered` is moved from
                 call(prx, std::move(back.answered), std::move(back.failed), std::move(back.sent));
             },
             [&] {
-                return Outbox::Parcel([way = way_, call](SendCallbacks&& back) {
-                    auto& prx = way.of(back);
+                return Outbox::Parcel([proxies = proxies_, call](SendCallbacks&& back) {
+                    auto& prx = proxies.of(back);
                     call(prx, std::move(back.answered), std::move(back.failed), std::move(back.sent));
                 });
             });
@@ -67,11 +67,11 @@ class CallbackSender {
   private:
     static constexpr std::size_t kOverhead = 256;  // Ice's header and ours, about
 
-    struct Way {
+    struct Proxies {
         std::shared_ptr<Prx> oneway, twoway;
         Prx& of(const SendCallbacks& back) const { return back.answered ? *twoway : *oneway; }
     };
-    const Way way_;
+    const Proxies proxies_;
     const std::shared_ptr<Outbox> outbox_;
 };
 

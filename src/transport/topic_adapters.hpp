@@ -23,7 +23,7 @@ struct TopicAdapters {
     }
 };
 
-/// Makes them, not active yet; `Servant(core, lane, way)` listens. `kind` is that of the server,
+/// Makes them, not active yet; `Servant(core, lane, via)` listens. `kind` is that of the server,
 /// "EntityServer". Throws std::runtime_error where it cannot listen.
 template <class Servant, class Core, class Settings>
 TopicAdapters listenToServers(Core& core, const std::string& kind, const Settings& settings,
@@ -31,13 +31,13 @@ TopicAdapters listenToServers(Core& core, const std::string& kind, const Setting
     TopicAdapters made;
     made.data = listen(data, kind + "Topic", settings.topic_endpoint);
     made.signal = listen(*settings.topic_signals, kind + "TopicSignal", settings.topic_signal_endpoint);
-    const auto add = [&](Ice::ObjectAdapter& adapter, Lane lane, Way way) {
-        const Ice::Identity identity{settings.core.name, way == Way::Topic ? kind : kind + "Straight"};
-        return adapter.add(std::make_shared<Servant>(core, lane, way), identity)->ice_toString();
+    const auto add = [&](Ice::ObjectAdapter& adapter, Lane lane, Via via) {
+        const Ice::Identity identity{settings.core.name, via == Via::Topic ? kind : kind + "Straight"};
+        return adapter.add(std::make_shared<Servant>(core, lane, via), identity)->ice_toString();
     };
-    made.subscriber = add(*made.data, Lane::Data, Way::Topic);
-    made.signals = add(*made.signal, Lane::Signal, Way::Straight);
-    made.messages = add(*made.data, Lane::Data, Way::Straight);
+    made.subscriber = add(*made.data, Lane::Data, Via::Topic);
+    made.signals = add(*made.signal, Lane::Signal, Via::Straight);
+    made.messages = add(*made.data, Lane::Data, Via::Straight);
     return made;
 }
 

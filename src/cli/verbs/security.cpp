@@ -18,7 +18,7 @@ namespace {
 namespace fs = std::filesystem;
 
 /// What others could see of the way to the server.
-struct Way {
+struct Exposure {
     bool tls = true;  ///< by every endpoint that is offered
     bool some_tls = false;
     bool here = true;  ///< all of them are on this machine
@@ -30,34 +30,34 @@ bool isHere(const std::string& host) {
 
 /// Of "HOST:PORT", "ssl://HOST:PORT", and of a router's proxy: "Axon.Clients/router:ssl -h HOST -p PORT:tcp
 /// -h …".
-Way wayOf(const std::string& server) {
-    Way way;
+Exposure exposureOf(const std::string& server) {
+    Exposure exposure;
     if (server.find(" -") == std::string::npos) {
         const auto scheme = server.find("://");
         const auto from = scheme == std::string::npos ? 0 : scheme + 3;
-        way.tls = server.starts_with("ssl://") || server.starts_with("wss://");
-        way.some_tls = way.tls;
-        way.here = isHere(server.substr(from, server.rfind(':') - from));
-        return way;
+        exposure.tls = server.starts_with("ssl://") || server.starts_with("wss://");
+        exposure.some_tls = exposure.tls;
+        exposure.here = isHere(server.substr(from, server.rfind(':') - from));
+        return exposure;
     }
     std::istringstream words(server);
     for (std::string word; words >> word;) {
         const auto kind =
             word.substr(word.find_last_of(':') == std::string::npos ? 0 : word.find_last_of(':') + 1);
-        if (kind == "tcp" || kind == "ws") way.tls = false;
-        if (kind == "ssl" || kind == "wss") way.some_tls = true;
+        if (kind == "tcp" || kind == "ws") exposure.tls = false;
+        if (kind == "ssl" || kind == "wss") exposure.some_tls = true;
         if (word != "-h" || !(words >> word)) continue;
-        way.here = way.here && isHere(word.substr(0, word.find(':')));
+        exposure.here = exposure.here && isHere(word.substr(0, word.find(':')));
     }
-    return way;
+    return exposure;
 }
 
-void checkWay(Report& report, const std::string& server, const Way& way) {
-    if (way.tls)
+void checkExposure(Report& report, const std::string& server, const Exposure& exposure) {
+    if (exposure.tls)
         report.ok("way", "TLS to " + server);
-    else if (way.here)
+    else if (exposure.here)
         report.ok("way", "plain TCP to " + server + ", which does not leave this machine");
-    else if (way.some_tls)
+    else if (exposure.some_tls)
         report.warn("way", server + " offers plain TCP beside TLS, and who has no certificates takes that",
                     "leave the tcp endpoint out of the router's configuration");
     else
@@ -69,7 +69,7 @@ void checkWay(Report& report, const std::string& server, const Way& way) {
 }
 
 /// Whether somebody without a password is let in.
-void checkLogIn(Report& report, Session& session, const Way& way) {
+void checkLogIn(Report& report, Session& session, const Exposure& exposure) {
     const auto mine = session.connect(session.settings);
     if (!mine) {
         const auto event = noServerEvent(mine.refusal(), session.settings.server);
@@ -112,7 +112,7 @@ void checkLogIn(Report& report, Session& session, const Way& way) {
     const std::string mend =
         "axon-server --users users.cfg --add-user NAME, for each; then start the server with --users "
         "users.cfg";
-    if (way.here)
+    if (exposure.here)
         report.warn("log-in", message + "; only processes of this machine reach it by this address", mend);
     else
         report.bad("log-in", message, mend);
@@ -157,9 +157,9 @@ void checkStateFolders(Report& report) {
 }  // namespace
 
 void checkSecurity(Report& report, Session& session) {
-    const auto way = wayOf(session.settings.server);
-    checkWay(report, session.settings.server, way);
-    checkLogIn(report, session, way);
+    const auto exposure = exposureOf(session.settings.server);
+    checkExposure(report, session.settings.server, exposure);
+    checkLogIn(report, session, exposure);
     checkStateFolders(report);
 }
 
