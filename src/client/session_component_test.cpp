@@ -17,7 +17,7 @@
 #include "entity_manager/file_storage.hpp"
 #include "server/server.hpp"
 #include "support/loopback.hpp"
-#include "support/tcp_gate.hpp"
+#include "support/tcp_valve.hpp"
 #include "transport/communicator.hpp"
 #include "transport/contract.hpp"
 #include "transport/convert.hpp"
@@ -28,7 +28,7 @@ namespace {
 
 using namespace std::chrono_literals;
 using axon::test::loopbackAddress;
-using axon::test::TcpGate;
+using axon::test::TcpValve;
 using axon::test::waitUntil;
 using ::testing::HasSubstr;
 using ::testing::SizeIs;
@@ -822,10 +822,10 @@ class OwnershipTest : public ClientTest {
         with.display_name = name;
         return client(with);
     }
-    /// A client whose connection the gate can cut.
-    std::unique_ptr<Client> gated(TcpGate& gate) const {
+    /// A client whose connection the valve can cut.
+    std::unique_ptr<Client> behind(TcpValve& valve) const {
         auto with = options();
-        with.server = gate.address();
+        with.server = valve.address();
         return client(with);
     }
 };
@@ -833,8 +833,8 @@ class OwnershipTest : public ClientTest {
 /// Bursts are written together, large messages alone, and what meets a full socket waits: by turns.
 TEST_F(OwnershipTest, WhatWasAcceptedArrivesOnceWholeAndInOrderHoweverItIsWritten) {
     const auto robots = robot();
-    TcpGate gate(server->clientAddress(Lane::Data));
-    const auto me = gated(gate);
+    TcpValve valve(server->clientAddress(Lane::Data));
+    const auto me = behind(valve);
     const auto held = take(*me);
     std::vector<std::string> accepted;
     const auto next = [&] {
@@ -842,12 +842,12 @@ TEST_F(OwnershipTest, WhatWasAcceptedArrivesOnceWholeAndInOrderHoweverItIsWritte
         return std::to_string(number) + std::string(number % 7 == 0 ? 20'000 : number % 50, '.');
     };
     for (const int turn : {1, 2, 3}) {
-        gate.hold(true);
+        valve.hold(true);
         auto sent = held.sendText(next());
         for (; sent.ok() && accepted.size() < 100'000; sent = held.sendText(next()))
             accepted.push_back(next());
         EXPECT_EQ(sent.refusal().code, RefusalCode::Overloaded) << "turn " << turn;
-        gate.hold(false);
+        valve.hold(false);
         int burst = 0;  // while the others are under way
         ASSERT_TRUE(waitUntil([&] {
             while (burst < 500 && held.sendText(next()).ok()) {
@@ -864,19 +864,19 @@ TEST_F(OwnershipTest, WhatWasAcceptedArrivesOnceWholeAndInOrderHoweverItIsWritte
 
 TEST_F(OwnershipTest, ALostConnectionIsResumedUnderTheSameLease) {
     const auto robots = robot();
-    TcpGate gate(server->clientAddress(Lane::Data));
-    const auto me = gated(gate);
+    TcpValve valve(server->clientAddress(Lane::Data));
+    const auto me = behind(valve);
     const auto held = take(*me);
     const auto ticket = held.ticket();
     const auto task = drive(held, *robots);
     std::atomic<int> resumed{0}, lost{0};
     held.onResumed([&] { ++resumed; });
     held.onLost([&](const Refusal&) { ++lost; });
-    gate.cut();
+    valve.cut();
     ASSERT_TRUE(waitUntil([&] { return held.orphaned(); }));
     EXPECT_EQ(held.sendText("x").refusal().code, RefusalCode::NotConnected);
     ASSERT_TRUE(waitUntil([&] { return robots->stops >= 1; })) << "nobody drives it any more";
-    gate.open();
+    valve.open();
     ASSERT_TRUE(waitUntil([&] { return resumed == 1; }));
     EXPECT_EQ(lost, 0);
     EXPECT_EQ(held.ticket(), ticket);
@@ -889,15 +889,15 @@ TEST_F(OwnershipTest, ALostConnectionIsResumedUnderTheSameLease) {
 
 TEST_F(OwnershipTest, WithoutResumingTheLeaseIsLostWithTheConnection) {
     const auto robots = robot();
-    TcpGate gate(server->clientAddress(Lane::Data));
+    TcpValve valve(server->clientAddress(Lane::Data));
     auto with = options();
-    with.server = gate.address();
+    with.server = valve.address();
     with.resume = false;
     const auto me = client(with);
     const auto held = take(*me);
     std::promise<Refusal> lost;
     held.onLost([&](const Refusal& why) { lost.set_value(why); });
-    gate.cut();
+    valve.cut();
     auto why = lost.get_future();
     ASSERT_EQ(why.wait_for(5s), std::future_status::ready);
     EXPECT_EQ(why.get().code, RefusalCode::NotConnected);

@@ -16,7 +16,7 @@
 #include "entity_manager/server_communicators.hpp"
 #include "server/server.hpp"
 #include "support/loopback.hpp"
-#include "support/tcp_gate.hpp"
+#include "support/tcp_valve.hpp"
 
 namespace axon {
 namespace {
@@ -27,7 +27,7 @@ using client::Client;
 using entity_manager::BackEndEvents;
 using entity_manager::EntityManager;
 using test::RawClient;
-using test::TcpGate;
+using test::TcpValve;
 using test::waitUntil;
 
 class DirectPathTest : public ::testing::Test {
@@ -60,8 +60,8 @@ class DirectPathTest : public ::testing::Test {
         direct.offered = offered;
         if (with_gates) {
             direct.named = [this](const std::string& endpoint) {
-                gates_.push_back(std::make_unique<TcpGate>(endpoint));
-                return gates_.back()->address();
+                valves_.push_back(std::make_unique<TcpValve>(endpoint));
+                return valves_.back()->address();
             };
         }
         manager_->offerDirect(direct);
@@ -94,7 +94,7 @@ class DirectPathTest : public ::testing::Test {
     }
     /// Both directions.
     bool direct(const CheckOut& held) const { return held.direct() && manager_->direct(); }
-    std::uint64_t directBytes() const { return gates_.at(0)->bytes(); }
+    std::uint64_t directBytes() const { return valves_.at(0)->bytes(); }
     void send(const CheckOut& held, const std::string& text) {
         ASSERT_TRUE(waitUntil([&] { return held.sendText(text).ok(); }));
     }
@@ -126,7 +126,7 @@ class DirectPathTest : public ::testing::Test {
     entity_manager::EntityManagerCoreSettings core_;  // of the Entity Manager
     test::MemoryRobot* application_ = nullptr;
     std::unique_ptr<server::Server> server_;
-    std::vector<std::unique_ptr<TcpGate>> gates_;
+    std::vector<std::unique_ptr<TcpValve>> valves_;
     asio::thread_pool executor_{1};
     const std::shared_ptr<entity_manager::ServerCommunicators> ice_ =
         std::make_shared<entity_manager::ServerCommunicators>(1, 1);
@@ -216,9 +216,9 @@ TEST_F(DirectPathTest, EveryMessageComesOnceAndInOrderWhileThePathIsCutAndComesB
         const auto before = directBytes();
         some(400);
         EXPECT_GT(directBytes(), before);
-        for (const auto& gate : gates_) gate->cut();  // in the middle of what is under way
+        for (const auto& valve : valves_) valve->cut();  // in the middle of what is under way
         some(400);
-        for (const auto& gate : gates_) gate->open();
+        for (const auto& valve : valves_) valve->open();
     }
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
     some(100);
@@ -242,7 +242,7 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
     const auto task = held.run("Drive");
     ASSERT_TRUE(waitUntil([&] { return manager_->state() == EntityState::BUSY; }));
-    for (const auto& gate : gates_) gate->hold(true);  // no end of a connection is told
+    for (const auto& valve : valves_) valve->hold(true);  // no end of a connection is told
     const auto begun = clock_.now();
     send(held, "client to robot");
     application_->text("robot to client");
@@ -254,7 +254,7 @@ TEST_F(DirectPathTest, SilenceWhileATaskRunsFallsBackAndTheTaskGoesOn) {
     EXPECT_EQ(seen_.stops, 0);
     EXPECT_EQ(task.report().state, client::TaskState::Running);
     // And back again.
-    for (const auto& gate : gates_) gate->hold(false);
+    for (const auto& valve : valves_) valve->hold(false);
     EXPECT_TRUE(waitUntil([&] { return direct(held); }));
     EXPECT_EQ(seen_.count(), 1U);
 }
@@ -294,7 +294,7 @@ TEST_F(DirectPathTest, SilenceOfAnIdlePathIsSeenByTheFirstMessageThatGoesIntoIt)
     held.onText([&](const std::string&) { heard = true; });
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
     for (const bool to_robot : {true, false}) {
-        for (const auto& gate : gates_) gate->hold(true);
+        for (const auto& valve : valves_) valve->hold(true);
         const auto begun = clock_.now();
         if (to_robot) {
             send(held, "client to robot");
@@ -303,7 +303,7 @@ TEST_F(DirectPathTest, SilenceOfAnIdlePathIsSeenByTheFirstMessageThatGoesIntoIt)
         }
         ASSERT_TRUE(waitUntil([&] { return to_robot ? seen_.count() == 1 : heard.load(); }));
         EXPECT_LT(clock_.now() - begun, direct::kWatchdogIdle / 2) << "the idle watchdog is not waited for";
-        for (const auto& gate : gates_) gate->hold(false);
+        for (const auto& valve : valves_) valve->hold(false);
         ASSERT_TRUE(waitUntil([&] { return direct(held); }));
     }
     EXPECT_EQ(seen_.count(), 1U);
@@ -314,13 +314,13 @@ TEST_F(DirectPathTest, ReleaseAndTheNextCheckOutKeepTheirOrderThoughThePathIsSil
     auto held = take();
     for (int round = 1; round <= 3; ++round) {
         ASSERT_TRUE(waitUntil([&] { return direct(held); }));
-        gates_.at(0)->hold(true);
+        valves_.at(0)->hold(true);
         send(held, "the last words");
         ASSERT_TRUE(held.release().ok());
         held = take();
         send(held, "the first ones");
         ASSERT_TRUE(waitUntil([&] { return seen_.count() == 2U * static_cast<std::size_t>(round); }));
-        gates_.at(0)->hold(false);
+        valves_.at(0)->hold(false);
     }
     for (std::size_t i = 0; i < 6; ++i)
         EXPECT_EQ(seen_.texts.at(i), i % 2 == 0 ? "the last words" : "the first ones");
@@ -365,11 +365,11 @@ TEST_F(DirectPathTest, AResetThatComesByAllWaysCountsOnce) {
         return first.report().state == client::TaskState::Running &&
                second.report().state == client::TaskState::Queued;
     }));
-    const auto before = gates_.at(1)->bytes();
+    const auto before = valves_.at(1)->bytes();
     ASSERT_TRUE(held.reset().ok());
     EXPECT_EQ(first.wait(client::Seconds{5}).state, client::TaskState::Stopped);
     ASSERT_TRUE(waitUntil([&] { return second.report().state == client::TaskState::Running; }));
-    EXPECT_TRUE(waitUntil([&] { return gates_.at(1)->bytes() > before + 50; }))
+    EXPECT_TRUE(waitUntil([&] { return valves_.at(1)->bytes() > before + 50; }))
         << "by the direct signal lane too";
     send(held, "later than both, by either way");
     ASSERT_TRUE(waitUntil([&] { return seen_.count() == 1; }));
@@ -382,12 +382,12 @@ TEST_F(DirectPathTest, AStopGoesByAllWaysAndIsExecutedOnce) {
     const auto held = take();
     ASSERT_TRUE(waitUntil([&] { return direct(held); }));
     for (int i = 1; i <= 20; ++i) {
-        const auto before = gates_.at(1)->bytes();
+        const auto before = valves_.at(1)->bytes();
         const auto receipts = i % 2 == 0 ? client_->stop({"PeopleBot"}) : client_->stop({});
         ASSERT_TRUE(receipts.ok()) << receipts.refusal().message;
         ASSERT_EQ(receipts.value().size(), 1U);
         EXPECT_TRUE(receipts.value().front().confirmed());
-        EXPECT_TRUE(waitUntil([&] { return gates_.at(1)->bytes() > before + 100; }))
+        EXPECT_TRUE(waitUntil([&] { return valves_.at(1)->bytes() > before + 100; }))
             << "by the direct signal lane too";
         EXPECT_EQ(seen_.stops, i);
     }

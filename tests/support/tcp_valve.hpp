@@ -23,10 +23,10 @@ namespace axon::test {
 ///
 /// Threads: one of its own; the rest any. Ownership: of its sockets. Failure: throws where there is no
 /// socket.
-class TcpGate {
+class TcpValve {
   public:
-    /// `target` is "a.b.c.d:port", and the gate is at the same address and another port.
-    explicit TcpGate(const std::string& target) {
+    /// `target` is "a.b.c.d:port", and the valve is at the same address and another port.
+    explicit TcpValve(const std::string& target) {
         const auto colon = target.rfind(':');
         host_ = target.substr(0, colon);
         target_.sin_family = AF_INET;
@@ -38,18 +38,18 @@ class TcpGate {
         here.sin_port = 0;
         if (::bind(listening_, reinterpret_cast<const sockaddr*>(&here), sizeof here) != 0 ||
             ::listen(listening_, 16) != 0)
-            throw std::runtime_error("TcpGate: cannot listen at " + host_);
+            throw std::runtime_error("TcpValve: cannot listen at " + host_);
         relay_ = std::thread([this] { run(); });
     }
-    ~TcpGate() {
+    ~TcpValve() {
         ending_ = true;
         wake();
         relay_.join();
         ::close(listening_);
         ::close(wake_);
     }
-    TcpGate(const TcpGate&) = delete;
-    TcpGate& operator=(const TcpGate&) = delete;
+    TcpValve(const TcpValve&) = delete;
+    TcpValve& operator=(const TcpValve&) = delete;
 
     std::string address() const {
         sockaddr_in here{};
