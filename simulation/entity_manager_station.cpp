@@ -9,7 +9,7 @@
 #include "common/rate_limit.hpp"
 #include "common/watchdog.hpp"
 #include "direct/always_relayed.hpp"
-#include "entity_manager/stop_gate.hpp"
+#include "entity_manager/stop_counter.hpp"
 #include "simulation/robot_application.hpp"
 
 namespace axon::simulation {
@@ -135,9 +135,9 @@ struct EntityManagerStation::Life {
                    station.timeline_.tell(station.process_.name(), [&] { return line; });
                }),
           core(std::move(settings), station.process_, station.random_, station, station, station.disk_,
-               station.disk_, gate, &station.disk_) {}
+               station.disk_, stop_counter, &station.disk_) {}
 
-    entity_manager::StopGate gate;
+    entity_manager::StopCounter stop_counter;
     Inbox inbox;
     bool server_heard = false;
 
@@ -344,13 +344,13 @@ void EntityManagerStation::stopSignal(std::uint64_t attempt, const Header& head,
 /// As EntityManager::stopSignal does it.
 void EntityManagerStation::passStop(const Header& head, StopCause cause) {
     auto& life = *life_;
-    if (cause == StopCause::ClientLost && life.gate.sparesClientLoss()) {
+    if (cause == StopCause::ClientLost && life.stop_counter.sparesClientLoss()) {
         newClientUpdate(life.attempt, head, ClientChange::Lost);
         return;
     }
     if (cause == StopCause::Drill) {
         if (life.inbox.wouldDrop(senderKey(head.sender.id))) return;
-        const auto number = life.gate.drill(head.sender.id, head.sequence);
+        const auto number = life.stop_counter.drill(head.sender.id, head.sequence);
         if (!number) return;
         stop(*number, cause);
         wakeStrand(life.inbox.pushSignal(
@@ -358,9 +358,9 @@ void EntityManagerStation::passStop(const Header& head, StopCause cause) {
             senderKey(head.sender.id)));
         return;
     }
-    const auto generation = life.gate.raise(head.sender.id, head.sequence);
+    const auto generation = life.stop_counter.raise(head.sender.id, head.sequence);
     if (!generation) {
-        if (const auto known = life.gate.raisedBy(head.sender.id, head.sequence))
+        if (const auto known = life.stop_counter.raisedBy(head.sender.id, head.sequence))
             wakeStrand(life.inbox.pushSignal(
                 Inbox::Signal::Passing,
                 [this, head, cause, known = *known] { life_->core.onStopRepeated(head, cause, known); },
@@ -572,7 +572,7 @@ void EntityManagerStation::linkAnswered(std::uint64_t attempt, std::uint64_t lin
     if (!life.link_signal->openAt(process_) || !life.link_data->openAt(process_))
         return linkLost(link, "the robot application has closed the link");
     life.link_watchdog.feed(process_.now());
-    life.announced = life.gate.generation();
+    life.announced = life.stop_counter.generation();
     beat();
     life.core.onLinkUp();
     settle();

@@ -82,11 +82,11 @@ class SignalSocket {
 
 class BackEndInterface::Connections : public std::enable_shared_from_this<Connections> {
   public:
-    Connections(asio::any_io_executor strand, BackEndSettings settings, const StopGate& stop_gate,
+    Connections(asio::any_io_executor strand, BackEndSettings settings, const StopCounter& stop_counter,
                 const Clock& clock, RandomSource& random, BackEndEvents& events)
         : strand_(std::move(strand)),
           settings_(std::move(settings)),
-          stop_gate_(stop_gate),
+          stop_counter_(stop_counter),
           clock_(clock),
           random_(random),
           events_(events),
@@ -445,8 +445,8 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         signs_.allow(watchdog_.timeout(), now());
         signs_.heard(now());
         told_ = {};
-        announced_ = stop_gate_.generation();
-        gate_seen_ = announced_;
+        announced_ = stop_counter_.generation();
+        generation_seen_ = announced_;
         signal_.store(duplicate);
         onBeatTimer();
         const auto peer = peer_;
@@ -567,9 +567,9 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     void beat() {
         // The level heals itself: a generation that was raised a whole period ago, and never given to stop(),
         // is announced here. Younger ones are about to arrive with their cause.
-        const auto gate = stop_gate_.generation();
-        if (gate_seen_ == gate) announce(gate);
-        gate_seen_ = gate;
+        const auto generation = stop_counter_.generation();
+        if (generation_seen_ == generation) announce(generation);
+        generation_seen_ = generation;
         proto::EmToEi message;
         auto& body = *message.mutable_beat();
         body.set_sequence(++beat_sequence_);
@@ -639,7 +639,7 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     // Constant after construction
     const asio::any_io_executor strand_;
     const BackEndSettings settings_;
-    const StopGate& stop_gate_;
+    const StopCounter& stop_counter_;
     const Clock& clock_;
     RandomSource& random_;
     BackEndEvents& events_;
@@ -668,11 +668,11 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
     LifeSigns::Gap told_;  // by the application: what it heard of us
     TimePoint warn_again_{};
     std::uint64_t beat_sequence_ = 0;
-    std::uint32_t gate_seen_ = 0;
+    std::uint32_t generation_seen_ = 0;
 };
 
 BackEndInterface::BackEndInterface(asio::any_io_executor strand, BackEndSettings settings,
-                                   const StopGate& stop_gate, const Clock& clock, RandomSource& random,
+                                   const StopCounter& stop_counter, const Clock& clock, RandomSource& random,
                                    BackEndEvents& events) {
     if (settings.application.empty() || settings.application.size() > 255)
         throw std::invalid_argument(
@@ -688,7 +688,7 @@ BackEndInterface::BackEndInterface(asio::any_io_executor strand, BackEndSettings
             "one, or allow others explicitly on a network you trust");
     const auto range = checkPortRange(settings.where.ports.first, settings.where.ports.last, "ports");
     if (!range) throw std::invalid_argument(range.refusal().message);
-    connections_ = std::make_shared<Connections>(std::move(strand), std::move(settings), stop_gate, clock,
+    connections_ = std::make_shared<Connections>(std::move(strand), std::move(settings), stop_counter, clock,
                                                  random, events);
 }
 

@@ -9,7 +9,7 @@
 #include "common/ids.hpp"
 #include "entity_manager/application_search.hpp"
 #include "entity_manager/ports.hpp"
-#include "entity_manager/stop_gate.hpp"
+#include "entity_manager/stop_counter.hpp"
 #include "host/port_range.hpp"
 
 namespace axon::proto {
@@ -64,7 +64,7 @@ class BackEndEvents {
 class BackEndInterface final : public BackEndPort {
   public:
     /// Throws std::invalid_argument, with the mend, where the settings cannot work.
-    BackEndInterface(asio::any_io_executor strand, BackEndSettings settings, const StopGate& stop_gate,
+    BackEndInterface(asio::any_io_executor strand, BackEndSettings settings, const StopCounter& stop_counter,
                      const Clock& clock, RandomSource& random, BackEndEvents& events);
     ~BackEndInterface() override;
     BackEndInterface(const BackEndInterface&) = delete;

@@ -11,7 +11,7 @@
 #include "datagrams/datagram_lane.hpp"
 #include "datagrams/stop_sentry.hpp"
 #include "entity_manager/lease_book.hpp"
-#include "entity_manager/stop_gate.hpp"
+#include "entity_manager/stop_counter.hpp"
 
 namespace axon::entity_manager {
 
@@ -35,7 +35,7 @@ class DatagramDesk {
   public:
     using Stop = std::function<void(Header head, StopCause cause)>;
 
-    DatagramDesk(DatagramSettings settings, const Clock& clock, StopGate& gate, std::string entity,
+    DatagramDesk(DatagramSettings settings, const Clock& clock, StopCounter& stop_counter, std::string entity,
                  Stop stop);
 
     /// Opens the socket, or anew where the way to the server begins at another address than before. The
@@ -54,7 +54,7 @@ class DatagramDesk {
 
     const DatagramSettings settings_;
     const Clock& clock_;
-    StopGate& gate_;
+    StopCounter& stop_counter_;
     const std::string entity_;
     const Stop stop_;
     datagrams::StopSentry sentry_;

@@ -9,10 +9,10 @@ namespace axon::entity_manager {
 
 EntityManagerCore::EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock,
                                      RandomSource& random, BackEndPort& back_end, ServerPort& server,
-                                     Storage& storage, ResourceStore& resources, StopGate& stop_gate,
+                                     Storage& storage, ResourceStore& resources, StopCounter& stop_counter,
                                      Journal* journal)
     : machine_(std::make_unique<Machine>(std::move(settings), clock, random, back_end, server, storage,
-                                         resources, stop_gate, journal)) {}
+                                         resources, stop_counter, journal)) {}
 
 EntityManagerCore::~EntityManagerCore() = default;
 

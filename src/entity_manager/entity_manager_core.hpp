@@ -11,7 +11,7 @@
 #include "common/routed.hpp"
 #include "entity_manager/lease_book.hpp"
 #include "entity_manager/ports.hpp"
-#include "entity_manager/stop_gate.hpp"
+#include "entity_manager/stop_counter.hpp"
 
 namespace axon::proto {
 class EiToEm;
@@ -55,15 +55,15 @@ struct CoreCounters {
 /// Where in the flow: between the entity server (ServerPort) and the robot application's Entity Interfacer
 /// (BackEndPort). An event goes in as one call of on…(); effects leave through the ports before the call
 /// returns. States: the nine of EntityState plus the latch flag; the table is state_table.hpp. Threads: one
-/// strand only. What may be called from elsewhere is StopGate and BackEndPort::stop. Failure: an event that
-/// the table does not list for the present state is refused with WRONG_STATE to whoever sent it; malformed
-/// bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
+/// strand only. What may be called from elsewhere is StopCounter and BackEndPort::stop. Failure: an event
+/// that the table does not list for the present state is refused with WRONG_STATE to whoever sent it;
+/// malformed bytes are refused with MALFORMED. Nothing that arrives from outside can make it throw.
 class EntityManagerCore {
   public:
     /// Without a journal a task id is known for this life only.
     EntityManagerCore(EntityManagerCoreSettings settings, const Clock& clock, RandomSource& random,
                       BackEndPort& back_end, ServerPort& server, Storage& storage, ResourceStore& resources,
-                      StopGate& stop_gate, Journal* journal = nullptr);
+                      StopCounter& stop_counter, Journal* journal = nullptr);
     ~EntityManagerCore();
     EntityManagerCore(const EntityManagerCore&) = delete;
     EntityManagerCore& operator=(const EntityManagerCore&) = delete;
@@ -89,9 +89,9 @@ class EntityManagerCore {
     /// What was sent to another entity (ServerPort::sendToPeer) did not arrive; `head` is that of the
     /// message.
     void onPeerRefusal(const Header& head, const Refusal& refusal);
-    /// The signal thread has forwarded the stop to the EI already, under `generation` of the StopGate.
+    /// The signal thread has forwarded the stop to the EI already, under `generation` of the StopCounter.
     void onStopSignal(const Header& head, StopCause cause, std::uint32_t generation);
-    /// Likewise a drill, under `number` of StopGate::drill. It measures the way of a stop and changes
+    /// Likewise a drill, under `number` of StopCounter::drill. It measures the way of a stop and changes
     /// nothing.
     void onDrill(const Header& head, std::uint32_t number);
     /// A stop that has been seen before, under `generation`: its receipt is told again.

@@ -124,7 +124,7 @@ Event eventOf(const proto::ToEntity& message) {
 
 EntityManagerCore::Machine::Machine(EntityManagerCoreSettings settings, const Clock& clock,
                                     RandomSource& random, BackEndPort& back_end, ServerPort& server,
-                                    Storage& storage, ResourceStore& resources, StopGate& stop_gate,
+                                    Storage& storage, ResourceStore& resources, StopCounter& stop_counter,
                                     Journal* journal)
     : settings_(std::move(settings)),
       clock_(clock),
@@ -133,7 +133,7 @@ EntityManagerCore::Machine::Machine(EntityManagerCoreSettings settings, const Cl
       server_(server),
       storage_(storage),
       store_(resources),
-      stop_gate_(stop_gate),
+      stop_counter_(stop_counter),
       journal_(journal),
       parts_lost_(partsAreLost(storage)),
       uuid_(loadUuid(storage, random, settings_.uuid)),
@@ -141,7 +141,7 @@ EntityManagerCore::Machine::Machine(EntityManagerCoreSettings settings, const Cl
           *this, server,
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
       lease_(storage, random),
-      stops_(*this, storage, stop_gate, back_end),
+      stops_(*this, storage, stop_counter, back_end),
       saved_(storage),
       queue_(settings_.task_queue_bound),
       uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
@@ -466,7 +466,7 @@ void EntityManagerCore::Machine::settle() {
         busy_told_ = occupied;
         back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
     }
-    stop_gate_.spareClientLoss(survivesClientLoss());
+    stop_counter_.spareClientLoss(survivesClientLoss());
     presence_.setBusy(state_ == EntityState::BUSY);
     tellStatus();
     keepState();

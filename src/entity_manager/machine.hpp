@@ -41,7 +41,7 @@ class EntityManagerCore::Machine final : private Turn {
   public:
     Machine(EntityManagerCoreSettings settings, const Clock& clock, RandomSource& random,
             BackEndPort& back_end, ServerPort& server, Storage& storage, ResourceStore& resources,
-            StopGate& stop_gate, Journal* journal);
+            StopCounter& stop_counter, Journal* journal);
 
     void start();
     void onLinkUp();
@@ -411,7 +411,7 @@ class EntityManagerCore::Machine final : private Turn {
     ServerPort& server_;
     Storage& storage_;
     ResourceStore& store_;
-    StopGate& stop_gate_;
+    StopCounter& stop_counter_;
     Journal* const journal_;  ///< null = none is kept
     const bool parts_lost_;   ///< of the state; before the others, which write theirs
     std::string uuid_;

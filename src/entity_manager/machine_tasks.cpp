@@ -153,7 +153,7 @@ void EntityManagerCore::Machine::dispatchNext() {
             continue;
         }
         // A stop that the signal thread has passed on and that has not come here yet: it voids the queue.
-        if (queue_.front().generation != stop_gate_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked))
+        if (queue_.front().generation != stop_counter_.generation() && !AXON_PLANTED(StopsUnderWayOverlooked))
             return;
         if (!admissible(queue_.front())) return;
         if (const auto prepared = prepare(queue_.front()); !prepared) {
@@ -239,7 +239,7 @@ void EntityManagerCore::Machine::sendPart(Active& active) {
         busy_told_ = true;
         back_end_.setBusy(true);
     }
-    stop_gate_.spareClientLoss(false);
+    stop_counter_.spareClientLoss(false);
     const auto& task = active.task;
     active.sent = task.plan.composite ? Id128::random(random_) : task.id;
     active.answered = false;

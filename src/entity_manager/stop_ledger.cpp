@@ -17,7 +17,7 @@ namespace axon::entity_manager {
 
 namespace {
 
-constexpr std::size_t kOpenStops = 32;  // as many as StopGate knows
+constexpr std::size_t kOpenStops = 32;  // as many as StopCounter knows
 constexpr std::size_t kOpenDrills = 64;
 constexpr Duration kComesToRest = std::chrono::seconds{10};
 constexpr std::uint32_t kGenerationsReserved = 1000;
@@ -25,7 +25,7 @@ constexpr std::uint32_t kGenerationsReserved = 1000;
 constexpr const char* kLinkedKey = "application_linked";
 
 /// Where the generations of this life begin: above all that an earlier one has told, however it ended.
-std::uint32_t firstGeneration(Storage& storage, StopGate& gate) {
+std::uint32_t firstGeneration(Storage& storage, StopCounter& stop_counter) {
     if (const auto text = storage.load(kGenerationKey)) {
         std::uint32_t stored = 0;
         const auto [end, error] = std::from_chars(text->data(), text->data() + text->size(), stored);
@@ -33,19 +33,19 @@ std::uint32_t firstGeneration(Storage& storage, StopGate& gate) {
             throw std::runtime_error(
                 "The stored value \"stop_generation\" is damaged: expected a number, found \"" + *text +
                 "\". Remove it only when all clients of this entity have been restarted.");
-        gate.continueFrom(stored);
+        stop_counter.continueFrom(stored);
     }
-    return gate.generation();
+    return stop_counter.generation();
 }
 
 }  // namespace
 
-StopLedger::StopLedger(Turn& turn, Storage& storage, StopGate& gate, BackEndPort& back_end)
+StopLedger::StopLedger(Turn& turn, Storage& storage, StopCounter& stop_counter, BackEndPort& back_end)
     : turn_(turn),
       storage_(storage),
-      gate_(gate),
+      stop_counter_(stop_counter),
       back_end_(back_end),
-      generation_(firstGeneration(storage, gate)),
+      generation_(firstGeneration(storage, stop_counter)),
       required_(generation_) {
     link_kept_ = storage.load(kLinkedKey).has_value();
     if (link_kept_)
@@ -62,7 +62,7 @@ Refusal StopLedger::whyNot(std::int32_t known) const {
     // A stop that the signal thread has passed on already and that is still on its way to this strand counts.
     if (!allHandled())
         return {RefusalCode::OldGeneration,
-                "A stop is being carried out (stop generation " + std::to_string(gate_.generation()) +
+                "A stop is being carried out (stop generation " + std::to_string(stop_counter_.generation()) +
                     "). Look at the entity, then send it again.",
                 {}};
     if (seen + (AXON_PLANTED(GenerationOffByOne) ? 1U : 0U) < required_ && !AXON_PLANTED(GenerationUnchecked))
@@ -80,7 +80,7 @@ Refusal StopLedger::whyNot(std::int32_t known) const {
 
 void StopLedger::rearmed() {
     rearmed_ = generation_;
-    gate_.rearmed(generation_);
+    stop_counter_.rearmed(generation_);
 }
 
 /// Notes that a stop has had its effect here. `own`: raised by this strand, not by the signal thread.
@@ -110,8 +110,8 @@ void StopLedger::linkUp() {
     if (!std::exchange(link_kept_, true)) storage_.keep(kLinkedKey, "1");
     // It has stopped by itself when its last link ended: before all stops so far, those on their way here
     // included.
-    link_generation_ = commanded_ = confirmed_ = gate_.generation();
-    link_drill_ = gate_.drills();
+    link_generation_ = commanded_ = confirmed_ = stop_counter_.generation();
+    link_drill_ = stop_counter_.drills();
 }
 
 void StopLedger::linkDown(const std::string& reason, LinkEnd end) {
@@ -155,8 +155,8 @@ bool StopLedger::owed() const {
 
 std::uint32_t StopLedger::order(StopCause cause, bool voids) {
     const auto generation = AXON_PLANTED(ReleaseKeepsGeneration) && cause == StopCause::Released
-                                ? gate_.generation()
-                                : gate_.raise();
+                                ? stop_counter_.generation()
+                                : stop_counter_.raise();
     back_end_.stop(generation, cause);
     handled(generation, true, voids);
     return generation;
@@ -220,7 +220,7 @@ void StopLedger::settle() {
 }
 
 void StopLedger::stopDone(const proto::StopDone& done) {
-    if (done.stop_generation() > gate_.generation()) {
+    if (done.stop_generation() > stop_counter_.generation()) {
         ++turn_.counters().unexpected;
         return;
     }
@@ -307,7 +307,7 @@ void StopLedger::forgetADrill() {
 }
 
 void StopLedger::drillDone(std::uint32_t number) {
-    if (number > gate_.drills()) {
+    if (number > stop_counter_.drills()) {
         ++turn_.counters().unexpected;
         return;
     }

@@ -11,7 +11,7 @@
 
 #include "common/planted_bug.hpp"
 #include "entity_manager/ports.hpp"
-#include "entity_manager/stop_gate.hpp"
+#include "entity_manager/stop_counter.hpp"
 #include "entity_manager/turn.hpp"
 
 namespace axon::entity_manager {
@@ -22,8 +22,8 @@ inline constexpr const char* kGenerationKey =
 /// Which stops were ordered, commanded to the robot application and confirmed by it; how far each has come,
 /// and who is told so (safety.md, "What a receipt says").
 ///
-/// It owns the strand's stop generation. StopGate gives every stop its generation on the signal thread, which
-/// passes the stop on at once; the strand hears of it later, so for a moment StopGate is ahead
+/// It owns the strand's stop generation. StopCounter gives every stop its generation on the signal thread,
+/// which passes the stop on at once; the strand hears of it later, so for a moment StopCounter is ahead
 /// (`allHandled()` is false), and the answer of the application may overtake the news. It also owns what is
 /// known of an application that was lost, because that is what a receipt tells when nobody can confirm the
 /// stop.
@@ -33,7 +33,7 @@ class StopLedger {
   public:
     /// `storage` has how far earlier lives have counted: this one begins above. Throws std::runtime_error
     /// where that value is damaged.
-    StopLedger(Turn& turn, Storage& storage, StopGate& gate, BackEndPort& back_end);
+    StopLedger(Turn& turn, Storage& storage, StopCounter& stop_counter, BackEndPort& back_end);
 
     // -- generations
 
@@ -42,7 +42,7 @@ class StopLedger {
     /// A command counts only if its sender had seen at least this one.
     std::uint32_t required() const { return required_; }
     /// Whether the strand has handled every stop that the signal thread has passed on.
-    bool allHandled() const { return gate_.generation() == generation_; }
+    bool allHandled() const { return stop_counter_.generation() == generation_; }
     /// OK, or why a command whose sender had seen generation `seen` is not carried out.
     Refusal whyNot(std::int32_t seen) const;
     /// Whether the application has confirmed every stop, those included that the strand has not handled yet.
@@ -125,7 +125,7 @@ class StopLedger {
 
     Turn& turn_;
     Storage& storage_;
-    StopGate& gate_;
+    StopCounter& stop_counter_;
     BackEndPort& back_end_;
 
     std::uint32_t generation_;

@@ -132,7 +132,8 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
               const std::vector<std::string>& params = {}, double not_after_s = 0);
     void setParam(const std::string& client, const std::string& request, const std::string& service,
                   const std::string& param);
-    /// As the signal thread does it: gate, link, then the strand. A sequence of its own unless given.
+    /// As the signal thread does it: the counter, the link, then the strand. A sequence of its own unless
+    /// given.
     void stop(const std::string& client, StopCause cause = StopCause::Requested, std::int64_t sequence = 0);
     void reset(const std::string& client);
     void clear(const std::string& client);
@@ -145,7 +146,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
 
     std::vector<std::string> takeLines();
     entity_manager::EntityManagerCore& core() { return *core_; }
-    /// A new core over the same storage, gate and ports; what the old one knew is gone.
+    /// A new core over the same storage, counter of stops and ports; what the old one knew is gone.
     void restart();
     /// From the next restart() on.
     entity_manager::EntityManagerCoreSettings& settings() { return settings_; }
@@ -165,7 +166,7 @@ class CoreRig final : public entity_manager::BackEndPort, public entity_manager:
     MemoryStorage storage;
     MemoryResources resources;
     MemoryJournal journal;
-    entity_manager::StopGate gate;
+    entity_manager::StopCounter stop_counter;
     std::size_t frame_max = 1U << 20U;  ///< what the link takes at once
 
     struct ToClientRecord {
