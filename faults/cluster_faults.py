@@ -170,8 +170,6 @@ class Run:
         for robot in self.robots:
             robot.end()
 
-    # -- before the fault ---------------------------------------------------------------------------------------
-
     def for_each(self, does):
         """`does(robot)` for all at once; what they returned."""
         results = [None] * len(self.robots)
@@ -213,8 +211,6 @@ class Run:
         if kind == "kill-entity-server":
             return self.random.choice(self.lab.server.names("es"))
         return KINDS[kind][0]
-
-    # -- the trial ----------------------------------------------------------------------------------------------
 
     def trial(self, kind, report):
         self.prepare()

@@ -44,9 +44,6 @@ void freeAll(Run& run) {
     }
 }
 
-// -- stale
-// ---------------------------------------------------------------------------------------------------------
-
 /// Commands that must not be obeyed, and what the Entity Manager may answer.
 enum class Wrong { None, Older, Foreign, Epoch, Invented, OldGeneration, Expired, Revoked };
 constexpr std::array kWrong = {Wrong::None,     Wrong::Older,         Wrong::Foreign, Wrong::Epoch,
@@ -267,9 +264,6 @@ class StaleCommands {
     std::map<std::string, Wrong> open_;  // guarded by mutex_; so is what answered() writes into the report
     RawClient first_, second_;           // last: their threads call answered()
 };
-
-// -- contend
-// -------------------------------------------------------------------------------------------------------
 
 /// Clients that all want the same robots, at once, again and again.
 class Contention {

@@ -99,9 +99,6 @@ void RawPaths::markRefused(const std::string& entity) {
     close(closing, "the servers have refused its mark");
 }
 
-// -- sending
-// ----------------------------------------------------------------------------------------------------------
-
 void RawPaths::send(Header head, const std::string& bytes) {
     const std::lock_guard lock(mutex_);
     head.sequence = ++sequence_;
@@ -160,9 +157,6 @@ void RawPaths::signal(const std::string& entity, const std::function<void(const 
         if (entity.empty() || entity == its) order(*path);
 }
 
-// -- what comes
-// -------------------------------------------------------------------------------------------------------
-
 void RawPaths::relayed(Header head, std::string_view bytes) {
     const std::lock_guard ordered(order_);
     std::vector<std::pair<Header, std::string>> held;
@@ -212,9 +206,6 @@ bool RawPaths::awaitOpen(const std::string& entity, std::chrono::milliseconds ti
         std::this_thread::sleep_for(500us);
     }
 }
-
-// -- its thread
-// -------------------------------------------------------------------------------------------------------
 
 void RawPaths::run() {
     std::unique_lock lock(wake_mutex_);

@@ -133,9 +133,6 @@ class Hardship {
     std::unique_ptr<RawClient> first_, second_;
 };
 
-// -- latch
-// ---------------------------------------------------------------------------------------------------------
-
 /// After a stop, in any order, everything but an order to move.
 class Latch : private Hardship {
   public:
@@ -306,9 +303,6 @@ class Latch : private Hardship {
         }
     }
 };
-
-// -- tasks
-// ---------------------------------------------------------------------------------------------------------
 
 /// Tasks that are sent, lost, and sent again.
 class Retries : private Hardship {

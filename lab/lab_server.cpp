@@ -221,8 +221,6 @@ class LabServer::Loop final : Control::Operator {
             link.listener = listenOn(options_.listen, port);
     }
 
-    // ---- time
-
     Duration tick() const {
         return std::clamp(std::chrono::duration_cast<Duration>(kTick / std::max(1.0, speed_)), kShortestTick,
                           kTick);
@@ -280,8 +278,6 @@ class LabServer::Loop final : Control::Operator {
         if (std::exchange(lag_noted_, true)) return;
         complain("this machine is too slow for the asked speed, or was suspended; the world runs behind");
     }
-
-    // ---- clients
 
     void watch() {
         watched_.assign(1, {wake_.get(), POLLIN, 0});
@@ -407,8 +403,6 @@ class LabServer::Loop final : Control::Operator {
         if (link.kind == Link::Kind::Robot) lab_.clientLost(link.index);
     }
 
-    // ---- control
-
     void read(ControlClient& client) {
         std::array<char, 4096> chunk;
         const auto got = ::recv(client.socket.get(), chunk.data(), chunk.size(), 0);
@@ -497,8 +491,6 @@ class LabServer::Loop final : Control::Operator {
         return cameras_->take(cameras_->overview(), tracks ? tracks_ : std::vector<Track>{},
                               [file](const Picture& picture) { writePng(file, picture); });
     }
-
-    // ---- truth
 
     void followTracks() {
         for (std::size_t i = 0; i < tracks_.size(); ++i) {

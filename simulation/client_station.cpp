@@ -95,8 +95,6 @@ void ClientStation::readSlowly(Duration each) {
         static_cast<SimulatedPath&>(*path).readSlowly(each);
 }
 
-// -- the session
-
 void ClientStation::establish() {
     const auto attempt = ++attempts_;
     life_->listening = attempt;
@@ -157,8 +155,6 @@ void ClientStation::lost(std::uint64_t attempt, const char* reason) {
     life.backoff = std::min(life.backoff * 2, kLastBackoff);
     settle();
 }
-
-// -- from the server
 
 void ClientStation::newBasicPrflMsg(std::uint64_t attempt, Presence presence,
                                     const Registration& registration, const std::string& profile) {
@@ -233,8 +229,6 @@ void ClientStation::onHandOver(const client::Held& held, const client::HandOverR
     });
     if (!request.withdrawn && on_hand_over) on_hand_over(held);
 }
-
-// -- direct paths
 
 std::shared_ptr<client::DirectPath> ClientStation::makePath(const client::DirectOffer& offer) {
     return std::make_shared<SimulatedPath>(
@@ -335,8 +329,6 @@ void ClientStation::newDirectReceipt(const client::DirectPath&, const Header& he
         life_->desk.onReceipt(head.entity, body.receipt());
     settle();
 }
-
-// -- to the server
 
 template <class Deliver>
 void ClientStation::toServer(Connection* connection, Deliver deliver) {

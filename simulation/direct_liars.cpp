@@ -282,8 +282,6 @@ DirectLiars::DirectLiars(Timeline& timeline, Network& network, Process& outside,
 
 DirectLiars::~DirectLiars() = default;
 
-// -- the stranger
-
 void DirectLiars::knock() {
     if (timeline_.now() >= until_) return;
     knockOnce();
@@ -314,8 +312,6 @@ std::int64_t DirectLiars::anyNumber(std::int64_t last) {
             return last + 1 + static_cast<std::int64_t>(dice_.roll(1000));
     }
 }
-
-// -- the holder
 
 void DirectLiars::logIn() {
     auto& front_end = *server_.frontEnd();
@@ -372,8 +368,6 @@ void DirectLiars::release() {
     path_->close();
     server_.frontEnd()->sendToEntity(client_, head, body.SerializeAsString());
 }
-
-// -- the listener
 
 void DirectLiars::sayEndpoints(proto::CheckOutReply& reply) {
     keys_[{static_cast<std::int32_t>(reply.lease().epoch()),

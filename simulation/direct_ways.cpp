@@ -16,8 +16,6 @@ SimulatedPath::~SimulatedPath() {
     if (isOpen()) --data_.road->open;
 }
 
-// -- opening
-
 void SimulatedPath::open(Duration timeout) {
     timeout_ = timeout;
     openLane(Lane::Data);
@@ -89,8 +87,6 @@ void SimulatedPath::close(const std::string& why) {
     place_.events.directChanged();
 }
 
-// -- sending
-
 template <class Deliver>
 void SimulatedPath::toListener(const End& its, Deliver deliver) const {
     its.connection->send(place_.client,
@@ -134,8 +130,6 @@ void SimulatedPath::beat() const {
 void SimulatedPath::readSlowly(Duration each) {
     if (data_.connection != nullptr) data_.connection->readSlowly(place_.client, each);
 }
-
-// -- what comes
 
 void SimulatedPath::newEntityMsg(Lane lane, Keeping keeping, const Header& head, const std::string& bytes) {
     if (ended_) return;

@@ -243,8 +243,6 @@ void EntityManagerStation::armAlarm() {
     alarm_.set(std::min(life_->core.nextDeadline(), life_->ways.nextDeadline()));
 }
 
-// -- the strand
-
 void EntityManagerStation::wakeStrand(Inbox::Verdict verdict) {
     if (verdict == Inbox::Verdict::Overflow)
         observer_.violated(Invariant::Bounded, application_.process().name() + ": the inbox has overflowed");
@@ -297,8 +295,6 @@ void EntityManagerStation::handleClientMsg(const Header& head, const std::string
     observer_.managerIs(entity_, life_->core.status());
     observer_.inHand(entity_, nullptr);
 }
-
-// -- from the server
 
 bool EntityManagerStation::hears(std::uint64_t attempt) const {
     return life_ && life_->attempt == attempt;
@@ -401,7 +397,7 @@ void EntityManagerStation::newHeartbeat(std::uint64_t attempt) {
     if (hears(attempt)) life_->core.onServerHeartbeat();
 }
 
-// -- by the direct path: what DirectDoor and EntityManager do
+// By the direct path: what DirectDoor and EntityManager do.
 
 void EntityManagerStation::challenge(Connection& connection, Lane port, std::weak_ptr<DirectCaller> caller) {
     auto& challenges = life_->challenges;
@@ -533,8 +529,6 @@ void EntityManagerStation::keepAlive(Connection& connection, std::int64_t receiv
     session.back->beat(session.signs->passed.load(), false);
     if (faster) onStrand([] {});
 }
-
-// -- the link to the application
 
 void EntityManagerStation::lookIn(Duration time) {
     timeline_.after(time, process_, [this] { look(); });
@@ -687,8 +681,6 @@ void EntityManagerStation::beat() {
         });
 }
 
-// -- the session with the server
-
 void EntityManagerStation::wantConnection(bool wanted) {
     life_->ways.wantConnection(wanted);
 }
@@ -790,8 +782,6 @@ void EntityManagerStation::keepAlive() {
     life.signal->beat(process_, [server = &server_, session = life.session] { server->keepAlive(*session); });
     beat_.set(process_.now() + (life.busy ? life.busy_period : life.idle_period));
 }
-
-// -- by the servers
 
 void EntityManagerStation::Servers::wantConnection(bool wanted) {
     auto& station = station_;

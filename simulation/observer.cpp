@@ -77,8 +77,6 @@ std::string Observer::label(const std::string& task_id) const {
     return "task " + (id ? id->toString().substr(0, 8) : std::string("?"));
 }
 
-// -- at the Entity Manager
-
 void Observer::managerStarts(std::size_t number) {
     auto& entity = entities_[number];
     entity.status.reset();
@@ -387,8 +385,6 @@ void Observer::noted(std::size_t number, const entity_manager::JournalRecord& re
     }
 }
 
-// -- messages by either way
-
 void Observer::sends(const Header& head) {
     auto& row = to_entity_[{head.sender.id, head.entity}];
     if (nothing_fails_) row.sent.emplace_back(head.sequence, timeline_.now());
@@ -463,8 +459,6 @@ void Observer::judgeMessages() {
                                            who.second.substr(0, 8) +
                                            " has not arrived, and nothing has failed");
 }
-
-// -- at the robot application
 
 void Observer::dispatched(std::size_t number, const std::string& task_id) {
     auto& facts = tasks_[task_id];

@@ -94,8 +94,6 @@ void RobotApplication::kill() {
     observer_.moves(entity_, false);  // what a robot without its application does is its vendor's affair
 }
 
-// -- the link
-
 void RobotApplication::hello(std::uint64_t attempt, Connection& signal, Connection& data) {
     auto& life = *life_;
     if (life.link) {
@@ -236,8 +234,6 @@ void RobotApplication::acknowledge(std::uint32_t generation) {
         manager->stopDone(number, generation);
     });
 }
-
-// -- tasks
 
 bool RobotApplication::stopRequested(const Running& task) const {
     const auto& level = life_->level;

@@ -313,8 +313,6 @@ std::size_t ServerStation::entities() const {
     return life_ ? life_->entities.entities() : 0;
 }
 
-// -- clients
-
 void ServerStation::clientHello(ClientStation& who, std::uint64_t attempt, Connection& data, Role role) {
     auto& session = client_sessions_.emplace_back();
     session.who = &who;
@@ -413,8 +411,6 @@ void ServerStation::sendClear(ClientSession& session, const Header& head) {
 void ServerStation::keepAlive(ClientSession& session) {
     if (!session.ended) life_->front_end.keepAlive(session.ref);
 }
-
-// -- Entity Managers
 
 void ServerStation::entityHello(EntityManagerStation& who, std::uint64_t attempt, Connection& data) {
     auto& session = entity_sessions_.emplace_back();

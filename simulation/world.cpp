@@ -172,8 +172,6 @@ void World::judgeEnd() {
     observer_.judgeMessages();
 }
 
-// -- faults
-
 void World::planFaults(Faults faults) {
     observer_.nothingFails(faults == Faults::None || faults == Faults::Lies || faults == Faults::Direct);
     observer_.pathsStand(faults == Faults::None || faults == Faults::Lies);

@@ -67,8 +67,6 @@ class Story:
         self.steps.append({"name": name, "ok": not reason, "ms": ms, "reason": reason})
         return not reason
 
-    # -- running the command ------------------------------------------------------------------------------------
-
     def axon(self, *words, show=True, expect=0):
         """Runs `axon words…` as a person would see it; returns nothing, fails on another exit status."""
         if show:
@@ -80,8 +78,6 @@ class Story:
             self.say(done.stdout.decode(errors="replace").rstrip())
         if done.returncode != expect:
             raise Failed(f"axon {' '.join(words)} ended with {done.returncode}, expected {expect}")
-
-    # -- the laboratory -----------------------------------------------------------------------------------------
 
     def takes_usual(self, ports):
         """With --keep the ports are the usual ones, so that the commands to try need nothing more; but not what somebody has."""
@@ -120,8 +116,6 @@ class Story:
     def truth(self, name, kind="robots"):
         """Where a robot or an object really is: what a judge may know, and no robot."""
         return next(one for one in self.lab.control(self.world, "truth")[kind] if one["name"] == name)
-
-    # -- the story ----------------------------------------------------------------------------------------------
 
     def transport(self):
         self.axon("global", "run", "Transport", *BINDINGS)

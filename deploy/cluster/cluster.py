@@ -99,8 +99,6 @@ class Cluster:
         self.axon_programs = axon_programs  # where axon-server and axon lie
         self.progress = Progress()
 
-    # -- what is written down -----------------------------------------------------------------------------------
-
     @contextlib.contextmanager
     def locked(self):
         with open(os.open(self.folder / "lock", os.O_WRONLY | os.O_CREAT, 0o600), "w", encoding="utf-8") as lock:
@@ -147,8 +145,6 @@ class Cluster:
         """What a file of the folder says; None where it does not."""
         path = self.folder / file
         return configuration.read_property(path.read_text(encoding="utf-8"), key) if path.exists() else None
-
-    # -- up -----------------------------------------------------------------------------------------------------
 
     def prepare(self, wishes):
         """The folder as `wishes` (names of Plan's fields; None = as before) want it. Returns the plan."""
@@ -276,8 +272,6 @@ class Cluster:
         records[program.name] = processes.start(command, self.log(program.name), self.folder, os.environ)
         self.remember("running.json", records)
 
-    # -- readiness ----------------------------------------------------------------------------------------------
-
     def wait_until_ready(self, plan, program, seconds=READY_S):
         record = self.records()[program.name]
         self.wait(lambda: self.ready(plan, program, record), f"{program.name} is ready", seconds, [program.name])
@@ -353,8 +347,6 @@ class Cluster:
     def log_end(self, name):
         lines = processes.said(self.log(name), self.records().get(name, {"log_begins": 0})).splitlines()[-10:]
         return f"The end of {self.log(name)}:\n" + "\n".join(f"  {line}" for line in lines)
-
-    # -- what runs ----------------------------------------------------------------------------------------------
 
     def status(self):
         """A dict as `status --json` prints it."""

@@ -71,8 +71,6 @@ class Trial:
         """The last line of what this thread's last axon() printed."""
         return self.of_thread.last
 
-    # -- the laboratory -----------------------------------------------------------------------------------------
-
     def world_text(self, name):
         """A world that comes with the program, to be changed."""
         return (self.share / "worlds" / f"{name}.lab").read_text()
@@ -144,8 +142,6 @@ class Trial:
         return "; ".join(f"{process.name} ended with {process.child.returncode}" for process in gone
                          if process.name.startswith(("lab-", "app-", "em-", "axon-server"))) if self.came_up else ""
 
-    # -- what the robots do -------------------------------------------------------------------------------------
-
     def axon(self, *words, seconds):
         """`axon --json words…`, at most so many seconds of the laboratory: (exit status, why it did not succeed)."""
         try:
@@ -170,8 +166,6 @@ class Trial:
     def result(self, parameter):
         """Of the last task that axon() followed."""
         return self.last["results"][parameter][0]
-
-    # -- the truth ----------------------------------------------------------------------------------------------
 
     def truth(self, kind, name):
         """Of one of "robots", "arms", "objects"."""

@@ -211,8 +211,6 @@ std::string inputsOf(const Json& step) {
 
 }  // namespace
 
-// ---- what there is
-
 void PersonView::showGlobalServices(const Json& event) {
     wipe();
     const auto& services = event.at("services");
@@ -309,8 +307,6 @@ void PersonView::showBinding(const Json& event) {
     }
     out_ << fitted({"ROLE", "PLAYED BY", "", "", "WANTED"}, std::move(rows), {1}, terminal_) << std::flush;
 }
-
-// ---- a run
 
 void PersonView::showRun(const Json& event) {
     // By state alone it can be told whether a picture is worth drawing at once.
@@ -466,8 +462,6 @@ void PersonView::showProblems(const Json& problems) {
         if (const auto mend = textOf(problem, "mend"); !mend.empty()) say("      mend: " + mend);
     }
 }
-
-// ---- what was
 
 void PersonView::showRuns(const Json& event) {
     wipe();

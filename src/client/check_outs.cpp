@@ -56,8 +56,6 @@ bool isFree(const Entity& entity) {
 
 }  // namespace
 
-// ---- what is wanted
-
 Id128 CheckOuts::checkOut(const std::vector<std::string>& names, const CheckOutOptions& options, Done done) {
     const auto refuse = [&](Refusal why) {
         done(std::move(why));
@@ -170,8 +168,6 @@ CheckOuts::Order CheckOuts::take(Orders::iterator found) {
     orders_.erase(found);
     return order;
 }
-
-// ---- one attempt
 
 void CheckOuts::attempt(Id128 id) {
     auto& order = orders_.at(id);
@@ -351,8 +347,6 @@ void CheckOuts::forgetAttempt(Order& order) {
     order.parties.clear();
 }
 
-// ---- answers
-
 void CheckOuts::onReply(const Header& head, const proto::CheckOutReply& reply) {
     const auto request = Id128::fromBytes(reply.request_id());
     const auto refusal = toRefusal(reply.refusal());
@@ -512,8 +506,6 @@ std::string CheckOuts::holderOf(const std::string& entity) const {
     const auto* facts = parts_.entities.facts(entity);
     return facts == nullptr ? std::string() : facts->holder.name;
 }
-
-// ---- waiting
 
 void CheckOuts::onWaiting(Id128 id, int place) {
     auto& order = orders_.at(id);

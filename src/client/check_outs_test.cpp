@@ -59,8 +59,6 @@ class CheckOutsTest : public ::testing::Test, public CoreWorld {
     Answer<std::vector<Held>> answer;
 };
 
-// ---- the wait list of one entity
-
 TEST_F(CheckOutsTest, WhoWaitsIsToldThePlaceAndGetsIt) {
     heldByAnother(3);
     core.checkOuts().checkOut({"Cyton"}, waiting(60s), answer.taker());
@@ -135,8 +133,6 @@ TEST_F(CheckOutsTest, AWaitEndsWithTheEntityAndWithTheConnection) {
     EXPECT_EQ(second.refusal.code, RefusalCode::NotConnected);
 }
 
-// ---- ask and force
-
 TEST_F(CheckOutsTest, TheHolderIsAskedOnceAndRefuses) {
     heldByAnother(3);
     auto options = waiting(60s);
@@ -209,8 +205,6 @@ TEST_F(CheckOutsTest, TheHandOverPolicyGoesWithTheLease) {
     EXPECT_TRUE(policy.yield());
 }
 
-// ---- several, and waiting
-
 TEST_F(CheckOutsTest, SeveralAreParkedUntilAllAreFree) {
     idle(1);
     heldByAnother(3);
@@ -267,8 +261,6 @@ TEST_F(CheckOutsTest, AParkedCheckOutEndsWhenAnEntityLeaves) {
     core.onProfile(Presence::Left, {uuid(1), "PeopleBot"}, {});
     EXPECT_EQ(answer.refusal.code, RefusalCode::Unavailable);
 }
-
-// ---- by query
 
 TEST_F(CheckOutsTest, AQueryChoosesAmongWhatIsFreeAndReady) {
     core.onStatus({uuid(1), EntityState::IDLE, true, 1, {}, {}, {}});
@@ -422,8 +414,6 @@ TEST_F(CheckOutsTest, AServiceThatNobodyOffersIsNamed) {
     EXPECT_EQ(core.pendingRequests(), 0U);
 }
 
-// ---- hand-over
-
 TEST_F(CheckOutsTest, TheHolderIsToldAndAnswersOnce) {
     const auto held = take("Cyton");
     EXPECT_EQ(core.leases().answerHandOver(held, true, "").refusal().code, RefusalCode::WrongState);
@@ -466,8 +456,6 @@ TEST_F(CheckOutsTest, WhoRefusesAlwaysIsNotAsked) {
     ASSERT_THAT(link.sent, SizeIs(1));
     EXPECT_FALSE(link.sent[0].body.hand_over_answer().accept());
 }
-
-// ---- leases that outlive a connection
 
 TEST_F(CheckOutsTest, ALeaseIsResumedWithItsKey) {
     const auto held = take("Cyton", 4, 5s);
@@ -685,8 +673,6 @@ TEST_F(CheckOutsTest, OnlyATicketIsATicket) {
     }
     EXPECT_TRUE(LeaseTicket::parse("axon-lease:" + uuid(3) + ":1:1:" + uuid(1)).ok());
 }
-
-// ---- what ends while other things end
 
 TEST(FinishedTasksTest, ATableOfOneForgetsWhileALeaseEnds) {
     SessionCoreSettings settings;

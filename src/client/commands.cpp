@@ -95,8 +95,6 @@ void Commands::rearm(const std::string& entity, Done done) {
         {.entity = entity, .lease = lease, .sequence = sequence, .what = request::Rearm{std::move(done)}});
 }
 
-// ---- resources
-
 Id128 Commands::offer(const Held& held, std::string_view service, std::string_view resource,
                       const std::string& file_name, std::uint64_t size, const std::string& sha256,
                       Done done) {

@@ -21,8 +21,6 @@ bool moves(EntityState state) {
 
 }  // namespace
 
-// ---- events
-
 void Entities::onConnected(int promised) {
     asked_.clear();
     promised_ = promised;
@@ -169,8 +167,6 @@ void Entities::tellChanged(const std::string& id) {
     if (const auto known = entities_.find(id); known != entities_.end()) tellChanged(known->second);
 }
 
-// ---- what is known
-
 std::vector<Entity> Entities::list(Listed listed) const {
     std::vector<Entity> entities;
     for (const auto* facts : all()) {
@@ -219,8 +215,6 @@ bool Entities::isThere(const std::string& id) const {
     const auto known = entities_.find(id);
     return known != entities_.end() && known->second.there();
 }
-
-// ---- what it tells of itself
 
 void Entities::fetchDetails(const std::string& id, DetailsDone done) {
     if (!parts_.context.connected) return done(CoreContext::notConnected());

@@ -147,8 +147,6 @@ Result<void> askFor(proto::TaskAction action, const Shared& shared) {
 
 }  // namespace
 
-// ---- Client
-
 Client::Client(std::shared_ptr<Session> session) : session_(std::move(session)) {}
 
 Client::~Client() {
@@ -373,8 +371,6 @@ Result<std::shared_ptr<void>> Client::watch(std::string_view name, const std::ve
     return std::shared_ptr<void>(static_cast<void*>(session_.get()), unwatch);
 }
 
-// ---- Task, Run
-
 const std::string& Task::id() const {
     return shared_->text;
 }
@@ -418,8 +414,6 @@ Result<void> Run::resume() const {
 Result<void> Run::cancel() const {
     return askFor(proto::CANCEL, *shared_);
 }
-
-// ---- CheckOut
 
 Entity CheckOut::entity() const {
     if (const auto session = shared_->session.lock()) {

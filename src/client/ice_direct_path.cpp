@@ -92,9 +92,6 @@ IceDirectPath::~IceDirectPath() {
         connection->disconnect({false, "it is of no use any more"}, false);
 }
 
-// -- opening
-// ----------------------------------------------------------------------------------------------------------
-
 void IceDirectPath::open(Duration timeout) {
     timeout_ms_ = static_cast<int>(std::chrono::duration_cast<std::chrono::milliseconds>(timeout).count());
     openLane(Lane::Data);
@@ -217,9 +214,6 @@ std::string IceDirectPath::reason() const {
     const std::lock_guard lock(mutex_);
     return reason_;
 }
-
-// -- sending
-// ----------------------------------------------------------------------------------------------------------
 
 void IceDirectPath::send(Keeping keeping, const Header& head,
                          std::shared_ptr<const std::string> message) const {

@@ -35,8 +35,6 @@ bool leaseIsGone(RefusalCode code) {
 
 }  // namespace
 
-// ---- what is held
-
 std::vector<Held> Leases::held() const {
     std::vector<Held> all;
     for (const auto& [entity, lease] : leases_) all.push_back({entity, lease.number});
@@ -121,8 +119,6 @@ const std::string& Leases::root() {
     if (root_.empty()) root_ = Id128::random(parts_.context.random).bytes();
     return root_;
 }
-
-// ---- granted, and over
 
 void Leases::grant(const std::string& entity, const proto::CheckOutReply& reply,
                    const HandOverPolicy& policy) {
@@ -226,8 +222,6 @@ void Leases::onService(const std::string& entity, const proto::Service& service)
     parts_.context.observer.onService({entity, mine->second.number}, fromProto(service));
 }
 
-// ---- released
-
 void Leases::sendRelease(const Held& held) {
     proto::ToEntity body;
     body.mutable_release();
@@ -271,8 +265,6 @@ void Leases::endReleases(const std::string& entity, const std::function<bool(Lea
             parts_.requests.settle(key, {});
     }
 }
-
-// ---- handed over
 
 void Leases::onHandOver(const std::string& entity, const proto::HandOverRequest& request) {
     const auto mine = leases_.find(entity);
@@ -331,8 +323,6 @@ Result<void> Leases::setHandOverPolicy(const Held& held, const HandOverPolicy& p
     parts_.context.send(held.entity, kMsgHandOver, held.lease, body);
     return {};
 }
-
-// ---- orphaned, and resumed
 
 void Leases::onDisconnected(const Refusal& lost, bool was_connected, bool for_good) {
     for (const auto& one : held()) {
@@ -459,8 +449,6 @@ bool Leases::onResumeReply(const std::string& entity, Id128 request, const proto
     parts_.runs.askAfter(held);
     return true;
 }
-
-// ---- tickets
 
 std::string LeaseTicket::toText() const {
     const auto id = Id128::fromBytes(key);

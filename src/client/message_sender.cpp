@@ -41,8 +41,6 @@ MessageSender::MessageSender(const Clock& clock, const DirectLinks& links, std::
           },
           std::move(lively)) {}
 
-// ---- under the core's lock
-
 void MessageSender::put(Operation kind, const Header& head, std::string bytes) {
     put_bytes_ = bytes.size() + kMessageOverhead;
     put_ = queue_.put({kind, head, std::move(bytes), links_.linkOf(head.entity)}, put_bytes_);
@@ -85,8 +83,6 @@ bool MessageSender::leavesToSender() {
     const bool fast = now - std::exchange(sent_at_, now) < kFast;
     return fast && put_bytes_ <= kTogetherBytes && queue_.waiting().bytes < kLeftToSender;
 }
-
-// ---- without it
 
 void MessageSender::depart(Leaving leaving) {
     if (leaving.last == 0) return;

@@ -10,8 +10,6 @@
 
 namespace axon::client {
 
-// ---- to the callback thread
-
 void NewsDesk::tell(std::function<void()> callback, bool may_be_left_out) {
     if (callbacks_.post(std::move(callback), may_be_left_out)) {
         told_ = true;
@@ -53,8 +51,6 @@ void NewsDesk::setOnConnection(std::function<void(bool, const std::string&)> cal
     const std::lock_guard lock(callbacks_mutex_);
     on_connection_ = std::move(callback);
 }
-
-// ---- entities, tasks, runs
 
 void NewsDesk::onEntity(Presence presence, const Entity& entity) {
     std::function<void(Presence, const Entity&)> callback;
@@ -102,8 +98,6 @@ void NewsDesk::onTask(const TaskReport& report) {
 void NewsDesk::onRun(const RunReport& report) {
     tellReport(runs_, report);
 }
-
-// ---- check-outs
 
 std::vector<std::shared_ptr<CheckOut::Shared>> NewsDesk::checkOuts() const {
     std::vector<std::shared_ptr<CheckOut::Shared>> all;
@@ -173,8 +167,6 @@ void NewsDesk::onDirect(const Held& held, const std::string& data_endpoint,
                         const std::string& signal_endpoint, const std::string& key) {
     offers_.onDirect(held, data_endpoint, signal_endpoint, key);
 }
-
-// ---- streams, uploads, texts
 
 std::uint64_t NewsDesk::addWatch(const std::string& entity, const std::vector<std::string>& streams,
                                  std::function<void(const Sample&)> callback) {

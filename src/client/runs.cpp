@@ -54,8 +54,6 @@ void merge(std::vector<StepReport>& steps, StepReport changed) {
 
 }  // namespace
 
-// ---- what the server offers
-
 void Runs::fetchServices(GlobalServicesDone done) {
     if (!parts_.context.connected) return done(CoreContext::notConnected());
     const auto id = Id128::random(parts_.context.random);
@@ -73,8 +71,6 @@ void Runs::onServices(const proto::GlobalServices& services) {
     if (auto pending = parts_.requests.take<request::FetchGlobalServices>(*id))
         pending->as<request::FetchGlobalServices>().done(fromProto(services));
 }
-
-// ---- a run
 
 Refusal Runs::misfits(const RunOrder& order) const {
     const auto parameter = [&](const GlobalStep& step, const std::string& name) -> const proto::CtrlParam* {
@@ -345,8 +341,6 @@ void Runs::onDue(Id128 id) {
             {}});
 }
 
-// ---- control
-
 void Runs::control(const Id128& run, proto::TaskAction action, Done done) {
     const auto found = runs_.find(run);
     if (found == runs_.end())
@@ -380,8 +374,6 @@ void Runs::settleControl(Id128 run, RunState state) {
     if (const auto answer = pending->as<request::Control>().answerTo(state, "run"))
         parts_.requests.settle<request::Control>(run, *answer);
 }
-
-// ---- what became of it
 
 void Runs::fetchRecords(const std::string& entity, int most, RunRecordsDone done) {
     if (!parts_.context.connected) return done(CoreContext::notConnected());

@@ -83,8 +83,6 @@ class RunsTest : public ::testing::Test, public CoreWorld {
     std::vector<RunReport>& runs = observer.runs;
 };
 
-// ---- one root
-
 TEST_F(RunsTest, AllCheckOutsOfASessionHaveOneRoot) {
     Answer<std::vector<Held>> answer;
     core.checkOuts().checkOut({"PeopleBot#1", "Cyton"}, answer.taker());
@@ -108,8 +106,6 @@ TEST_F(RunsTest, WhoResumesALeaseOfAnotherProcessGoesOnWithItsRoot) {
     core.checkOuts().checkOut({"Cyton"}, answer.taker());
     EXPECT_EQ(link.sent[0].body.check_out().root(), root);
 }
-
-// ---- the request
 
 TEST_F(RunsTest, EachParticipantGivesTheMasterASealedSubLease) {
     takeBoth();
@@ -198,8 +194,6 @@ TEST_F(RunsTest, AnOutputThatTheNextInputCanNeverTakeIsNamedBeforeAnythingIsSent
     EXPECT_TRUE(checked("Distance").ok());
     EXPECT_TRUE(checked("nothing that is known").ok()) << "the participant will say so";
 }
-
-// ---- the stream of events
 
 TEST_F(RunsTest, StepsAreThereBeforeTheFirstEventAndChangeByTheirPosition) {
     takeBoth();
@@ -376,8 +370,6 @@ TEST_F(RunsTest, ARefusalIsNoEndOfARunThatHasBegun) {
     EXPECT_EQ(report().state, RunState::Stopped);
 }
 
-// ---- loss
-
 TEST_F(RunsTest, WithItsMasterTheRunIsLost) {
     takeBoth();
     const auto id = launch().value();
@@ -468,8 +460,6 @@ TEST_F(RunsTest, ARunWhoseMasterIsReleasedIsToldToItsEnd) {
     tell(1, event(id, 2, proto::RUN_STOPPED));
     EXPECT_EQ(report().state, RunState::Stopped);
 }
-
-// ---- what is there, what was
 
 TEST_F(RunsTest, TheServerIsAskedForItsGlobalServices) {
     Result<GlobalServices> answer = Refusal{RefusalCode::Internal, "none", {}};

@@ -88,8 +88,6 @@ Client::Session::~Session() {
     close();
 }
 
-// ---- the core's lock, and how what the core gives leaves it
-
 Client::Session::Leaving Client::Session::collect(Sends sends) {
     const auto deadline = std::min(core_.nextDeadline(), core_.serverDeadline());
     Leaving leaving{};
@@ -124,8 +122,6 @@ void Client::Session::mayWait() const {
             "from another thread.");
     }
 }
-
-// ---- connection
 
 Result<void> Client::Session::connect() {
     if (auto opened = communicators_->open(options_); !opened) return opened;
@@ -292,8 +288,6 @@ void Client::Session::close() {
     });
 }
 
-// ---- time
-
 TimePoint Client::Session::onTimer() {
     std::uint64_t silent = 0;
     withCore(
@@ -388,8 +382,6 @@ TimePoint Client::Session::onHeartbeat() {
         std::min({core_.nextHeartbeat(), path_beats_at, clock_->now() + kLongestSleep}));
 }
 
-// ---- what the server pushes
-
 void Client::Session::newProfile(std::uint64_t attempt, Presence presence, const Registration& registration,
                                  std::string_view profile) {
     stops_.withDesk([&](StopDesk& desk) {
@@ -479,8 +471,6 @@ void Client::Session::newServerHeartbeat(std::uint64_t attempt) {
     onCore(attempt, [&](SessionCore& core) { core.onServerHeartbeat(); });
 }
 
-// ---- other ways to an entity
-
 void Client::Session::onDatagrams(const Held& held, const std::string& endpoint, const std::string& key) {
     datagrams_.admit(held.entity, held.lease, endpoint, key, core_.self().id);
 }
@@ -501,8 +491,6 @@ void Client::Session::onDirect(const Held& held, const std::string& data_endpoin
     direct_.offer({held.entity, held.lease, key, core_.self().id, data_endpoint, signal_endpoint});
     threads_.timer.wake();
 }
-
-// ---- what is known
 
 Result<Entity> Client::Session::waitFor(std::string_view name, Seconds time) const {
     mayWait();

@@ -813,8 +813,6 @@ TEST_F(ClientTest, ManyThreadsMayUseOneClient) {
     EXPECT_TRUE(waitUntil([&] { return robots->texts().size() == 50; }));
 }
 
-// ---- ownership
-
 class OwnershipTest : public ClientTest {
   protected:
     std::unique_ptr<Client> named(const std::string& name) const {

@@ -12,8 +12,6 @@
 
 namespace axon::client {
 
-// ---- messages out
-
 Header CoreContext::header(const std::string& entity, const char* msg_type, LeaseNumber lease) {
     Header head;
     head.sender = self;
@@ -50,8 +48,6 @@ SessionCore::SessionCore(SessionCoreSettings settings, const Clock& clock, Rando
       parts_{context_, requests_, entities_, leases_, check_outs_, tasks_, runs_, watches_, server_},
       server_(parts_) {}
 
-// ---- connection
-
 void SessionCore::onConnected(const Sender& self, int entities, const Watchdogs& watchdogs) {
     context_.connected = true;
     context_.self = self;
@@ -87,8 +83,6 @@ void SessionCore::onServerText(int code, const std::string& text) {
     context_.observer.onServerText(code, text);
 }
 
-// ---- entities
-
 void SessionCore::onProfile(Presence presence, const Registration& registration, std::string_view profile) {
     server_.feed();
     if (presence != Presence::Left) return entities_.onProfile(registration, profile);
@@ -119,8 +113,6 @@ void SessionCore::onStatus(const EntityStatus& status) {
     server_.pace();
     if (!joins) entities_.tellChanged(status.entity);
 }
-
-// ---- messages of entities
 
 void SessionCore::onEntityMsg(const Header& head, std::string_view bytes, bool of_server) {
     if (of_server) server_.feed();
@@ -273,8 +265,6 @@ void SessionCore::onStatusMsg(const Header& head, const proto::EntityStatus& sta
     if (!asked) return;
     if (!tasks_.onAnswer(*asked, status)) entities_.onDetails(*asked, status);
 }
-
-// ---- time
 
 TimePoint SessionCore::nextDeadline() const {
     if (AXON_PLANTED(RequestsWaitForEver)) return TimePoint::max();

@@ -32,8 +32,6 @@ class SessionCoreTest : public ::testing::Test, public CoreWorld {
     }
 };
 
-// ---- entities that are not ready
-
 TEST_F(SessionCoreTest, AnEntityWithoutAProfileIsListedOnlyWithAllAndJoinsWhenItIsReady) {
     observer.entities.clear();
     core.onProfile(Presence::Joined, {uuid(4), "greeter", "", ""}, "");
@@ -83,8 +81,6 @@ TEST_F(SessionCoreTest, AQueryNeverMeansAnEntityThatIsNotReady) {
     EXPECT_EQ(answer.refusal.code, RefusalCode::Unavailable);
     EXPECT_THAT(answer.refusal.message, Not(HasSubstr("greeter")));
 }
-
-// ---- check-out
 
 TEST_F(SessionCoreTest, OneEntityIsTaken) {
     Answer<std::vector<Held>> answer;
@@ -224,8 +220,6 @@ TEST_F(SessionCoreTest, ACheckOutEndsWhenAnEntityLeaves) {
     EXPECT_EQ(answer.refusal.code, RefusalCode::Unavailable);
 }
 
-// ---- leases
-
 TEST_F(SessionCoreTest, CommandsCarryLeaseAndNewestStopGeneration) {
     const auto held = take("Cyton");
     status(3, EntityState::REG, kMe, {1, 1}, 4);
@@ -330,8 +324,6 @@ TEST_F(SessionCoreTest, ResetIsRefusedWhileLatched) {
     EXPECT_EQ(core.commands().reset(held).refusal().code, RefusalCode::Latched);
     EXPECT_TRUE(core.commands().clear(held).ok());
 }
-
-// ---- requests and their time
 
 TEST_F(SessionCoreTest, EachRequestTimesOut) {
     const auto held = take("Cyton");
@@ -452,8 +444,6 @@ TEST_F(SessionCoreTest, CreditsMoveTheDeadlineOfAnUpload) {
     EXPECT_EQ(core.commands().sendChunk(transfer, 1000, "x").refusal().code, RefusalCode::Cancelled);
 }
 
-// ---- tasks
-
 TEST_F(SessionCoreTest, ATaskGoesThroughItsStates) {
     const auto held = take("Cyton");
     const auto task = core.tasks().run(held, "Driving", {{"Distance", {std::int64_t{1000}}}}, 2s);
@@ -565,8 +555,6 @@ TEST_F(SessionCoreTest, ARefusedPauseLeavesTheTaskRunning) {
     reply(3, task.bytes(), RefusalCode::NotPausable);  // of a second one, whose answer has been taken
     EXPECT_EQ(core.tasks().report(task)->state, TaskState::Running);
 }
-
-// ---- heartbeats and the connection
 
 TEST_F(SessionCoreTest, HeartbeatsAreFastWhileATaskRuns) {
     advance(0ms);
@@ -823,8 +811,6 @@ TEST_F(SessionCoreTest, AnEntityIsThereOnceItsProfileAndItsStatusHaveComeInEithe
         EXPECT_EQ(world.observer.entities[0].second.state, EntityState::REG);
     }
 }
-
-// ---- bad input
 
 TEST_F(SessionCoreTest, MalformedMessagesAreCountedAndChangeNothing) {
     take("Cyton");

@@ -12,7 +12,7 @@
 
 namespace axon::client {
 
-// ---- how a stop leaves: noted under the lock, collected at its end, sent after it
+// How a stop leaves: noted under the lock, collected at its end, sent after it.
 
 void StopSender::sendStopSignal(Lane lane, const Header& head, StopCause cause) {
     noted_.push_back({lane, head, {}, cause});
@@ -60,8 +60,6 @@ void StopSender::sendAsDatagrams(const std::vector<Outgoing>& stops) const {
         for (const auto& entity : stop.entities) datagram_(entity, stop.head.sequence, marks_.of(entity));
     }
 }
-
-// ---- time, and what comes back
 
 TimePoint StopSender::onTimer() {
     withDesk([this](StopDesk& desk) {

@@ -180,8 +180,6 @@ void Tasks::onDue(Id128 task) {
             {}});
 }
 
-// ---- after a lost connection
-
 void Tasks::askAfter(const Held& held) {
     auto tasks = open(held);
     if (tasks.empty()) return;
@@ -221,8 +219,6 @@ void Tasks::onAskAfterDue(Id128 request) {
                 {}});
     }
 }
-
-// ---- control
 
 std::int64_t Tasks::sendControl(Id128 task, const Held& held, proto::TaskAction action) {
     proto::ToEntity body;

@@ -94,8 +94,6 @@ UploadWindow::Turn UploadWindow::next(std::optional<std::uint64_t> sent, std::ui
     return {std::max(sent.value_or(begin_), begin_), std::min(limit_, size), std::nullopt};
 }
 
-// ---- the upload itself
-
 Result<void> upload(Client::Session& session, const Held& held, std::string_view service,
                     std::string_view resource, const std::filesystem::path& path,
                     const std::function<void(std::uint64_t, std::uint64_t)>& progress,

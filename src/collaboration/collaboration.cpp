@@ -175,9 +175,6 @@ Collaboration::Collaboration(proto::CollaborationRequest request, std::string se
     levels_.erase(std::unique(levels_.begin(), levels_.end()), levels_.end());
 }
 
-// -- what goes out
-// ----------------------------------------------------------------------------------------------------------
-
 proto::FromMaster& Collaboration::send(std::size_t participant) {
     auto& order = orders_.emplace_back();
     order.participant = participant;
@@ -330,9 +327,6 @@ void Collaboration::endAll(bool stop, const Refusal& reason) {
         if (!reason.ok()) *end.mutable_reason() = toProto(reason);
     }
 }
-
-// -- what comes in
-// ----------------------------------------------------------------------------------------------------------
 
 std::optional<std::size_t> Collaboration::indexOf(const std::string& entity) const {
     for (std::size_t i = 0; i < members_.size(); ++i)
@@ -532,9 +526,6 @@ void Collaboration::abandon(proto::RunState outcome, const Refusal& reason, Time
     conclude(outcome, true, reason);
 }
 
-// -- how it goes on
-// ----------------------------------------------------------------------------------------------------------
-
 void Collaboration::enter(proto::RunState state) {
     state_ = state;
     changed_ = true;
@@ -684,9 +675,6 @@ void Collaboration::conclude(proto::RunState state, bool stop, const Refusal& re
     enter(state);
     endAll(stop, reason);
 }
-
-// -- time, and what is told
-// ----------------------------------------------------------------------------------------------------------
 
 void Collaboration::onTimer(TimePoint now) {
     if (over()) return;

@@ -51,8 +51,6 @@ std::string hex(std::string_view bytes) {
     return text;
 }
 
-// ---- the packet
-
 TEST(StopDatagram, HasTheBytesOfItsPage) {
     // The MAC was computed by an independent program (docs/reference/datagrams.md).
     EXPECT_EQ(hex(bytesOf(stopOf(9))),
@@ -107,8 +105,6 @@ TEST(StopDatagram, WithFieldsOutOfRangeIsRefusedThoughItsMacIsRight) {
           stopOf(1, kClient1, {1, std::numeric_limits<std::int32_t>::min()})})
         EXPECT_EQ(decode(bytesOf(wrong), kKey), std::nullopt);
 }
-
-// ---- who is obeyed
 
 class StopSentryTest : public ::testing::Test {
   protected:
@@ -214,8 +210,6 @@ TEST_F(StopSentryTest, CountsWhatItCannotRead) {
     EXPECT_EQ(sentry.judge(std::string(9000, '\0')).verdict, Verdict::Refused);
     EXPECT_EQ(sentry.counters().unreadable, 3U);
 }
-
-// ---- when it is sent again
 
 class StopRepeaterTest : public ::testing::Test {
   protected:
@@ -344,8 +338,6 @@ TEST_F(StopRepeaterTest, HasABound) {
         repeater.stop("left", i, 5);
     EXPECT_EQ(repeater.rows(), StopRepeater::kRows);
 }
-
-// ---- endpoints and the socket
 
 TEST(EndpointText, IsReadAndWritten) {
     EXPECT_EQ(Endpoint::parse("127.0.0.1:5500"), (Endpoint{0x7f000001, 5500}));

@@ -293,7 +293,7 @@ bool Communicator::linked() const {
     return link && !link->lost();
 }
 
-// ---- The stop thread: reads the signal connection, calls onStop, nothing else.
+// The stop thread: reads the signal connection, calls onStop, nothing else.
 
 void Communicator::stopThread() {
     this_thread_of = this;
@@ -497,7 +497,7 @@ void Communicator::fault(const std::string& what, const std::function<void()>& l
     log(LogLevel::Error, what + ": stop");
 }
 
-// ---- The watch thread: accepts, beats, watches for silence.
+// The watch thread: accepts, beats, watches for silence.
 
 void Communicator::watchThread() {
     this_thread_of = this;

@@ -82,7 +82,7 @@ bool sendMessage(int control, Message message, int descriptor) {
     return ::sendmsg(control, &header, MSG_NOSIGNAL | MSG_DONTWAIT) == static_cast<ssize_t>(sizeof message);
 }
 
-// ---- The guard's process. It may be the fork of a program with many threads, of which any may have held any
+// The guard's process. It may be the fork of a program with many threads, of which any may have held any
 // lock: from here on only what is safe in a signal handler is called, and no memory is allocated.
 
 class Guard {
@@ -227,7 +227,7 @@ int becomeGuard(int control) {
 
 }  // namespace
 
-// ---- The application's side.
+// The application's side.
 
 class DeviceGuard::Desk {
   public:

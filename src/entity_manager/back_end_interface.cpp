@@ -226,8 +226,6 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
             done;  // null = no valid answer
     };
 
-    // ---- Looking
-
     void lookIn(Duration time) {
         look_timer_.expires_after(time);
         look_timer_.async_wait([self = shared_from_this()](const asio::error_code& error) {
@@ -424,8 +422,6 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
         });
     }
 
-    // ---- Linked
-
     void up(const std::shared_ptr<Handshake>& signal, const std::shared_ptr<Handshake>& data) {
         const auto duplicate = std::make_shared<const SignalSocket>(signal->socket.native_handle());
         if (!duplicate->open())
@@ -555,8 +551,6 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
                               if (!peer->queued.empty()) self->writeNext(peer);
                           });
     }
-
-    // ---- Beats
 
     void announce(std::uint32_t generation) {
         auto known = announced_.load();

@@ -327,9 +327,6 @@ TEST(Collaboration, ATextThatAStepHasToldIsOneValueWhateverStandsInIt) {
     EXPECT_EQ(profiler.typed("Follow", given, {"Way"}).value().Get(0).values_size(), 1);
 }
 
-// -- before it begins
-// ----------------------------------------------------------------------------------------------------------
-
 TEST(Collaboration, NothingMovesBeforeEverythingIsPossibleAndAllThatIsNotIsNamed) {
     Fleet fleet(3);
     auto service =
@@ -441,9 +438,6 @@ TEST(Collaboration, AnEntityThatDoesNotAnswerIsNamed) {
     EXPECT_TRUE(fleet.log.empty());
     EXPECT_EQ(fleet.state(2), EntityState::REG);
 }
-
-// -- whom a slave obeys
-// ----------------------------------------------------------------------------------------------------------
 
 struct SubLeases : testing::Test {
     /// The refusal of robot 1 when its sub-lease is changed so.
@@ -565,9 +559,6 @@ TEST_F(SubLeases, AStrangerGivesNoOrders) {
     for (const auto& event : fleet.log) EXPECT_NE(event.service, "Light");
     EXPECT_EQ(fleet.rig(1).to_clients.back().message.task().reason().code(), proto::WRONG_STATE);
 }
-
-// -- when something fails
-// ----------------------------------------------------------------------------------------------------------
 
 TEST(Collaboration, AFailedStepStopsEverybody) {
     for (std::size_t master = 0; master < 3; ++master) {
@@ -1025,9 +1016,6 @@ TEST(Collaboration, ACompensationWaitsForItsParticipantForATime) {
     }
 }
 
-// -- the client's hand on it
-// ----------------------------------------------------------------------------------------------------------
-
 TEST(Collaboration, IsPausedWhereEveryStepCanBeAndGoesOn) {
     Fleet fleet(2);
     fleet.behave = [](auto, const auto&) { return Fleet::Outcome{.lasts = 500ms}; };
@@ -1066,9 +1054,6 @@ TEST(Collaboration, IsCancelledWithoutALatch) {
     fleet.advance(100ms);
     EXPECT_EQ(fleet.state(0), EntityState::BUSY);
 }
-
-// -- the record
-// ----------------------------------------------------------------------------------------------------------
 
 TEST(Collaboration, TheMastersNextLifeSaysThatTheOutcomeIsUnknown) {
     Fleet fleet(2);

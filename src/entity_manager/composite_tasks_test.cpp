@@ -160,8 +160,6 @@ std::vector<std::string> missing(const proto::Service& service) {
     return {service.missing().begin(), service.missing().end()};
 }
 
-// -- what clients see of a composite
-
 TEST_F(CompositeTasks, WhatIsGivenIsAskedForBeforeTheFirstPartUnderTheServiceThatDeclaresIt) {
     uploadMap("Drive");
     rig.task("client1", "t1", "Leg", {"Distance=100", "Drive.Speed=50"});
@@ -310,8 +308,6 @@ TEST_F(CompositeTasks, AreActivePausableAndBlockingAsAWhole) {
     EXPECT_TRUE(record("Leg").is_active());
 }
 
-// -- running one
-
 TEST_F(CompositeTasks, ProgressAndResultsAreOfTheWhole) {
     uploadMap("Drive");
     rig.task("client1", "t1", "Leg", {"Distance=100"});
@@ -405,8 +401,6 @@ TEST_F(CompositeTasks, AnApplicationThatDoesNotAnswerAPartIsNotWaitedFor) {
     EXPECT_EQ(rig.to_application.back().cancel().task_id(), rig.idOfSent("part2"));
     EXPECT_EQ(status().state, EntityState::REG);
 }
-
-// -- control
 
 TEST_F(CompositeTasks, AStopInTheMiddleEndsTheWhole) {
     rig.task("client1", "t1", "Tour");
@@ -519,8 +513,6 @@ TEST_F(CompositeTasks, TheNextPartWaitsForAnApplicationThatIsBusy) {
     EXPECT_EQ(status().state, EntityState::BUSY);
 }
 
-// -- the journal
-
 TEST_F(CompositeTasks, TheJournalHasTheDispatchOnceAndEachPart) {
     rig.task("client1", "t1", "Tour");
     EXPECT_EQ(rig.journal.records.back().kind, Kind::Dispatched);
@@ -546,8 +538,6 @@ TEST_F(CompositeTasks, ANextLifeDoesNotGoOn) {
     EXPECT_EQ(lastOf("t1").reason().code(), proto::OUTCOME_UNKNOWN);
     EXPECT_EQ(dispatched().size(), 2U);
 }
-
-// -- loss of the client
 
 TEST_F(CompositeTasks, FinishesWithoutItsClientWhereItAndItsPartsMay) {
     rig.task("client1", "t1", "Tour");

@@ -29,9 +29,6 @@ DirectDesk::DirectDesk(const Clock& clock, RelayedWay& server, Log log)
 
 DirectDesk::~DirectDesk() = default;
 
-// -- the path
-// ---------------------------------------------------------------------------------------------------------
-
 void DirectDesk::onOpening(const DirectOpening& opening, const LeaseBook::Held* held) {
     const auto& claim = opening.claim;
     // One answer for all of it: a stranger learns nothing of the lease.
@@ -160,9 +157,6 @@ void DirectDesk::onTimer() {
     }
 }
 
-// -- what comes
-// -------------------------------------------------------------------------------------------------------
-
 bool DirectDesk::relayed(Keeping keeping, const Header& head, const std::string& bytes,
                          const Deliver& deliver) {
     if (rows_.empty() || direct::alwaysRelayed(head.msg_type)) return true;
@@ -214,9 +208,6 @@ bool DirectDesk::arrived(const Id128& path, Keeping keeping, Header& head, std::
 void DirectDesk::acknowledge() {
     if (path_) path_->signs->passed.store(path_->in->passed(), std::memory_order_release);
 }
-
-// -- what goes
-// --------------------------------------------------------------------------------------------------------
 
 void DirectDesk::sendToClient(Lane lane, const Header& head, const proto::ToClient& message) {
     if (!path_ || head.sender.id != path_->holder.id || !out_.direct() ||

@@ -122,9 +122,6 @@ void EntityManager::stop() {
     doors_.reset();  // joins its threads
 }
 
-// -- from the server
-// ------------------------------------------------------------------------------------------------
-
 void EntityManager::stopSignal(Header head, StopCause cause) {
     if (cause == StopCause::ClientLost && stop_counter_.sparesClientLoss()) {
         clientUpdate(std::move(head), ClientChange::Lost);  // what that means now, the strand decides
@@ -246,9 +243,6 @@ void EntityManager::serverDown(const std::string& reason) {
     afterEvents();
 }
 
-// -- by the direct path
-// ---------------------------------------------------------------------------------------------
-
 template <class Use>
 void EntityManager::onStrand(Use use) {
     asio::post(strand_, [weak = weak_from_this(), use = std::move(use)]() mutable {
@@ -306,9 +300,6 @@ void EntityManager::directClosed(const Id128& path, const std::string& why) {
     onStrand([path, why](EntityManager& self) { self.direct_desk_->onClosed(path, why); });
 }
 
-// -- from the robot application
-// -------------------------------------------------------------------------------------
-
 void EntityManager::onLinkUp() {
     core_->onLinkUp();
     afterEvents();
@@ -340,9 +331,6 @@ void EntityManager::onLinkMessage(const proto::EiToEm& message) {
     core_->onLinkMessage(message);
     afterEvents();
 }
-
-// -- the strand
-// -----------------------------------------------------------------------------------------------------
 
 void EntityManager::wake(Inbox::Verdict verdict, Turn turn) {
     const auto come = [weak = weak_from_this()] {

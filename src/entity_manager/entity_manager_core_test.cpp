@@ -49,8 +49,6 @@ struct Held : testing::Test {
     CoreRig rig;
 };
 
-// -- before it is ready
-
 struct NotReady : testing::Test {
     NotReady() {
         rig.core().start();
@@ -208,8 +206,6 @@ TEST_F(NotReady, AStopLatchesAnEntityThatIsNotReady) {
     rig.uploadProfiles();
     EXPECT_TRUE(rig.core().latched());
 }
-
-// -- profiles that change while it is held
 
 std::string withName(const char* profile, const std::string& name) {
     std::string text = profile;

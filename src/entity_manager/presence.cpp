@@ -38,8 +38,6 @@ Presence::Presence(Turn& turn, ServerPort& server, const Settings& settings)
     registration_.heartbeat_idle_ms = fifthOf(settings.watchdog_idle);
 }
 
-// -- the session
-
 void Presence::seek() {
     if (std::exchange(silent_, false)) server_.wantConnection(false);
     server_.wantConnection(true);
@@ -98,8 +96,6 @@ std::optional<HopMargin> Presence::margin() const {
     if (!up_) return std::nullopt;
     return HopMargin{"entity manager watches server", signs_.longest(turn_.now())};
 }
-
-// -- what the server knows
 
 void Presence::profileIs(proto::BasicProfile profile) {
     if (position_waits_) {  // the robot has told its position before its profiles were good

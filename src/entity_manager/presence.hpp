@@ -32,7 +32,7 @@ class Presence {
     };
     Presence(Turn& turn, ServerPort& server, const Settings& settings);
 
-    // -- the session
+    // The session.
 
     bool connected() const { return up_; }
     /// Wants a session; gives up one that has fallen silent, so that a new one can be made.
@@ -50,7 +50,7 @@ class Presence {
     /// The longest silence of late; nothing without a session.
     std::optional<HopMargin> margin() const;
 
-    // -- what the server knows
+    // What the server knows.
 
     /// The name for people, of the profile; empty before there has been one.
     const std::string& name() const { return profile_.name(); }

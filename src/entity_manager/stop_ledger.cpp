@@ -55,8 +55,6 @@ StopLedger::StopLedger(Turn& turn, Storage& storage, StopCounter& stop_counter, 
     if (!AXON_PLANTED(GenerationsNotReserved)) storage.save(kGenerationKey, std::to_string(reserved_));
 }
 
-// -- generations
-
 Refusal StopLedger::whyNot(std::int32_t known) const {
     const auto seen = static_cast<std::uint32_t>(known);
     // A stop that the signal thread has passed on already and that is still on its way to this strand counts.
@@ -101,8 +99,6 @@ void StopLedger::handled(std::uint32_t generation, bool own, bool voids) {
     }
     if (voids) required_ = std::max(required_, generation);
 }
-
-// -- the application
 
 void StopLedger::linkUp() {
     came_back_ = lost_.has_value();
@@ -150,8 +146,6 @@ bool StopLedger::owed() const {
         return open.receipt.stage() < proto::StopReceipt::CALLBACK_RETURNED;
     });
 }
-
-// -- stops
 
 std::uint32_t StopLedger::order(StopCause cause, bool voids) {
     const auto generation = AXON_PLANTED(ReleaseKeepsGeneration) && cause == StopCause::Released
@@ -269,8 +263,6 @@ void StopLedger::faulted(const proto::StopDone& done) {
     }
 }
 
-// -- drills
-
 void StopLedger::drill(const Header& head, std::uint32_t number) {
     drill_ = std::max(drill_, number);
     Open open;
@@ -323,8 +315,6 @@ void StopLedger::drillDone(std::uint32_t number) {
     open.receipt.set_stage(proto::StopReceipt::CALLBACK_RETURNED);
     tellStage(open);
 }
-
-// -- receipts
 
 /// Whether the robot moves, or has been told to stop and has not come to rest yet.
 bool StopLedger::moving(bool busy) const {

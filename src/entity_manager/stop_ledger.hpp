@@ -35,7 +35,7 @@ class StopLedger {
     /// where that value is damaged.
     StopLedger(Turn& turn, Storage& storage, StopCounter& stop_counter, BackEndPort& back_end);
 
-    // -- generations
+    // Generations.
 
     /// All stops up to this one have been handled by the strand.
     std::uint32_t generation() const { return generation_; }
@@ -52,7 +52,7 @@ class StopLedger {
     /// Somebody has rearmed the robot.
     void rearmed();
 
-    // -- the application
+    // The application.
 
     void linkUp();
     /// Call it before the link counts as down: `reason` is kept only where it was up.
@@ -63,7 +63,7 @@ class StopLedger {
     /// Whether the application that is linked now is one that was lost.
     bool cameBack() const { return came_back_; }
 
-    // -- stops
+    // Stops.
 
     /// Raises a stop of the Entity Manager's own and commands it. `voids`: commands that were sent before
     /// count no longer. Its generation.

@@ -191,8 +191,6 @@ TEST_F(Stops, ADrillIsAnsweredWhateverSomebodyElseDrillsMeanwhile) {
     EXPECT_EQ(last("client2").stage(), StopReceipt::CALLBACK_RETURNED);
 }
 
-// -- standstill
-
 TEST_F(Stops, OfARobotThatMovesStandstillIsAnnouncedWhereItsApplicationReportsIt) {
     run("t1");
     rig.stop("client2");
@@ -287,8 +285,6 @@ TEST_F(Stops, AStandstillLongAfterwardsIsNoNewsOfAnOldStop) {
     EXPECT_TRUE(stages("client2").empty());
 }
 
-// -- reset and clear
-
 TEST_F(Stops, AResetAndAClearSayHowManyTasksTheyEndAndRemove) {
     run("t1");
     rig.task("client1", "t2", "Turning");
@@ -308,7 +304,7 @@ TEST_F(Stops, AResetAndAClearSayHowManyTasksTheyEndAndRemove) {
     EXPECT_EQ(last("client1").tasks_ended(), 0U) << "nothing ran";
 }
 
-// -- stops that nobody ordered (ADR 0022)
+// Stops that nobody ordered (ADR 0022).
 
 TEST_F(Stops, TheLossOfTheServerLatchesWhatSomebodyHolds) {
     rig.core().onServerDown("connection closed");

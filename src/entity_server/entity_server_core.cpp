@@ -587,8 +587,6 @@ void EntityServerCore::topicFound() {
     publishAllAgain();
 }
 
-// -- the front-end servers
-
 ServerAnnouncement EntityServerCore::announcement() const {
     return {settings_.name, instance_, {}, 0};
 }
@@ -597,8 +595,6 @@ ServerAnnouncement EntityServerCore::announcement() const {
 void EntityServerCore::frontEndServerUpdate(Lane lane, const ServerAnnouncement& server) {
     if (!alone() && front_ends_.heard(lane, server, clock_.now())) wake_();
 }
-
-// -- the other entity servers
 
 void EntityServerCore::entityServerUpdate(Lane lane, const ServerAnnouncement& server,
                                           const std::vector<std::string>& entities) {
@@ -823,8 +819,6 @@ TimePoint EntityServerCore::onTimer() {
     for (const auto& warning : warnings) note_(warning);
     return drill_.empty() ? next : std::min(next, onDrillTimer());
 }
-
-// -- drills
 
 bool EntityServerCore::isDrill(const Header& head) const {
     return !drill_.empty() && head.sender.id.starts_with(drill_);

@@ -631,8 +631,6 @@ FrontEndCore::RecordRef FrontEndCore::takeOut(const std::string& entity) {
     return record;
 }
 
-// -- the entity servers
-
 ServerAnnouncement FrontEndCore::announcement() const {
     return {settings_.name, instance_, {}, 0};
 }

@@ -75,8 +75,6 @@ TEST(SocketOwner, TakesAnyTextAndAnyAddress) {
     EXPECT_EQ(socketOwner(good.substr(0, good.size() - 1), kFrom, kTo), 1000U);
 }
 
-// ---- the kernel of this machine
-
 /// A connection of this process with itself over loopback; the peer's socket may be one of IPv6 that speaks
 /// IPv4.
 class Connection {

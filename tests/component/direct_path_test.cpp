@@ -453,8 +453,6 @@ TEST_F(DirectPathTest, ThereIsNoneWhereEitherSideHasItSwitchedOff) {
     EXPECT_FALSE(held.direct() || manager_->direct());
 }
 
-// -- strangers
-
 namespace slice = ::Axon::DirectComm;
 
 class Stranger {

@@ -263,8 +263,6 @@ TEST_F(SeveralServers, RefuseWhatIsForNobody) {
     EXPECT_TRUE(waitUntil([&] { return client.log.has("signal stop accepted for 0"); }));
 }
 
-// -- real processes
-
 /// A program with its standard output in a file; killed at the end.
 class Program {
   public:

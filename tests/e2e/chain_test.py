@@ -68,8 +68,6 @@ class ChainTest(unittest.TestCase):
         self.assertEqual(status, 0, f"{lines[-1:]} {errors}")
         self.assertEqual(final(lines).get("state"), "SUCCEEDED")
 
-    # -- the ordinary life --------------------------------------------------------------------------------------
-
     def test_a_robot_appears_is_checked_out_drives_and_is_released(self):
         self.start_all()
         before = self.lab.truth(self.robot)
@@ -126,8 +124,6 @@ class ChainTest(unittest.TestCase):
             status, lines, errors = self.lab.axon(*words)
             self.assertEqual(status, 0, f"{words}: {lines} {errors}")
 
-    # -- whose robot is it --------------------------------------------------------------------------------------
-
     def test_two_robots_of_one_name_and_two_clients_each_gets_its_own(self):
         self.lab.start_server()
         robots = [self.lab.start_robot(name="lab-a"), self.lab.start_robot(name="lab-b")]
@@ -160,8 +156,6 @@ class ChainTest(unittest.TestCase):
         self.assertGreater(abs(self.lab.truth(moving[0])["speed_m_s"]), 0.1, "the first still drives")
         self.assertLess(abs(self.lab.truth(other)["speed_m_s"]), 0.05)
         drive.kill()
-
-    # -- what dies in mid-drive stops the robot -----------------------------------------------------------------
 
     def test_client_killed_in_mid_drive(self):
         self.start_all()
@@ -262,8 +256,6 @@ class ChainTest(unittest.TestCase):
         status, lines, errors = self.lab.axon("run", "PeopleBot", "Turning", "Angle=20")
         self.assertEqual(status, 0, f"{lines[-1:]} {errors}")
         self.lab.axon("release", "PeopleBot")
-
-    # -- wrong use ----------------------------------------------------------------------------------------------
 
     def test_wrong_words_are_refused_with_the_mend(self):
         self.start_all()

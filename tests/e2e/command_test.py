@@ -67,8 +67,6 @@ class CommandTest(unittest.TestCase):
         self.does("wait", "--for", "10", status=None)
         wait_until(lambda: self.entity()["state"] == "REG", "it stands idle after the test")
 
-    # -- what tests say -----------------------------------------------------------------------------------------
-
     def does(self, *words, status=0):
         """The lines of `axon words…`; fails on another exit status (None: any)."""
         code, lines, errors = self.lab.axon(*words)
@@ -93,8 +91,6 @@ class CommandTest(unittest.TestCase):
     def tasks(self):
         """{id: what `axon tasks` tells of it}."""
         return {task["id"]: task for task in self.last("tasks", "tasks")["tasks"]}
-
-    # -- claims -------------------------------------------------------------------------------------------------
 
     def test_a_task_that_is_refused_is_not_detached(self):
         detached = ("run", "Workbench", "Work", "--detach")

@@ -155,8 +155,6 @@ class CollaborationTest(unittest.TestCase):
             return next((line for line in lines if line.get("event") == "run_record"), None)
         return wait_until(found, f"a record that says {state}")
 
-    # -- the ordinary life --------------------------------------------------------------------------------------
-
     def test_a_profile_that_lies_there_before_the_server_is_offered_from_the_first_request_on(self):
         shutil.copy(self.folder / "globalservices" / "delivery.xml", self.lab.services_folder)
         self.lab.start_server()
@@ -250,8 +248,6 @@ class CollaborationTest(unittest.TestCase):
         self.assertIn("NOT_PAUSABLE", str(lines) + errors)
         self.assertEqual(self.ended(client).get("state"), "SUCCEEDED", client.text()[-500:])
 
-    # -- before anything moves ----------------------------------------------------------------------------------
-
     def test_a_check_names_everything_that_is_in_the_way_and_nothing_moves(self):
         self.start_all()
         self.serve("Wrong", step(SHUTTLE, "shuttle_fly", 1)
@@ -285,8 +281,6 @@ class CollaborationTest(unittest.TestCase):
         self.assertEqual(status, 1)
         self.assertIn("ALREADY_HELD", str(lines) + errors)
         self.assertEqual(self.driven(), 0)
-
-    # -- what fails ---------------------------------------------------------------------------------------------
 
     def fails(self, on_failure, *words):
         """A run in which the arm, a second after the shuttle has begun to drive, finds the anvil too heavy."""
@@ -337,8 +331,6 @@ class CollaborationTest(unittest.TestCase):
         self.assertEqual((steps["shuttle_park"]["state"], steps["arm_fold"]["state"]), ("SUCCEEDED", "SUCCEEDED"), run)
         self.assertEqual(steps["shuttle_park"]["results"]["Cell"], ["1,1"])
         self.assert_nobody_moves()
-
-    # -- who stops, and who dies --------------------------------------------------------------------------------
 
     def test_a_stop_of_one_stops_all(self):
         self.start_all()

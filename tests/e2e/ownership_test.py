@@ -148,8 +148,6 @@ class OwnershipTest(unittest.TestCase):
             if entity["latched"]:
                 self.boss.axon("rearm", name)
 
-    # -- what tests say -----------------------------------------------------------------------------------------
-
     def does(self, person, *words):
         status, lines, errors = person.axon(*words)
         self.assertEqual(status, 0, f"{person.name}: axon {' '.join(words)}: {lines} {errors}")
@@ -188,8 +186,6 @@ class OwnershipTest(unittest.TestCase):
         run = person.in_background("run", name, "Wait", "Seconds=100")
         wait_until(lambda: self.status()[name]["state"] == "BUSY", f"{name} is busy")
         return run
-
-    # -- one holder ---------------------------------------------------------------------------------------------
 
     def test_a_second_check_out_is_refused_and_the_holder_named(self):
         self.does(self.client1, "checkout", "left")
@@ -233,8 +229,6 @@ class OwnershipTest(unittest.TestCase):
         taken = self.does(self.client1, "checkout", "--query", "1 MACHINE with Greet")[-1]
         self.assertEqual([entity["name"] for entity in taken["entities"]], ["right"])
 
-    # -- asking for it, and taking it ---------------------------------------------------------------------------
-
     def answer(self, *words):
         """The question takes a moment to the holder."""
         wait_until(lambda: self.client1.axon("handover", "left", *words)[0] == 0, "the holder was asked")
@@ -276,8 +270,6 @@ class OwnershipTest(unittest.TestCase):
         self.assertIn("the battery is low", end["reason"]["message"])
         self.assertTrue(end["reason"]["holder"].startswith("boss@"), end)
 
-    # -- who may what -------------------------------------------------------------------------------------------
-
     def test_an_observer_sees_and_stops_everything_and_has_nothing(self):
         run = self.starts_task(self.client1, "left")
         before = self.stops("left")
@@ -299,8 +291,6 @@ class OwnershipTest(unittest.TestCase):
         status, lines, errors = self.lab.axon("ls", env=stranger)
         self.assertNotEqual(status, 0)
         self.assertFalse([line for line in lines if "entities" in line], "nobody is told what there is")
-
-    # -- who is lost --------------------------------------------------------------------------------------------
 
     def test_an_agent_that_is_killed_leaves_it_stopped_latched_and_free_after_the_grace(self):
         self.starts_task(self.client1, "left")
@@ -336,8 +326,6 @@ class OwnershipTest(unittest.TestCase):
         self.is_latched(self.client1, "left")
         self.does(self.client1, "rearm", "left")
         self.does(self.client1, "run", "left", "Wait", "Seconds=0.05")
-
-    # -- the direct path ----------------------------------------------------------------------------------------
 
     def is_direct(self, person, name):
         return [line["entity"]["direct"] for line in self.does(person, "info", name) if line["event"] == "entity"][-1]
@@ -380,8 +368,6 @@ class OwnershipTest(unittest.TestCase):
         self.does(self.client2, "checkout", "left", "--no-direct")
         self.greets(self.client2, "left")
         self.assertFalse(self.is_direct(self.client2, "left"))
-
-    # -- drill --------------------------------------------------------------------------------------------------
 
     def test_a_drill_measures_and_stops_nothing(self):
         self.starts_task(self.client1, "left")

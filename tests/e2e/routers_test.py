@@ -155,8 +155,6 @@ Axon.Ports={self.lab.ports}
     def assert_latched(self):
         wait_until(lambda: [e for e in self.lab.entities() if e["latched"]], "the entity is latched")
 
-    # -- the ordinary life --------------------------------------------------------------------------------------
-
     def test_list_check_out_run_stop_and_release_through_two_routers(self):
         self.start_all()
         status, lines, errors = self.lab.axon("checkout", "Greeter")
@@ -185,8 +183,6 @@ Axon.Ports={self.lab.ports}
         client = self.start_waiting()
         stays(lambda: client.child.poll() is None and self.lab.entities()[0]["state"] == "BUSY", "the task runs on", 12)
         self.assertNotIn("connections", self.server.text())
-
-    # -- who is not let in --------------------------------------------------------------------------------------
 
     def test_who_is_not_let_in_is_told_what_to_do(self):
         self.start_server()
@@ -321,8 +317,6 @@ IceSSL.VerifyPeer=2
         wait_until(lambda: "the entity 'Other's" in other.text(), "it is told that the name is another's")
         wait_until(lambda: "registration refused" in self.server.text(), "the server's log has it")
         self.assertEqual(self.lab.entities(), [])
-
-    # -- what dies in the middle --------------------------------------------------------------------------------
 
     def test_a_killed_client_and_a_frozen_one_are_lost_within_the_watchdog(self):
         self.start_all()

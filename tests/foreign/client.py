@@ -142,8 +142,6 @@ class Client:
         for communicator in self.communicators:
             communicator.destroy()
 
-    # -- sending and waiting
-
     def head(self, entity, msg_type, lane="data"):
         """The sender is left empty: the server fills it in. The lease and the newest stop generation are needed by commands."""
         with self.news:
@@ -188,8 +186,6 @@ class Client:
                         return entity
                 self.news.wait(0.1)
         raise TimeoutError(f"no entity {name} that is ready")
-
-    # -- what `axon checkout`, `run`, `watch`, `stop`, `rearm`, `reset`, `clear`, `release` do
 
     def checkout(self, entity, **more):
         request = lease_pb2.CheckOutRequest(request_id=uuid.uuid4().bytes, phase=more.pop("phase", lease_pb2.TAKE), **more)

@@ -97,8 +97,6 @@ class PythonClientTest(unittest.TestCase):
         client.send(entity, "STATUS", {"status_request": request})
         return client.answer("status", entity, request_id=request.request_id)
 
-    # -- what the command does ----------------------------------------------------------------------------------
-
     def test_it_joins_by_two_lanes_lists_checks_out_runs_and_releases(self):
         client, entity = self.holder()
         self.assertEqual(client.facts.watchdogBusyMs, 250)
@@ -220,7 +218,7 @@ class PythonClientTest(unittest.TestCase):
             quoted = [line.strip() for line in block.splitlines()]
             self.assertTrue(any(code_of[at:at + len(quoted)] == quoted for at in range(len(code_of))), block)
 
-    # -- what a command must show: lease, generation, latch ------------------------------------------------------
+    # What a command must show: lease, generation, latch.
 
     def refusal_of_task(self, client, entity, **header):
         head = client.head(entity, "TASK")
@@ -298,8 +296,6 @@ class PythonClientTest(unittest.TestCase):
         holder.send(entity, "PARAM", {"set_param": step}, head)
         self.assertEqual(code(holder.answer("reply", entity, request_id=request_id).refusal), "OLD_GENERATION")
         self.rearm(holder, entity)
-
-    # -- what cannot be understood -------------------------------------------------------------------------------
 
     def test_a_payload_that_cannot_be_read_is_answered_and_arguments_are_ignored(self):
         holder, entity = self.holder()
@@ -380,8 +376,6 @@ class PythonClientTest(unittest.TestCase):
         lane, _, (number, _) = client.wait(lambda _, its, message: isinstance(message, tuple))
         self.assertEqual((lane, refusal_pb2.RefusalCode.Name(number)), ("signal", "UNKNOWN_ENTITY"))
         self.assertEqual(client.wait(lambda _, its, message: isinstance(message, int))[2], 0)
-
-    # -- drills, numbers, beats ----------------------------------------------------------------------------------
 
     def test_a_drill_measures_the_way_and_calls_nobody(self):
         holder, entity = self.holder()
@@ -483,8 +477,6 @@ class PythonClientTest(unittest.TestCase):
         wait_until(lambda: len(self.stops()) > before, "the robot is stopped")
         self.assertIn("client is lost", self.stops()[-1])
 
-    # -- the direct path -----------------------------------------------------------------------------------------
-
     def test_the_proof_of_the_page_is_the_one_that_it_describes(self):
         page = (ROOT / "docs/reference/direct.md").read_text()
         client, path, nonce = (uuid.UUID(f"{n * 8}-{n * 4}-4{n * 3}-8{n * 3}-{n * 12}").bytes for n in "123")
@@ -528,8 +520,6 @@ class PythonClientTest(unittest.TestCase):
         self.rearm(client, entity)
         self.assert_alive(client, entity)
         self.assertEqual(client.leases[entity], grant.lease)
-
-    # -- limits, and what remains --------------------------------------------------------------------------------
 
     def test_names_are_cut_and_reservations_end_with_their_client(self):
         first = self.client(name="é" * 200)

@@ -82,8 +82,6 @@ class HostileTest(unittest.TestCase):
     def state(self, client, entity):
         return client.statuses[entity].state
 
-    # -- who may say what -----------------------------------------------------------------------------------------
-
     def rows_of_rights(self):
         """docs/reference/rights.md, which is made from the table that the programs go by."""
         page = (ROOT / "docs/reference/rights.md").read_text()
@@ -281,8 +279,6 @@ class HostileTest(unittest.TestCase):
                 else:
                     wait_until(lambda: "nobody is connected and not ready" in self.lab.server.text(), "it is let in", 15)
 
-    # -- what it may cost -----------------------------------------------------------------------------------------
-
     def test_lists_of_stops_hold_nobody_up(self):
         holder, entity = self.holder()
         self.run_task(holder, entity)
@@ -377,8 +373,6 @@ class HostileTest(unittest.TestCase):
         self.assertEqual(codes, {"MALFORMED"})
         self.assertLess(self.lab.server.mib(), before + 100, "MiB; all of them together have 234")
 
-    # -- what outlives who caused it -------------------------------------------------------------------------------
-
     def test_who_waited_and_left_is_granted_nothing(self):
         holder, entity = self.holder()
         ghost = self.client("bob")
@@ -413,8 +407,6 @@ class HostileTest(unittest.TestCase):
         wait_until(lambda: other.statuses[entity].state == State.BUSY, "it runs again")
         stop(7, first.stop_generation)  # receipts of another generation: it is another stop
         wait_until(lambda: holder.statuses[entity].latched, "the robot is stopped")
-
-    # -- state ----------------------------------------------------------------------------------------------------
 
     def manager_on(self, state):
         return subprocess.run([self.lab.bin / "axon-entity-manager", "--server", self.lab.at["entity"], "--state", state,

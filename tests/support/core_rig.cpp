@@ -72,9 +72,6 @@ proto::Param paramOf(const std::string& text) {
     return param;
 }
 
-// -- stores
-// ---------------------------------------------------------------------------------------------------------
-
 std::optional<std::string> MemoryStorage::load(std::string_view key) {
     const auto at = values.find(key);
     return at == values.end() ? std::nullopt : std::optional(at->second);
@@ -201,9 +198,6 @@ entity_manager::Later<std::vector<std::string>> MemoryResources::absent(std::vec
         return files;
     });
 }
-
-// -- the rig
-// --------------------------------------------------------------------------------------------------------
 
 CoreRig::CoreRig(std::uint64_t seed, entity_manager::EntityManagerCoreSettings settings)
     : settings_(std::move(settings)), random_(seed) {
@@ -425,9 +419,6 @@ void CoreRig::advance(Duration by, bool server_beats) {
 std::vector<std::string> CoreRig::takeLines() {
     return std::exchange(lines_, {});
 }
-
-// -- effects
-// --------------------------------------------------------------------------------------------------------
 
 namespace {
 

@@ -63,9 +63,6 @@ Fleet::Fleet(std::size_t robots, std::uint64_t seed, const std::vector<Duration>
     }
 }
 
-// -- the robots
-// ----------------------------------------------------------------------------------------------------------
-
 void Fleet::serve(std::size_t robot, const proto::EmToEi& message) {
     auto& self = robots_[robot];
     const auto find = [&](const std::string& id) {
@@ -139,9 +136,6 @@ void Fleet::halt(std::size_t robot) {
     }
 }
 
-// -- time and the network
-// ----------------------------------------------------------------------------------------------------------
-
 void Fleet::deliver() {
     bool more = true;
     while (more) {
@@ -204,9 +198,6 @@ void Fleet::advance(Duration by) {
         deliver();
     }
 }
-
-// -- the client
-// ----------------------------------------------------------------------------------------------------------
 
 proto::CollaborationRequest Fleet::request(const proto::GlobalService& service, std::size_t master,
                                            const std::string& run) {

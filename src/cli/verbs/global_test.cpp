@@ -91,8 +91,6 @@ struct Global : testing::Test {
 
 }  // namespace
 
-// ---- run
-
 TEST_F(Global, RunSaysWhoPlaysChecksOutFollowsAndReleases) {
     EXPECT_EQ(perform("run", {{"name", "fetch_ball"}}), kDone);
     EXPECT_THAT(station->journalNow(), ElementsAre("checkOut", "run", "release", "release"));
@@ -259,8 +257,6 @@ TEST_F(Global, WhoOnlyNeedsARearmIsNamed) {
     EXPECT_EQ(seen.last("error")->at("mend"), "axon rearm Cyton, when it is safe to move again");
 }
 
-// ---- check
-
 TEST_F(Global, CheckPrintsEveryProblemWithItsMend) {
     station->run_script = {[](RunReport& report) {
         report.state = RunState::Refused;
@@ -285,8 +281,6 @@ TEST_F(Global, ACheckThatPassesIsDone) {
     EXPECT_EQ(perform("check", {{"name", "Fetch ball"}}), kDone);
     EXPECT_THAT(shown(), HasSubstr("✓ Fetch ball would go: everybody agrees"));
 }
-
-// ---- stop
 
 TEST_F(Global, StopStopsThoseWhoTakePartAndNobodyElse) {
     EXPECT_EQ(perform("stop", Json::object()), kNotConfirmed) << "nobody works together";
@@ -354,8 +348,6 @@ TEST_F(Global, StopFindsARunOfSomebodyElseByItsNameOrId) {
     EXPECT_TRUE(station->stopped.empty());
 }
 
-// ---- what there is
-
 TEST_F(Global, LsShowsServicesAndFindings) {
     EXPECT_EQ(perform("ls", Json::object()), kDone);
     const auto text = shown();
@@ -390,8 +382,6 @@ TEST_F(Global, InfoShowsStepsByTheirOrderAndWhatIsInTheWay) {
     EXPECT_THAT(text, Not(HasSubstr("is ROBOT/MOBILE"))) << "the wrong kind is no news";
     EXPECT_THAT(text, HasSubstr("✗ nobody offers grab\n"));
 }
-
-// ---- what was
 
 TEST_F(Global, HistoryIsATableAndOneRunItsSteps) {
     RunRecord record;
@@ -430,8 +420,6 @@ TEST_F(Global, HistoryIsATableAndOneRunItsSteps) {
     EXPECT_THAT(text,
                 HasSubstr("1      approach  PeopleBot  drive    failed  500 ms  12.0 s  Distance = 1000\n"));
 }
-
-// ---- the picture of a run
 
 TEST_F(Global, LinesWhereNothingCanBeRedrawn) {
     EXPECT_EQ(perform("run", {{"name", "Fetch ball"}}), kDone);
@@ -499,8 +487,6 @@ TEST_F(Global, MoreStepsThanLinesShowWhatIsUnderWay) {
     EXPECT_THAT(text, HasSubstr("… and 40 done, 6 to come"));
     EXPECT_THAT(text, Not(HasSubstr("\x1b[24F"))) << "never more lines than there are";
 }
-
-// ---- the command line
 
 TEST(GlobalCommandLine, TwoWordsAreOneVerb) {
     const auto nothing = [](const char*) -> const char* { return nullptr; };
