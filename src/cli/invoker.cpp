@@ -307,11 +307,11 @@ int Invoker::perform(const Verb& verb, Json args, Events& events) {
             return exitOf(refusal);
         }
         default:
-            return direct(verb, std::move(args), events);
+            return withoutAgent(verb, std::move(args), events);
     }
 }
 
-int Invoker::direct(const Verb& verb, Json args, Events& events) {
+int Invoker::withoutAgent(const Verb& verb, Json args, Events& events) {
     needPassword();
     auto settings = settings_;
     // A stop of everything needs no list of the entities, which may be slow to come.

@@ -37,7 +37,8 @@ class Invoker {
     unsigned interrupts() const { return interrupts_; }
 
   private:
-    int direct(const Verb& verb, Json args, Events& events);
+    /// Over a connection of its own.
+    int withoutAgent(const Verb& verb, Json args, Events& events);
     int start(const Verb& verb, const Json& args, Events& events);
     void onInterrupt(std::function<void(int)> what);
     /// Whether there were interrupts that nobody has taken yet.

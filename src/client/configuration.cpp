@@ -24,7 +24,7 @@ Result<Options> readConfiguration(const std::filesystem::path& file, Options opt
         return refuse(
             RefusalCode::Malformed,
             "Ice.Default.Router and Axon.Server are both there; expected one of them: the way to the servers "
-            "is either through a router or direct");
+            "is either through a router or without one");
     struct stat facts {};
     if (values.contains("Axon.Password") && ::stat(file.c_str(), &facts) == 0 && (facts.st_mode & 077U) != 0)
         return refuse(RefusalCode::PermissionDenied,

@@ -17,8 +17,9 @@ bool contains(const std::vector<std::string>& list, std::string_view one) {
 
 }  // namespace
 
-Watchdog Neighbours::watchdogOf(bool direct, bool busy, TimePoint now) const {
-    Watchdog watchdog(direct ? timeouts_.busy : timeouts_.met, direct ? timeouts_.idle : timeouts_.met, now);
+Watchdog Neighbours::watchdogOf(bool straight, bool busy, TimePoint now) const {
+    Watchdog watchdog(straight ? timeouts_.busy : timeouts_.met, straight ? timeouts_.idle : timeouts_.met,
+                      now);
     watchdog.setBusy(busy, now);
     return watchdog;
 }
@@ -45,7 +46,7 @@ bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePo
             if (its->replaced.size() > kReplacedKept) its->replaced.erase(its->replaced.begin());
             its->restarted = its->restarted || its->alive;  // else it is lost already
         }
-        its->direct = false;
+        its->straight = false;
         its->alive = true;
         its->watchdog = watchdogOf(false, its->watchdog.busy(), now);
         its->arrived = news = true;
@@ -55,12 +56,12 @@ bool Neighbours::heard(Lane lane, const ServerAnnouncement& announcement, TimePo
     its->reached = true;
     its->reachable_until = now + kReach;
     known = announcement;
-    if (lane == Lane::Signal && !its->direct) {
-        its->direct = true;
+    if (lane == Lane::Signal && !its->straight) {
+        its->straight = true;
         its->watchdog = watchdogOf(true, its->watchdog.busy(), now);
         news = true;  // its watchdog is shorter than was said
     }
-    if (lane == Lane::Signal || !its->direct) {
+    if (lane == Lane::Signal || !its->straight) {
         its->watchdog.feed(now);
         if (!its->alive) its->alive = its->arrived = news = true;
     }
@@ -127,7 +128,7 @@ bool Neighbours::lost(std::string_view server) const {
 bool Neighbours::hears(std::string_view server, Duration within, TimePoint now) const {
     const std::lock_guard lock(mutex_);
     const auto found = all_.find(server);
-    if (found == all_.end() || !found->second.alive || !found->second.direct) return false;
+    if (found == all_.end() || !found->second.alive || !found->second.straight) return false;
     const auto& watchdog = found->second.watchdog;
     return watchdog.deadline() - watchdog.timeout() + within >= now;
 }

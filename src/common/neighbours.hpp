@@ -27,8 +27,8 @@ enum class Via : std::uint8_t { Topic, Straight };
 ///      └── silent ──► lost ── heard ──► met        another instance: lost and met at once
 ///
 /// Before it was heard directly once, its announcements by the topic count as signs of life; from then on
-/// only direct ones do, because that is the way of the signals. An instance that was replaced is never taken
-/// for the present one, however late its announcements come.
+/// only what comes directly does, because that is the way of the signals. An instance that was replaced is
+/// never taken for the present one, however late its announcements come.
 ///
 /// Threads: any; a mutex of its own, held for a look into a map of at most `kMost`. It is I/O-free.
 class Neighbours {
@@ -78,12 +78,12 @@ class Neighbours {
         Watchdog watchdog;
         TimePoint reachable_until;
         bool reached = false;
-        bool direct = false;
+        bool straight = false;
         bool alive = true;
         bool arrived = false;
         bool restarted = false;
     };
-    Watchdog watchdogOf(bool direct, bool busy, TimePoint now) const;
+    Watchdog watchdogOf(bool straight, bool busy, TimePoint now) const;
     Neighbour* findOrAdd(std::string_view server, TimePoint now);
 
     const Timeouts timeouts_;

@@ -16,13 +16,13 @@ class NeighboursTest : public testing::Test {
     bool topic(const std::string& instance = "one", const std::string& name = "fe1") {
         return neighbours.heard(Lane::Data, {name, instance, "signals of " + instance, 0}, clock.now());
     }
-    bool direct(const std::string& instance = "one", const std::string& name = "fe1") {
+    bool straight(const std::string& instance = "one", const std::string& name = "fe1") {
         return neighbours.heard(Lane::Signal, {name, instance, "signals of " + instance, 0}, clock.now());
     }
     Neighbours::News news() { return neighbours.news(clock.now()); }
     /// Heard directly every 50 ms for so long.
     void live(Duration time) {
-        for (const auto end = clock.now() + time; clock.now() < end; clock.advance(50ms)) direct();
+        for (const auto end = clock.now() + time; clock.now() < end; clock.advance(50ms)) straight();
     }
 
     ManualClock clock;
@@ -44,7 +44,7 @@ TEST_F(NeighboursTest, OneThatIsHeardArrivesAndIsReached) {
 
 TEST_F(NeighboursTest, SilenceOnTheDirectWayIsALossWithinTheWatchdogThoughTheTopicGoesOn) {
     topic();
-    direct();
+    straight();
     neighbours.setBusy("fe1", true, clock.now());
     news();
     live(1s);
@@ -59,13 +59,13 @@ TEST_F(NeighboursTest, SilenceOnTheDirectWayIsALossWithinTheWatchdogThoughTheTop
     EXPECT_THAT(news().lost, IsEmpty()) << "once";
     topic();
     EXPECT_THAT(news().arrived, IsEmpty()) << "signals do not get through";
-    direct();
+    straight();
     EXPECT_THAT(news().arrived, ElementsAre("fe1"));
     EXPECT_TRUE(neighbours.serves("fe1:one:uuid"));
 }
 
 TEST_F(NeighboursTest, AnIdleOneHasLonger) {
-    direct();
+    straight();
     clock.advance(1900ms);
     EXPECT_THAT(news().lost, IsEmpty());
     clock.advance(100ms);
@@ -73,7 +73,7 @@ TEST_F(NeighboursTest, AnIdleOneHasLonger) {
 }
 
 TEST_F(NeighboursTest, AnotherInstanceIsALossOfTheOneBeforeAndNeverTheOtherWayRound) {
-    direct("one");
+    straight("one");
     news();
     EXPECT_TRUE(topic("two"));
     const auto changed = news();
@@ -87,7 +87,7 @@ TEST_F(NeighboursTest, AnotherInstanceIsALossOfTheOneBeforeAndNeverTheOtherWayRo
 }
 
 TEST_F(NeighboursTest, OneThatWasLostAndComesBackAsAnotherInstanceIsNotLostTwice) {
-    direct("one");
+    straight("one");
     news();
     clock.advance(2s);
     EXPECT_THAT(news().lost, ElementsAre("fe1"));
@@ -98,7 +98,7 @@ TEST_F(NeighboursTest, OneThatWasLostAndComesBackAsAnotherInstanceIsNotLostTwice
 }
 
 TEST_F(NeighboursTest, AClientOfAnInstanceThatNobodyHasHeardOfYetIsServed) {
-    direct("one");
+    straight("one");
     news();
     clock.advance(5s);
     news();

@@ -242,7 +242,7 @@ DaemonOptions readDaemonOptions(int argc, const char* const* argv) {
         throw std::runtime_error(
             config +
             ": Ice.Default.Router and Axon.Server are both there; expected one of them: the way "
-            "to the entity server is either through a router or direct");
+            "to the entity server is either through a router or without one");
     if (server.empty()) options.server.router = chosen("", kRouter, "");
     const auto at = chosen(server, "Axon.Server", "127.0.0.1:10412");
     try {
