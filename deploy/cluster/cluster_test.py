@@ -6,6 +6,7 @@ import importlib.util
 import io
 import os
 import pathlib
+import re
 import signal
 import socket
 import struct
@@ -303,6 +304,10 @@ class Probe(unittest.TestCase):
         at = self.answer(self.message(probe.VALIDATE), self.message(probe.VALIDATE) + self.reply(probe.OK))
         probe.ping(*at, "IceStorm/TopicManager")
         self.assertIn(b"\x0cTopicManager\x08IceStorm\x00\x08ice_ping", self.asked[0])
+
+    def test_it_speaks_the_edition_of_the_contracts(self):
+        contract = (HERE.parents[1] / "api/slice/axon/commutil.ice").read_text(encoding="utf-8")
+        self.assertEqual(re.search(r"const int ContractNumber = (\d+);", contract)[1], probe.CONTRACT)
 
     def test_who_listens_to_a_topic_is_told(self):
         at = self.answer(self.message(probe.VALIDATE), self.reply(

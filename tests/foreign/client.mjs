@@ -121,7 +121,7 @@ let generation = 0;
 const numbers = { data: 0, signal: 0 };
 const head = (entity, msgType, lane = "data") =>
     new CommUtil.Header(new CommUtil.Sender("", "", CommUtil.Role.Observer), entity, msgType, held, generation, ++numbers[lane],
-        performance.now() * 1000, new Uint8Array());
+        performance.now() * 1000);
 const send = (entity, msgType, body) => data.session.sendToEntity(head(entity, msgType), ToEntity.encode(ToEntity.fromObject(body)).finish());
 const sameBytes = (a) => (b) => Buffer.compare(Buffer.from(a), Buffer.from(b)) === 0;
 

