@@ -397,8 +397,6 @@ void EntityManagerStation::newHeartbeat(std::uint64_t attempt) {
     if (hears(attempt)) life_->core.onServerHeartbeat();
 }
 
-// By the direct path: what DirectDoor and EntityManager do.
-
 void EntityManagerStation::challenge(Connection& connection, Lane port, std::weak_ptr<DirectCaller> caller) {
     auto& challenges = life_->challenges;
     std::erase_if(challenges, [&](const auto& one) { return one.first == &connection; });

@@ -328,9 +328,9 @@ class Style(TreeCase):
         self.write("src/b.hpp", GPL + "int  b();\n")
         code, said, _ = self.check("format")
         self.assertEqual((code, said.splitlines()[0]), (1, "src/b.hpp: not formatted by .clang-format"))
-        code, _, failed = self.check("tidy")
-        self.assertEqual(code, 2)
-        self.assertIn("\nfix: ", failed)
+        code, said, _ = self.check("tidy")
+        self.assertEqual(code, 0)
+        self.assertIn("clang-tidy is left out", said)
 
     def test_clang_tidy_judges_changed_lines_only(self):
         self.write("src/a.cpp", self.FORMATTED + "int* something() { return 0; }\n")
@@ -356,6 +356,9 @@ class Style(TreeCase):
         self.assertEqual(code, 1)
         self.assertIn("src/a.cpp:5: ", said)
         self.git("branch", "--quiet", "--unset-upstream")
+        code, said, _ = self.check("tidy")
+        self.assertEqual(code, 1, "without an upstream branch, what differs from main")
+        self.git("branch", "--quiet", "--force", "main", "HEAD")
         self.assertEqual(self.check("tidy"), (0, "", ""))
 
     def test_what_clang_tidy_cannot_read_is_no_success(self):

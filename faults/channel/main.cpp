@@ -91,13 +91,11 @@ int measure(const ChannelSettings& settings, std::uint64_t seed, const Workload&
 int main(int argc, char** argv) {
     CLI::App app{
         "A lossy radio link between two network namespaces that the run makes for itself (root, or a user "
-        "who may have "
-        "user namespaces).\n\n"
+        "who may have user namespaces).\n\n"
         "  axon-channel --loss 2.2 --delay 2 run --left 'iperf3 -s' --right 'iperf3 -c $AXON_CHANNEL_THERE'\n"
         "  axon-channel --loss 10 --outage 60 --outage-every 1000 measure\n\n"
         "Exit status: of the right side's command; measure: 1 when a stop never arrived; 2 wrongly called; "
-        "77 when this\n"
-        "machine does not permit namespaces or TUN devices."};
+        "77 when this\nmachine does not permit namespaces or TUN devices."};
     double loss = 0, bad_loss = 100, to_bad = 0, to_good = 0, outage = 0, every = 0, delay = 0, jitter = 0,
            rate = 0;
     std::uint64_t seed = 1;

@@ -19,7 +19,8 @@ namespace axon::client {
 /// Both follow even when the use throws, because what the core gave to send before that counts (a stop above
 /// all). Where in the flow: between the calls of users and connections on one side, and a core on the other.
 /// Threads: any; one at a time is inside. A use must not begin another one of the same owner. depart() may:
-/// it holds nothing.
+/// it holds nothing. Failure: an exception in depart() ends the program, and the watchdogs of its peers stop
+/// what it holds.
 template <class Owner>
 class Departure {
   public:

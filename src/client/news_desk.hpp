@@ -29,7 +29,7 @@ namespace axon::client {
 /// where even that is not enough, `overflow` is called.
 class NewsDesk final : public SessionObserver {
   public:
-    /// `ways`: for what a lease offers besides messages, which is not for the program. `overflow`: the
+    /// `offers`: for what a lease offers besides messages, which is not for the program. `overflow`: the
     /// program does not return from its callbacks; called on any thread, under the core's lock or not.
     NewsDesk(LeaseOffers& offers, std::function<void()> overflow)
         : offers_(offers), overflow_(std::move(overflow)) {}

@@ -264,7 +264,8 @@ Result<std::shared_ptr<const ServerConnection>> ServerConnection::open(
 void ServerConnection::send(Operation operation, const Header& head, std::string bytes) const {
     if (operation == Operation::Reset) return sendResetSignal(head);
     if (operation == Operation::Clear) return sendClearSignal(head);
-    const auto way = [ oneway = data_.oneway, paced = data_.paced ](const SendCallbacks& callbacks) -> auto& {
+    const auto proxy =
+        [ oneway = data_.oneway, paced = data_.paced ](const SendCallbacks& callbacks) -> auto& {
         return callbacks.answered ? *paced : *oneway;
     };
     const auto size = bytes.size() + kHeaderBytes;
@@ -272,7 +273,7 @@ void ServerConnection::send(Operation operation, const Header& head, std::string
     data_.outbox->post(
         trafficOf(operation), size,
         [&](SendCallbacks&& callbacks) {
-            call(way(callbacks), operation, head, bytes, std::move(callbacks));
+            call(proxy(callbacks), operation, head, bytes, std::move(callbacks));
         },
         [&] {
             backlog_->add(size);
@@ -280,7 +281,7 @@ void ServerConnection::send(Operation operation, const Header& head, std::string
                                         [backlog = backlog_, size](void*) { backlog->remove(size); });
             return transport::Outbox::Parcel([way, operation, head, owned = std::move(bytes),
                                               waits = std::move(waits)](SendCallbacks&& callbacks) {
-                call(way(callbacks), operation, head, owned, std::move(callbacks));
+                call(proxy(callbacks), operation, head, owned, std::move(callbacks));
             });
         });
 }

@@ -20,7 +20,7 @@ struct Held {
     auto operator<=>(const Held&) const = default;
 };
 
-/// Ways to an entity besides the servers, as its lease offers them. Called from inside the core.
+/// What a lease offers besides the way by the servers. Called from inside the core.
 class LeaseOffers {
   public:
     virtual ~LeaseOffers() = default;

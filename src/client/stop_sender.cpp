@@ -12,8 +12,6 @@
 
 namespace axon::client {
 
-// How a stop leaves: noted under the lock, collected at its end, sent after it.
-
 void StopSender::sendStopSignal(Lane lane, const Header& head, StopCause cause) {
     noted_.push_back({lane, head, {}, cause});
 }

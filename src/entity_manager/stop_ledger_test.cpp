@@ -91,16 +91,16 @@ TEST_F(StopLedgers, ACommandCountsOnlyIfItsSenderHadSeenTheNewestStop) {
 
 TEST_F(StopLedgers, ANextLifeBeginsAboveEveryGenerationThatWasTold) {
     for (int i = 0; i < 2500; ++i) ledger.order(StopCause::LinkLost, true);
-    StopCounter next_gate;
-    const StopLedger next(turn, storage, next_gate, back_end);
+    StopCounter next_stops;
+    const StopLedger next(turn, storage, next_stops, back_end);
     EXPECT_GT(next.generation(), ledger.generation());
-    EXPECT_EQ(next_gate.generation(), next.generation());
+    EXPECT_EQ(next_stops.generation(), next.generation());
 }
 
 TEST_F(StopLedgers, ADamagedGenerationIsNoReasonToBeginAtZero) {
     storage.save(kGenerationKey, "12x");
-    StopCounter next_gate;
-    EXPECT_THROW(StopLedger(turn, storage, next_gate, back_end), std::runtime_error);
+    StopCounter next_stops;
+    EXPECT_THROW(StopLedger(turn, storage, next_stops, back_end), std::runtime_error);
 }
 
 TEST_F(StopLedgers, OneAnswerConfirmsAllStopsBeforeIt) {

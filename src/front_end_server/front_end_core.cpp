@@ -850,23 +850,16 @@ void FrontEndCore::entityUpdate(EntityStatus status, std::int64_t number, Via vi
     }
 }
 
-/// `send(outbox, share)` returns false where the message was left out. An entity that a client has asked has
-/// its whole queue of the data lane: what that one sends it must read. On the signal lane nobody waits for
-/// the lock of that.
-template <class Send>
-void FrontEndCore::toClientsOf(Lane lane, const Header& head, Send&& send) {
+void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view message) {
     eachOf(lane, head.sender.id, [&](const Client& client, ClientOutbox& outbox) {
+        // An entity that a client has asked has its whole queue of the data lane: what that one sends it must
+        // read. On the signal lane nobody waits for the lock of that.
         const bool whole = lane == Lane::Data && client.knows(head.entity);
-        if (send(outbox, whole ? QueueShare::Whole : QueueShare::OfSender)) return;
+        if (outbox.newEntityMsg(lane, head, message, whole ? QueueShare::Whole : QueueShare::OfSender))
+            return;
         if (doubts_.admit(clock_.now()))
             note_("client " + client.me.name + " reads slowly, and entity " + head.entity +
                   " sends it more than its share of the queue: left out");
-    });
-}
-
-void FrontEndCore::entityMsg(Lane lane, const Header& head, std::string_view message) {
-    toClientsOf(lane, head, [&](ClientOutbox& client, QueueShare share) {
-        return client.newEntityMsg(lane, head, message, share);
     });
 }
 

@@ -158,8 +158,6 @@ class FrontEndCore {
     void eachOf(Lane lane, const std::string& recipient, Send&& send);
     template <class Send>
     void toClients(Lane lane, const std::string& recipient, Send&& send);
-    template <class Send>
-    void toClientsOf(Lane lane, const Header& head, Send&& send);
     bool flooded(const ClientRef& client, std::size_t messages = 1);
     bool drillsTooMuch(const ClientRef& client, const Header& head, std::size_t entities);
     Result<void> mayGoOn(Client& client, const Header& head, std::size_t bytes);

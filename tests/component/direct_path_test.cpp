@@ -40,7 +40,7 @@ class DirectPathTest : public ::testing::Test {
         server_ = std::make_unique<server::Server>(settings);
     }
     /// Clients are told of relays where the Entity Manager listens: first that of data, then that of signals.
-    void startManager(bool offered = true, bool with_gates = true) {
+    void startManager(bool offered = true, bool with_valves = true) {
         const auto at = server_->entityAddress(Lane::Data);
         entity_manager::EntityManagerCoreSettings core = core_;
         core.application = "peoplebot";
@@ -58,7 +58,7 @@ class DirectPathTest : public ::testing::Test {
             clock_, random_, storage_, storage_);
         entity_manager::DirectSettings direct;
         direct.offered = offered;
-        if (with_gates) {
+        if (with_valves) {
             direct.named = [this](const std::string& endpoint) {
                 valves_.push_back(std::make_unique<TcpValve>(endpoint));
                 return valves_.back()->address();

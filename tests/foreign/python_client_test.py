@@ -218,8 +218,6 @@ class PythonClientTest(unittest.TestCase):
             quoted = [line.strip() for line in block.splitlines()]
             self.assertTrue(any(code_of[at:at + len(quoted)] == quoted for at in range(len(code_of))), block)
 
-    # What a command must show: lease, generation, latch.
-
     def refusal_of_task(self, client, entity, **header):
         head = client.head(entity, "TASK")
         for name, value in header.items():

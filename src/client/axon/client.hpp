@@ -184,7 +184,7 @@ class CheckOut {
 /// Threads: every member may be called from any thread. Callbacks run on one thread of the library, in order;
 /// they may call anything except what waits (Task::wait, checkOut, …). Ownership: closing or destroying it
 /// releases what it holds, in an orderly way. Failure: refusals as Result; nothing throws but misuse
-/// (std::logic_error) and the bad_alloc of the system.
+/// (std::logic_error) and std::bad_alloc, which ends the program where it comes while a message leaves.
 class Client {
   public:
     /// UNAVAILABLE, PERMISSION_DENIED, … with the mend in the message when there is no session within the
