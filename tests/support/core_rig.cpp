@@ -361,7 +361,7 @@ void CoreRig::stop(const std::string& client, StopCause cause, std::int64_t sequ
     const auto raised = drill ? stop_counter.drill(head.sender.id, head.sequence)
                               : stop_counter.raise(head.sender.id, head.sequence);
     if (!raised) {
-        note("gate: seen before");
+        note("stop: seen before");
         return;
     }
     stop(*raised, cause);
