@@ -222,7 +222,7 @@ class RawEntity : public RawPeer<Axon::EntityComm::EntityGatePrx, Axon::EntityCo
         }
         void newClientUpdate(Axon::CommUtil::Header head, Axon::CommUtil::ClientChange change,
                              const Ice::Current&) override {
-            const char* text[] = {"lost", "resumed", "ended"};
+            const char* text[] = {"lost", "ended"};
             entity_.log.add(lane_ + " client " + text[static_cast<int>(change)] + " " + head.sender.id);
         }
         void newRefusalMsg(Axon::CommUtil::Header head, int code, std::string, const Ice::Current&) override {
