@@ -279,7 +279,7 @@ void ServerConnection::send(Operation operation, const Header& head, std::string
             backlog_->add(size);
             std::shared_ptr<void> waits(nullptr,
                                         [backlog = backlog_, size](void*) { backlog->remove(size); });
-            return transport::Outbox::Parcel([way, operation, head, owned = std::move(bytes),
+            return transport::Outbox::Parcel([proxy, operation, head, owned = std::move(bytes),
                                               waits = std::move(waits)](SendCallbacks&& callbacks) {
                 call(proxy(callbacks), operation, head, owned, std::move(callbacks));
             });
