@@ -312,7 +312,7 @@ class PythonClientTest(unittest.TestCase):
         holder.oneway("data").ice_invoke("noSuchOperation", Ice.OperationMode.Normal, EMPTY_ENCAPSULATION)
         def stop_arguments(cause):
             """As Ice encodes them: a header with nothing but the entity, and a number for the cause."""
-            content = b"\0\0\0" + bytes([36]) + entity.encode() + b"\0" + struct.pack("<iiidd", 0, 0, 0, 0, 0) + b"\0" + bytes([cause])
+            content = b"\0\0\0" + bytes([36]) + entity.encode() + b"\0" + struct.pack("<iiidd", 0, 0, 0, 0, 0) + bytes([cause])
             return struct.pack("<iBB", len(content) + 6, 1, 1) + content
         holder.oneway("signal").ice_invoke("sendStopSignal", Ice.OperationMode.Normal, stop_arguments(99))
         with self.assertRaises(Ice.UnknownLocalException):
