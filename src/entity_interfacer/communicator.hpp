@@ -146,7 +146,12 @@ class Communicator {
     void onData(const std::shared_ptr<Link>& link, const proto::EmToEi& message);
     /// Of every value that a client gives, by itself or with a task.
     Decision decideParameter(const std::string& service, const Parameter& parameter) const;
-    void onConfiguration(const proto::Configuration& configuration);
+    void onConfiguration(const std::shared_ptr<Link>& link, const proto::Configuration& configuration);
+    /// Whether onConfig has taken the value of this parameter, or why not.
+    void noteTaken(Link& link, const std::string& service, const std::string& parameter,
+                   const std::optional<std::string>& why_not);
+    /// Why no task of this service may begin; nothing: one may.
+    std::optional<std::string> valueNotTaken(const std::string& service);
     void onNotSent(const proto::NotSent& refused);
     void onTask(const std::shared_ptr<Link>& link, const proto::TaskDispatch& dispatch);
     void runTask(const std::shared_ptr<Task::Running>& task, const EntityInterfacer::TaskHandler& handler);
@@ -155,6 +160,9 @@ class Communicator {
     void watchProfiles();
     void reapTasks();
     std::shared_ptr<Task::Running> findTask(const std::string& id_bytes);
+    /// " (what)" of an exception that has left the call; nothing where none has.
+    template <class Call>
+    static std::optional<std::string> thrownBy(Call call);
     /// False when it threw, which is a fault.
     template <class Call>
     bool guarded(const char* what, Call call, const std::function<void()>& last_words = {});
@@ -165,6 +173,9 @@ class Communicator {
     template <class Call>
     void unlessOvertaken(const Link& link, std::uint32_t generation, Call call);
     void logNotes();
+
+    /// What is to be said of a service that is named so: under statements_mutex_.
+    proto::EiToEm activityOf(const std::string& service) const;
 
     std::shared_ptr<Link> currentLink() const;
     void publish(std::shared_ptr<Link> link);
@@ -227,6 +238,7 @@ class Communicator {
 
     // Data thread
     std::deque<std::string> recent_tasks_;
+    bool may_move_ = false;  // something that may move the robot has come by the present link
     std::string last_not_sent_;
     TimePoint tell_not_sent_{};
     TimePoint next_profile_look_{};
@@ -238,9 +250,12 @@ class Communicator {
     std::vector<std::pair<LogLevel, std::string>> notes_;  // guarded by notes_mutex_
 
     std::mutex statements_mutex_;
-    std::array<Profile, 2> profiles_;  // these six guarded by statements_mutex_
+    std::array<Profile, 2> profiles_;  // these seven guarded by statements_mutex_
     std::optional<std::array<double, 3>> position_;
     std::map<std::string, std::pair<bool, std::string>, std::less<>> active_;
+    /// Of the present link: by service and parameter, why onConfig has not taken the value. What the
+    /// application says of such a service counts when it has taken another.
+    std::map<std::pair<std::string, std::string>, std::string> not_taken_;
     std::map<std::string, std::shared_ptr<Stream::Channel>, std::less<>> channels_;
     bool all_streams_ = true;
     std::set<std::string, std::less<>> wanted_streams_;

@@ -22,6 +22,7 @@ constexpr std::size_t kProfileMax = kFrameMax - 4096;
 constexpr std::size_t kTasksMax = 64;
 constexpr std::size_t kRecentMax = 256;
 constexpr std::size_t kStreamsMax = 4096;
+constexpr std::size_t kThrownMax = 1000;  // of what an exception says, in bytes
 constexpr auto kProfileLook = 1s;
 constexpr auto kNotSentAgain = 10s;
 
@@ -67,16 +68,26 @@ void Communicator::setPosition(double x, double y, double z) {
 }
 
 void Communicator::setServiceActive(std::string_view service, bool active, std::string_view reason) {
+    const auto name = validUtf8(service);
+    // Sent in here, so that no statement overtakes a newer one.
+    const std::lock_guard lock(statements_mutex_);
+    active_[name] = {active, validUtf8(reason)};
+    send(activityOf(name), Link::Kind::Control);
+}
+
+proto::EiToEm Communicator::activityOf(const std::string& service) const {
     proto::EiToEm message;
     auto& body = *message.mutable_active();
-    body.set_service(validUtf8(service));
-    body.set_active(active);
-    body.set_reason(validUtf8(reason));
-    {
-        const std::lock_guard lock(statements_mutex_);
-        active_[body.service()] = {active, body.reason()};
+    body.set_service(service);
+    const auto said = active_.find(service);
+    body.set_active(said == active_.end() || said->second.first);
+    if (said != active_.end()) body.set_reason(said->second.second);
+    const auto not_taken = not_taken_.lower_bound({service, {}});
+    if (body.active() && not_taken != not_taken_.end() && not_taken->first.first == service) {
+        body.set_active(false);
+        body.set_reason(not_taken->second);
     }
-    send(message, Link::Kind::Control);
+    return message;
 }
 
 void Communicator::sendTaskFeedback(std::string_view service, std::string_view text) {
@@ -172,16 +183,22 @@ void Communicator::watchProfiles() {
 }
 
 template <class Call>
-bool Communicator::guarded(const char* what, Call call, const std::function<void()>& last_words) {
+std::optional<std::string> Communicator::thrownBy(Call call) {
     try {
         call();
-        return true;
+        return std::nullopt;
     } catch (const std::exception& error) {
-        fault(std::string("an exception left ") + what + " (" + error.what() + ")", last_words);
+        return " (" + std::string(cutUtf8(validUtf8(error.what()), kThrownMax)) + ")";
     } catch (...) {
-        fault(std::string("an exception left ") + what, last_words);
+        return std::string();
     }
-    return false;
+}
+
+template <class Call>
+bool Communicator::guarded(const char* what, Call call, const std::function<void()>& last_words) {
+    const auto thrown = thrownBy(call);
+    if (thrown) fault(std::string("an exception left ") + what + *thrown, last_words);
+    return !thrown;
 }
 
 bool Communicator::overtaken(const Link& link, std::uint32_t generation) const {
@@ -236,6 +253,7 @@ void Communicator::dataThread() {
 }
 
 void Communicator::adoptDataLink(const std::shared_ptr<Link>& link) {
+    may_move_ = false;
     sendProfiles(*link, true);
     {
         const std::lock_guard lock(statements_mutex_);
@@ -247,13 +265,8 @@ void Communicator::adoptDataLink(const std::shared_ptr<Link>& link) {
             message.mutable_position()->set_zpos(position_->at(2));
             link->sendData(message, Link::Kind::Control);
         }
-        for (const auto& [service, state] : active_) {
-            proto::EiToEm message;
-            message.mutable_active()->set_service(service);
-            message.mutable_active()->set_active(state.first);
-            message.mutable_active()->set_reason(state.second);
-            link->sendData(message, Link::Kind::Control);
-        }
+        not_taken_.clear();  // all values are told again
+        for (const auto& [service, state] : active_) link->sendData(activityOf(service), Link::Kind::Control);
         all_streams_ = true;
         wanted_streams_.clear();
         for (const auto& [name, channel] : channels_) channel->wanted = true;
@@ -283,14 +296,48 @@ void Communicator::readData(const std::shared_ptr<Link>& link) {
 }
 
 /// The handler first: what it reads from then on is what the application is told of.
-void Communicator::onConfiguration(const proto::Configuration& configuration) {
+void Communicator::onConfiguration(const std::shared_ptr<Link>& link,
+                                   const proto::Configuration& configuration) {
     const auto task = findTask(configuration.task_id());
     for (const auto& one : configuration.params()) {
         const auto parameter = fromProto(one.param());
         if (task) task->configure(parameter);
-        if (callbacks_.config && !guarded("onConfig", [&] { callbacks_.config(one.service(), parameter); }))
-            return;
+        if (!callbacks_.config) continue;
+        const auto thrown = thrownBy([&] { callbacks_.config(one.service(), parameter); });
+        const auto which = "parameter '" + parameter.name + "'";
+        // The next link tells the value again, before anything can move.
+        if (thrown && may_move_)
+            return fault("an exception left onConfig for " + which + " of '" + one.service() + "'" + *thrown,
+                         {});
+        std::optional<std::string> why_not;
+        if (thrown)
+            why_not =
+                "the value of " + which + " was not taken: onConfig threw" + *thrown + ": set another value";
+        noteTaken(*link, one.service(), parameter.name, why_not);
+        if (thrown) log(LogLevel::Error, "'" + one.service() + "' is switched off: " + *why_not);
     }
+}
+
+void Communicator::noteTaken(Link& link, const std::string& service, const std::string& parameter,
+                             const std::optional<std::string>& why_not) {
+    const std::lock_guard lock(statements_mutex_);
+    if (why_not) {
+        not_taken_[{service, parameter}] = validUtf8(*why_not);
+    } else if (not_taken_.erase({service, parameter}) == 0) {
+        return;
+    }
+    link.sendData(activityOf(service), Link::Kind::Control);
+    if (why_not) return;
+    // The application may have switched it off by another of its names.
+    for (const auto& [name, state] : active_)
+        if (!state.first) link.sendData(activityOf(name), Link::Kind::Control);
+}
+
+std::optional<std::string> Communicator::valueNotTaken(const std::string& service) {
+    const std::lock_guard lock(statements_mutex_);
+    const auto at = not_taken_.lower_bound({service, {}});
+    if (at == not_taken_.end() || at->first.first != service) return std::nullopt;
+    return at->second;
 }
 
 /// A stream of refusals is one line.
@@ -322,6 +369,7 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
                 what, [&] { decision = ask(); }, reply))
             reply();
     };
+    may_move_ = may_move_ || message.has_task() || message.has_raw() || message.has_pause();
     switch (message.body_case()) {
         case proto::EmToEi::kParam:
             if (overtaken(*link, message.param().stop_generation()))
@@ -331,7 +379,7 @@ void Communicator::onData(const std::shared_ptr<Link>& link, const proto::EmToEi
                 return decideParameter(message.param().service(), fromProto(message.param().param()));
             });
         case proto::EmToEi::kConfiguration:
-            return onConfiguration(message.configuration());
+            return onConfiguration(link, message.configuration());
         case proto::EmToEi::kResource:
             return answer(message.resource().request(), "onResource", [&] {
                 const auto& request = message.resource();
@@ -418,6 +466,8 @@ void Communicator::onTask(const std::shared_ptr<Link>& link, const proto::TaskDi
     if (level_.stopped() > task->generation)
         return refuse(RefusalCode::OldGeneration,
                       "a stop has come since this task was requested: request it again");
+    // Its Entity Manager may not have heard of it yet.
+    if (const auto why = valueNotTaken(task->service)) return refuse(RefusalCode::InactiveService, *why);
     const auto own = callbacks_.tasks.find(task->service);
     const auto* handler = own != callbacks_.tasks.end() ? &own->second : &callbacks_.any_task;
     if (!*handler)

@@ -125,6 +125,7 @@ class Manager : public BackEndEvents {
     void onLinkUp() override {
         up_at = Clock::now();
         ups++;
+        if (on_up) on_up();
     }
     void onLinkDown(const std::string& reason, LinkEnd end) override {
         const std::lock_guard lock(mutex_);
@@ -202,7 +203,17 @@ class Manager : public BackEndEvents {
         return false;
     }
 
+    /// What the application has said last of a service: "on", or why it is off; empty: nothing yet.
+    std::string activityOf(const std::string& service) {
+        std::string last;
+        for (const auto& message : messages())
+            if (message.has_active() && message.active().service() == service)
+                last = message.active().active() ? "on" : message.active().reason();
+        return last;
+    }
+
     std::function<void(const proto::EiToEm&)> on_message;  // on the strand; set before anything is sent
+    std::function<void()> on_up;                           // likewise, before the application starts
     StopCounter stop_counter;
     std::atomic<int> ups{0}, downs{0};
     Clock::time_point started_at;
@@ -570,17 +581,79 @@ TEST(Link, ConfigurationIsToldWhileAStopIsObeyedAndDoesNotHoldItUp) {
     EXPECT_TRUE(waitUntil([&] { return told == 2; }));
 }
 
-TEST(Link, AnExceptionThatLeavesOnConfigIsAFaultAndTheLinkComesUpAgain) {
+/// An application that takes a Speed of at most 300, and its Entity Manager, which tells 500 with every link.
+struct ConfigThrows : ::testing::Test {
+    ConfigThrows() {
+        stops.attach(interfacer);
+        interfacer.onConfig([this](const std::string&, const Parameter& p) {
+            told++;
+            if (p.number() > 300) throw std::out_of_range("the drive takes at most 300");
+        });
+        for (const char* service : {"Drive", "Other"})
+            interfacer.onTask(service, [](Task& task) { task.succeed(); });
+        manager.on_up = [this] { manager.sendNow(configuration(500)); };
+        interfacer.start();
+    }
+    bool isOff() { return manager.activityOf("Drive").find("'Speed'") != std::string::npos; }
+    bool isOn() { return manager.activityOf("Drive") == "on"; }
+    bool succeeds(const std::string& service, std::uint32_t generation = 0) {
+        const auto id = manager.dispatch(service, generation);
+        return waitUntil([&] { return manager.finalOf(id).has_value(); }) &&
+               manager.finalOf(id)->state() == proto::TASK_SUCCEEDED;
+    }
+    std::atomic<int> told{0};
     Stops stops;
-    EntityInterfacer interfacer(options("ConfigThrow"));
-    stops.attach(interfacer);
-    interfacer.onConfig([](const std::string&, const Parameter& p) { static_cast<void>(p.text()); });
-    interfacer.start();
-    Manager manager("ConfigThrow");
-    ASSERT_TRUE(waitUntil([&] { return manager.linked() && interfacer.linked(); }));
-    manager.send(configuration(1));
-    EXPECT_TRUE(
-        waitUntil([&] { return stops.count(Cause::Fault) == 1 && manager.ups == 2 && interfacer.linked(); }));
+    EntityInterfacer interfacer{options("ConfigThrow")};
+    Manager manager{"ConfigThrow"};
+};
+
+TEST_F(ConfigThrows, AtLinkUpSwitchTheServiceOffUntilAnotherValueIsTaken) {
+    ASSERT_TRUE(waitUntil([&] { return isOff(); }));
+    EXPECT_EQ(
+        manager.activityOf("Drive"),
+        "the value of parameter 'Speed' was not taken: onConfig threw (the drive takes at most 300): set "
+        "another value");
+    const auto refused = manager.dispatch("Drive", 0);
+    ASSERT_TRUE(waitUntil([&] { return manager.answerOf(refused).has_value(); }));
+    EXPECT_EQ(manager.answerOf(refused), proto::INACTIVE_SERVICE);
+    EXPECT_TRUE(succeeds("Other")) << "the rest of the robot is usable";
+    EXPECT_EQ(manager.ups, 1);
+    EXPECT_EQ(told, 1);
+    EXPECT_TRUE(stops.seen().empty()) << "nothing had moved";
+
+    manager.send(configuration(200));
+    ASSERT_TRUE(waitUntil([&] { return isOn(); }));
+    EXPECT_TRUE(succeeds("Drive"));
+}
+
+TEST_F(ConfigThrows, AfterATaskAreAFaultAndTheNextLinkStays) {
+    ASSERT_TRUE(waitUntil([&] { return isOff(); }));
+    manager.send(configuration(200));
+    ASSERT_TRUE(waitUntil([&] { return isOn(); }));
+    EXPECT_TRUE(succeeds("Drive"));
+    manager.send(configuration(400));
+    ASSERT_TRUE(waitUntil([&] { return stops.count(Cause::Fault) == 1 && manager.ups == 2; }));
+    ASSERT_TRUE(waitUntil([&] { return told == 4 && isOff() && manager.linked(); }))
+        << "by the first link once, by the second with what it tells";
+    EXPECT_NE(manager.downReason().find("onConfig for parameter 'Speed' of 'Drive'"), std::string::npos)
+        << manager.downReason();
+    manager.send(configuration(200));
+    ASSERT_TRUE(waitUntil([&] { return isOn(); }));
+    EXPECT_EQ(manager.ups, 2);
+    EXPECT_EQ(stops.count(Cause::Fault), 1U);
+}
+
+TEST_F(ConfigThrows, LeaveAServiceOffThatTheApplicationHasSwitchedOffItself) {
+    ASSERT_TRUE(waitUntil([&] { return isOff(); }));
+    interfacer.setServiceActive("Drive", true);
+    interfacer.setServiceActive("Other", true);
+    ASSERT_TRUE(waitUntil([&] { return manager.activityOf("Other") == "on"; }));
+    EXPECT_TRUE(isOff()) << "whatever the application says";
+    interfacer.setServiceActive("Drive", false, "no wheels");
+    manager.send(configuration(200));
+    EXPECT_TRUE(waitUntil([&] { return told == 2 && manager.activityOf("Drive") == "no wheels"; }));
+    interfacer.setServiceActive("Drive", true);
+    EXPECT_TRUE(waitUntil([&] { return isOn(); }));
 }
 
 TEST(Link, WhatIsGivenWithATaskIsPutToOnParameterAndAVetoRefusesTheTask) {

@@ -269,6 +269,13 @@ class AXON_EI_API EntityInterfacer {
     /// life of this program perhaps. From then on each one is told when it has been set (and granted, see
     /// onParameter), whether or not a task runs. A stop does not keep it back: it must not move the machine.
     /// A value that has not changed may be told again.
+    ///
+    /// Throw when the value cannot be used; the exception's what() should say why, for a person who reads it.
+    /// Before the first task or raw data of a link, the service that declares the parameter is then off, with
+    /// that reason and whatever setServiceActive() says, until this callback takes a value of the parameter.
+    /// Later a throw is a fault as in every callback (a stop, and the end of the link); the next link tells
+    /// the value again, and the service is off. Deny in onParameter what can be denied there: its client is
+    /// told at once. It is not asked about values that were granted in an earlier life of this program.
     void onConfig(std::function<void(const std::string& service, const Parameter&)> callback);
     /// The file that a client has uploaded, to be looked at: it replaces what was there before only when it
     /// is granted, and then lies somewhere else, where each task's resource() says.
