@@ -7,15 +7,12 @@
 #include <gtest/gtest.h>
 #include <netinet/in.h>
 #include <signal.h>
-#include <spawn.h>
 #include <sys/socket.h>
-#include <sys/wait.h>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <thread>
 
@@ -23,46 +20,16 @@
 #include "lab/lab_server.hpp"
 #include "robots/peoplebot/settings.hpp"
 #include "tests/support/loopback.hpp"
+#include "tests/support/program.hpp"
 #include "tests/support/robot_manager.hpp"
-
-extern char** environ;
 
 namespace axon::robots {
 namespace {
 
 using nlohmann::json;
 using std::chrono::milliseconds;
+using test::Program;
 using test::waitUntil;
-
-/// One program of a robot, ended at the latest with this object.
-class Program {
-  public:
-    explicit Program(const std::vector<std::string>& words) {
-        std::vector<char*> arguments;
-        for (const auto& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
-        arguments.push_back(nullptr);
-        if (::posix_spawn(&pid_, words.front().c_str(), nullptr, nullptr, arguments.data(), environ) != 0)
-            pid_ = 0;
-    }
-    ~Program() {
-        if (pid_ == 0) return;
-        ::kill(pid_, SIGKILL);
-        ::waitpid(pid_, nullptr, 0);
-    }
-    Program(const Program&) = delete;
-    Program& operator=(const Program&) = delete;
-    int pid() const { return pid_; }
-    /// Of the guard: its only child.
-    int guard() const {
-        const auto pid = std::to_string(pid_);
-        int child = 0;
-        std::ifstream("/proc/" + pid + "/task/" + pid + "/children") >> child;
-        return child;
-    }
-
-  private:
-    pid_t pid_ = 0;
-};
 
 /// Ground truth, by the laboratory's control port.
 class Truth {

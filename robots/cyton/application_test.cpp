@@ -11,12 +11,15 @@
 #include <sys/socket.h>
 
 #include <algorithm>
+#include <cmath>
 #include <functional>
 #include <map>
 #include <thread>
 
 #include "lab/ssc32_server.hpp"
+#include "robots/ssc32/protocol.hpp"
 #include "tests/support/loopback.hpp"
+#include "tests/support/program.hpp"
 #include "tests/support/robot_manager.hpp"
 
 namespace axon::cyton {
@@ -30,7 +33,19 @@ using ::testing::HasSubstr;
 /// The virtual controller on a TCP port, in real time.
 class Board {
   public:
-    explicit Board(int port = 0) {
+    /// Just switched on: it tells no pulses before it has been given one. The arm stands upright.
+    static constexpr bool kSwitchedOn = true;
+
+    explicit Board(int port = 0, bool switched_on = false) {
+        if (switched_on) {
+            for (std::size_t i = 0; i < kJoints; ++i) {
+                const auto line =
+                    "#" + std::to_string(i) + "P" + std::to_string(std::lround(pulseOf(kChain[i], 0))) + "\r";
+                for (const char byte : line) receive(static_cast<std::uint8_t>(byte));
+            }
+            board_.step(seconds{10});
+            silent_about_pulses_ = true;
+        }
         listener_ = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
         const int one = 1;
         ::setsockopt(listener_, SOL_SOCKET, SO_REUSEADDR, &one, sizeof one);
@@ -75,6 +90,19 @@ class Board {
     void fallSilent() { silent_ = true; }
 
   private:
+    std::vector<std::uint8_t> receive(std::uint8_t byte) {
+        const auto moves = board_.counters().moves;
+        auto answers = board_.receive({&byte, 1});
+        silent_about_pulses_ = silent_about_pulses_ && board_.counters().moves == moves;
+        const bool end = byte == '\r';
+        if (end && silent_about_pulses_ && line_.starts_with("QP"))
+            std::fill(answers.begin(), answers.end(), std::uint8_t{0});
+        if (end || byte == ssc32::kEscape)
+            line_.clear();
+        else
+            line_ += static_cast<char>(byte);
+        return answers;
+    }
     void run() {
         auto last = std::chrono::steady_clock::now();
         while (!quit_) {
@@ -105,7 +133,10 @@ class Board {
             std::vector<std::uint8_t> answers;
             {
                 const std::lock_guard lock(mutex_);
-                answers = board_.receive(std::span(chunk).first(static_cast<std::size_t>(got)));
+                for (const auto byte : std::span(chunk).first(static_cast<std::size_t>(got))) {
+                    const auto more = receive(byte);
+                    answers.insert(answers.end(), more.begin(), more.end());
+                }
             }
             if (!answers.empty() && !silent_) ::send(client_, answers.data(), answers.size(), MSG_NOSIGNAL);
         }
@@ -115,8 +146,10 @@ class Board {
     int client_ = -1;
     int port_ = 0;
     std::mutex mutex_;
-    lab::Ssc32Server board_;  // these two guarded by mutex_
+    lab::Ssc32Server board_;  // these four guarded by mutex_
     TimePoint changed_{};
+    std::string line_;
+    bool silent_about_pulses_ = false;
     std::atomic<bool> quit_ = false;
     std::atomic<bool> silent_ = false;
     std::thread thread_;
@@ -344,6 +377,53 @@ TEST_F(CytonApplication, ReachDemoTurnsJointsToTheirEndsAndCanBeStopped) {
     manager_->stop();
     EXPECT_TRUE(standsWithin(seconds{1}));
     expectEnd(task, proto::TASK_STOPPED);
+}
+
+/// While the arm goes home for the first time, one single move of 5 s that the controller finishes by itself.
+struct Homing {
+    const char* name;
+    int signal;
+    const char* guard_ms;
+
+    friend void PrintTo(const Homing& homing, std::ostream* out) { *out << homing.name; }
+};
+
+class CytonFirstHoming : public ::testing::TestWithParam<Homing> {
+  protected:
+    /// 0 upright to 1 at home.
+    double way() { return board_.targets()[0] / kHome[0]; }
+    /// Strikes the application under way; how far the arm was when it came to rest.
+    double strike() {
+        const auto name = std::string("cyton-homing-") + GetParam().name + std::to_string(::getpid());
+        test::RobotManager manager(name);  // ends after the program, whose frozen end it might wait for
+        const test::Program program({AXON_CYTON, "--arm",
+                                     test::loopbackAddress() + ":" + std::to_string(board_.port()),
+                                     "--application", name, "--ports", ports_.path(), "--profiles",
+                                     "robots/cyton", "--guard", GetParam().guard_ms});
+        if (!waitUntil([&] { return manager.active("Control"); }, seconds{20})) return -1;
+        EXPECT_NEAR(way(), 0, 0.02) << "connecting moves nothing";
+        manager.dispatch("Control", {{"Wrist Yaw", 10}});
+        EXPECT_TRUE(waitUntil([&] { return way() > 0.05; }, seconds{20}));
+        EXPECT_EQ(::kill(program.pid(), GetParam().signal), 0);
+        EXPECT_TRUE(waitUntil([&] { return board_.restsSince() > milliseconds{500}; }, seconds{20}));
+        return way();
+    }
+
+    Board board_{0, Board::kSwitchedOn};
+    const TemporaryFile ports_{"Axon.Ports = 5500-8000\nAxon.Address = " + test::loopbackAddress() + "\n"};
+};
+
+INSTANTIATE_TEST_SUITE_P(Each, CytonFirstHoming,
+                         ::testing::Values(Homing{"Frozen", SIGSTOP, "200"}, Homing{"Killed", SIGKILL, "200"},
+                                           Homing{"FrozenUnguarded", SIGSTOP, "0"}),
+                         [](const auto& homing) { return std::string(homing.param.name); });
+
+TEST_P(CytonFirstHoming, IsEndedByTheGuardAndByNothingElse) {
+    const double rest = strike();
+    if (GetParam().guard_ms == std::string("0"))
+        EXPECT_NEAR(rest, 1, 0.02) << "the controller finishes the move";
+    else
+        EXPECT_THAT(rest, ::testing::AllOf(::testing::Gt(0.05), ::testing::Lt(0.5)));
 }
 
 }  // namespace
