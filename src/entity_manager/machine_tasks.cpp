@@ -698,7 +698,7 @@ Refusal EntityManagerCore::Machine::keepParameter(const Question& question) {
             return {RefusalCode::ClientLost,
                     "The client was lost before the robot application had answered.",
                     {}};
-        if (auto refusal = saved_.mayKeep(record.name(), question.param); !refusal.ok()) return refusal;
+        if (auto refusal = saved_.mayKeepConfig(record.name(), question.param); !refusal.ok()) return refusal;
         if (auto refusal = leavesRoom(question.service, question.param); !refusal.ok()) return refusal;
     }
     profiler_.storeParam(question.service, question.param);

@@ -38,7 +38,7 @@ SavedValues::SavedValues(Storage& storage) : storage_(storage) {
         return;
     }
     for (auto& one : *all.mutable_params())
-        values_[{one.service(), one.param().name()}].Swap(one.mutable_param());
+        values_[{one.service(), one.param().name()}].param.Swap(one.mutable_param());
 }
 
 void SavedValues::set(const std::string& service, const proto::CtrlParam& meta, const proto::Param& param) {
@@ -46,35 +46,36 @@ void SavedValues::set(const std::string& service, const proto::CtrlParam& meta, 
     findings_.erase(name);
     if (!meta.savable()) return;
     auto& value = values_[name];
-    value = param;
-    value.set_name(meta.name());
-    value.set_units(meta.units());  // a profile with other units must not take the number for its own
+    value = {param, meta.type() == proto::CONFIG};
+    value.param.set_name(meta.name());
+    value.param.set_units(meta.units());  // a profile with other units must not take the number for its own
     keep();
 }
 
-Refusal SavedValues::mayKeep(const std::string& service, const proto::Param& param) const {
-    auto bytes = service.size() + param.ByteSizeLong();
+Refusal SavedValues::mayKeepConfig(const std::string& service, const proto::Param& param) const {
+    auto bytes = bytesOf(service, param);
     for (const auto& [name, value] : values_)
-        if (name != Name{service, param.name()})
-            bytes += name.first.size() + value.ByteSizeLong() + kOverhead;
-    if (bytes + kOverhead <= kBytesMax) return {};
-    return {RefusalCode::TooLarge,
-            "All saved values of the entity together have at most 1 MiB, and with this one they would have " +
-                std::to_string(bytes) + " bytes. Set a shorter one, or upload a file as a resource.",
-            {}};
+        if (value.config && name != Name{service, param.name()}) bytes += bytesOf(name.first, value.param);
+    if (bytes <= kBytesMax) return {};
+    return {
+        RefusalCode::TooLarge,
+        "All CONFIG values of the entity together have at most 1 MiB, and with this one they would have " +
+            std::to_string(bytes) + " bytes. Set a shorter one, or upload a file as a resource.",
+        {}};
 }
 
 std::string SavedValues::restore(ServiceProfiler& profiler) {
     std::string dropped;
     for (auto at = values_.begin(); at != values_.end();) {
-        const auto refusal = profiler.restoreParam(at->first.first, at->second);
+        const auto& [service, param] = at->first;
+        const auto refusal = profiler.restoreParam(service, at->second.param);
         if (refusal.ok()) {
+            at->second.config = profiler.isConfig(profiler.find(service).value(), param);
             ++at;
             continue;
         }
-        const auto& [service, param] = at->first;
-        auto message = "the saved value " + shown(at->second) + " of parameter " + inQuotes(param) + " of " +
-                       inQuotes(service) + " was dropped: " + refusal.message;
+        auto message = "the saved value " + shown(at->second.param) + " of parameter " + inQuotes(param) +
+                       " of " + inQuotes(service) + " was dropped: " + refusal.message;
         dropped += (dropped.empty() ? "" : "; ") + message;
         find(at->first, std::move(message),
              refusal.code == RefusalCode::UnknownService || refusal.code == RefusalCode::UnknownParameter
@@ -83,7 +84,7 @@ std::string SavedValues::restore(ServiceProfiler& profiler) {
                  : "set it again with axon set");
         at = values_.erase(at);
     }
-    if (!dropped.empty()) keep();
+    if (!dropped.empty() || !all_kept_) keep();  // which have room may be others now
     return dropped;
 }
 
@@ -93,25 +94,33 @@ std::vector<proto::EntityFinding> SavedValues::findings() const {
     return all;
 }
 
+std::size_t SavedValues::bytesOf(const std::string& service, const proto::Param& param) {
+    return service.size() + param.ByteSizeLong() + kOverhead;
+}
+
 void SavedValues::keep() {
     proto::ServiceParams all;
     std::size_t bytes = 0;
-    for (const auto& [name, value] : values_) {
-        proto::ServiceParam one;
-        one.set_service(name.first);
-        *one.mutable_param() = value;
-        const auto size = one.ByteSizeLong();
-        if (bytes + size > kBytesMax) {
-            find(
-                name,
-                "the value of parameter " + inQuotes(name.second) + " of " + inQuotes(name.first) +
-                    " is lost when the Entity Manager restarts: all saved values together have at most 1 MiB",
-                "upload a file as a resource instead of a long value");
-            continue;
+    all_kept_ = true;
+    for (const bool config : {true, false})
+        for (const auto& [name, value] : values_) {
+            if (value.config != config) continue;
+            const auto size = bytesOf(name.first, value.param);
+            if (bytes + size > kBytesMax) {
+                all_kept_ = false;
+                find(name,
+                     "the value of parameter " + inQuotes(name.second) + " of " + inQuotes(name.first) +
+                         " is lost when the Entity Manager restarts: all saved values together have at most "
+                         "1 MiB, and CONFIG values come first",
+                     "upload a file as a resource instead of a long value");
+                continue;
+            }
+            bytes += size;
+            findings_.erase(name);
+            auto& one = *all.add_params();
+            one.set_service(name.first);
+            *one.mutable_param() = value.param;
         }
-        bytes += size;
-        all.add_params()->Swap(&one);
-    }
     storage_.keep(kKey, all.SerializeAsString());
 }
 

@@ -582,7 +582,8 @@ struct ConfigParameters : SavableValues {
     ConfigParameters() {
         declare(R"(<Param name="Route" type="CONFIG" data_type="STR" multiple="true" required="true"/>)"
                 R"(<Param name="Notes" type="CONFIG" data_type="STR" multiple="true" savable="false"/>)"
-                R"(<Param name="Words" type="INPUT" data_type="STR" multiple="true"/>)");
+                R"(<Param name="Words" type="INPUT" data_type="STR" multiple="true"/>)"
+                R"(<Param name="Remarks" type="INPUT" data_type="STR" multiple="true" savable="true"/>)");
     }
     /// As the parameters of the service Light, which is the profile's only one then.
     void declare(const std::string& params) {
@@ -701,6 +702,47 @@ TEST_F(ConfigParameters, AreRefusedWhereTheyCouldNotBeKept) {
     int params = 0;
     for (const auto& one : told()) params += one.params_size();
     EXPECT_EQ(params, 2);
+}
+
+TEST_F(ConfigParameters, TakeTheRoomOfSavedINPUTsWhichAreSaidNotToBeKept) {
+    /// Texts that are there in the next life.
+    const auto restarted = [&](const std::string& name) {
+        const std::string profile =
+            R"(<ServiceProfile><Service name="Light" type="SMPL" blocking="false"><Parameters>)"
+            R"(<Param name="Route" type="CONFIG" data_type="STR" multiple="true"/>)"
+            R"(<Param name="Remarks" type="INPUT" data_type="STR" multiple="true" savable="true"/>)"
+            "</Parameters></Service></ServiceProfile>";
+        rig.restart();
+        rig.linkUp();
+        rig.upload(false, test::kRigBasicProfile);
+        rig.upload(true, profile);
+        rig.core().onServerUp();
+        rig.take("client1", "next");
+        rig.rearm("client1", "again");
+        const auto now = status();
+        for (const auto& param : now.services(0).params())
+            if (param.name() == name) return param.initial_size();
+        return -1;
+    };
+    EXPECT_EQ(setLong("Remarks", 10), proto::OK);
+    EXPECT_EQ(status().findings_size(), 0);
+    EXPECT_EQ(setLong("Route", 10), proto::OK);
+    const auto told = status();
+    ASSERT_EQ(told.findings_size(), 1);
+    EXPECT_NE(told.findings(0).message().find("the value of parameter \"Remarks\" of \"Light\" is lost"),
+              std::string::npos)
+        << told.findings(0).message();
+    EXPECT_EQ(setLong("Notes", 6), proto::TOO_LARGE) << "CONFIG values have the room among themselves";
+
+    EXPECT_EQ(setLong("Route", 5), proto::OK);
+    EXPECT_EQ(status().findings_size(), 0) << "there is room again";
+    EXPECT_EQ(restarted("Remarks"), 10);
+    EXPECT_EQ(setLong("Route", 12), proto::OK) << "also of those that an earlier life has saved";
+    EXPECT_EQ(restarted("Route"), 12);
+    EXPECT_EQ(restarted("Remarks"), 0);
+    EXPECT_EQ(setLong("Remarks", 10), proto::OK) << "it counts for as long as this process lives";
+    EXPECT_EQ(status().findings_size(), 1);
+    EXPECT_EQ(restarted("Route"), 12);
 }
 
 TEST_F(ConfigParameters, AreRefusedWhereATaskThatWaitsCouldNotBeSentWithThem) {
