@@ -373,7 +373,7 @@ class EntityManagerCore::Machine final : private Turn {
     /// A new value of a CONFIG parameter, to the application and to all that has been accepted.
     void reconfigure(int service, const proto::Param& param);
     Refusal leavesRoom(int service, const proto::Param& param) const;
-    std::size_t dispatchBytes(const ServiceProfiler::Plan& plan) const;
+    std::size_t dispatchBytes(const ServiceProfiler::Plan& plan, std::size_t from) const;
     void conclude(const Question& question, const Refusal& refusal);
     void abandonRequests(const Refusal& reason);
     void suspendUploads(const Refusal& reason);

@@ -71,6 +71,8 @@ bool EntityManagerCore::Machine::goOn(std::size_t at, proto::TaskEvent& event) {
     event.set_task_id(active.task.id.bytes());
     event.set_service(active.task.service);
     if (event.feedback().empty()) event.set_feedback(partText(active) + ": done");
+    // It has been sent; later ones that a CONFIG value makes larger would take memory beside it.
+    active.task.plan.parts[active.part].params.clear();
     ++active.part;
     active.sent.reset();
     active.answered = false;

@@ -26,15 +26,22 @@ constexpr double kLongestNotAfter_s = 1e6;
 /// Some bytes are left for a stop generation that grows while a task waits.
 constexpr std::size_t kMessageMax = kFrameMax - 64;
 
-proto::EmToEi dispatchOf(const ServiceProfiler::Order& part, const std::string& service, const Id128& id,
-                         std::uint32_t generation) {
+/// All but its parameters.
+proto::EmToEi headOf(const ServiceProfiler::Order& part, const std::string& service, const Id128& id,
+                     std::uint32_t generation) {
     proto::EmToEi message;
     auto& order = *message.mutable_task();
     order.set_task_id(id.bytes());
     order.set_service(service);
     order.set_stop_generation(generation);
-    for (const auto& [param, level] : part.params) *order.add_params() = param;
     for (const auto& resource : part.resources) *order.add_resources() = resource;
+    return message;
+}
+
+proto::EmToEi dispatchOf(const ServiceProfiler::Order& part, const std::string& service, const Id128& id,
+                         std::uint32_t generation) {
+    auto message = headOf(part, service, id, generation);
+    for (const auto& [param, level] : part.params) *message.mutable_task()->add_params() = param;
     return message;
 }
 
@@ -102,7 +109,7 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
             (AXON_PLANTED(ExpiryByTheSendersClock) ? TimePoint{std::chrono::microseconds{sent_at_us}}
                                                    : clock_.now()) +
             std::chrono::duration_cast<Duration>(std::chrono::duration<double>(request.not_after_s()));
-    if (const auto refusal = checkSize(dispatchBytes(task.plan)); !refusal.ok()) return refusal;
+    if (const auto refusal = checkSize(dispatchBytes(task.plan, 0)); !refusal.ok()) return refusal;
     memory_.accept(task.id);
     queue_.push(std::move(task));
     dispatchNext();
@@ -115,14 +122,21 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
     return {};
 }
 
-/// Of all parts: a composite takes no more memory than another task.
-std::size_t EntityManagerCore::Machine::dispatchBytes(const ServiceProfiler::Plan& plan) const {
-    std::size_t bytes = 0;
-    for (const auto& part : plan.parts) {
-        auto message = dispatchOf(part, profiler_.record(part.service).name(), {}, stops_.generation());
-        if (&part == &plan.parts.front()) addGiven(message, plan, profiler_);
-        bytes += message.ByteSizeLong();
+/// Of all parts from this one on: a composite takes no more memory than another task. A few bytes more than
+/// they really have, so that nothing needs to be copied.
+std::size_t EntityManagerCore::Machine::dispatchBytes(const ServiceProfiler::Plan& plan,
+                                                      std::size_t from) const {
+    constexpr auto kHead = ServiceProfiler::kFieldHead;
+    auto bytes = ServiceProfiler::bytesOf(plan, from);
+    for (auto part = from; part < plan.parts.size(); ++part) {
+        const auto& order = plan.parts[part];
+        bytes +=
+            kHead +
+            headOf(order, profiler_.record(order.service).name(), {}, stops_.generation()).ByteSizeLong();
     }
+    if (from > 0) return bytes;
+    for (const auto& [service, param] : plan.given)
+        bytes += 2 * kHead + profiler_.record(service).name().size();
     return bytes;
 }
 
@@ -710,15 +724,14 @@ Refusal EntityManagerCore::Machine::keepParameter(const Question& question) {
 
 /// What has been accepted can still be sent with it.
 Refusal EntityManagerCore::Machine::leavesRoom(int service, const proto::Param& param) const {
-    const auto fits = [&](const ServiceProfiler::Plan& plan) {
-        std::size_t parts = 0;
-        for (const auto& part : plan.parts)
-            if (std::find(part.way.begin(), part.way.end(), service) != part.way.end()) ++parts;
-        return parts == 0 || checkSize(dispatchBytes(plan) + (parts + 1) * param.ByteSizeLong()).ok();
+    const auto fits = [&](const ServiceProfiler::Plan& plan, std::size_t from) {
+        const auto more = profiler_.growth(plan, from, service, param);
+        return more <= 0 || checkSize(dispatchBytes(plan, from) + static_cast<std::size_t>(more)).ok();
     };
     bool all = true;
-    for (const auto& task : queue_.waiting()) all = all && fits(task.plan);
-    for (const auto& active : active_) all = all && (active.lastPart() || fits(active.task.plan));
+    for (const auto& task : queue_.waiting()) all = all && fits(task.plan, 0);
+    for (const auto& active : active_)
+        all = all && fits(active.task.plan, active.part + (active.sent ? 1 : 0));
     if (all) return {};
     return {RefusalCode::TooLarge,
             "A task that has been accepted would become larger with it than the robot application takes at "

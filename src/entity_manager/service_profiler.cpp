@@ -14,6 +14,10 @@ std::size_t place(int position) {
     return static_cast<std::size_t>(position);
 }
 
+std::size_t messageBytes(const proto::Param& param) {
+    return ServiceProfiler::kFieldHead + param.ByteSizeLong();
+}
+
 /// What an application has said, at the end of a sentence of ours.
 std::string asSentence(std::string text) {
     if (!text.ends_with('.') && !text.ends_with('!')) text += '.';
@@ -279,24 +283,26 @@ std::vector<proto::ServiceParam> ServiceProfiler::configuration() const {
     return all;
 }
 
+std::optional<ServiceProfiler::Slot> ServiceProfiler::slotOf(const Order& order, int service,
+                                                             const std::string& param) const {
+    const auto at = std::find(order.way.begin(), order.way.end(), service);
+    if (at == order.way.end() || !isConfig(order.service, param)) return std::nullopt;
+    const auto level = static_cast<std::size_t>(at - order.way.begin());
+    const auto has = std::find_if(order.params.begin(), order.params.end(),
+                                  [&](const auto& one) { return one.param.name() == param; });
+    if (has != order.params.end() && has->level < level) return std::nullopt;
+    return Slot{static_cast<std::size_t>(has - order.params.begin()), level};
+}
+
 bool ServiceProfiler::reconfigure(Plan& plan, std::size_t from, int service,
                                   const proto::Param& param) const {
     bool taken = false;
     for (auto part = from; part < plan.parts.size(); ++part) {
         auto& order = plan.parts[part];
-        const auto at = std::find(order.way.begin(), order.way.end(), service);
-        if (at == order.way.end() || !isConfig(order.service, param.name())) continue;
-        const auto level = static_cast<std::size_t>(at - order.way.begin());
-        auto has = std::find_if(order.params.begin(), order.params.end(),
-                                [&](const auto& one) { return one.param.name() == param.name(); });
-        if (has == order.params.end()) {
-            has = order.params.insert(has, {param, level});
-        } else if (has->level < level) {
-            continue;
-        } else {
-            *has->param.mutable_values() = param.values();
-            has->level = level;
-        }
+        const auto slot = slotOf(order, service, param.name());
+        if (!slot) continue;
+        if (slot->at == order.params.size()) order.params.emplace_back();
+        order.params[slot->at] = {param, slot->level};
         taken = taken || part == from;
     }
     // Of what was given with the task the application is asked when it begins.
@@ -304,6 +310,34 @@ bool ServiceProfiler::reconfigure(Plan& plan, std::size_t from, int service,
         if (whose == service && given.name() == param.name() && given.values_size() > 0)
             *given.mutable_values() = param.values();
     return taken;
+}
+
+std::size_t ServiceProfiler::bytesOf(const Plan& plan, std::size_t from) {
+    std::size_t bytes = 0;
+    for (auto part = from; part < plan.parts.size(); ++part)
+        for (const auto& [param, level] : plan.parts[part].params) bytes += messageBytes(param);
+    if (from > 0) return bytes;
+    for (const auto& [service, param] : plan.given) bytes += messageBytes(param);
+    return bytes;
+}
+
+std::ptrdiff_t ServiceProfiler::growth(const Plan& plan, std::size_t from, int service,
+                                       const proto::Param& param) const {
+    const auto bytes = static_cast<std::ptrdiff_t>(messageBytes(param));
+    std::ptrdiff_t more = 0;
+    for (auto part = from; part < plan.parts.size(); ++part) {
+        const auto& order = plan.parts[part];
+        const auto slot = slotOf(order, service, param.name());
+        if (!slot) continue;
+        more += bytes;
+        if (slot->at < order.params.size())
+            more -= static_cast<std::ptrdiff_t>(messageBytes(order.params[slot->at].param));
+    }
+    if (from > 0) return more;
+    for (const auto& [whose, given] : plan.given)
+        if (whose == service && given.name() == param.name() && given.values_size() > 0)
+            more += bytes - static_cast<std::ptrdiff_t>(messageBytes(given));
+    return more;
 }
 
 Refusal ServiceProfiler::restoreParam(const std::string& service, const proto::Param& param) {

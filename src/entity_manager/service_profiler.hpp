@@ -3,6 +3,7 @@
 #include <axon/profile.pb.h>
 #include <axon/status.pb.h>
 
+#include <cstddef>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -95,6 +96,13 @@ class ServiceProfiler {
     /// value where theirs is a CONFIG too and no composite further out has one for it. True when that part
     /// itself has taken it.
     bool reconfigure(Plan& plan, std::size_t from, int service, const proto::Param& param) const;
+    /// Of a field in a message, at most: its tag, and its length where that is less than 2 MiB.
+    static constexpr std::size_t kFieldHead = 4;
+    /// Bytes that the parameters take in the messages of the parts from this one on, with the first part
+    /// those given with the task too: a few more than they really do.
+    static std::size_t bytesOf(const Plan& plan, std::size_t from);
+    /// By how many of these bytes the plan grows (or shrinks) with reconfigure().
+    std::ptrdiff_t growth(const Plan& plan, std::size_t from, int service, const proto::Param& param) const;
 
     /// A value of a savable parameter that was set before this profile was loaded: set again, or why this
     /// profile does not admit it. UNKNOWN_SERVICE, UNKNOWN_PARAMETER, and what checkParam() says.
@@ -166,6 +174,14 @@ class ServiceProfiler {
         Composites::View of;  ///< whose own parameter it is
         proto::Param param;
     };
+
+    /// Where a part has the value of a CONFIG parameter of the service, or (behind the last) is to have it,
+    /// and whose it is then; nothing: it does not take it.
+    struct Slot {
+        std::size_t at = 0;
+        std::size_t level = 0;
+    };
+    std::optional<Slot> slotOf(const Order& order, int service, const std::string& param) const;
 
     void judge(int service, int resource, const ResourcePlace& place);
     void showParts(int service);

@@ -598,18 +598,19 @@ struct ConfigParameters : SavableValues {
         return param;
     }
     /// Asks for it; what the application grants it with.
-    proto::EiToEm ask(const std::string& name, int texts) {
+    proto::EiToEm ask(const proto::Param& param) {
         proto::ToEntity message;
         message.mutable_set_param()->set_request_id(idOf("p"));
         message.mutable_set_param()->set_service("Light");
-        *message.mutable_set_param()->mutable_param() = longValue(name, texts);
+        *message.mutable_set_param()->mutable_param() = param;
         rig.send("client1", message);
         proto::EiToEm granted;
         granted.mutable_answer()->set_request(rig.to_application.back().param().request());
         return granted;
     }
-    proto::RefusalCode setLong(const std::string& name, int texts) {
-        rig.fromApplication(ask(name, texts));
+    proto::RefusalCode setLong(const std::string& name, int texts) { return setLong(longValue(name, texts)); }
+    proto::RefusalCode setLong(const proto::Param& param) {
+        rig.fromApplication(ask(param));
         for (auto at = rig.to_clients.rbegin(); at != rig.to_clients.rend(); ++at)
             if (at->message.has_reply()) return at->message.reply().refusal().code();
         return proto::INTERNAL;
@@ -653,7 +654,7 @@ TEST_F(ConfigParameters, AreToldBeforeAnyTaskWithTheUnitsOfTheProfileOthersAreNo
 }
 
 TEST_F(ConfigParameters, ThatWereAskedForBeforeAStopReachNoTaskAfterIt) {
-    const auto granted = ask("Notes", 1);
+    const auto granted = ask(longValue("Notes", 1));
     rig.stop("client1");
     rig.stopDone(rig.core().status().stop_generation);
     rig.rearm("client1", "a");
@@ -757,6 +758,81 @@ TEST_F(ConfigParameters, AreRefusedWhereATaskThatWaitsCouldNotBeSentWithThem) {
     EXPECT_EQ(rig.to_application.back().task().params(0).values_size(), 3);
     rig.grant("t2");
     EXPECT_EQ(setLong("Route", 8), proto::OK) << "a running one is not sent again";
+}
+
+TEST_F(ConfigParameters, AreTakenUpToTheLastByteThatATaskThatWaitsHasRoomFor) {
+    EXPECT_EQ(setLong("Route", 6), proto::OK);
+    EXPECT_EQ(taskWith("t1", longValue("Words", 8)), "TASK_DISPATCHED");
+    rig.grant("t1");
+    EXPECT_EQ(taskWith("t2", longValue("Words", 8)), "TASK_QUEUED");
+    EXPECT_EQ(setLong("Route", 7), proto::OK) << "in the place of the 6";
+
+    auto route = longValue("Route", 8);
+    const auto setLast = [&](std::size_t bytes) {
+        route.mutable_values(7)->set_str(std::string(bytes, 'x'));
+        return setLong(route);
+    };
+    std::size_t taken = 0;
+    std::size_t refused = 65536;
+    while (refused - taken > 1) {
+        const auto between = (taken + refused) / 2;
+        (setLast(between) == proto::OK ? taken : refused) = between;
+    }
+    ASSERT_EQ(setLast(taken), proto::OK);
+    const auto task = longValue("Words", 8);
+    EXPECT_EQ(taskWith("t3", task), "TASK_QUEUED") << "what is set is also admitted";
+    EXPECT_EQ(setLast(refused), proto::TOO_LARGE);
+
+    rig.update("t1", proto::TASK_SUCCEEDED);
+    ASSERT_EQ(dispatches(rig, "t2"), 1);
+    const auto sent = rig.to_application.back().ByteSizeLong();
+    EXPECT_LE(sent, rig.frame_max - 64);
+    EXPECT_GE(sent, rig.frame_max - 64 - 32);
+}
+
+TEST_F(ConfigParameters, AreTakenWhateverTheirLengthByTasksThatHaveNoUseForThem) {
+    const std::string route = R"(<Param name="Route" type="CONFIG" data_type="STR" multiple="true"/>)";
+    const std::string words = R"(<Param name="Words" type="INPUT" data_type="STR" multiple="true"/>)";
+    relink(
+        R"(<ServiceProfile><Service name="Light" type="SMPL" blocking="false"><Parameters>)" + route + words +
+        R"(</Parameters></Service><Service name="Tour" type="CMPLX" blocking="false"><Parameters>)" + route +
+        R"(</Parameters><Services><ServiceRef name="Light"/></Services></Service></ServiceProfile>)");
+    rig.setParam("client1", "p", "Tour", "Route=a");
+    answer();
+    const auto tour = [&](const std::string& id) {
+        proto::ToEntity message;
+        message.mutable_task()->set_task_id(idOf(id));
+        message.mutable_task()->set_service("Tour");
+        *message.mutable_task()->add_params() = longValue("Light.Words", 7);
+        rig.send("client1", message);
+        return proto::TaskState_Name(lastOf(rig, id).state());
+    };
+    EXPECT_EQ(tour("t1"), "TASK_DISPATCHED");
+    EXPECT_EQ(tour("t2"), "TASK_QUEUED");
+    EXPECT_EQ(setLong("Route", 12), proto::OK) << "the value of the composite counts for its part";
+}
+
+TEST_F(ConfigParameters, AreRefusedWhereTheLastPartOfACompositeCouldNotBeginWithThem) {
+    relink(
+        R"(<ServiceProfile><Service name="Light" type="SMPL" blocking="false" pausable="true"><Parameters>)"
+        R"(<Param name="Route" type="CONFIG" data_type="STR" multiple="true"/>)"
+        R"(<Param name="Words" type="INPUT" data_type="STR" multiple="true"/>)"
+        R"(</Parameters></Service><Service name="Tour" type="CMPLX" blocking="false" pausable="true">)"
+        R"(<Services><ServiceRef name="Light"/><ServiceRef name="Light"/></Services></Service>)"
+        "</ServiceProfile>");
+    EXPECT_EQ(setLong("Words", 6), proto::OK);
+    rig.task("client1", "t1", "Tour");
+    rig.grant("part1");
+    proto::ToEntity pause;
+    pause.mutable_task_control()->set_task_id(idOf("t1"));
+    pause.mutable_task_control()->set_action(proto::PAUSE);
+    rig.send("client1", pause);
+    rig.update("part1", proto::TASK_SUCCEEDED);  // before it could pause, so that the second waits
+    EXPECT_EQ(setLong("Route", 10), proto::TOO_LARGE);
+    EXPECT_EQ(setLong("Route", 9), proto::OK) << "the first part is not sent again";
+    pause.mutable_task_control()->set_action(proto::RESUME);
+    rig.send("client1", pause);
+    EXPECT_EQ(rig.to_application.back().task().params(1).values_size(), 9);
 }
 
 struct Urls : SavableValues {
