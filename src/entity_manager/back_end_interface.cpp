@@ -355,10 +355,13 @@ class BackEndInterface::Connections : public std::enable_shared_from_this<Connec
             });
     }
 
-    /// Once per handshake: it leaves the set, whatever the answer.
+    /// Once per handshake: it leaves the set, whatever the answer. Without one its connection ends, which
+    /// otherwise would live as long as what waits to be read from it.
     void answered(const std::shared_ptr<Handshake>& handshake, const proto::Welcome* welcome) {
         if (handshakes_.erase(handshake) == 0) return;
         handshake->deadline.cancel();
+        asio::error_code ignored;
+        if (welcome == nullptr) handshake->socket.close(ignored);
         const auto done = std::exchange(handshake->done, nullptr);
         if (!closed_) done(handshake, welcome);
     }

@@ -293,6 +293,7 @@ class RawSocket {
         ::setsockopt(fd_, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
         return ::bind(fd_, reinterpret_cast<const sockaddr*>(&a), sizeof a) == 0 && ::listen(fd_, 16) == 0;
     }
+    RawSocket accept() { return RawSocket(::accept(fd_, nullptr, nullptr)); }
     void write(const std::string& bytes) { (void)::send(fd_, bytes.data(), bytes.size(), MSG_NOSIGNAL); }
     void write(const proto::EmToEi& message) {
         std::string frame;
@@ -1759,6 +1760,16 @@ TEST(Link, ForeignAndSilentListenersInTheRangeArePassedOver) {
     EXPECT_EQ(interfacer.port(), 5502);
     Manager manager("Third");
     EXPECT_TRUE(waitUntil([&] { return manager.linked(); }, 2s * kSlow));
+}
+
+TEST(Link, AListenerThatKeepsSilentCostsTheManagerNoDescriptorForLong) {
+    Manager manager("Nobody", {5500, 5500});
+    RawSocket silent;
+    ASSERT_TRUE(silent.listen(5500));
+    RawSocket first = silent.accept();
+    EXPECT_TRUE(first.closedByPeer());
+    RawSocket second = silent.accept();
+    EXPECT_TRUE(second.closedByPeer()) << "and it is asked again later";
 }
 
 TEST(Link, TwoPairsInOneRangeFindTheirOwn) {
