@@ -110,7 +110,7 @@ Event eventOf(const proto::ToEntity& message) {
             return Event::RunHistory;
         case proto::ToEntity::kFromMaster:
             if (message.from_master().has_invitation()) return Event::CollaborationRequest;
-            break;  // the others are no requests: hearPeer()
+            break;  // the others are no requests: Teamwork::hear()
         case proto::ToEntity::kFromSlave:
         case proto::ToEntity::kGlobalServices:  // of a front-end server
         case proto::ToEntity::kWay:             // of the direct path, which the core does not know
@@ -143,6 +143,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       stops_(*this, storage, stop_gate, back_end),
       saved_(storage),
       queue_(settings_.task_queue_bound),
+      teamwork_(*this, storage, random, profiler_, memory_, {uuid_, settings_.server_watchdog_busy}),
       uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
     // A person stopped the robot, and that this process was killed since is no word of a person.
     latched_ = latch_kept_ = storage.load(kRearmedKey) != kThere;
@@ -158,7 +159,6 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     free_kept_ = storage.load(kFreeKey) == kThere;
     keepState();  // the latch says it now, and nobody holds it
     replayJournal();
-    loadRuns();
     for (const auto& finding : saved_.findings()) {
         if (!parts_lost_) warning_ = finding.message();
     }
@@ -252,6 +252,9 @@ void EntityManagerCore::Machine::noteRefusal(const Sender& who, LeaseNumber unde
 // -----------------------------------------------------------------------------------------------------------
 
 void EntityManagerCore::Machine::fire(Incident& incident) {
+    // What runs on is no part of the run any more.
+    if (incident.event == Event::CollaborationEnded && state_ == EntityState::BUSY)
+        previous_ = EntityState::REG;
     const auto* row = findRow(state_, incident.event);
     if (row == nullptr) {
         refuse(incident, refusalFor(state_, incident.event, whyNotReady()));
@@ -305,7 +308,7 @@ Refusal EntityManagerCore::Machine::guard(Event event, Who who, const Header& he
             !refusal.ok() && !AXON_PLANTED(StrangersObeyed))
             return refusal;
     }
-    // An invitation shows a seal of its own (considerInvitation).
+    // An invitation shows a seal of its own (Teamwork::considerInvitation).
     if (who == Who::Nobody && event != Event::CollaborationRequest)
         return {RefusalCode::PermissionDenied, "No client may ask an entity for this.", {}};
     const auto needs = needsOf(event);
@@ -421,16 +424,16 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             considerHandOver(incident);
             break;
         case Action::ConsiderRun:
-            considerRun(incident);
+            teamwork_.considerRun(incident);
             break;
         case Action::ConsiderInvitation:
-            considerInvitation(incident.head->sender, incident.body->from_master());
+            teamwork_.considerInvitation(incident.head->sender, incident.body->from_master());
             break;
         case Action::LeaveCollaboration:
-            leaveCollaboration(incident.reason);
+            teamwork_.leave(incident.reason);
             break;
         case Action::TellRunHistory:
-            tellRunHistory(incident);
+            teamwork_.tellHistory(incident);
             break;
         case Action::PassText:
             passText(incident);
@@ -454,7 +457,7 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
 /// After each event: what follows from the state as a whole.
 void EntityManagerCore::Machine::settle() {
     stops_.settle();
-    attendRun();
+    teamwork_.settle();
     passOn();
     dispatchNext();
     // A stop that the signal thread has passed on may end the last task before this strand hears of the stop:
@@ -588,7 +591,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
         }
         case proto::EiToEm::kRaw: {
             if (!message.raw().to().empty()) {
-                sendRawToPartner(*message.mutable_raw());
+                teamwork_.sendRaw(*message.mutable_raw());
                 break;
             }
             if (holder() == nullptr || !connected()) {
@@ -890,7 +893,7 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
     // What is large takes its time to be read, in which nothing else is done: only of who holds the entity,
     // or its fellows.
     if (bytes.size() > kReadOfStrangers && head.msg_type != kMsgCollaboration &&
-        partner(head.sender.id) == nullptr) {
+        !teamwork_.isPartner(head.sender.id)) {
         if (auto refusal = lease_.check(head.sender, head.held); !refusal.ok()) {
             refusal.message = "A message of more than " + std::to_string(kReadOfStrangers / 1024) +
                               " KiB is not read. " + refusal.message;
@@ -930,7 +933,7 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
         }
         return;
     }
-    if (hearPeer(head, from_client_)) {
+    if (teamwork_.hear(head, from_client_)) {
         settle();
         return;
     }
@@ -967,6 +970,21 @@ void EntityManagerCore::Machine::tell(const Sender& to, const char* type, const 
                                       Lane lane) {
     if (!connected() || to.id.empty()) return;
     server_.sendToClient(lane, headFor(to, type), message);
+}
+
+void EntityManagerCore::Machine::tellPeer(Lane lane, const std::string& entity, const char* type,
+                                          const proto::ToEntity& message) {
+    if (!connected()) return;
+    auto head = headFor(self(), type);
+    head.entity = entity;
+    server_.sendToPeer(lane, head, message);
+}
+
+void EntityManagerCore::Machine::onPeerRefusal(const Header& head, const Refusal& refusal) {
+    if (quit_) return;
+    ++counters_.peer_refusals;
+    teamwork_.unreachable(head.entity, refusal);
+    settle();
 }
 
 void EntityManagerCore::Machine::reply(const Sender& to, const std::string& request_id,
@@ -1010,10 +1028,10 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
             return;
         }
         case Event::CollaborativeTask:
-            refuseRun(incident, refusal);
+            teamwork_.refuseRun(incident, refusal);
             return;
         case Event::CollaborationRequest:
-            declineInvitation(to, incident.body->from_master(), refusal);
+            teamwork_.declineInvitation(to, incident.body->from_master(), refusal);
             return;
         case Event::SetParam:
             reply(to, incident.body->set_param().request_id(), refusal);
@@ -1131,7 +1149,7 @@ void EntityManagerCore::Machine::onTimer() {
     expireTasks();
     expireAnswers();
     expireSpared();
-    expireCollaboration();
+    teamwork_.onTimer();
     expireProfiles();
     signUploads();
     tellHeldUp();
@@ -1155,13 +1173,7 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
         if (active.sent && !active.answered) next = std::min(next, active.answer_until);
     for (const auto& active : active_)
         if (active.alone_until) next = std::min(next, *active.alone_until);
-    if (run_) next = std::min(next, run_->nextDeadline());
-    if (member_ && !isMaster(*member_)) {
-        next = std::min({next, member_->beat_at, masterLostAt()});
-        for (const auto& [id, step] : member_->steps)
-            if (step.held) next = std::min(next, step.due);
-    }
-    for (const auto& farewell : farewells_) next = std::min(next, farewell.again);
+    next = std::min(next, teamwork_.nextDeadline());
     if (profiles_due_) next = std::min(next, *profiles_due_);
     return next;
 }
@@ -1173,7 +1185,7 @@ void EntityManagerCore::Machine::shutDown() {
     incident.cause = StopCause::Shutdown;
     incident.reason = {RefusalCode::Unavailable, "The Entity Manager has been ended by its operator.", {}};
     fire(incident);
-    attendRun();
+    teamwork_.settle();
     if (busy_told_ && link_up_) back_end_.setBusy(false);
     keepState();
     quit_ = true;

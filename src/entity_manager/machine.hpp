@@ -17,6 +17,7 @@
 #include "common/rights.hpp"
 #include "entity_manager/entity_manager_core.hpp"
 #include "entity_manager/hand_over.hpp"
+#include "entity_manager/incident.hpp"
 #include "entity_manager/lease_book.hpp"
 #include "entity_manager/presence.hpp"
 #include "entity_manager/saved_values.hpp"
@@ -26,6 +27,7 @@
 #include "entity_manager/streams.hpp"
 #include "entity_manager/task_memory.hpp"
 #include "entity_manager/task_queue.hpp"
+#include "entity_manager/teamwork.hpp"
 #include "entity_manager/turn.hpp"
 #include "entity_manager/upload_desk.hpp"
 #include "entity_manager/wait_list.hpp"
@@ -36,7 +38,7 @@ namespace axon::entity_manager {
 /// The inside of EntityManagerCore: it finds the row of each event in the state table and has one function
 /// for each Action. Private to the core; machine.cpp has states and messages, machine_leases.cpp who holds
 /// the entity and who wants it, machine_tasks.cpp tasks and resources, machine_composites.cpp tasks with
-/// parts, machine_collaboration.cpp what it does with other entities.
+/// parts.
 class EntityManagerCore::Machine final : private Turn {
   public:
     Machine(CoreSettings settings, const Clock& clock, RandomSource& random, BackEndPort& back_end,
@@ -64,7 +66,7 @@ class EntityManagerCore::Machine final : private Turn {
     void shutDown();
 
     EntityState state() const override { return state_; }
-    bool latched() const { return latched_; }
+    bool latched() const override { return latched_; }
     bool connected() const override { return presence_.connected(); }
     const std::string& uuid() const { return uuid_; }
     void offerDatagrams(std::string endpoint) { datagram_endpoint_ = std::move(endpoint); }
@@ -72,23 +74,13 @@ class EntityManagerCore::Machine final : private Turn {
         direct_endpoint_ = std::move(data);
         direct_signal_endpoint_ = std::move(signal);
     }
-    const LeaseBook::Held* held() const { return lease_.held() ? &*lease_.held() : nullptr; }
+    const LeaseBook::Held* held() const override { return lease_.held() ? &*lease_.held() : nullptr; }
     EntityStatus status() const;
     CoreCounters& counters() override { return counters_; }
     std::string takeWarning() { return std::exchange(warning_, {}); }
     std::string takeNews() { return std::exchange(news_, {}); }
 
   private:
-    /// One event on its way through a row.
-    struct Incident {
-        Event event;
-        const Header* head = nullptr;     ///< of who asked, where somebody did
-        proto::ToEntity* body = nullptr;  ///< of a client's message
-        StopCause cause = StopCause::Unspecified;
-        std::uint32_t generation = 0;  ///< of the stop, once it is known
-        Refusal reason;                ///< what those are told who lose a task or a lease
-        proto::CheckOutPhase phase = proto::CHECK_OUT_UNSPECIFIED;  ///< of a check-out that is granted
-    };
     /// A task that has begun: the robot application has been given it, or, of a composite, one part after the
     /// other.
     struct Active {
@@ -137,27 +129,21 @@ class EntityManagerCore::Machine final : private Turn {
 
     // Rows.
     void process(Event event, Who who, const Header& head, proto::ToEntity* body);
-    void fire(Incident& incident);
-    void fire(Event event) {
-        Incident incident{event};
-        fire(incident);
-    }
+    void fire(Incident& incident) override;
+    using Turn::fire;
     void perform(Action action, Incident& incident);
     Refusal guard(Event event, Who who, const Header& head) const;
     void settle();
 
     // The journal.
     void replayJournal();
-    /// Fills in what is empty and every entry has; false when it could not be written.
-    bool note(JournalRecord record);
-    Later<bool> noteDispatch(JournalRecord record);
+    bool note(JournalRecord record) override;
+    Later<bool> noteDispatch(JournalRecord record) override;
     void complete(JournalRecord& record) const;
-    /// Counts, and warns of, what the journal does not take; returns what it is told.
-    bool recorded(bool written);
+    bool recorded(bool written) override;
     /// In the storage: the latch, and whether somebody holds the robot.
     void keepState();
-    /// Refusals of ownership are noted, at most so many a second; others are not.
-    void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal);
+    void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) override;
 
     // States, profiles, server.
     /// An answer to the robot application's profiles, for its log; OK where nothing is wrong.
@@ -235,7 +221,7 @@ class EntityManagerCore::Machine final : private Turn {
     void voidQueue(const Incident& incident);
     void haltTasks();
     void leaveService(const Task& task, bool clear);
-    void controlTask(const Incident& incident);
+    void controlOwnTask(const Incident& incident);
     void expireTasks();
     bool lingeringEnded(const Id128& id);
     void applicationStatus(const proto::StatusNote& note);
@@ -279,83 +265,6 @@ class EntityManagerCore::Machine final : private Turn {
     void endSpared(const std::string& why);
     void expireSpared();
 
-    // Collaboration (machine_collaboration.cpp).
-    struct OpenStep {
-        std::int32_t number;
-        std::optional<TimePoint> began;
-        std::optional<proto::TaskEvent> held;  ///< what is told once it is `due`, or with what is told before
-        TimePoint due{};
-    };
-    /// This entity's part in a run, as a slave or as the master itself.
-    struct Membership {
-        Membership() {}  // clang: or std::optional takes it for not default constructible within Machine
-        std::string run_id;
-        Sender master;
-        std::vector<proto::Participant> participants;
-        std::map<Id128, OpenStep> steps;  ///< under way, by the task's id
-        TimePoint heard{};                ///< from the master
-        bool led = false;                 ///< it has begun to beat, or has given an order
-        Duration beat_every{};
-        TimePoint beat_at{};
-        std::uint64_t beat = 0;
-    };
-    /// A run in which it took part.
-    struct PastRun {
-        std::string run_id, master;
-        Refusal reason;  ///< why it left; OK = the master has ended it
-    };
-    static constexpr std::size_t kPastRuns = 64;
-    static constexpr Duration kRawRefusalPeriod = std::chrono::milliseconds{200};
-    /// An end that was sent and of which it is not known whether it has arrived: until then its participant
-    /// hears from its master on the signal lane.
-    struct Farewell {
-        std::string entity;
-        proto::FromMaster message;  ///< a beat, or a stop once more
-        Duration every{};
-        TimePoint again{}, until{};
-    };
-    static constexpr std::size_t kFarewells = 1024;
-    bool isMaster(const Membership& member) const { return member.master.id == uuid_; }
-    void considerRun(const Incident& incident);
-    void beginRun();
-    void refuseRun(const Incident& incident, const Refusal& refusal);
-    void tellRun(const Sender& to, const proto::RunEvent& event);
-    /// What the run wants done, until nothing is left.
-    void attendRun();
-    void endRun();
-    void considerInvitation(const Sender& master, const proto::FromMaster& message);
-    void declineInvitation(const Sender& master, const proto::FromMaster& message, const Refusal& refusal);
-    Refusal checkSubLease(const Sender& master, const proto::FromMaster& message) const;
-    void problemsOf(const proto::Invitation& invitation, proto::InvitationAnswer& answer) const;
-    /// Messages of master and slaves that are no requests. False when it is something else.
-    bool hearPeer(const Header& head, proto::ToEntity& message);
-    void hearMaster(const Sender& master, const proto::FromMaster& message);
-    void admitStep(const proto::StepOrder& order);
-    void controlStep(const proto::StepControl& control);
-    void endMembership(const proto::CollaborationEnd& end);
-    void sendToMaster(Lane lane, const Sender& master, const proto::FromSlave& message);
-    void tellStep(OpenStep& step, proto::TaskEvent& event);
-    void reportStep(const OpenStep& step, const proto::TaskEvent& event);
-    void depart(const Sender& master, const std::string& run_id, const Refusal& reason);
-    void leaveCollaboration(const Refusal& reason);
-    /// Its part is over; why is told again to a master that does not know it.
-    void endPart(const Refusal& reason = {});
-    const PastRun* pastRun(const std::string& run_id) const;
-    void expireCollaboration();
-    /// When the silence of the master stops this entity.
-    TimePoint masterLostAt() const;
-    void bidFarewell(const std::string& entity, const proto::FromMaster& end, Duration beat_every);
-    void repeatFarewells();
-    void sendToPeer(Lane lane, const std::string& entity, const char* type, const proto::ToEntity& message);
-    void sendRawToPartner(proto::LinkRaw& raw);
-    /// What it has sent to another entity goes no further; a stream of them is told seldom.
-    void refuseToApplication(const std::string& to, const Refusal& refusal);
-    const proto::Participant* partner(std::string_view name) const;
-    bool controlRun(const Incident& incident);
-    void loadRuns();
-    void keepRun(const proto::RunRecord& record);
-    void tellRunHistory(const Incident& incident);
-
     // Parameters and resources (machine_tasks.cpp).
     void askParameter(const Incident& incident);
     void carryResource(const Incident& incident);
@@ -388,21 +297,32 @@ class EntityManagerCore::Machine final : private Turn {
     void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) override {
         server_.sendToClientDataSeq(headFor(to, type), message);
     }
+    void tellPeer(Lane lane, const std::string& entity, const char* type,
+                  const proto::ToEntity& message) override;
     void warn(std::string text) override { warning_ = std::move(text); }
+    Stops stops() const override {
+        return {stops_.generation(), stops_.required(), stops_.allHandled(), stops_.standing()};
+    }
+    Refusal checkLease(const Sender& sender, LeaseNumber under) const override {
+        return lease_.check(sender, under);
+    }
+    Sender self() const override { return {uuid_, presence_.name(), Role::Operator}; }
+    bool hasTasks() const override { return !active_.empty() || !queue_.empty(); }
+    Refusal admitStep(const proto::TaskRequest& request) override { return admit(request, 0); }
+    void controlTask(const Incident& incident) override;
 
     // Messages.
     void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override;
-    void tell(const Sender& to, const char* type, const proto::ToClient& message) {
-        tell(to, type, message, Lane::Data);
+    using Turn::tell;
+    void reply(const Sender& to, const std::string& request_id, const Refusal& refusal, Lane lane);
+    void reply(const Sender& to, const std::string& request_id, const Refusal& refusal) override {
+        reply(to, request_id, refusal, Lane::Data);
     }
-    void reply(const Sender& to, const std::string& request_id, const Refusal& refusal,
-               Lane lane = Lane::Data);
-    void refuse(const Incident& incident, const Refusal& refusal);
+    void refuse(const Incident& incident, const Refusal& refusal) override;
     void passText(const Incident& incident);
     void passRaw(const Incident& incident);
     void answerStatus(const Incident& incident);
     Header headFor(const Sender& to, const char* type);
-    const Sender* holder() const override { return lease_.held() ? &lease_.held()->holder : nullptr; }
 
     const CoreSettings settings_;
     const Clock& clock_;
@@ -452,27 +372,20 @@ class EntityManagerCore::Machine final : private Turn {
 
     StopLedger stops_;
 
-    std::optional<collaboration::Collaboration> run_;  ///< of which this entity is the master
-    std::optional<Later<bool>> run_noted_;             ///< its entry in the journal, until that is written
-    std::optional<Membership> member_;                 ///< of the run in which it takes part
-    std::deque<PastRun> past_runs_;                    ///< newest last
-    std::vector<Farewell> farewells_;
-    bool attending_ = false;
-    proto::RunHistory runs_;  ///< newest first
-
     SavedValues saved_;
     ServiceProfiler profiler_;
     /// By the application since its link is up: on or off, and why.
     std::map<std::string, std::pair<bool, std::string>, std::less<>> active_told_;
     TaskQueue queue_;
     TaskMemory memory_;
+    Teamwork teamwork_;
     std::vector<Active> active_;
     std::vector<Lingering> lingering_;
     UploadDesk uploads_;
     std::map<std::uint64_t, Question> questions_;
     std::uint64_t next_question_ = 1;
     Streams streams_{*this};
-    TimePoint raw_refused_{}, not_sent_told_{};
+    TimePoint raw_refused_{};
 
     /// The resets and clears that were taken last. Between servers each goes two ways, and the second one,
     /// late, would end the next task.

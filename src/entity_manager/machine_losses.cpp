@@ -51,7 +51,7 @@ TimePoint EntityManagerCore::Machine::finishesUntil(const Active& active) const 
 /// Of several that run side by side the strictest counts: a stop cannot leave one of them out.
 bool EntityManagerCore::Machine::survivesClientLoss() const {
     // A step of a run is of more than one robot: nobody would tell the others.
-    return state_ == EntityState::BUSY && !member_ && link_up_ && connected() && !latched_ &&
+    return state_ == EntityState::BUSY && !teamwork_.takesPart() && link_up_ && connected() && !latched_ &&
            !application_busy_ && !active_.empty() && stops_.allHandled() &&
            std::all_of(active_.begin(), active_.end(),
                        [this](const Active& active) { return lossPolicyOf(active) != proto::STOP_TASK; });

@@ -63,7 +63,7 @@ Refusal checkSize(std::size_t bytes) {
 // ----------------------------------------------------------------------------------------------------------
 
 void EntityManagerCore::Machine::admitTask(const Incident& incident) {
-    if (member_ || run_noted_) {
+    if (teamwork_.isReserved()) {
         refuse(incident,
                {RefusalCode::WrongState,
                 "The entity takes part in a collaboration and takes tasks of its master alone. Wait for its "
@@ -458,7 +458,10 @@ void EntityManagerCore::Machine::expireTasks() {
 }
 
 void EntityManagerCore::Machine::controlTask(const Incident& incident) {
-    if (controlRun(incident)) return;
+    if (!teamwork_.control(incident)) controlOwnTask(incident);
+}
+
+void EntityManagerCore::Machine::controlOwnTask(const Incident& incident) {
     const auto& control = incident.body->task_control();
     const auto& to = incident.head->sender;
     const auto id = Id128::fromBytes(control.task_id());
@@ -531,19 +534,7 @@ void EntityManagerCore::Machine::sendTask(const Task& task, proto::TaskState sta
 }
 
 void EntityManagerCore::Machine::tellTask(proto::TaskEvent& event) {
-    if (member_) {
-        const auto id = Id128::fromBytes(event.task_id());
-        if (const auto step = member_->steps.find(*id); step != member_->steps.end()) {
-            if (!isFinal(event.state())) {
-                tellStep(step->second, event);
-                return;
-            }
-            auto last = std::move(step->second);
-            member_->steps.erase(step);  // before it is told: the master's own next order may come of it
-            tellStep(last, event);
-            return;
-        }
-    }
+    if (teamwork_.tellStep(event)) return;
     if (holder() == nullptr || !connected()) return;
     proto::ToClient message;
     message.mutable_task()->Swap(&event);

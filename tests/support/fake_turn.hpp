@@ -9,6 +9,8 @@
 #include <vector>
 
 #include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/incident.hpp"
+#include "entity_manager/journal_record.hpp"
 #include "entity_manager/turn.hpp"
 
 namespace axon::test {
@@ -22,16 +24,47 @@ struct FakeTurn final : entity_manager::Turn {
         proto::ToClient message;
         Lane lane;
     };
+    struct ToldPeer {
+        Lane lane;
+        std::string entity;
+        std::string type;
+        proto::ToEntity message;
+    };
+    struct Fired {
+        entity_manager::Event event;
+        Refusal reason;
+    };
     TimePoint now() const override { return clock.now(); }
     EntityState state() const override { return in_state; }
-    const Sender* holder() const override { return held_by ? &*held_by : nullptr; }
+    bool latched() const override { return latch; }
     bool linked() const override { return link; }
     bool connected() const override { return session; }
+    Stops stops() const override { return stopped; }
+    const entity_manager::LeaseBook::Held* held() const override { return lease ? &*lease : nullptr; }
+    Refusal checkLease(const Sender& sender, LeaseNumber under) const override {
+        if (lease && lease->holder.id == sender.id && lease->number == under) return {};
+        return {RefusalCode::NotHolder, "", {}};
+    }
+    Sender self() const override { return {"self", "This robot", Role::Operator}; }
+
+    void fire(entity_manager::Incident& incident) override {
+        fired.push_back({incident.event, incident.reason});
+    }
+    void refuse(const entity_manager::Incident&, const Refusal& refusal) override {
+        refused.push_back(refusal);
+    }
+    void reply(const Sender&, const std::string&, const Refusal& refusal) override {
+        replies.push_back(refusal);
+    }
     void tell(const Sender& to, const char* type, const proto::ToClient& message, Lane lane) override {
         told.push_back({to, type, message, lane});
     }
     void tellDroppable(const Sender& to, const char* type, const proto::ToClient& message) override {
         told.push_back({to, type, message, Lane::Data});
+    }
+    void tellPeer(Lane lane, const std::string& entity, const char* type,
+                  const proto::ToEntity& message) override {
+        told_peers.push_back({lane, entity, type, message});
     }
     bool toApplication(const proto::EmToEi& message) override {
         to_application.push_back(message);
@@ -40,14 +73,41 @@ struct FakeTurn final : entity_manager::Turn {
     void warn(std::string text) override { warnings.push_back(std::move(text)); }
     entity_manager::CoreCounters& counters() override { return counted; }
 
+    bool note(entity_manager::JournalRecord record) override {
+        noted.push_back(std::move(record));
+        return true;
+    }
+    entity_manager::Later<bool> noteDispatch(entity_manager::JournalRecord record) override {
+        return note(std::move(record));
+    }
+    bool recorded(bool written) override { return written; }
+    void noteRefusal(const Sender&, LeaseNumber, const Refusal&) override {}
+
+    bool hasTasks() const override { return !steps.empty(); }
+    Refusal admitStep(const proto::TaskRequest& request) override {
+        steps.push_back(request);
+        return {};
+    }
+    void controlTask(const entity_manager::Incident& incident) override {
+        controls.push_back(incident.event);
+    }
+
     ManualClock clock;
     EntityState in_state = EntityState::REG;
-    std::optional<Sender> held_by;
+    std::optional<entity_manager::LeaseBook::Held> lease;
+    Stops stopped;
+    bool latch = false;
     bool link = true;
     bool session = true;
+    std::vector<Fired> fired;
+    std::vector<Refusal> refused, replies;
     std::vector<Told> told;
+    std::vector<ToldPeer> told_peers;
     std::vector<proto::EmToEi> to_application;
+    std::vector<entity_manager::JournalRecord> noted;
     std::vector<std::string> warnings;
+    std::vector<proto::TaskRequest> steps;
+    std::vector<entity_manager::Event> controls;
     entity_manager::CoreCounters counted;
 };
 
