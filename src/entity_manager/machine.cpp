@@ -139,7 +139,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       presence_(
           *this, server,
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
-      lease_(storage, random),
+      ownership_(*this, storage, random, profiler_, {settings_.lease_grace, settings_.resource_bytes_max}),
       stops_(*this, storage, stop_gate, back_end),
       saved_(storage),
       queue_(settings_.task_queue_bound),
@@ -177,7 +177,9 @@ void EntityManagerCore::Machine::replayJournal() {
         proto::TaskState_Parse(record.code, &state);
         memory_.ended(record.task, state);
     });
-    note({.kind = JournalRecord::Kind::Started, .lease = lease_.last(), .text = "entity " + uuid_});
+    note({.kind = JournalRecord::Kind::Started,
+          .lease = ownership_.lease().last(),
+          .text = "entity " + uuid_});
     for (const auto& id : memory_.unfinished()) {
         memory_.ended(id, proto::TASK_UNKNOWN);
         note({.kind = JournalRecord::Kind::TaskEnded,
@@ -188,7 +190,7 @@ void EntityManagerCore::Machine::replayJournal() {
 }
 
 void EntityManagerCore::Machine::complete(JournalRecord& record) const {
-    if (record.lease == LeaseNumber{} && lease_.held()) record.lease = lease_.held()->number;
+    if (record.lease == LeaseNumber{} && held()) record.lease = held()->number;
     if (record.generation == 0) record.generation = stops_.generation();
     record.at_us = toMicroseconds(clock_.now());
 }
@@ -226,7 +228,7 @@ void EntityManagerCore::Machine::keepState() {
         else
             storage_.keep(kRearmedKey, kThere);
     }
-    if (!free_kept_ && !lease_.held()) {
+    if (!free_kept_ && !held()) {
         free_kept_ = true;
         storage_.keep(kFreeKey, kThere);
     }
@@ -280,7 +282,7 @@ void EntityManagerCore::Machine::process(Event event, Who who, const Header& hea
         const bool was_held =
             state_ == EntityState::IDLE && (who == Who::Holder || who == Who::HolderOrAdmin);
         refuse(incident,
-               was_held ? lease_.check(head.sender, head.held) : refusalFor(state_, event, whyNotReady()));
+               was_held ? checkLease(head.sender, head.held) : refusalFor(state_, event, whyNotReady()));
         return;
     }
     if (const auto refusal = guard(event, who, head); !refusal.ok()) {
@@ -304,7 +306,7 @@ Refusal EntityManagerCore::Machine::guard(Event event, Who who, const Header& he
                 "Observers may watch and stop, but not check out. Log in as an operator.",
                 {}};
     if (who == Who::Holder || (who == Who::HolderOrAdmin && head.sender.role != Role::Admin)) {
-        if (auto refusal = lease_.check(head.sender, head.held);
+        if (auto refusal = checkLease(head.sender, head.held);
             !refusal.ok() && !AXON_PLANTED(StrangersObeyed))
             return refusal;
     }
@@ -348,10 +350,11 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             server_.wantConnection(false);
             break;
         case Action::ConsiderCheckOut:
-            considerCheckOut(incident);
+            ownership_.considerCheckOut(incident);
             break;
         case Action::SendGrant:
-            sendGrant(incident.phase);
+            ownership_.sendGrant(incident.phase);
+            streams_.holderBegan();
             break;
         case Action::StopApplication:
             stopApplication(incident);
@@ -412,16 +415,16 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             abandonRequests(incident.reason);
             break;
         case Action::OrphanLease:
-            orphanLease(incident);
+            ownership_.orphan(incident);
             break;
         case Action::EndLease:
-            endLease(incident);
+            ownership_.end(incident);
             break;
         case Action::DismissWaiting:
-            dismissWaiting(incident);
+            ownership_.dismissWaiting(incident);
             break;
         case Action::ConsiderHandOver:
-            considerHandOver(incident);
+            ownership_.considerHandOver(incident);
             break;
         case Action::ConsiderRun:
             teamwork_.considerRun(incident);
@@ -801,13 +804,13 @@ EntityStatus EntityManagerCore::Machine::status() const {
     status.state = state_;
     status.latched = latched_;
     status.stop_generation = static_cast<std::int32_t>(stops_.generation());
-    if (const auto& held = lease_.held()) {
+    if (const auto* held = this->held()) {
         status.holder = held->holder;
         status.held = held->number;
     }
-    status.orphaned = lease_.orphaned();
-    status.waiting = static_cast<std::int32_t>(wait_list_.size());
-    status.reason = state_ == EntityState::IDLE ? taken_ : whyNotReady();
+    status.orphaned = orphaned();
+    status.waiting = static_cast<std::int32_t>(ownership_.waiting());
+    status.reason = state_ == EntityState::IDLE ? ownership_.taken() : whyNotReady();
     return status;
 }
 
@@ -885,6 +888,51 @@ void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
         deliverStops();
 }
 
+// -- who holds it
+
+void EntityManagerCore::Machine::onClientUpdate(const Header& head, ClientChange change) {
+    if (quit_) return;
+    const bool lost = change == ClientChange::Lost;
+    Incident incident{lost ? Event::ClientLost : Event::ClientEnded, &head};
+    incident.cause = lost ? StopCause::ClientLost : StopCause::Released;
+    incident.reason = {lost ? RefusalCode::ClientLost : RefusalCode::Stopped,
+                       named(head.sender) + (lost ? " was lost." : " has left."),
+                       {}};
+    streams_.forget(head.sender.id);
+    if (holder() != nullptr && holder()->id != head.sender.id) {
+        // Of a client that is not the holder, or no longer is, only what it waits for is left to end.
+        ownership_.dismissWaiting(incident);
+    } else if (lost && holder() != nullptr) {
+        // Of tasks that go on without it the loss is known.
+        if (!orphaned() || !survivesClientLoss()) loseHolder(incident);
+    } else {
+        fire(incident);
+    }
+    settle();
+}
+
+/// After each event: who is next.
+void EntityManagerCore::Machine::passOn() {
+    ownership_.endWaits();
+    takeKeptProfiles();  // at the release, before the next who waits is given the entity
+    ownership_.passOn();
+}
+
+void EntityManagerCore::Machine::passTime() {
+    ownership_.onTimer();
+    passOn();
+}
+
+void EntityManagerCore::Machine::granted(Incident& granted) {
+    const bool resumed = granted.event == Event::LeaseResumed;
+    if (resumed) attendTasks();
+    fire(granted);
+    if (resumed)
+        tellFinals();
+    else if (application_busy_)
+        fire(Event::ApplicationBusy);
+}
+
 // -- messages
 // -------------------------------------------------------------------------------------------------------
 
@@ -894,7 +942,7 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
     // or its fellows.
     if (bytes.size() > kReadOfStrangers && head.msg_type != kMsgCollaboration &&
         !teamwork_.isPartner(head.sender.id)) {
-        if (auto refusal = lease_.check(head.sender, head.held); !refusal.ok()) {
+        if (auto refusal = checkLease(head.sender, head.held); !refusal.ok()) {
             refusal.message = "A message of more than " + std::to_string(kReadOfStrangers / 1024) +
                               " KiB is not read. " + refusal.message;
             return reply(head.sender, {}, refusal);
@@ -939,7 +987,7 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
     }
     if (event == Event::Quit) {
         const bool control = from_client_.has_task_control();
-        auto refusal = right->who == Who::Holder ? lease_.check(head.sender, head.held) : Refusal{};
+        auto refusal = right->who == Who::Holder ? checkLease(head.sender, head.held) : Refusal{};
         if (refusal.ok())
             refusal = {control ? RefusalCode::Malformed : RefusalCode::NotSupported,
                        control ? "The action must be PAUSE, RESUME or CANCEL."
@@ -959,7 +1007,7 @@ Header EntityManagerCore::Machine::headFor(const Sender& to, const char* type) {
     head.sender = to;
     head.entity = uuid_;
     head.msg_type = type;
-    if (const auto& held = lease_.held()) head.held = held->number;
+    if (const auto* held = this->held()) head.held = held->number;
     head.stop_generation = static_cast<std::int32_t>(stops_.generation());
     head.sequence = ++sequence_;
     head.sent_at_us = toMicroseconds(clock_.now());
@@ -1005,8 +1053,8 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
     if (incident.event != Event::CheckOut) noteRefusal(to, incident.head->held, refusal);
     switch (incident.event) {
         case Event::CheckOut:
-            replyCheckOut(to, incident.body->check_out().request_id(), incident.body->check_out().phase(),
-                          refusal);
+            ownership_.reply(to, incident.body->check_out().request_id(), incident.body->check_out().phase(),
+                             refusal);
             return;
         case Event::Task: {
             proto::ToClient message;
@@ -1022,8 +1070,8 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
             if (again && again->code == RefusalCode::OutcomeUnknown) event.set_state(proto::TASK_UNKNOWN);
             // This is its end, so a copy that comes later must not begin. Others than the holder cannot fill
             // the memory.
-            if (id && !again && lease_.check(to, incident.head->held).ok())
-                memory_.ended(*id, lease_.held()->number, event, clock_.now());
+            if (id && !again && checkLease(to, incident.head->held).ok())
+                memory_.ended(*id, held()->number, event, clock_.now());
             tell(to, kMsgTask, message);
             return;
         }
@@ -1096,8 +1144,8 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
     status.set_latched(latched_);
     status.set_stop_generation(stops_.generation());
     if (holder() != nullptr) status.set_holder(named(*holder()));
-    status.set_orphaned(lease_.orphaned());
-    status.set_waiting(static_cast<std::uint32_t>(wait_list_.size()));
+    status.set_orphaned(orphaned());
+    status.set_waiting(static_cast<std::uint32_t>(ownership_.waiting()));
     status.set_reason(whyNotReady());
     status.set_request_id(incident.body->status_request().request_id());
     if (incident.body->status_request().with_services()) {
@@ -1134,7 +1182,7 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
             static_cast<std::uint32_t>(std::chrono::ceil<std::chrono::milliseconds>(gap.length).count()));
     }
     if (holder() != nullptr && holder()->id == incident.head->sender.id)
-        for (auto& ended : memory_.finals(lease_.held()->number)) status.add_ended()->Swap(&ended);
+        for (auto& ended : memory_.finals(held()->number)) status.add_ended()->Swap(&ended);
     tell(incident.head->sender, kMsgStatus, message);
 }
 
@@ -1160,11 +1208,7 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     auto next = TimePoint::max();
     if (quit_) return next;
     next = std::min(next, presence_.nextDeadline());
-    if (lease_.reservation()) next = std::min(next, lease_.reservation()->until);
-    if (waiting_grant_) next = std::min(next, waiting_grant_->until);
-    if (mayEndGrace()) next = std::min(next, *lease_.held()->grace_until);
-    if (const auto expiry = wait_list_.nextExpiry()) next = std::min(next, *expiry);
-    if (hand_over_.open() && !lease_.orphaned()) next = std::min(next, hand_over_.open()->until);
+    next = std::min(next, ownership_.nextDeadline());
     if (const auto expiry = queue_.nextExpiry()) next = std::min(next, *expiry);
     if (!queue_.empty() && queue_.front().tell_at) next = std::min(next, *queue_.front().tell_at);
     if (const auto sign = uploads_.nextSign()) next = std::min(next, *sign);

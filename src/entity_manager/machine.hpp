@@ -16,9 +16,9 @@
 #include "common/rate_limit.hpp"
 #include "common/rights.hpp"
 #include "entity_manager/entity_manager_core.hpp"
-#include "entity_manager/hand_over.hpp"
 #include "entity_manager/incident.hpp"
 #include "entity_manager/lease_book.hpp"
+#include "entity_manager/ownership.hpp"
 #include "entity_manager/presence.hpp"
 #include "entity_manager/saved_values.hpp"
 #include "entity_manager/service_profiler.hpp"
@@ -30,15 +30,13 @@
 #include "entity_manager/teamwork.hpp"
 #include "entity_manager/turn.hpp"
 #include "entity_manager/upload_desk.hpp"
-#include "entity_manager/wait_list.hpp"
 #include "messages/profile_reader.hpp"
 
 namespace axon::entity_manager {
 
 /// The inside of EntityManagerCore: it finds the row of each event in the state table and has one function
-/// for each Action. Private to the core; machine.cpp has states and messages, machine_leases.cpp who holds
-/// the entity and who wants it, machine_tasks.cpp tasks and resources, machine_composites.cpp tasks with
-/// parts.
+/// for each Action. Private to the core; machine.cpp has states and messages, machine_tasks.cpp tasks and
+/// resources, machine_composites.cpp tasks with parts.
 class EntityManagerCore::Machine final : private Turn {
   public:
     Machine(CoreSettings settings, const Clock& clock, RandomSource& random, BackEndPort& back_end,
@@ -69,12 +67,13 @@ class EntityManagerCore::Machine final : private Turn {
     bool latched() const override { return latched_; }
     bool connected() const override { return presence_.connected(); }
     const std::string& uuid() const { return uuid_; }
-    void offerDatagrams(std::string endpoint) { datagram_endpoint_ = std::move(endpoint); }
+    void offerDatagrams(std::string endpoint) { ownership_.offerDatagrams(std::move(endpoint)); }
     void offerDirect(std::string data, std::string signal) {
-        direct_endpoint_ = std::move(data);
-        direct_signal_endpoint_ = std::move(signal);
+        ownership_.offerDirect(std::move(data), std::move(signal));
     }
-    const LeaseBook::Held* held() const override { return lease_.held() ? &*lease_.held() : nullptr; }
+    const LeaseBook::Held* held() const override {
+        return ownership_.lease().held() ? &*ownership_.lease().held() : nullptr;
+    }
     EntityStatus status() const;
     CoreCounters& counters() override { return counters_; }
     std::string takeWarning() { return std::exchange(warning_, {}); }
@@ -120,12 +119,6 @@ class EntityManagerCore::Machine final : private Turn {
         std::string resource_name;
         TimePoint until{};  ///< then it is TIMED_OUT
     };
-    /// A granted check-out that waits until the robot has confirmed its last stop.
-    struct WaitingGrant {
-        Claim claim;
-        proto::CheckOutPhase phase;
-        TimePoint until;
-    };
 
     // Rows.
     void process(Event event, Who who, const Header& head, proto::ToEntity* body);
@@ -157,7 +150,7 @@ class EntityManagerCore::Machine final : private Turn {
     void seekServer();
     /// A lease that outlived the session with the server is found again.
     Event serverUpEvent() const {
-        return lease_.held() && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
+        return held() != nullptr && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
     }
     std::string whyNotReady() const;
     void tellStatus();
@@ -169,34 +162,10 @@ class EntityManagerCore::Machine final : private Turn {
     void deliverStops();
     void restampQueue();
 
-    // Leases (machine_leases.cpp).
-    void considerCheckOut(const Incident& incident);
-    void take(const Incident& incident, Claim claim);
-    void reserve(const Incident& incident, const Claim& claim);
-    void commit(const Incident& incident, const Claim& claim);
-    void abortCheckOut(const Incident& incident);
-    void resumeLease(const Incident& incident);
-    Refusal mayTake(const Claim& claim) const;
-    bool waitsForStandstill(const Claim& claim, proto::CheckOutPhase phase);
-    void grantWhenStanding(Claim claim, proto::CheckOutPhase phase);
-    void takeOver(const Claim& claim, proto::CheckOutPhase phase, const Refusal& why);
-    void considerHandOver(const Incident& incident);
-    void askHolder(const Claim& claim, bool waits, const std::string& reason);
-    void tellQuestion(const HandOver::Question& question, bool withdrawn);
-    void decideHandOver(const HandOver::Question& question, bool accepted, const std::string& said);
+    // Who holds it.
     void passOn();
     void passTime();
-    bool mayEndGrace() const;
-    void sendGrant(proto::CheckOutPhase phase);
-    void replyCheckOut(const Sender& to, const std::string& request_id, proto::CheckOutPhase phase,
-                       const Refusal& refusal);
-    /// `kept`: what the holder, who was asked, has said.
-    void sendPlace(const Claim& claim, std::size_t place, const std::string& kept = {});
-    void orphanLease(const Incident& incident);
-    void endLease(const Incident& incident);
-    void sendLeaseEnded(const LeaseBook::Held& held, const Refusal& reason);
-    void dismissWaiting(const Incident& incident);
-    void dropWaitingGrant(const Refusal& reason);
+    void granted(Incident& granted) override;
 
     // Tasks (machine_tasks.cpp).
     void admitTask(const Incident& incident);
@@ -257,12 +226,12 @@ class EntityManagerCore::Machine final : private Turn {
     TimePoint finishesUntil(const Active& active) const;
     proto::OnClientLoss lossPolicyOf(const Active& active) const;
     bool survivesClientLoss() const;
-    void loseHolder(Incident& incident);
+    void loseHolder(Incident& lost) override;
     void spareTasks();
     void attendTasks();
     void watchHeld(Active& active);
-    bool finishesAlone() const;
-    void endSpared(const std::string& why);
+    bool finishesAlone() const override;
+    void endSpared(const std::string& why) override;
     void expireSpared();
 
     // Parameters and resources (machine_tasks.cpp).
@@ -304,7 +273,7 @@ class EntityManagerCore::Machine final : private Turn {
         return {stops_.generation(), stops_.required(), stops_.allHandled(), stops_.standing()};
     }
     Refusal checkLease(const Sender& sender, LeaseNumber under) const override {
-        return lease_.check(sender, under);
+        return ownership_.lease().check(sender, under);
     }
     Sender self() const override { return {uuid_, presence_.name(), Role::Operator}; }
     bool hasTasks() const override { return !active_.empty() || !queue_.empty(); }
@@ -347,7 +316,6 @@ class EntityManagerCore::Machine final : private Turn {
     bool busy_told_ = false;
     bool quit_ = false;
     std::string reason_;
-    std::string taken_;   // by whom from the last holder, and why, until it is granted again
     std::string sought_;  ///< in UNAV: what the search for the application has found instead
 
     std::optional<Reading<proto::BasicProfile>> basic_;
@@ -361,15 +329,7 @@ class EntityManagerCore::Machine final : private Turn {
     std::string warning_, news_;
 
     Presence presence_;
-    LeaseBook lease_;
-    std::string datagram_endpoint_;                         ///< told with a grant
-    std::string direct_endpoint_, direct_signal_endpoint_;  ///< likewise
-    std::optional<WaitingGrant> waiting_grant_;
-    Refusal orphan_reason_;  ///< why the lease is orphaned
-    TimePoint lost_at_{};    ///< when it became so
-    WaitList wait_list_;
-    HandOver hand_over_;
-
+    Ownership ownership_;
     StopLedger stops_;
 
     SavedValues saved_;

@@ -76,11 +76,11 @@ bool EntityManagerCore::Machine::goOn(std::size_t at, proto::TaskEvent& event) {
     active.answered = false;
     markExecuting(active.task);
     // Without its client only a part begins that may.
-    const auto policy = lease_.orphaned() ? lossPolicyOfParts(active) : proto::FINISH_TASK;
+    const auto policy = orphaned() ? lossPolicyOfParts(active) : proto::FINISH_TASK;
     if (policy == proto::HOLD_TASK) active.hold = true;
     active.phase = active.hold ? Active::Phase::Paused : Active::Phase::Running;
-    if (lease_.orphaned()) active.alone_until.reset();
-    if (lease_.orphaned() && !active.hold) active.alone_until = finishesUntil(active);
+    if (orphaned()) active.alone_until.reset();
+    if (orphaned() && !active.hold) active.alone_until = finishesUntil(active);
     event.set_state(active.hold ? proto::TASK_PAUSED : proto::TASK_RUNNING);
     event.set_progress(progressOf(active));
     const auto next = partText(active);

@@ -91,8 +91,7 @@ void EntityManagerCore::Machine::attendTasks() {
 
 /// A task without its client has changed between running and paused.
 void EntityManagerCore::Machine::watchHeld(Active& active) {
-    if (!lease_.orphaned() || lossPolicyOf(active) != proto::HOLD_TASK || AXON_PLANTED(HeldTaskGoesOn))
-        return;
+    if (!orphaned() || lossPolicyOf(active) != proto::HOLD_TASK || AXON_PLANTED(HeldTaskGoesOn)) return;
     if (active.phase == Active::Phase::Paused)
         active.alone_until.reset();
     else if (!active.alone_until)
@@ -107,6 +106,7 @@ bool EntityManagerCore::Machine::finishesAlone() const {
 
 /// The loss of the client, as late as the policy of the task has allowed.
 void EntityManagerCore::Machine::endSpared(const std::string& why) {
+    if (active_.empty()) return;
     Incident lost{Event::ClientLost};
     lost.cause = StopCause::ClientLost;
     lost.reason = {RefusalCode::ClientLost, why, {}};

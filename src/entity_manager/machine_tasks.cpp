@@ -550,14 +550,14 @@ void EntityManagerCore::Machine::concludeTask(const Task& task, proto::TaskEvent
               .service = task.service,
               .code = proto::TaskState_Name(event.state()),
               .text = event.reason().message()});
-    memory_.ended(task.id, lease_.held() ? lease_.held()->number : LeaseNumber{}, event, clock_.now());
+    memory_.ended(task.id, held() ? held()->number : LeaseNumber{}, event, clock_.now());
     tellTask(event);
 }
 
 void EntityManagerCore::Machine::tellFinals() {
     if (holder() == nullptr) return;
     proto::ToClient message;
-    for (auto& event : memory_.finals(lease_.held()->number, lost_at_ - kUnnoticed)) {
+    for (auto& event : memory_.finals(held()->number, ownership_.lostAt() - kUnnoticed)) {
         message.mutable_task()->Swap(&event);
         tell(*holder(), kMsgTask, message);
     }
@@ -668,7 +668,7 @@ void EntityManagerCore::Machine::answer(const proto::RequestAnswer& answer) {
     }
     // Between question and answer the lease may have ended; what was meant for it is not kept for the next
     // holder.
-    const bool present = lease_.held() && lease_.held()->number == question.lease;
+    const bool present = held() && held()->number == question.lease;
     if (refusal.ok() && !present)
         refusal = {
             RefusalCode::RevokedLease, "The lease ended before the robot application had answered.", {}};
@@ -685,7 +685,7 @@ Refusal EntityManagerCore::Machine::keepParameter(const Question& question) {
         // alone.
         if (auto refusal = stops_.whyNot(static_cast<std::int32_t>(question.generation)); !refusal.ok())
             return refusal;
-        if (lease_.orphaned())
+        if (orphaned())
             return {RefusalCode::ClientLost,
                     "The client was lost before the robot application had answered.",
                     {}};
@@ -776,7 +776,7 @@ void EntityManagerCore::Machine::carryResource(const Incident& incident) {
         named.set_service(service.name());
         named.set_resource(service.resources(place->second).name());
         const auto progress =
-            uploads_.offer(named, place->first, place->second, to, lease_.held()->owner, clock_.now());
+            uploads_.offer(named, place->first, place->second, to, held()->owner, clock_.now());
         if (!progress)
             refuse(incident, progress.refusal());
         else if (const auto* upload = uploads_.find(offer.transfer_id()))

@@ -109,6 +109,16 @@ class Turn {
     virtual Refusal admitStep(const proto::TaskRequest& request) = 0;
     /// A pause, resume or cancel; answered as if its sender had sent it.
     virtual void controlTask(const Incident& incident) = 0;
+
+    // What whoever holds the entity means for its tasks.
+    /// Whether a task goes on to its end while its client is lost.
+    virtual bool finishesAlone() const = 0;
+    /// The holder is lost: ClientLost, or ClientSpared where all that runs may go on without it.
+    virtual void loseHolder(Incident& lost) = 0;
+    /// What has begun goes on without its client no longer: ClientLost, where there is anything.
+    virtual void endSpared(const std::string& why) = 0;
+    /// Fires CheckOutGranted or LeaseResumed, after which the holder's tasks have their client again.
+    virtual void granted(Incident& granted) = 0;
 };
 
 }  // namespace axon::entity_manager

@@ -3,6 +3,7 @@
 #include <axon/link.pb.h>
 #include <axon/messages.pb.h>
 
+#include <functional>
 #include <optional>
 #include <string>
 #include <utility>
@@ -49,6 +50,7 @@ struct FakeTurn final : entity_manager::Turn {
 
     void fire(entity_manager::Incident& incident) override {
         fired.push_back({incident.event, incident.reason});
+        if (on_fire) on_fire(incident);
     }
     void refuse(const entity_manager::Incident&, const Refusal& refusal) override {
         refused.push_back(refusal);
@@ -92,6 +94,11 @@ struct FakeTurn final : entity_manager::Turn {
         controls.push_back(incident.event);
     }
 
+    bool finishesAlone() const override { return task_finishes_alone; }
+    void loseHolder(entity_manager::Incident& lost) override { fire(lost); }
+    void endSpared(const std::string&) override {}
+    void granted(entity_manager::Incident& granted) override { fire(granted); }
+
     ManualClock clock;
     EntityState in_state = EntityState::REG;
     std::optional<entity_manager::LeaseBook::Held> lease;
@@ -99,6 +106,8 @@ struct FakeTurn final : entity_manager::Turn {
     bool latch = false;
     bool link = true;
     bool session = true;
+    bool task_finishes_alone = false;
+    std::function<void(entity_manager::Incident&)> on_fire;  ///< what the state table would do
     std::vector<Fired> fired;
     std::vector<Refusal> refused, replies;
     std::vector<Told> told;
