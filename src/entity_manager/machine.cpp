@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <set>
 #include <stdexcept>
 #include <utility>
 
@@ -141,10 +142,10 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
       ownership_(*this, storage, random, profiler_, {settings_.lease_grace, settings_.resource_bytes_max}),
       stops_(*this, storage, stop_gate, back_end),
-      saved_(storage),
       queue_(settings_.task_queue_bound),
       teamwork_(*this, storage, random, profiler_, memory_, {uuid_, settings_.server_watchdog_busy}),
-      uploads_(resources, settings_.resource_bytes_max, settings_.resource_window) {
+      inputs_(*this, storage, resources, profiler_,
+              {settings_.answer_within, settings_.resource_bytes_max, settings_.resource_window}) {
     // A person stopped the robot, and that this process was killed since is no word of a person.
     latched_ = latch_kept_ = storage.load(kRearmedKey) != kThere;
     // The last life was broken off while somebody held the robot, which has stopped by itself: a loss like
@@ -159,7 +160,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
     free_kept_ = storage.load(kFreeKey) == kThere;
     keepState();  // the latch says it now, and nobody holds it
     replayJournal();
-    for (const auto& finding : saved_.findings()) {
+    for (const auto& finding : inputs_.findings()) {
         if (!parts_lost_) warning_ = finding.message();
     }
 }
@@ -403,16 +404,16 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             admitTask(incident);
             break;
         case Action::AskParameter:
-            askParameter(incident);
+            inputs_.askParameter(incident);
             break;
         case Action::CarryResource:
-            carryResource(incident);
+            inputs_.carryResource(incident);
             break;
         case Action::SuspendUploads:
-            suspendUploads(incident.reason);
+            inputs_.suspendUploads(incident.reason);
             break;
         case Action::AbandonRequests:
-            abandonRequests(incident.reason);
+            inputs_.abandon(incident.reason);
             break;
         case Action::OrphanLease:
             ownership_.orphan(incident);
@@ -556,7 +557,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             break;
         }
         case proto::EiToEm::kAnswer:
-            answer(message.answer());
+            inputs_.answered(message.answer());
             break;
         case proto::EiToEm::kTaskAnswer:
             taskAnswer(message.task_answer());
@@ -571,7 +572,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             if (active_told_.size() < kActiveTold || active_told_.contains(told.service()))
                 active_told_[told.service()] = {told.active(), reason};
             if (const auto service = profiler_.setActive(told.service(), told.active(), std::move(reason)))
-                sendServices({service.value()});
+                tellServices({service.value()});
             else
                 ++counters_.unexpected;
             break;
@@ -686,16 +687,50 @@ void EntityManagerCore::Machine::takeProfiles() {
     located_again_.reset();
     presence_.profileIs(basic_->message);
     profiler_.load(services_->message, uuid_, places);
-    auto amiss = saved_.restore(profiler_);
+    auto amiss = inputs_.restore();
     for (const auto& finding : profiler_.findings()) amiss += (amiss.empty() ? "" : "; ") + finding.message();
     if (!amiss.empty()) warning_ = std::move(amiss);
     for (const auto& [service, told] : active_told_) {
         [[maybe_unused]] const auto known =
             profiler_.setActive(service, told.first, told.second);  // not all are in this profile
     }
-    tellConfiguration();
+    inputs_.tellConfiguration();
     streams_.tellPresent();
     fire(Event::ProfilesGood);
+}
+
+/// On a thread of its own a store has done what it was asked for. What waits in the queue for it: settle().
+void EntityManagerCore::Machine::onStored() {
+    if (quit_) return;
+    takeProfiles();
+    takeLook();
+    inputs_.onStored();
+    settle();
+}
+
+/// Files that the robot's owner puts in their places come without a word.
+void EntityManagerCore::Machine::lookAgain() {
+    if (located_ || located_again_ || !profiler_.hasUrls()) return;
+    located_again_ = store_.locate(roots_, profiler_.resources());
+    takeLook();
+}
+
+void EntityManagerCore::Machine::takeLook() {
+    if (!located_again_ || !located_again_->ready()) return;
+    tellServices(profiler_.relocate(std::exchange(located_again_, std::nullopt)->value()));
+}
+
+/// With the records that have changed those of the composites that show what is theirs.
+void EntityManagerCore::Machine::tellServices(const std::vector<int>& services) {
+    if (holder() == nullptr || !connected()) return;
+    std::set<int> changed(services.begin(), services.end());
+    for (const auto service : services)
+        changed.insert(profiler_.compositesWith(service).begin(), profiler_.compositesWith(service).end());
+    for (const auto service : changed) {
+        proto::ToClient message;
+        *message.mutable_service() = profiler_.record(service);
+        tell(*holder(), kMsgService, message);
+    }
 }
 
 /// What is missing, where an entity would wait in INIT for ever without a word: an application has uploaded
@@ -1099,12 +1134,7 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
             reply(to, incident.body->task_control().task_id(), refusal);
             return;
         case Event::Resource:
-            if (incident.body->has_resource_offer()) {
-                const auto& offer = incident.body->resource_offer();
-                sendResourceDone(to, offer.transfer_id(), offer.resource(), refusal);
-            } else if (!uploads_.endedLately(incident.body->resource_chunk().transfer_id())) {
-                sendResourceDone(to, incident.body->resource_chunk().transfer_id(), {}, refusal);
-            }
+            inputs_.refuseResource(incident, refusal);
             return;
         case Event::Raw:
             // A stream of raw data is not answered with a stream of refusals.
@@ -1151,7 +1181,7 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
     if (incident.body->status_request().with_services()) {
         lookAgain();
         *status.mutable_services() = profiler_.profile().services();
-        for (auto& finding : saved_.findings()) status.add_findings()->Swap(&finding);
+        for (auto& finding : inputs_.findings()) status.add_findings()->Swap(&finding);
         for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
     }
     for (const auto& active : active_) {
@@ -1195,11 +1225,11 @@ void EntityManagerCore::Machine::onTimer() {
     if (const auto why = presence_.whySilent()) serverLost(*why);
     passTime();
     expireTasks();
+    inputs_.onTimer();
     expireAnswers();
     expireSpared();
     teamwork_.onTimer();
     expireProfiles();
-    signUploads();
     tellHeldUp();
     settle();
 }
@@ -1211,8 +1241,7 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     next = std::min(next, ownership_.nextDeadline());
     if (const auto expiry = queue_.nextExpiry()) next = std::min(next, *expiry);
     if (!queue_.empty() && queue_.front().tell_at) next = std::min(next, *queue_.front().tell_at);
-    if (const auto sign = uploads_.nextSign()) next = std::min(next, *sign);
-    if (!questions_.empty()) next = std::min(next, questions_.begin()->second.until);
+    next = std::min(next, inputs_.nextDeadline());
     for (const auto& active : active_)
         if (active.sent && !active.answered) next = std::min(next, active.answer_until);
     for (const auto& active : active_)

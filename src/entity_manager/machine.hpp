@@ -17,10 +17,10 @@
 #include "common/rights.hpp"
 #include "entity_manager/entity_manager_core.hpp"
 #include "entity_manager/incident.hpp"
+#include "entity_manager/inputs.hpp"
 #include "entity_manager/lease_book.hpp"
 #include "entity_manager/ownership.hpp"
 #include "entity_manager/presence.hpp"
-#include "entity_manager/saved_values.hpp"
 #include "entity_manager/service_profiler.hpp"
 #include "entity_manager/state_table.hpp"
 #include "entity_manager/stop_ledger.hpp"
@@ -29,7 +29,6 @@
 #include "entity_manager/task_queue.hpp"
 #include "entity_manager/teamwork.hpp"
 #include "entity_manager/turn.hpp"
-#include "entity_manager/upload_desk.hpp"
 #include "messages/profile_reader.hpp"
 
 namespace axon::entity_manager {
@@ -107,18 +106,6 @@ class EntityManagerCore::Machine final : private Turn {
         int service;
         bool blocking;
     };
-    /// A question to the robot application: a parameter or a resource.
-    struct Question {
-        Sender asker;
-        LeaseNumber lease;
-        std::string request_id;  ///< or the transfer's id
-        int service = 0;
-        proto::Param param;
-        std::uint32_t generation = 0;  ///< of the stops, when a parameter was asked for
-        bool of_resource = false;
-        std::string resource_name;
-        TimePoint until{};  ///< then it is TIMED_OUT
-    };
 
     // Rows.
     void process(Event event, Who who, const Header& head, proto::ToEntity* body);
@@ -147,6 +134,7 @@ class EntityManagerCore::Machine final : private Turn {
     void considerProfiles();
     void expireProfiles();
     void takeProfiles();
+    void tellServices(const std::vector<int>& services) override;
     void seekServer();
     /// A lease that outlived the session with the server is found again.
     Event serverUpEvent() const {
@@ -219,7 +207,6 @@ class EntityManagerCore::Machine final : private Turn {
     void endAsWhole(const Active& active, proto::TaskEvent& event) const;
     void continueParts();
     void controlBetweenParts(Active& active);
-    void sendServices(const std::vector<int>& services);
 
     // Tasks whose client is lost (machine_losses.cpp).
     proto::OnClientLoss lossPolicyOfParts(const Active& active) const;
@@ -234,30 +221,9 @@ class EntityManagerCore::Machine final : private Turn {
     void endSpared(const std::string& why) override;
     void expireSpared();
 
-    // Parameters and resources (machine_tasks.cpp).
-    void askParameter(const Incident& incident);
-    void carryResource(const Incident& incident);
-    /// `upload` as it was before.
-    void uploadProgress(const UploadDesk::Upload& upload, const Result<UploadDesk::Progress>& progress);
-    void askResource(const UploadDesk::Upload& upload, const std::string& path);
-    void forgetQuestion(const std::string& transfer_id);
-    void tellCredit(const UploadDesk::Upload& upload, std::uint64_t offset, std::uint64_t window);
-    void signUploads();
-    void answer(const proto::RequestAnswer& answer);
-    /// A value that the application has granted; TOO_LARGE where it does not fit.
-    Refusal keepParameter(const Question& question);
-    /// All of it, to an application that has just been linked or has new profiles.
-    void tellConfiguration();
-    /// A new value of a CONFIG parameter, to the application and to all that has been accepted.
-    void reconfigure(int service, const proto::Param& param);
-    Refusal leavesRoom(int service, const proto::Param& param) const;
+    Refusal leavesRoom(int service, const proto::Param& param) const override;
+    void reconfigure(int service, const proto::Param& param) override;
     std::size_t dispatchBytes(const ServiceProfiler::Plan& plan) const;
-    void conclude(const Question& question, const Refusal& refusal);
-    void abandonRequests(const Refusal& reason);
-    void suspendUploads(const Refusal& reason);
-    void sendService(int service);
-    void sendResourceDone(const Sender& to, const std::string& transfer_id, const std::string& resource,
-                          const Refusal& refusal);
 
     // What the owners see of it.
     TimePoint now() const override { return clock_.now(); }
@@ -272,6 +238,7 @@ class EntityManagerCore::Machine final : private Turn {
     Stops stops() const override {
         return {stops_.generation(), stops_.required(), stops_.allHandled(), stops_.standing()};
     }
+    Refusal checkGeneration(std::int32_t seen) const override { return stops_.whyNot(seen); }
     Refusal checkLease(const Sender& sender, LeaseNumber under) const override {
         return ownership_.lease().check(sender, under);
     }
@@ -332,7 +299,6 @@ class EntityManagerCore::Machine final : private Turn {
     Ownership ownership_;
     StopLedger stops_;
 
-    SavedValues saved_;
     ServiceProfiler profiler_;
     /// By the application since its link is up: on or off, and why.
     std::map<std::string, std::pair<bool, std::string>, std::less<>> active_told_;
@@ -341,9 +307,7 @@ class EntityManagerCore::Machine final : private Turn {
     Teamwork teamwork_;
     std::vector<Active> active_;
     std::vector<Lingering> lingering_;
-    UploadDesk uploads_;
-    std::map<std::uint64_t, Question> questions_;
-    std::uint64_t next_question_ = 1;
+    Inputs inputs_;
     Streams streams_{*this};
     TimePoint raw_refused_{};
 

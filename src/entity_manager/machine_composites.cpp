@@ -2,7 +2,6 @@
 // Tasks of composite services: one part after the other, as tasks of their own to the robot application and
 // as one task to everybody else (docs/reference/profiles.md).
 #include <algorithm>
-#include <set>
 #include <utility>
 
 #include "entity_manager/machine.hpp"
@@ -148,14 +147,6 @@ void EntityManagerCore::Machine::controlBetweenParts(Active& active) {
     event.set_progress(progressOf(active));
     tellTask(event);
     continueParts();
-}
-
-/// The records that have changed, and those of the composites that show what is theirs.
-void EntityManagerCore::Machine::sendServices(const std::vector<int>& services) {
-    std::set<int> changed(services.begin(), services.end());
-    for (const auto service : services)
-        changed.insert(profiler_.compositesWith(service).begin(), profiler_.compositesWith(service).end());
-    for (const auto service : changed) sendService(service);
 }
 
 }  // namespace axon::entity_manager

@@ -6,8 +6,8 @@
 #include <utility>
 
 #include "common/planted_bug.hpp"
-#include "entity_interfacer/frame.hpp"
 #include "entity_manager/machine.hpp"
+#include "entity_manager/message_size.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -17,14 +17,11 @@ using collaboration::isFinal;
 
 namespace {
 
-constexpr std::size_t kQuestions = 64;
 /// So long a task may wait for the disk alone before its client is told that it waits.
 constexpr Duration kQueuedUntold = std::chrono::milliseconds{100};
 /// For so long a client may have been gone before its loss was known: the server's watchdog of a client.
 constexpr Duration kUnnoticed = std::chrono::seconds{10};
 constexpr double kLongestNotAfter_s = 1e6;
-/// Some bytes are left for a stop generation that grows while a task waits.
-constexpr std::size_t kMessageMax = kFrameMax - 64;
 
 proto::EmToEi dispatchOf(const ServiceProfiler::Order& part, const std::string& service, const Id128& id,
                          std::uint32_t generation) {
@@ -45,16 +42,6 @@ void addGiven(proto::EmToEi& message, const ServiceProfiler::Plan& plan, const S
         given.set_service(profiler.record(service).name());
         *given.mutable_param() = param;
     }
-}
-
-/// The link has no larger frames, and what cannot be sent would never be answered.
-Refusal checkSize(std::size_t bytes) {
-    if (bytes <= kMessageMax) return {};
-    return {RefusalCode::TooLarge,
-            "With all parameters it has " + std::to_string(bytes) +
-                " bytes, and the robot application takes at most " + std::to_string(kMessageMax) +
-                " at once. Shorten the parameters, or upload a resource.",
-            {}};
 }
 
 }  // namespace
@@ -211,7 +198,7 @@ Refusal EntityManagerCore::Machine::missingFiles(const Task& task) {
                        inQuotes(service) + " (" + resource.url() + ')';
             changed.push_back(part.service);
         }
-    sendServices(changed);
+    tellServices(changed);
     return {RefusalCode::MissingDependency,
             "The file of a resource is no longer on the robot's machine: " +
                 (missing.empty() ? absent.front() : missing) + ". Upload it again, then send the task again.",
@@ -435,9 +422,8 @@ void EntityManagerCore::Machine::leaveService(const Task& task, bool clear) {
     if (!clear) return;
     const auto cleared = profiler_.clearAfterTask(task.plan);
     for (const auto& [service, resource] : cleared.files)
-        if (const auto& name = profiler_.record(service).name(); !uploads_.placing(name, resource))
-            store_.remove(name, resource);
-    sendServices(cleared.changed);
+        inputs_.remove(profiler_.record(service).name(), resource);
+    tellServices(cleared.changed);
 }
 
 void EntityManagerCore::Machine::voidQueue(const Incident& incident) {
@@ -570,15 +556,6 @@ void EntityManagerCore::Machine::expireAnswers() {
         std::to_string(
             std::chrono::duration_cast<std::chrono::milliseconds>(settings_.answer_within).count()) +
         " ms";
-    while (!questions_.empty() && questions_.begin()->second.until <= now) {
-        const auto question = std::move(questions_.begin()->second);
-        questions_.erase(questions_.begin());
-        if (question.of_resource) uploads_.suspend(question.request_id);
-        conclude(question, {RefusalCode::TimedOut,
-                            "The robot application has not answered within " + within +
-                                ". It may be hanging: look at it, then try again.",
-                            {}});
-    }
     for (std::size_t i = 0; i < active_.size();) {
         if (!active_[i].sent || active_[i].answered || active_[i].answer_until > now) {
             ++i;
@@ -597,106 +574,6 @@ void EntityManagerCore::Machine::expireAnswers() {
                      ". It has been cancelled and may have begun: look at the robot.",
                  {}});
     }
-}
-
-// -- parameters and resources
-// ---------------------------------------------------------------------------------------
-
-void EntityManagerCore::Machine::askParameter(const Incident& incident) {
-    const auto& request = incident.body->set_param();
-    auto checked = profiler_.checkParam(request.service(), request.param());
-    if (!checked) {
-        refuse(incident, checked.refusal());
-        return;
-    }
-    if (questions_.size() >= kQuestions) {
-        refuse(incident, {RefusalCode::Overloaded,
-                          "The robot application has " + std::to_string(kQuestions) +
-                              " requests to answer already. Wait for some answers.",
-                          {}});
-        return;
-    }
-    Question question;
-    question.asker = incident.head->sender;
-    question.lease = incident.head->held;
-    question.request_id = request.request_id();
-    question.service = checked->first;
-    question.param = std::move(checked->second);
-    const auto number = next_question_++;
-    proto::EmToEi message;
-    auto& ask = *message.mutable_param();
-    ask.set_request(number);
-    ask.set_service(profiler_.record(question.service).name());
-    *ask.mutable_param() = question.param;
-    question.generation = stops_.generation();
-    ask.set_stop_generation(question.generation);
-    if (const auto refusal = checkSize(message.ByteSizeLong()); !refusal.ok()) {
-        refuse(incident, refusal);
-        return;
-    }
-    question.until = clock_.now() + settings_.answer_within;
-    questions_.emplace(number, std::move(question));
-    back_end_.send(message);
-}
-
-void EntityManagerCore::Machine::answer(const proto::RequestAnswer& answer) {
-    const auto at = questions_.find(answer.request());
-    if (at == questions_.end()) {
-        ++counters_.unexpected;
-        return;
-    }
-    const auto question = std::move(at->second);
-    questions_.erase(at);
-    Refusal refusal;
-    if (answer.has_refusal() && answer.refusal().code() != proto::OK) {
-        refusal = toRefusal(answer.refusal());
-        if (refusalName(refusal.code) == refusalName(RefusalCode::Internal))
-            refusal.code = RefusalCode::Denied;
-        if (refusal.message.empty()) refusal.message = "The robot application denied it without a reason.";
-    }
-    if (question.of_resource) {
-        const auto* found = uploads_.find(question.request_id);
-        if (found == nullptr) return;
-        if (refusal.ok()) {
-            const auto upload = *found;
-            uploadProgress(upload, uploads_.accept(question.request_id));
-        } else {
-            uploads_.deny(question.request_id);
-            conclude(question, refusal);
-        }
-        return;
-    }
-    // Between question and answer the lease may have ended; what was meant for it is not kept for the next
-    // holder.
-    const bool present = held() && held()->number == question.lease;
-    if (refusal.ok() && !present)
-        refusal = {
-            RefusalCode::RevokedLease, "The lease ended before the robot application had answered.", {}};
-    if (refusal.ok()) refusal = keepParameter(question);
-    conclude(question, refusal);
-    if (refusal.ok()) sendServices({question.service});
-}
-
-Refusal EntityManagerCore::Machine::keepParameter(const Question& question) {
-    const auto& record = profiler_.record(question.service);
-    const bool config = profiler_.isConfig(question.service, question.param.name());
-    if (config) {
-        // It reaches what runs now, which may have begun after a stop that came before the answer, or go on
-        // alone.
-        if (auto refusal = stops_.whyNot(static_cast<std::int32_t>(question.generation)); !refusal.ok())
-            return refusal;
-        if (orphaned())
-            return {RefusalCode::ClientLost,
-                    "The client was lost before the robot application had answered.",
-                    {}};
-        if (auto refusal = saved_.mayKeep(record.name(), question.param); !refusal.ok()) return refusal;
-        if (auto refusal = leavesRoom(question.service, question.param); !refusal.ok()) return refusal;
-    }
-    profiler_.storeParam(question.service, question.param);
-    if (const auto param = findParamIndex(record, question.param.name()))
-        saved_.set(record.name(), record.params(param.value()), question.param);
-    if (config) reconfigure(question.service, question.param);
-    return {};
 }
 
 /// What has been accepted can still be sent with it.
@@ -731,160 +608,6 @@ void EntityManagerCore::Machine::reconfigure(int service, const proto::Param& pa
     back_end_.send(message);
 }
 
-void EntityManagerCore::Machine::tellConfiguration() {
-    proto::EmToEi message;
-    std::size_t bytes = 0;
-    for (auto& one : profiler_.configuration()) {
-        const auto more = one.ByteSizeLong() + 8;  // with its tag and length
-        if (bytes > 0 && bytes + more > kMessageMax) {
-            back_end_.send(message);
-            message.Clear();
-            bytes = 0;
-        }
-        message.mutable_configuration()->add_params()->Swap(&one);
-        bytes += more;
-    }
-    if (bytes > 0) back_end_.send(message);
-}
-
-void EntityManagerCore::Machine::conclude(const Question& question, const Refusal& refusal) {
-    if (question.of_resource)
-        sendResourceDone(question.asker, question.request_id, question.resource_name, refusal);
-    else
-        reply(question.asker, question.request_id, refusal);
-}
-
-void EntityManagerCore::Machine::abandonRequests(const Refusal& reason) {
-    for (const auto& [number, question] : std::exchange(questions_, {})) {
-        if (question.of_resource) uploads_.suspend(question.request_id);
-        conclude(question, reason);
-    }
-}
-
-void EntityManagerCore::Machine::carryResource(const Incident& incident) {
-    const auto& to = incident.head->sender;
-    if (incident.body->has_resource_offer()) {
-        const auto& offer = incident.body->resource_offer();
-        const auto place = profiler_.findResource(offer.service(), offer.resource());
-        if (!place) {
-            refuse(incident, place.refusal());
-            return;
-        }
-        // The names of the profile, not the spelling of the client: they become a path.
-        auto named = offer;
-        const auto& service = profiler_.record(place->first);
-        named.set_service(service.name());
-        named.set_resource(service.resources(place->second).name());
-        const auto progress =
-            uploads_.offer(named, place->first, place->second, to, held()->owner, clock_.now());
-        if (!progress)
-            refuse(incident, progress.refusal());
-        else if (const auto* upload = uploads_.find(offer.transfer_id()))
-            uploadProgress(*upload, progress);
-        return;
-    }
-    const auto& chunk = incident.body->resource_chunk();
-    const auto* found = uploads_.find(chunk.transfer_id());
-    const auto upload = found != nullptr ? std::optional(*found) : std::nullopt;
-    auto progress = uploads_.chunk(chunk);
-    if (upload) {
-        if (!progress) forgetQuestion(chunk.transfer_id());
-        uploadProgress(*upload, progress);
-    } else {
-        refuse(incident, progress.refusal());
-    }
-}
-
-/// On a thread of its own a store has done what it was asked for. What waits in the queue for it: settle().
-void EntityManagerCore::Machine::onStored() {
-    if (quit_) return;
-    takeProfiles();
-    takeLook();
-    for (const auto& [upload, progress] : uploads_.answered()) uploadProgress(upload, progress);
-    settle();
-}
-
-/// Files that the robot's owner puts in their places come without a word.
-void EntityManagerCore::Machine::lookAgain() {
-    if (located_ || located_again_ || !profiler_.hasUrls()) return;
-    located_again_ = store_.locate(roots_, profiler_.resources());
-    takeLook();
-}
-
-void EntityManagerCore::Machine::takeLook() {
-    if (!located_again_ || !located_again_->ready()) return;
-    sendServices(profiler_.relocate(std::exchange(located_again_, std::nullopt)->value()));
-}
-
-void EntityManagerCore::Machine::uploadProgress(const UploadDesk::Upload& upload,
-                                                const Result<UploadDesk::Progress>& progress) {
-    const std::string transfer_id = upload.offer.transfer_id();
-    if (!progress) {
-        sendResourceDone(upload.asker, transfer_id, upload.offer.resource(), progress.refusal());
-        return;
-    }
-    if (progress->window > 0) tellCredit(upload, progress->offset, progress->window);
-    if (progress->next == UploadDesk::Progress::Next::Ask) askResource(upload, progress->path);
-    if (progress->next != UploadDesk::Progress::Next::Placed) return;
-    // The profile may have been read anew meanwhile, and then has found the file by itself or has no such
-    // resource.
-    const auto place = profiler_.findResource(upload.offer.service(), upload.offer.resource());
-    if (place)
-        profiler_.storeResource(place->first, place->second, progress->path, upload.offer.sha256(),
-                                upload.offer.size());
-    sendResourceDone(upload.asker, transfer_id, upload.offer.resource(), {});
-    if (place) sendServices({place->first});
-}
-
-void EntityManagerCore::Machine::askResource(const UploadDesk::Upload& upload, const std::string& path) {
-    if (questions_.size() >= kQuestions) {
-        uploads_.suspend(upload.offer.transfer_id());
-        sendResourceDone(upload.asker, upload.offer.transfer_id(), upload.offer.resource(),
-                         {RefusalCode::Overloaded,
-                          "The robot application has too many requests to answer. Try again.",
-                          {}});
-        return;
-    }
-    Question question;
-    question.asker = upload.asker;
-    question.request_id = upload.offer.transfer_id();
-    question.of_resource = true;
-    question.resource_name = upload.offer.resource();
-    const auto number = next_question_++;
-    proto::EmToEi message;
-    auto& ask = *message.mutable_resource();
-    ask.set_request(number);
-    ask.set_service(upload.offer.service());
-    ask.set_resource(upload.offer.resource());
-    ask.set_path(path);
-    ask.set_size(upload.offer.size());
-    question.until = clock_.now() + settings_.answer_within;
-    questions_.emplace(number, std::move(question));
-    back_end_.send(message);
-}
-
-/// Of an upload that has ended.
-void EntityManagerCore::Machine::forgetQuestion(const std::string& transfer_id) {
-    std::erase_if(questions_, [&](const auto& question) {
-        return question.second.of_resource && question.second.request_id == transfer_id;
-    });
-}
-
-/// Without a window: it is not forgotten, and nothing more may be sent yet.
-void EntityManagerCore::Machine::tellCredit(const UploadDesk::Upload& upload, std::uint64_t offset,
-                                            std::uint64_t window) {
-    proto::ToClient message;
-    auto& credit = *message.mutable_resource_credit();
-    credit.set_transfer_id(upload.offer.transfer_id());
-    credit.set_offset(offset);
-    credit.set_window(window);
-    tell(upload.asker, kMsgResource, message);
-}
-
-void EntityManagerCore::Machine::signUploads() {
-    for (const auto& upload : uploads_.takeSigns(clock_.now())) tellCredit(upload, upload.received, 0);
-}
-
 /// A task that the disk holds up: its client is told that it waits.
 void EntityManagerCore::Machine::tellHeldUp() {
     if (queue_.empty()) return;
@@ -892,30 +615,6 @@ void EntityManagerCore::Machine::tellHeldUp() {
     if (!first.tell_at || clock_.now() < *first.tell_at) return;
     first.tell_at.reset();
     sendTask(first, proto::TASK_QUEUED, {});
-}
-
-void EntityManagerCore::Machine::suspendUploads(const Refusal& reason) {
-    for (const auto& upload : uploads_.suspendAll()) {
-        forgetQuestion(upload.offer.transfer_id());
-        sendResourceDone(upload.asker, upload.offer.transfer_id(), upload.offer.resource(), reason);
-    }
-}
-
-void EntityManagerCore::Machine::sendService(int service) {
-    if (holder() == nullptr || !connected()) return;
-    proto::ToClient message;
-    *message.mutable_service() = profiler_.record(service);
-    tell(*holder(), kMsgService, message);
-}
-
-void EntityManagerCore::Machine::sendResourceDone(const Sender& to, const std::string& transfer_id,
-                                                  const std::string& resource, const Refusal& refusal) {
-    proto::ToClient message;
-    auto& done = *message.mutable_resource_done();
-    done.set_transfer_id(transfer_id);
-    done.set_resource(resource);
-    if (!refusal.ok()) *done.mutable_refusal() = toProto(refusal);
-    tell(to, kMsgResource, message);
 }
 
 }  // namespace axon::entity_manager

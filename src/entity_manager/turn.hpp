@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "common/clock.hpp"
 #include "common/refusal.hpp"
@@ -13,6 +14,7 @@
 
 namespace axon::proto {
 class EmToEi;
+class Param;
 class TaskRequest;
 class ToClient;
 class ToEntity;
@@ -57,6 +59,8 @@ class Turn {
     virtual Stops stops() const = 0;
     /// The present lease. Null when nobody holds the entity. Valid until the lease changes.
     virtual const LeaseBook::Held* held() const = 0;
+    /// Whether a command counts whose sender had seen this stop generation, as StopLedger::whyNot().
+    virtual Refusal checkGeneration(std::int32_t seen) const = 0;
     /// Whether the sender is the holder and acts under the present lease, as LeaseBook::check().
     virtual Refusal checkLease(const Sender& sender, LeaseNumber under) const = 0;
     /// This entity as the sender of what it sends to another: its UUID, and its name for people.
@@ -109,6 +113,15 @@ class Turn {
     virtual Refusal admitStep(const proto::TaskRequest& request) = 0;
     /// A pause, resume or cancel; answered as if its sender had sent it.
     virtual void controlTask(const Incident& incident) = 0;
+
+    // What the services' values mean for their tasks, and for who holds the entity.
+    /// TOO_LARGE where a task that has been accepted could not be sent with this value of a service's own
+    /// parameter.
+    virtual Refusal leavesRoom(int service, const proto::Param& param) const = 0;
+    /// A new value of a CONFIG parameter, to the application and to all that has been accepted.
+    virtual void reconfigure(int service, const proto::Param& param) = 0;
+    /// Tells the holder the records of services that have changed.
+    virtual void tellServices(const std::vector<int>& services) = 0;
 
     // What whoever holds the entity means for its tasks.
     /// Whether a task goes on to its end while its client is lost.

@@ -42,6 +42,10 @@ struct FakeTurn final : entity_manager::Turn {
     bool connected() const override { return session; }
     Stops stops() const override { return stopped; }
     const entity_manager::LeaseBook::Held* held() const override { return lease ? &*lease : nullptr; }
+    Refusal checkGeneration(std::int32_t seen) const override {
+        if (static_cast<std::uint32_t>(seen) >= stopped.required) return {};
+        return {RefusalCode::OldGeneration, "", {}};
+    }
     Refusal checkLease(const Sender& sender, LeaseNumber under) const override {
         if (lease && lease->holder.id == sender.id && lease->number == under) return {};
         return {RefusalCode::NotHolder, "", {}};
@@ -94,6 +98,10 @@ struct FakeTurn final : entity_manager::Turn {
         controls.push_back(incident.event);
     }
 
+    Refusal leavesRoom(int, const proto::Param&) const override { return room; }
+    void reconfigure(int, const proto::Param& param) override { reconfigured.push_back(param); }
+    void tellServices(const std::vector<int>& services) override { told_services.push_back(services); }
+
     bool finishesAlone() const override { return task_finishes_alone; }
     void loseHolder(entity_manager::Incident& lost) override { fire(lost); }
     void endSpared(const std::string&) override {}
@@ -110,6 +118,9 @@ struct FakeTurn final : entity_manager::Turn {
     std::function<void(entity_manager::Incident&)> on_fire;  ///< what the state table would do
     std::vector<Fired> fired;
     std::vector<Refusal> refused, replies;
+    Refusal room;  ///< what leavesRoom() says
+    std::vector<proto::Param> reconfigured;
+    std::vector<std::vector<int>> told_services;
     std::vector<Told> told;
     std::vector<ToldPeer> told_peers;
     std::vector<proto::EmToEi> to_application;
