@@ -128,12 +128,10 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
                                     ResourceStore& resources, StopGate& stop_gate, Journal* journal)
     : settings_(std::move(settings)),
       clock_(clock),
-      random_(random),
       back_end_(back_end),
       server_(server),
       storage_(storage),
       store_(resources),
-      stop_gate_(stop_gate),
       journal_(journal),
       parts_lost_(partsAreLost(storage)),
       uuid_(loadUuid(storage, random, settings_.uuid)),
@@ -142,7 +140,8 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
           {uuid_, settings_.application, settings_.server_watchdog_busy, settings_.server_watchdog_idle}),
       ownership_(*this, storage, random, profiler_, {settings_.lease_grace, settings_.resource_bytes_max}),
       stops_(*this, storage, stop_gate, back_end),
-      queue_(settings_.task_queue_bound),
+      tasks_(*this, back_end, resources, stop_gate, random, profiler_, memory_,
+             {settings_.task_queue_bound, settings_.answer_within, settings_.lease_grace}),
       teamwork_(*this, storage, random, profiler_, memory_, {uuid_, settings_.server_watchdog_busy}),
       inputs_(*this, storage, resources, profiler_,
               {settings_.answer_within, settings_.resource_bytes_max, settings_.resource_window}) {
@@ -378,22 +377,22 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             break;
         case Action::VoidQueue:
             if (AXON_PLANTED(QueueNotVoided)) break;
-            voidQueue(incident);
+            tasks_.voidQueue(incident);
             break;
         case Action::EndTasks:
-            endTasks(incident, proto::TASK_STOPPED, true);
+            tasks_.end(incident, proto::TASK_STOPPED, true);
             break;
         case Action::LoseTasks:
-            endTasks(incident, proto::TASK_UNKNOWN, false);
+            tasks_.end(incident, proto::TASK_UNKNOWN, false);
             break;
         case Action::SpareTasks:
-            spareTasks();
+            tasks_.spare();
             break;
         case Action::HaltTasks:
-            haltTasks();
+            tasks_.halt();
             break;
         case Action::DispatchNext:
-            dispatchNext();
+            tasks_.dispatchNext();
             break;
         case Action::CancelTask:
         case Action::PauseTask:
@@ -401,7 +400,7 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
             controlTask(incident);
             break;
         case Action::AdmitTask:
-            admitTask(incident);
+            tasks_.consider(incident);
             break;
         case Action::AskParameter:
             inputs_.askParameter(incident);
@@ -463,16 +462,8 @@ void EntityManagerCore::Machine::settle() {
     stops_.settle();
     teamwork_.settle();
     passOn();
-    dispatchNext();
-    // A stop that the signal thread has passed on may end the last task before this strand hears of the stop:
-    // it finds a robot that moves.
-    const bool occupied =
-        !active_.empty() || !lingering_.empty() || application_busy_ || (busy_told_ && !stops_.allHandled());
-    if (occupied != busy_told_) {
-        busy_told_ = occupied;
-        back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
-    }
-    stop_gate_.spareClientLoss(survivesClientLoss());
+    tasks_.dispatchNext();
+    tasks_.settle();
     presence_.setBusy(state_ == EntityState::BUSY);
     tellStatus();
     keepState();
@@ -499,10 +490,9 @@ void EntityManagerCore::Machine::onLinkUp() {
     stops_.linkUp();
     active_told_.clear();
     streams_.linkUp();
-    lingering_.clear();
-    application_busy_ = false;
+    tasks_.linkChanged();
     fire(Event::LinkUp);
-    busy_told_ = false;
+    tasks_.linkIsNew();
     settle();
 }
 
@@ -518,8 +508,7 @@ void EntityManagerCore::Machine::onLinkDown(const std::string& reason, LinkEnd e
     Incident incident{end == LinkEnd::GoodBye ? Event::LinkEnded : Event::LinkDown};
     incident.cause = StopCause::LinkLost;
     incident.reason = {RefusalCode::Unavailable, "The link to the robot application was lost: " + reason, {}};
-    lingering_.clear();
-    application_busy_ = false;
+    tasks_.linkChanged();
     fire(incident);
     settle();
 }
@@ -560,10 +549,10 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             inputs_.answered(message.answer());
             break;
         case proto::EiToEm::kTaskAnswer:
-            taskAnswer(message.task_answer());
+            tasks_.answered(message.task_answer());
             break;
         case proto::EiToEm::kTask:
-            taskUpdate(*message.mutable_task()->mutable_event());
+            tasks_.updated(*message.mutable_task()->mutable_event());
             break;
         case proto::EiToEm::kActive: {
             const auto& told = message.active();
@@ -578,7 +567,7 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
             break;
         }
         case proto::EiToEm::kStatus:
-            applicationStatus(message.status());
+            tasks_.applicationIs(message.status());
             break;
         case proto::EiToEm::kPosition:
             presence_.positionIs(message.position());
@@ -770,24 +759,6 @@ void EntityManagerCore::Machine::expireProfiles() {
     tellStatus();
 }
 
-void EntityManagerCore::Machine::applicationStatus(const proto::StatusNote& note) {
-    if (!note.text().empty()) {
-        if (holder() != nullptr) {
-            proto::ToClient text;
-            text.mutable_text()->set_text(note.text());
-            tell(*holder(), kMsgText, text);
-        } else {
-            ++counters_.undelivered;
-        }
-    }
-    if (note.busy() == application_busy_) return;
-    application_busy_ = note.busy();
-    if (application_busy_)
-        fire(Event::ApplicationBusy);
-    else
-        fire(state_ == EntityState::BUSY && !anyRuns() ? Event::LastTaskEnded : Event::ApplicationReady);
-}
-
 // -- the server
 // -----------------------------------------------------------------------------------------------------
 
@@ -856,16 +827,11 @@ void EntityManagerCore::Machine::tellStatus() {
 // -- stop, reset, clear
 // ---------------------------------------------------------------------------------------------
 
-/// A task that a stop should have voided must not become valid again: only when none is under way.
-void EntityManagerCore::Machine::restampQueue() {
-    if (stops_.allHandled()) queue_.restamp(stops_.generation());
-}
-
 void EntityManagerCore::Machine::stopApplication(Incident& incident) {
     if (AXON_PLANTED(LostServerDoesNotStop) && incident.event == Event::ServerDown) return;
     incident.generation = stops_.order(incident.cause, incident.event != Event::Reset);
-    restampQueue();
-    if (incident.event != Event::Reset) application_busy_ = false;
+    tasks_.restamp();
+    if (incident.event != Event::Reset) tasks_.applicationStopped();
     note({.kind = JournalRecord::Kind::Stopped,
           .generation = incident.generation,
           .who = incident.head != nullptr ? named(incident.head->sender) : std::string(),
@@ -879,10 +845,10 @@ void EntityManagerCore::Machine::onStopSignal(const Header& head, StopCause caus
     incident.cause = cause;
     incident.generation = generation;
     stops_.arrived(generation);
-    restampQueue();
+    tasks_.restamp();
     incident.reason = {
         RefusalCode::Stopped, "Stopped by " + named(head.sender) + " (" + toString(cause) + ").", {}};
-    application_busy_ = false;
+    tasks_.applicationStopped();
     if (!AXON_PLANTED(StopNotInTheJournal))
         note({.kind = JournalRecord::Kind::Stopped,
               .generation = generation,
@@ -908,18 +874,17 @@ void EntityManagerCore::Machine::onSignal(Event event, const Header& head) {
 void EntityManagerCore::Machine::onStopRepeated(const Header& head, StopCause cause,
                                                 std::uint32_t generation) {
     if (quit_) return;
-    stops_.repeated(head, cause, generation, anyRuns());
+    stops_.repeated(head, cause, generation, tasks_.anyRuns());
 }
 
 void EntityManagerCore::Machine::acknowledge(const Incident& incident) {
     std::optional<StopLedger::Ended> ended;
     if (incident.event == Event::Reset || incident.event == Event::Clear) {
         ended.emplace();
-        ended->tasks = static_cast<std::uint32_t>(active_.size());
-        if (incident.event == Event::Clear)
-            ended->removed = static_cast<std::uint32_t>(queue_.waiting().size());
+        ended->tasks = static_cast<std::uint32_t>(tasks_.begun());
+        if (incident.event == Event::Clear) ended->removed = static_cast<std::uint32_t>(tasks_.waiting());
     }
-    if (stops_.acknowledge(*incident.head, incident.cause, incident.generation, busy_told_, ended))
+    if (stops_.acknowledge(*incident.head, incident.cause, incident.generation, tasks_.robotMoves(), ended))
         deliverStops();
 }
 
@@ -939,7 +904,7 @@ void EntityManagerCore::Machine::onClientUpdate(const Header& head, ClientChange
         ownership_.dismissWaiting(incident);
     } else if (lost && holder() != nullptr) {
         // Of tasks that go on without it the loss is known.
-        if (!orphaned() || !survivesClientLoss()) loseHolder(incident);
+        if (!orphaned() || !tasks_.surviveClientLoss()) loseHolder(incident);
     } else {
         fire(incident);
     }
@@ -958,13 +923,22 @@ void EntityManagerCore::Machine::passTime() {
     passOn();
 }
 
+void EntityManagerCore::Machine::loseHolder(Incident& lost) {
+    lost.event = tasks_.surviveClientLoss() ? Event::ClientSpared : Event::ClientLost;
+    fire(lost);
+}
+
+void EntityManagerCore::Machine::controlTask(const Incident& incident) {
+    if (!teamwork_.control(incident)) tasks_.control(incident);
+}
+
 void EntityManagerCore::Machine::granted(Incident& granted) {
     const bool resumed = granted.event == Event::LeaseResumed;
-    if (resumed) attendTasks();
+    if (resumed) tasks_.attend();
     fire(granted);
     if (resumed)
-        tellFinals();
-    else if (application_busy_)
+        tasks_.tellFinals(ownership_.lostAt());
+    else if (tasks_.applicationBusy())
         fire(Event::ApplicationBusy);
 }
 
@@ -1091,25 +1065,9 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
             ownership_.reply(to, incident.body->check_out().request_id(), incident.body->check_out().phase(),
                              refusal);
             return;
-        case Event::Task: {
-            proto::ToClient message;
-            auto& event = *message.mutable_task();
-            event.set_task_id(incident.body->task().task_id());
-            event.set_service(incident.body->task().service());
-            event.set_state(proto::TASK_REFUSED);
-            event.set_progress(-1);
-            // Of a task that was accepted before, its sender must not think that this is its end.
-            const auto id = Id128::fromBytes(incident.body->task().task_id());
-            const auto again = id ? memory_.whyNotAgain(*id) : std::nullopt;
-            *event.mutable_reason() = toProto(again ? *again : refusal);
-            if (again && again->code == RefusalCode::OutcomeUnknown) event.set_state(proto::TASK_UNKNOWN);
-            // This is its end, so a copy that comes later must not begin. Others than the holder cannot fill
-            // the memory.
-            if (id && !again && checkLease(to, incident.head->held).ok())
-                memory_.ended(*id, held()->number, event, clock_.now());
-            tell(to, kMsgTask, message);
+        case Event::Task:
+            tasks_.refuse(incident, refusal);
             return;
-        }
         case Event::CollaborativeTask:
             teamwork_.refuseRun(incident, refusal);
             return;
@@ -1184,22 +1142,7 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
         for (auto& finding : inputs_.findings()) status.add_findings()->Swap(&finding);
         for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
     }
-    for (const auto& active : active_) {
-        auto& task = *status.add_tasks();
-        task.set_task_id(active.task.id.bytes());
-        task.set_service(active.task.service);
-        task.set_state(active.phase == Active::Phase::Dispatched ? proto::TASK_DISPATCHED
-                       : active.phase == Active::Phase::Paused   ? proto::TASK_PAUSED
-                                                                 : proto::TASK_RUNNING);
-        task.set_progress(progressOf(active));
-    }
-    for (const auto& waiting : queue_.waiting()) {
-        auto& task = *status.add_tasks();
-        task.set_task_id(waiting.id.bytes());
-        task.set_service(waiting.service);
-        task.set_state(proto::TASK_QUEUED);
-        task.set_progress(-1);
-    }
+    tasks_.describe(status);
     auto margins = back_end_.margins();
     if (auto margin = presence_.margin()) margins.insert(margins.begin(), std::move(*margin));
     for (const auto& [hop, gap] : margins) {
@@ -1224,13 +1167,10 @@ void EntityManagerCore::Machine::onTimer() {
     presence_.onTimer();
     if (const auto why = presence_.whySilent()) serverLost(*why);
     passTime();
-    expireTasks();
     inputs_.onTimer();
-    expireAnswers();
-    expireSpared();
+    tasks_.onTimer();
     teamwork_.onTimer();
     expireProfiles();
-    tellHeldUp();
     settle();
 }
 
@@ -1239,13 +1179,8 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     if (quit_) return next;
     next = std::min(next, presence_.nextDeadline());
     next = std::min(next, ownership_.nextDeadline());
-    if (const auto expiry = queue_.nextExpiry()) next = std::min(next, *expiry);
-    if (!queue_.empty() && queue_.front().tell_at) next = std::min(next, *queue_.front().tell_at);
     next = std::min(next, inputs_.nextDeadline());
-    for (const auto& active : active_)
-        if (active.sent && !active.answered) next = std::min(next, active.answer_until);
-    for (const auto& active : active_)
-        if (active.alone_until) next = std::min(next, *active.alone_until);
+    next = std::min(next, tasks_.nextDeadline());
     next = std::min(next, teamwork_.nextDeadline());
     if (profiles_due_) next = std::min(next, *profiles_due_);
     return next;
@@ -1259,7 +1194,7 @@ void EntityManagerCore::Machine::shutDown() {
     incident.reason = {RefusalCode::Unavailable, "The Entity Manager has been ended by its operator.", {}};
     fire(incident);
     teamwork_.settle();
-    if (busy_told_ && link_up_) back_end_.setBusy(false);
+    tasks_.shutDown();
     keepState();
     quit_ = true;
 }

@@ -26,7 +26,7 @@
 #include "entity_manager/stop_ledger.hpp"
 #include "entity_manager/streams.hpp"
 #include "entity_manager/task_memory.hpp"
-#include "entity_manager/task_queue.hpp"
+#include "entity_manager/tasks.hpp"
 #include "entity_manager/teamwork.hpp"
 #include "entity_manager/turn.hpp"
 #include "messages/profile_reader.hpp"
@@ -34,8 +34,7 @@
 namespace axon::entity_manager {
 
 /// The inside of EntityManagerCore: it finds the row of each event in the state table and has one function
-/// for each Action. Private to the core; machine.cpp has states and messages, machine_tasks.cpp tasks and
-/// resources, machine_composites.cpp tasks with parts.
+/// for each Action. Private to the core;
 class EntityManagerCore::Machine final : private Turn {
   public:
     Machine(CoreSettings settings, const Clock& clock, RandomSource& random, BackEndPort& back_end,
@@ -79,34 +78,6 @@ class EntityManagerCore::Machine final : private Turn {
     std::string takeNews() { return std::exchange(news_, {}); }
 
   private:
-    /// A task that has begun: the robot application has been given it, or, of a composite, one part after the
-    /// other.
-    struct Active {
-        enum class Phase : std::uint8_t { Dispatched, Running, Paused };
-        const ServiceProfiler::Order& order() const { return task.plan.parts[part]; }
-        bool lastPart() const { return part + 1 == task.plan.parts.size(); }
-
-        Task task;
-        Phase phase = Phase::Dispatched;  ///< of the whole
-        bool halted = false;              ///< by a reset: its end lets the queue go on
-        bool cancelled = false;           ///< asked for: no further part begins
-        bool hold = false;          ///< a pause was asked for: no further part begins before it is resumed
-        std::size_t part = 0;       ///< the present one
-        std::optional<Id128> sent;  ///< the id under which the application has it; none between two parts
-        bool answered = false;      ///< the application has granted it
-        TimePoint answer_until{};   ///< while it has not
-        std::optional<TimePoint> alone_until;   ///< without its client: then it is stopped
-        std::optional<TimePoint> finish_until;  ///< likewise, of the whole, whatever its parts are allowed
-        std::vector<proto::Param> results;  ///< of the parts of a composite, "Part.Name", the newest of each
-    };
-    /// A task whose end has been told to the client, and of which the robot application has not yet said that
-    /// its handler has returned. Nothing that excludes it is dispatched before.
-    struct Lingering {
-        Id128 id;  ///< that the application knows
-        int service;
-        bool blocking;
-    };
-
     // Rows.
     void process(Event event, Who who, const Header& head, proto::ToEntity* body);
     void fire(Incident& incident) override;
@@ -134,6 +105,8 @@ class EntityManagerCore::Machine final : private Turn {
     void considerProfiles();
     void expireProfiles();
     void takeProfiles();
+    void lookAgain() override;
+    void takeLook();
     void tellServices(const std::vector<int>& services) override;
     void seekServer();
     /// A lease that outlived the session with the server is found again.
@@ -148,82 +121,11 @@ class EntityManagerCore::Machine final : private Turn {
     void stopApplication(Incident& incident);
     void acknowledge(const Incident& incident);
     void deliverStops();
-    void restampQueue();
 
     // Who holds it.
     void passOn();
     void passTime();
     void granted(Incident& granted) override;
-
-    // Tasks (machine_tasks.cpp).
-    void admitTask(const Incident& incident);
-    Refusal admit(const proto::TaskRequest& request, std::int64_t sent_at_us);
-    void dispatchNext();
-    bool admissible(const Task& task) const;
-    void lookAgain();
-    void takeLook();
-    Result<bool> prepare(Task& task);
-    Refusal missingFiles(const Task& task);
-    void refusePrepared(const Refusal& refusal);
-    void tellHeldUp();
-    void dispatch(Task task);
-    bool mayStart() const;
-    void sendPart(Active& active);
-    void taskAnswer(const proto::TaskAnswer& answer);
-    void taskUpdate(proto::TaskEvent& update);
-    void granted(Active& active);
-    void endTask(std::size_t at, proto::TaskEvent event);
-    void endTask(std::size_t at, proto::TaskState state, const Refusal& reason);
-    void endTasks(const Incident& incident, proto::TaskState state, bool linger);
-    void voidQueue(const Incident& incident);
-    void haltTasks();
-    void leaveService(const Task& task, bool clear);
-    void controlOwnTask(const Incident& incident);
-    void expireTasks();
-    bool lingeringEnded(const Id128& id);
-    void applicationStatus(const proto::StatusNote& note);
-    Active* findActive(const Id128& id);
-    Active* findSent(const Id128& id);
-    void markExecuting(const Task& task);
-    /// It is gone from active_.
-    void taskGone();
-    bool anyRuns() const;
-    /// To who asked for the task: the holder, or the master of the run of which it is a step.
-    void tellTask(proto::TaskEvent& event);
-    void sendTask(const Task& task, proto::TaskState state, const Refusal& reason);
-    /// The one way in which an accepted task ends: noted, remembered, and told to the holder.
-    void concludeTask(const Task& task, proto::TaskEvent& event);
-    /// To a holder that was away: how the tasks of its lease have ended, again.
-    void tellFinals();
-    void expireAnswers();
-
-    // Composite services (machine_composites.cpp).
-    std::string partText(const Task& task, std::size_t part) const;
-    std::string partText(const Active& active) const { return partText(active.task, active.part); }
-    double progressOf(const Active& active, double of_part = -1) const;
-    void nameAsWhole(const Active& active, proto::TaskEvent& event) const;
-    void keepResults(Active& active, const proto::TaskEvent& event) const;
-    bool goOn(std::size_t at, proto::TaskEvent& event);
-    void endAsWhole(const Active& active, proto::TaskEvent& event) const;
-    void continueParts();
-    void controlBetweenParts(Active& active);
-
-    // Tasks whose client is lost (machine_losses.cpp).
-    proto::OnClientLoss lossPolicyOfParts(const Active& active) const;
-    TimePoint finishesUntil(const Active& active) const;
-    proto::OnClientLoss lossPolicyOf(const Active& active) const;
-    bool survivesClientLoss() const;
-    void loseHolder(Incident& lost) override;
-    void spareTasks();
-    void attendTasks();
-    void watchHeld(Active& active);
-    bool finishesAlone() const override;
-    void endSpared(const std::string& why) override;
-    void expireSpared();
-
-    Refusal leavesRoom(int service, const proto::Param& param) const override;
-    void reconfigure(int service, const proto::Param& param) override;
-    std::size_t dispatchBytes(const ServiceProfiler::Plan& plan) const;
 
     // What the owners see of it.
     TimePoint now() const override { return clock_.now(); }
@@ -243,8 +145,21 @@ class EntityManagerCore::Machine final : private Turn {
         return ownership_.lease().check(sender, under);
     }
     Sender self() const override { return {uuid_, presence_.name(), Role::Operator}; }
-    bool hasTasks() const override { return !active_.empty() || !queue_.empty(); }
-    Refusal admitStep(const proto::TaskRequest& request) override { return admit(request, 0); }
+    bool hasTasks() const override { return tasks_.begun() + tasks_.waiting() > 0; }
+    Refusal admitStep(const proto::TaskRequest& request) override { return tasks_.admit(request, 0); }
+    bool takesPart() const override { return teamwork_.takesPart(); }
+    bool isReserved() const override { return teamwork_.isReserved(); }
+    bool tellStep(proto::TaskEvent& event) override { return teamwork_.tellStep(event); }
+    void removeResource(const std::string& service, const std::string& resource) override {
+        inputs_.remove(service, resource);
+    }
+    Refusal leavesRoom(int service, const proto::Param& param) const override {
+        return tasks_.leaveRoom(service, param);
+    }
+    void reconfigure(int service, const proto::Param& param) override { tasks_.reconfigure(service, param); }
+    bool finishesAlone() const override { return tasks_.finishAlone(); }
+    void loseHolder(Incident& lost) override;
+    void endSpared(const std::string& why) override { tasks_.endSpared(why); }
     void controlTask(const Incident& incident) override;
 
     // Messages.
@@ -262,12 +177,10 @@ class EntityManagerCore::Machine final : private Turn {
 
     const CoreSettings settings_;
     const Clock& clock_;
-    RandomSource& random_;
     BackEndPort& back_end_;
     ServerPort& server_;
     Storage& storage_;
     ResourceStore& store_;
-    StopGate& stop_gate_;
     Journal* const journal_;  ///< null = none is kept
     const bool parts_lost_;   ///< of the state; before the others, which write theirs
     std::string uuid_;
@@ -279,8 +192,6 @@ class EntityManagerCore::Machine final : private Turn {
     bool free_kept_ = false;   ///< likewise; false before anybody is granted the robot
     bool journal_failing_ = false;
     bool link_up_ = false;
-    bool application_busy_ = false;  ///< by its own account (setStatus)
-    bool busy_told_ = false;
     bool quit_ = false;
     std::string reason_;
     std::string sought_;  ///< in UNAV: what the search for the application has found instead
@@ -302,11 +213,9 @@ class EntityManagerCore::Machine final : private Turn {
     ServiceProfiler profiler_;
     /// By the application since its link is up: on or off, and why.
     std::map<std::string, std::pair<bool, std::string>, std::less<>> active_told_;
-    TaskQueue queue_;
     TaskMemory memory_;
+    Tasks tasks_;
     Teamwork teamwork_;
-    std::vector<Active> active_;
-    std::vector<Lingering> lingering_;
     Inputs inputs_;
     Streams streams_{*this};
     TimePoint raw_refused_{};

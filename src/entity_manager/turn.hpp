@@ -15,6 +15,7 @@
 namespace axon::proto {
 class EmToEi;
 class Param;
+class TaskEvent;
 class TaskRequest;
 class ToClient;
 class ToEntity;
@@ -113,6 +114,18 @@ class Turn {
     virtual Refusal admitStep(const proto::TaskRequest& request) = 0;
     /// A pause, resume or cancel; answered as if its sender had sent it.
     virtual void controlTask(const Incident& incident) = 0;
+
+    // What tasks ask of a run, and of the services.
+    /// Whether the entity takes part in a run.
+    virtual bool takesPart() const = 0;
+    /// Whether it takes tasks of a master alone: also before the run that it leads has begun.
+    virtual bool isReserved() const = 0;
+    /// What a task tells. True: it was a step of a run, and its master has been told, or will be.
+    virtual bool tellStep(proto::TaskEvent& event) = 0;
+    /// For resources that have come since without a word; the answer may come later.
+    virtual void lookAgain() = 0;
+    /// A file that a task had for itself, unless another is being put in its place.
+    virtual void removeResource(const std::string& service, const std::string& resource) = 0;
 
     // What the services' values mean for their tasks, and for who holds the entity.
     /// TOO_LARGE where a task that has been accepted could not be sent with this value of a service's own

@@ -98,6 +98,17 @@ struct FakeTurn final : entity_manager::Turn {
         controls.push_back(incident.event);
     }
 
+    bool takesPart() const override { return in_run; }
+    bool isReserved() const override { return in_run; }
+    bool tellStep(proto::TaskEvent& event) override {
+        if (in_run) told_steps.push_back(event);
+        return in_run;
+    }
+    void lookAgain() override {}
+    void removeResource(const std::string&, const std::string& resource) override {
+        removed.push_back(resource);
+    }
+
     Refusal leavesRoom(int, const proto::Param&) const override { return room; }
     void reconfigure(int, const proto::Param& param) override { reconfigured.push_back(param); }
     void tellServices(const std::vector<int>& services) override { told_services.push_back(services); }
@@ -114,6 +125,7 @@ struct FakeTurn final : entity_manager::Turn {
     bool latch = false;
     bool link = true;
     bool session = true;
+    bool in_run = false;
     bool task_finishes_alone = false;
     std::function<void(entity_manager::Incident&)> on_fire;  ///< what the state table would do
     std::vector<Fired> fired;
@@ -121,6 +133,8 @@ struct FakeTurn final : entity_manager::Turn {
     Refusal room;  ///< what leavesRoom() says
     std::vector<proto::Param> reconfigured;
     std::vector<std::vector<int>> told_services;
+    std::vector<proto::TaskEvent> told_steps;
+    std::vector<std::string> removed;
     std::vector<Told> told;
     std::vector<ToldPeer> told_peers;
     std::vector<proto::EmToEi> to_application;

@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/tasks.hpp"
+
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <limits>
 #include <utility>
 
+#include "collaboration/collaboration.hpp"
 #include "common/planted_bug.hpp"
-#include "entity_manager/machine.hpp"
+#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/journal_record.hpp"
 #include "entity_manager/message_size.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
@@ -23,46 +26,37 @@ constexpr Duration kQueuedUntold = std::chrono::milliseconds{100};
 constexpr Duration kUnnoticed = std::chrono::seconds{10};
 constexpr double kLongestNotAfter_s = 1e6;
 
-proto::EmToEi dispatchOf(const ServiceProfiler::Order& part, const std::string& service, const Id128& id,
-                         std::uint32_t generation) {
-    proto::EmToEi message;
-    auto& order = *message.mutable_task();
-    order.set_task_id(id.bytes());
-    order.set_service(service);
-    order.set_stop_generation(generation);
-    for (const auto& [param, level] : part.params) *order.add_params() = param;
-    for (const auto& resource : part.resources) *order.add_resources() = resource;
-    return message;
-}
-
-/// What the application is asked about before the whole begins.
-void addGiven(proto::EmToEi& message, const ServiceProfiler::Plan& plan, const ServiceProfiler& profiler) {
-    for (const auto& [service, param] : plan.given) {
-        auto& given = *message.mutable_task()->add_given();
-        given.set_service(profiler.record(service).name());
-        *given.mutable_param() = param;
-    }
-}
-
 }  // namespace
 
-// -- tasks
-// ----------------------------------------------------------------------------------------------------------
+Tasks::Tasks(Turn& turn, BackEndPort& back_end, ResourceStore& store, StopGate& stop_gate,
+             RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory, Settings settings)
+    : turn_(turn),
+      back_end_(back_end),
+      store_(store),
+      stop_gate_(stop_gate),
+      random_(random),
+      profiler_(profiler),
+      memory_(memory),
+      settings_(settings),
+      queue_(settings.queue_bound) {}
 
-void EntityManagerCore::Machine::admitTask(const Incident& incident) {
-    if (teamwork_.isReserved()) {
-        refuse(incident,
-               {RefusalCode::WrongState,
-                "The entity takes part in a collaboration and takes tasks of its master alone. Wait for its "
-                "end, or stop it.",
-                {}});
+// -- the way of a task
+
+void Tasks::consider(const Incident& incident) {
+    if (turn_.isReserved()) {
+        turn_.refuse(
+            incident,
+            {RefusalCode::WrongState,
+             "The entity takes part in a collaboration and takes tasks of its master alone. Wait for its "
+             "end, or stop it.",
+             {}});
         return;
     }
     if (const auto refusal = admit(incident.body->task(), incident.head->sent_at_us); !refusal.ok())
-        refuse(incident, refusal);
+        turn_.refuse(incident, refusal);
 }
 
-Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std::int64_t sent_at_us) {
+Refusal Tasks::admit(const proto::TaskRequest& request, std::int64_t sent_at_us) {
     const auto id = Id128::fromBytes(request.task_id());
     if (!id || id->isZero())
         return {RefusalCode::Malformed, "task_id must be 16 bytes that are not all zero.", {}};
@@ -72,7 +66,7 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
     if (const auto refusal = queue_.mayPush(); !refusal.ok()) return refusal;
     auto plan = profiler_.prepare(request.service(), request.params());
     if (!plan && plan.refusal().code == RefusalCode::MissingDependency && profiler_.hasUrls()) {
-        lookAgain();  // for this task where the disk answers at once, else for the next
+        turn_.lookAgain();  // for this task where the disk answers at once, else for the next
         plan = profiler_.prepare(request.service(), request.params());
     }
     if (!plan) return plan.refusal();
@@ -82,12 +76,12 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
     task.service = service.name();
     task.blocking = service.is_blocking();
     task.plan = std::move(plan).value();
-    task.generation = stops_.generation();
+    task.generation = turn_.stops().generation;
     if (request.not_after_s() > 0 && request.not_after_s() < kLongestNotAfter_s &&
         !AXON_PLANTED(ExpiryUnchecked))
         task.not_after =
             (AXON_PLANTED(ExpiryByTheSendersClock) ? TimePoint{std::chrono::microseconds{sent_at_us}}
-                                                   : clock_.now()) +
+                                                   : turn_.now()) +
             std::chrono::duration_cast<Duration>(std::chrono::duration<double>(request.not_after_s()));
     if (const auto refusal = checkSize(dispatchBytes(task.plan)); !refusal.ok()) return refusal;
     memory_.accept(task.id);
@@ -96,24 +90,13 @@ Refusal EntityManagerCore::Machine::admit(const proto::TaskRequest& request, std
     if (queue_.empty() || queue_.waiting().back().id != *id) return {};
     // What waits for nothing but the disk is about to begin.
     if (queue_.front().id == *id && queue_.front().preparing())
-        queue_.front().tell_at = clock_.now() + kQueuedUntold;
+        queue_.front().tell_at = turn_.now() + kQueuedUntold;
     else
         sendTask(queue_.waiting().back(), proto::TASK_QUEUED, {});
     return {};
 }
 
-/// Of all parts: a composite takes no more memory than another task.
-std::size_t EntityManagerCore::Machine::dispatchBytes(const ServiceProfiler::Plan& plan) const {
-    std::size_t bytes = 0;
-    for (const auto& part : plan.parts) {
-        auto message = dispatchOf(part, profiler_.record(part.service).name(), {}, stops_.generation());
-        if (&part == &plan.parts.front()) addGiven(message, plan, profiler_);
-        bytes += message.ByteSizeLong();
-    }
-    return bytes;
-}
-
-bool EntityManagerCore::Machine::admissible(const Task& task) const {
+bool Tasks::admissible(const Task& task) const {
     if (task.blocking && !(active_.empty() && lingering_.empty())) return false;
     // Two tasks of one service do not run at the same time, be it as a part of a composite.
     for (const auto& active : active_)
@@ -127,16 +110,17 @@ bool EntityManagerCore::Machine::admissible(const Task& task) const {
 
 /// After a stop nothing starts before its callback has returned: on its own lane it could arrive after the
 /// task and end that one.
-bool EntityManagerCore::Machine::mayStart() const {
-    return !latched_ && link_up_ && holder() != nullptr && !application_busy_ && stops_.standing();
+bool Tasks::mayStart() const {
+    return !turn_.latched() && turn_.linked() && turn_.holder() != nullptr && !application_busy_ &&
+           turn_.stops().standing;
 }
 
 /// In order of arrival: a task that must wait holds back those behind it, or it might wait for ever.
-void EntityManagerCore::Machine::dispatchNext() {
+void Tasks::dispatchNext() {
     continueParts();
     while (!queue_.empty() && mayStart()) {
-        if (queue_.front().not_after && clock_.now() >= *queue_.front().not_after) {
-            expireTasks();
+        if (queue_.front().not_after && turn_.now() >= *queue_.front().not_after) {
+            expireQueue();
             continue;
         }
         // A stop that the signal thread has passed on and that has not come here yet: it voids the queue.
@@ -156,7 +140,7 @@ void EntityManagerCore::Machine::dispatchNext() {
 /// Whether all is on the disk that must be there before the task begins: the files that it is given, and its
 /// entry in the journal, or a next life might send it again. Nobody waits for that: the task does, at the
 /// head of the queue, where whatever voids the queue voids it too.
-Result<bool> EntityManagerCore::Machine::prepare(Task& task) {
+Result<bool> Tasks::prepare(Task& task) {
     if (!task.looked) {
         std::vector<std::string> files;
         for (const auto& part : task.plan.parts)
@@ -169,13 +153,14 @@ Result<bool> EntityManagerCore::Machine::prepare(Task& task) {
     if (!task.looked->value().empty()) return missingFiles(task);
     if (AXON_PLANTED(DispatchNotInTheJournal)) return true;
     if (!task.noted)
-        task.noted = noteDispatch({.kind = JournalRecord::Kind::Dispatched,
-                                   .who = named(*holder()),
-                                   .task = task.id,
-                                   .service = task.service,
-                                   .text = task.plan.composite ? partText(task, 0) : std::string()});
+        task.noted =
+            turn_.noteDispatch({.kind = JournalRecord::Kind::Dispatched,
+                                .who = named(*turn_.holder()),
+                                .task = task.id,
+                                .service = task.service,
+                                .text = task.plan.composite ? partText(profiler_, task, 0) : std::string()});
     if (!task.noted->ready()) return false;
-    if (recorded(task.noted->value())) return true;
+    if (turn_.recorded(task.noted->value())) return true;
     task.noted.reset();
     return Refusal{RefusalCode::Overloaded,
                    "The Entity Manager cannot write its journal, so it starts no task. Is the robot's disk "
@@ -185,7 +170,7 @@ Result<bool> EntityManagerCore::Machine::prepare(Task& task) {
 }
 
 /// The resources whose files are gone are ready no longer, whoever removed them.
-Refusal EntityManagerCore::Machine::missingFiles(const Task& task) {
+Refusal Tasks::missingFiles(const Task& task) {
     const auto& absent = task.looked->value();
     std::string missing;
     std::vector<int> changed;
@@ -198,95 +183,69 @@ Refusal EntityManagerCore::Machine::missingFiles(const Task& task) {
                        inQuotes(service) + " (" + resource.url() + ')';
             changed.push_back(part.service);
         }
-    tellServices(changed);
+    turn_.tellServices(changed);
     return {RefusalCode::MissingDependency,
             "The file of a resource is no longer on the robot's machine: " +
                 (missing.empty() ? absent.front() : missing) + ". Upload it again, then send the task again.",
             {}};
 }
 
-void EntityManagerCore::Machine::refusePrepared(const Refusal& refusal) {
+void Tasks::refusePrepared(const Refusal& refusal) {
     const auto task = queue_.pop();
     sendTask(task, proto::TASK_REFUSED, refusal);
 }
 
-void EntityManagerCore::Machine::dispatch(Task task) {
-    Active active{.task = std::move(task)};
+void Tasks::dispatch(Task task) {
+    ActiveTask active{.task = std::move(task)};
     memory_.dispatched(active.task.id);
     active_.push_back(std::move(active));
     sendPart(active_.back());
     sendTask(active_.back().task, proto::TASK_DISPATCHED, {});
 }
 
-/// The present part, to the robot application. It sees ordinary tasks only: each part of a composite has an
-/// id of its own, which nobody else knows.
-void EntityManagerCore::Machine::sendPart(Active& active) {
-    if (!busy_told_) {
-        // Before the task, so that the short watchdog is running when the robot starts.
-        busy_told_ = true;
-        back_end_.setBusy(true);
-    }
-    stop_gate_.spareClientLoss(false);
-    const auto& task = active.task;
-    active.sent = task.plan.composite ? Id128::random(random_) : task.id;
-    active.answered = false;
-    active.answer_until = clock_.now() + settings_.answer_within;
-    auto message = dispatchOf(active.order(), profiler_.record(active.order().service).name(), *active.sent,
-                              task.generation);
-    if (active.part == 0) addGiven(message, task.plan, profiler_);
-    if (task.not_after && active.part == 0) {
-        const auto left =
-            std::chrono::duration_cast<std::chrono::milliseconds>(*task.not_after - clock_.now());
-        message.mutable_task()->set_start_within_ms(static_cast<std::uint32_t>(
-            std::clamp<std::int64_t>(left.count(), 1, std::numeric_limits<std::int32_t>::max())));
-    }
-    markExecuting(task);
-    back_end_.send(message);
+bool Tasks::anyRuns() const {
+    return std::any_of(active_.begin(), active_.end(), [](const ActiveTask& active) {
+        return active.phase != ActiveTask::Phase::Dispatched;
+    });
 }
 
-/// Granted ones: what has only been dispatched does not make BUSY.
-bool EntityManagerCore::Machine::anyRuns() const {
-    return std::any_of(active_.begin(), active_.end(),
-                       [](const Active& active) { return active.phase != Active::Phase::Dispatched; });
-}
-
-EntityManagerCore::Machine::Active* EntityManagerCore::Machine::findActive(const Id128& id) {
+ActiveTask* Tasks::findActive(const Id128& id) {
     for (auto& active : active_)
         if (active.task.id == id) return &active;
     return nullptr;
 }
 
 /// By the id that the robot application knows.
-EntityManagerCore::Machine::Active* EntityManagerCore::Machine::findSent(const Id128& id) {
+ActiveTask* Tasks::findSent(const Id128& id) {
     for (auto& active : active_)
         if (active.sent == id) return &active;
     return nullptr;
 }
 
-void EntityManagerCore::Machine::granted(Active& active) {
+void Tasks::granted(ActiveTask& active) {
     active.answered = true;
-    const bool first = active.phase == Active::Phase::Dispatched;
-    active.phase = Active::Phase::Running;
+    const bool first = active.phase == ActiveTask::Phase::Dispatched;
+    active.phase = ActiveTask::Phase::Running;
     proto::TaskEvent event;
     event.set_task_id(active.task.id.bytes());
     event.set_service(active.task.service);
     event.set_state(proto::TASK_RUNNING);
-    event.set_progress(progressOf(active));
-    if (active.task.plan.composite) event.set_feedback(partText(active));
-    if (first) fire(Event::TaskGranted);  // the row may dispatch, and then `active` moves
+    event.set_progress(active.progress());
+    if (active.task.plan.composite) event.set_feedback(active.partText(profiler_));
+    if (first) turn_.fire(Event::TaskGranted);  // the row may dispatch, and then `active` moves
     tellTask(event);
 }
 
-void EntityManagerCore::Machine::taskAnswer(const proto::TaskAnswer& answer) {
+void Tasks::answered(const proto::TaskAnswer& answer) {
     const auto id = Id128::fromBytes(answer.task_id());
     auto* active = id ? findSent(*id) : nullptr;
     const bool denied = answer.has_refusal() && answer.refusal().code() != proto::OK;
     if (active == nullptr) {
-        if (!(id && denied && lingeringEnded(*id))) ++counters_.unexpected;
+        if (!(id && denied && lingeringEnded(*id))) ++turn_.counters().unexpected;
         return;
     }
     if (active->answered) {
-        ++counters_.unexpected;
+        ++turn_.counters().unexpected;
         return;
     }
     if (!denied) {
@@ -304,12 +263,12 @@ void EntityManagerCore::Machine::taskAnswer(const proto::TaskAnswer& answer) {
     endTask(static_cast<std::size_t>(active - active_.data()), std::move(event));
 }
 
-void EntityManagerCore::Machine::taskUpdate(proto::TaskEvent& update) {
+void Tasks::updated(proto::TaskEvent& update) {
     const auto id = Id128::fromBytes(update.task_id());
     auto* active = id ? findSent(*id) : nullptr;
     if (active == nullptr) {
         // A task whose end has been told already: it was stopped, and now its handler has returned.
-        if (!(id && isFinal(update.state()) && lingeringEnded(*id))) ++counters_.unexpected;
+        if (!(id && isFinal(update.state()) && lingeringEnded(*id))) ++turn_.counters().unexpected;
         return;
     }
     // A part that has succeeded has been granted, and the composite runs.
@@ -328,26 +287,26 @@ void EntityManagerCore::Machine::taskUpdate(proto::TaskEvent& update) {
         if (active == nullptr) return;
     }
     const auto before = active->phase;
-    if (update.state() == proto::TASK_PAUSED) active->phase = Active::Phase::Paused;
-    if (update.state() == proto::TASK_RUNNING) active->phase = Active::Phase::Running;
+    if (update.state() == proto::TASK_PAUSED) active->phase = ActiveTask::Phase::Paused;
+    if (update.state() == proto::TASK_RUNNING) active->phase = ActiveTask::Phase::Running;
     // Without having been asked for: the next part of a composite waits all the same, or goes on.
-    if (active->phase != before) active->hold = active->phase == Active::Phase::Paused;
+    if (active->phase != before) active->hold = active->phase == ActiveTask::Phase::Paused;
     watchHeld(*active);
-    update.set_state(active->phase == Active::Phase::Paused ? proto::TASK_PAUSED : proto::TASK_RUNNING);
+    update.set_state(active->phase == ActiveTask::Phase::Paused ? proto::TASK_PAUSED : proto::TASK_RUNNING);
     update.set_task_id(active->task.id.bytes());
     update.set_service(active->task.service);
-    if (active->task.plan.composite) nameAsWhole(*active, update);
+    if (active->task.plan.composite) active->nameAsWhole(profiler_, update);
     tellTask(update);
 }
 
-bool EntityManagerCore::Machine::lingeringEnded(const Id128& id) {
+bool Tasks::lingeringEnded(const Id128& id) {
     if (std::erase_if(lingering_, [&](const Lingering& lingering) { return lingering.id == id; }) == 0)
         return false;
-    fire(Event::TaskEnded);
+    turn_.fire(Event::TaskEnded);
     return true;
 }
 
-void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskState state, const Refusal& reason) {
+void Tasks::endTask(std::size_t at, proto::TaskState state, const Refusal& reason) {
     proto::TaskEvent event;
     event.set_state(state);
     event.set_progress(-1);
@@ -356,7 +315,7 @@ void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskState state,
 }
 
 /// The robot application has said how it ended.
-void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskEvent event) {
+void Tasks::endTask(std::size_t at, proto::TaskEvent event) {
     if (active_[at].task.plan.composite && goOn(at, event)) return;
     if (!event.has_reason() && event.state() == proto::TASK_STOPPED)
         *event.mutable_reason() = toProto(
@@ -371,18 +330,18 @@ void EntityManagerCore::Machine::endTask(std::size_t at, proto::TaskEvent event)
     const auto active = std::move(active_[at]);
     active_.erase(active_.begin() + static_cast<std::ptrdiff_t>(at));
     leaveService(active.task, event.state() != proto::TASK_REFUSED);
-    endAsWhole(active, event);
+    active.endAsWhole(profiler_, event);
     concludeTask(active.task, event);
     taskGone();
 }
 
-void EntityManagerCore::Machine::taskGone() {
-    const bool last = !anyRuns() && !application_busy_ && state_ == EntityState::BUSY;
-    fire(last ? Event::LastTaskEnded : Event::TaskEnded);
+void Tasks::taskGone() {
+    const bool last = !anyRuns() && !application_busy_ && turn_.state() == EntityState::BUSY;
+    turn_.fire(last ? Event::LastTaskEnded : Event::TaskEnded);
 }
 
 /// This side ends them. `linger`: the robot application still has to say that their handlers have returned.
-void EntityManagerCore::Machine::endTasks(const Incident& incident, proto::TaskState state, bool linger) {
+void Tasks::end(const Incident& incident, proto::TaskState state, bool linger) {
     auto ended = std::exchange(active_, {});
     auto reason = incident.reason;
     if (state == proto::TASK_UNKNOWN) reason.code = RefusalCode::OutcomeUnknown;
@@ -392,41 +351,41 @@ void EntityManagerCore::Machine::endTasks(const Incident& incident, proto::TaskS
         event.set_state(state);
         event.set_progress(-1);
         if (!reason.ok()) *event.mutable_reason() = toProto(reason);
-        endAsWhole(active, event);
+        active.endAsWhole(profiler_, event);
         concludeTask(active.task, event);
-        if (linger && link_up_ && active.sent)
+        if (linger && turn_.linked() && active.sent)
             lingering_.push_back({*active.sent, active.order().service, active.task.blocking});
     }
 }
 
-void EntityManagerCore::Machine::haltTasks() {
+void Tasks::halt() {
     for (auto& active : active_) active.halted = true;  // between two parts: continueParts()
 }
 
 /// Of the task's service and of its parts, whether a task that is active uses them.
-void EntityManagerCore::Machine::markExecuting(const Task& task) {
+void Tasks::markExecuting(const Task& task) {
     const auto mark = [this](int service) {
-        profiler_.setExecuting(service,
-                               std::any_of(active_.begin(), active_.end(), [service](const Active& active) {
-                                   return active.task.plan.service == service ||
-                                          (active.sent && active.order().service == service);
-                               }));
+        profiler_.setExecuting(
+            service, std::any_of(active_.begin(), active_.end(), [service](const ActiveTask& active) {
+                return active.task.plan.service == service ||
+                       (active.sent && active.order().service == service);
+            }));
     };
     mark(task.plan.service);
     if (task.plan.composite)
         for (const auto& part : task.plan.parts) mark(part.service);
 }
 
-void EntityManagerCore::Machine::leaveService(const Task& task, bool clear) {
+void Tasks::leaveService(const Task& task, bool clear) {
     markExecuting(task);
     if (!clear) return;
     const auto cleared = profiler_.clearAfterTask(task.plan);
     for (const auto& [service, resource] : cleared.files)
-        inputs_.remove(profiler_.record(service).name(), resource);
-    tellServices(cleared.changed);
+        turn_.removeResource(profiler_.record(service).name(), resource);
+    turn_.tellServices(cleared.changed);
 }
 
-void EntityManagerCore::Machine::voidQueue(const Incident& incident) {
+void Tasks::voidQueue(const Incident& incident) {
     const auto state = incident.event == Event::Clear ? proto::TASK_CANCELLED
                        : incident.event == Event::LinkDown || incident.event == Event::LinkEnded
                            ? proto::TASK_REFUSED
@@ -436,18 +395,14 @@ void EntityManagerCore::Machine::voidQueue(const Incident& incident) {
     for (const auto& task : queue_.clear()) sendTask(task, state, reason);
 }
 
-void EntityManagerCore::Machine::expireTasks() {
-    for (const auto& task : queue_.expire(clock_.now()))
+void Tasks::expireQueue() {
+    for (const auto& task : queue_.expire(turn_.now()))
         sendTask(
             task, proto::TASK_REFUSED,
             {RefusalCode::Expired, "It waited longer than its not_after allows and was not started.", {}});
 }
 
-void EntityManagerCore::Machine::controlTask(const Incident& incident) {
-    if (!teamwork_.control(incident)) controlOwnTask(incident);
-}
-
-void EntityManagerCore::Machine::controlOwnTask(const Incident& incident) {
+void Tasks::control(const Incident& incident) {
     const auto& control = incident.body->task_control();
     const auto& to = incident.head->sender;
     const auto id = Id128::fromBytes(control.task_id());
@@ -455,14 +410,14 @@ void EntityManagerCore::Machine::controlOwnTask(const Incident& incident) {
     if (active == nullptr) {
         if (id && incident.event == Event::Cancel) {
             if (const auto task = queue_.remove(*id)) {
-                reply(to, control.task_id(), {});
+                turn_.reply(to, control.task_id(), {});
                 sendTask(*task, proto::TASK_CANCELLED,
                          {RefusalCode::Cancelled, "Cancelled while it waited.", {}});
                 dispatchNext();
                 return;
             }
         }
-        refuse(
+        turn_.refuse(
             incident,
             {RefusalCode::UnknownTask, "No task with this id is running or, to be cancelled, waiting.", {}});
         return;
@@ -473,31 +428,32 @@ void EntityManagerCore::Machine::controlOwnTask(const Incident& incident) {
         if (active->sent) message.mutable_cancel()->set_task_id(active->sent->bytes());
     } else {
         if (!profiler_.record(active->task.plan.service).is_pausable()) {
-            refuse(incident, {RefusalCode::NotPausable,
-                              "Service " + inQuotes(active->task.service) + " cannot be paused. Cancel it.",
-                              {}});
+            turn_.refuse(incident,
+                         {RefusalCode::NotPausable,
+                          "Service " + inQuotes(active->task.service) + " cannot be paused. Cancel it.",
+                          {}});
             return;
         }
-        const auto needed = resume ? Active::Phase::Paused : Active::Phase::Running;
+        const auto needed = resume ? ActiveTask::Phase::Paused : ActiveTask::Phase::Running;
         if (active->phase != needed) {
-            refuse(incident, {RefusalCode::WrongState,
-                              resume ? "The task is not paused." : "The task is not running.",
-                              {}});
+            turn_.refuse(incident, {RefusalCode::WrongState,
+                                    resume ? "The task is not paused." : "The task is not running.",
+                                    {}});
             return;
         }
         if (active->sent) {
             message.mutable_pause()->set_task_id(active->sent->bytes());
             message.mutable_pause()->set_resume(resume);
-            message.mutable_pause()->set_stop_generation(stops_.generation());
+            message.mutable_pause()->set_stop_generation(turn_.stops().generation);
         }
     }
-    if (active->sent && !back_end_.send(message)) {
-        refuse(incident, {RefusalCode::TooLarge,
-                          "The link to the robot application does not take it: it is too large.",
-                          {}});
+    if (active->sent && !turn_.toApplication(message)) {
+        turn_.refuse(incident, {RefusalCode::TooLarge,
+                                "The link to the robot application does not take it: it is too large.",
+                                {}});
         return;
     }
-    reply(to, control.task_id(), {});
+    turn_.reply(to, control.task_id(), {});
     if (incident.event == Event::Cancel)
         active->cancelled = true;
     else
@@ -505,7 +461,7 @@ void EntityManagerCore::Machine::controlOwnTask(const Incident& incident) {
     if (!active->sent) controlBetweenParts(*active);
 }
 
-void EntityManagerCore::Machine::sendTask(const Task& task, proto::TaskState state, const Refusal& reason) {
+void Tasks::sendTask(const Task& task, proto::TaskState state, const Refusal& reason) {
     proto::TaskEvent event;
     event.set_state(state);
     event.set_progress(-1);
@@ -519,39 +475,39 @@ void EntityManagerCore::Machine::sendTask(const Task& task, proto::TaskState sta
     tellTask(event);
 }
 
-void EntityManagerCore::Machine::tellTask(proto::TaskEvent& event) {
-    if (teamwork_.tellStep(event)) return;
-    if (holder() == nullptr || !connected()) return;
+void Tasks::tellTask(proto::TaskEvent& event) {
+    if (turn_.tellStep(event)) return;
+    if (turn_.holder() == nullptr || !turn_.connected()) return;
     proto::ToClient message;
     message.mutable_task()->Swap(&event);
-    tell(*holder(), kMsgTask, message);
+    turn_.tell(*turn_.holder(), kMsgTask, message);
 }
 
-void EntityManagerCore::Machine::concludeTask(const Task& task, proto::TaskEvent& event) {
+void Tasks::concludeTask(const Task& task, proto::TaskEvent& event) {
     event.set_task_id(task.id.bytes());
     event.set_service(task.service);
     if (memory_.wasDispatched(task.id) || task.noted)
-        note({.kind = JournalRecord::Kind::TaskEnded,
-              .task = task.id,
-              .service = task.service,
-              .code = proto::TaskState_Name(event.state()),
-              .text = event.reason().message()});
-    memory_.ended(task.id, held() ? held()->number : LeaseNumber{}, event, clock_.now());
+        turn_.note({.kind = JournalRecord::Kind::TaskEnded,
+                    .task = task.id,
+                    .service = task.service,
+                    .code = proto::TaskState_Name(event.state()),
+                    .text = event.reason().message()});
+    memory_.ended(task.id, turn_.held() ? turn_.held()->number : LeaseNumber{}, event, turn_.now());
     tellTask(event);
 }
 
-void EntityManagerCore::Machine::tellFinals() {
-    if (holder() == nullptr) return;
+void Tasks::tellFinals(TimePoint lost_at) {
+    if (turn_.holder() == nullptr) return;
     proto::ToClient message;
-    for (auto& event : memory_.finals(held()->number, ownership_.lostAt() - kUnnoticed)) {
+    for (auto& event : memory_.finals(turn_.held()->number, lost_at - kUnnoticed)) {
         message.mutable_task()->Swap(&event);
-        tell(*holder(), kMsgTask, message);
+        turn_.tell(*turn_.holder(), kMsgTask, message);
     }
 }
 
 /// An application that does not answer must not leave its asker waiting for ever.
-void EntityManagerCore::Machine::expireAnswers() {
-    const auto now = clock_.now();
+void Tasks::expireAnswers() {
+    const auto now = turn_.now();
     const std::string within =
         std::to_string(
             std::chrono::duration_cast<std::chrono::milliseconds>(settings_.answer_within).count()) +
@@ -566,7 +522,7 @@ void EntityManagerCore::Machine::expireAnswers() {
         const auto& active = active_[i];
         proto::EmToEi cancel;
         cancel.mutable_cancel()->set_task_id(active.sent->bytes());
-        back_end_.send(cancel);
+        turn_.toApplication(cancel);
         lingering_.push_back({*active.sent, active.order().service, active.task.blocking});
         endTask(i, proto::TASK_UNKNOWN,
                 {RefusalCode::TimedOut,
@@ -576,45 +532,110 @@ void EntityManagerCore::Machine::expireAnswers() {
     }
 }
 
-/// What has been accepted can still be sent with it.
-Refusal EntityManagerCore::Machine::leavesRoom(int service, const proto::Param& param) const {
-    const auto fits = [&](const ServiceProfiler::Plan& plan) {
-        std::size_t parts = 0;
-        for (const auto& part : plan.parts)
-            if (std::find(part.way.begin(), part.way.end(), service) != part.way.end()) ++parts;
-        return parts == 0 || checkSize(dispatchBytes(plan) + (parts + 1) * param.ByteSizeLong()).ok();
-    };
-    bool all = true;
-    for (const auto& task : queue_.waiting()) all = all && fits(task.plan);
-    for (const auto& active : active_) all = all && (active.lastPart() || fits(active.task.plan));
-    if (all) return {};
-    return {RefusalCode::TooLarge,
-            "A task that has been accepted would become larger with it than the robot application takes at "
-            "once. Wait for its end, or set a shorter value.",
-            {}};
-}
-
-void EntityManagerCore::Machine::reconfigure(int service, const proto::Param& param) {
-    for (auto& task : queue_.waiting())
-        static_cast<void>(profiler_.reconfigure(task.plan, 0, service, param));
-    proto::EmToEi message;
-    auto& one = *message.mutable_configuration()->add_params();
-    one.set_service(profiler_.record(service).name());
-    *one.mutable_param() = param;
-    // Two tasks that share a service do not run side by side, so that one at most takes it.
-    for (auto& active : active_)
-        if (profiler_.reconfigure(active.task.plan, active.part, service, param) && active.sent)
-            message.mutable_configuration()->set_task_id(active.sent->bytes());
-    back_end_.send(message);
-}
-
 /// A task that the disk holds up: its client is told that it waits.
-void EntityManagerCore::Machine::tellHeldUp() {
+void Tasks::tellHeldUp() {
     if (queue_.empty()) return;
     auto& first = queue_.front();
-    if (!first.tell_at || clock_.now() < *first.tell_at) return;
+    if (!first.tell_at || turn_.now() < *first.tell_at) return;
     first.tell_at.reset();
     sendTask(first, proto::TASK_QUEUED, {});
+}
+
+// -- the rest of the Entity Manager
+
+void Tasks::applicationIs(const proto::StatusNote& note) {
+    if (!note.text().empty()) {
+        if (turn_.holder() != nullptr) {
+            proto::ToClient text;
+            text.mutable_text()->set_text(note.text());
+            turn_.tell(*turn_.holder(), kMsgText, text);
+        } else {
+            ++turn_.counters().undelivered;
+        }
+    }
+    if (note.busy() == application_busy_) return;
+    application_busy_ = note.busy();
+    if (application_busy_)
+        turn_.fire(Event::ApplicationBusy);
+    else
+        turn_.fire(turn_.state() == EntityState::BUSY && !anyRuns() ? Event::LastTaskEnded
+                                                                    : Event::ApplicationReady);
+}
+
+void Tasks::settle() {
+    // A stop that the signal thread has passed on may end the last task before this strand hears of the stop:
+    // it finds a robot that moves.
+    const bool occupied = !active_.empty() || !lingering_.empty() || application_busy_ ||
+                          (busy_told_ && !turn_.stops().all_handled);
+    if (occupied != busy_told_) {
+        busy_told_ = occupied;
+        back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
+    }
+    stop_gate_.spareClientLoss(surviveClientLoss());
+}
+
+void Tasks::shutDown() {
+    if (busy_told_ && turn_.linked()) back_end_.setBusy(false);
+}
+
+void Tasks::onTimer() {
+    expireQueue();
+    expireAnswers();
+    expireSpared();
+    tellHeldUp();
+}
+
+TimePoint Tasks::nextDeadline() const {
+    auto next = queue_.nextExpiry().value_or(TimePoint::max());
+    if (!queue_.empty() && queue_.front().tell_at) next = std::min(next, *queue_.front().tell_at);
+    for (const auto& active : active_) {
+        if (active.sent && !active.answered) next = std::min(next, active.answer_until);
+        if (active.alone_until) next = std::min(next, *active.alone_until);
+    }
+    return next;
+}
+
+void Tasks::restamp() {
+    if (turn_.stops().all_handled) queue_.restamp(turn_.stops().generation);
+}
+
+void Tasks::describe(proto::EntityStatus& status) const {
+    for (const auto& active : active_) {
+        auto& task = *status.add_tasks();
+        task.set_task_id(active.task.id.bytes());
+        task.set_service(active.task.service);
+        task.set_state(active.phase == ActiveTask::Phase::Dispatched ? proto::TASK_DISPATCHED
+                       : active.phase == ActiveTask::Phase::Paused   ? proto::TASK_PAUSED
+                                                                     : proto::TASK_RUNNING);
+        task.set_progress(active.progress());
+    }
+    for (const auto& waiting : queue_.waiting()) {
+        auto& task = *status.add_tasks();
+        task.set_task_id(waiting.id.bytes());
+        task.set_service(waiting.service);
+        task.set_state(proto::TASK_QUEUED);
+        task.set_progress(-1);
+    }
+}
+
+void Tasks::refuse(const Incident& incident, const Refusal& refusal) {
+    const auto& to = incident.head->sender;
+    proto::ToClient message;
+    auto& event = *message.mutable_task();
+    event.set_task_id(incident.body->task().task_id());
+    event.set_service(incident.body->task().service());
+    event.set_state(proto::TASK_REFUSED);
+    event.set_progress(-1);
+    // Of a task that was accepted before, its sender must not think that this is its end.
+    const auto id = Id128::fromBytes(incident.body->task().task_id());
+    const auto again = id ? memory_.whyNotAgain(*id) : std::nullopt;
+    *event.mutable_reason() = toProto(again ? *again : refusal);
+    if (again && again->code == RefusalCode::OutcomeUnknown) event.set_state(proto::TASK_UNKNOWN);
+    // This is its end, so a copy that comes later must not begin. Others than the holder cannot fill
+    // the memory.
+    if (id && !again && turn_.checkLease(to, incident.head->held).ok())
+        memory_.ended(*id, turn_.held()->number, event, turn_.now());
+    turn_.tell(to, kMsgTask, message);
 }
 
 }  // namespace axon::entity_manager
