@@ -25,7 +25,7 @@ namespace axon::entity_manager {
 /// application is given `answer_within` to answer; what has become of it is told to who asked. A value that
 /// is savable outlives profile and process, and one that configures the robot reaches what waits and runs.
 /// Threads: the core's strand. Bounded: 64 questions, and the uploads of UploadDesk.
-class Inputs {
+class Inputs final : public Owner {
   public:
     struct Settings {
         Duration answer_within;
@@ -60,8 +60,8 @@ class Inputs {
 
     /// The store has done what it was asked for.
     void onStored();
-    void onTimer();
-    TimePoint nextDeadline() const;
+    void onTimer() override;
+    TimePoint nextDeadline() const override;
 
   private:
     /// A question to the robot application: a parameter or a resource.

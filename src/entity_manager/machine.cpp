@@ -461,7 +461,7 @@ void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
 void EntityManagerCore::Machine::settle() {
     stops_.settle();
     teamwork_.settle();
-    passOn();
+    ownership_.passOn();
     tasks_.dispatchNext();
     tasks_.settle();
     presence_.setBusy(state_ == EntityState::BUSY);
@@ -911,18 +911,6 @@ void EntityManagerCore::Machine::onClientUpdate(const Header& head, ClientChange
     settle();
 }
 
-/// After each event: who is next.
-void EntityManagerCore::Machine::passOn() {
-    ownership_.endWaits();
-    takeKeptProfiles();  // at the release, before the next who waits is given the entity
-    ownership_.passOn();
-}
-
-void EntityManagerCore::Machine::passTime() {
-    ownership_.onTimer();
-    passOn();
-}
-
 void EntityManagerCore::Machine::loseHolder(Incident& lost) {
     lost.event = tasks_.surviveClientLoss() ? Event::ClientSpared : Event::ClientLost;
     fire(lost);
@@ -1006,7 +994,7 @@ void EntityManagerCore::Machine::onClientMsg(const Header& head, std::string_vie
         return;
     }
     // What is over must not win because its timer is late.
-    if (event == Event::CheckOut || event == Event::HandOver) passTime();
+    if (event == Event::CheckOut || event == Event::HandOver) ownership_.onTimer();
     process(event, right->who, head, &from_client_);
     if (event != Event::Raw) settle();  // which changes nothing here, whatever became of it
 }
@@ -1164,12 +1152,7 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
 
 void EntityManagerCore::Machine::onTimer() {
     if (quit_) return;
-    presence_.onTimer();
-    if (const auto why = presence_.whySilent()) serverLost(*why);
-    passTime();
-    inputs_.onTimer();
-    tasks_.onTimer();
-    teamwork_.onTimer();
+    for (auto* owner : owners()) owner->onTimer();
     expireProfiles();
     settle();
 }
@@ -1177,11 +1160,7 @@ void EntityManagerCore::Machine::onTimer() {
 TimePoint EntityManagerCore::Machine::nextDeadline() const {
     auto next = TimePoint::max();
     if (quit_) return next;
-    next = std::min(next, presence_.nextDeadline());
-    next = std::min(next, ownership_.nextDeadline());
-    next = std::min(next, inputs_.nextDeadline());
-    next = std::min(next, tasks_.nextDeadline());
-    next = std::min(next, teamwork_.nextDeadline());
+    for (const auto* owner : owners()) next = std::min(next, owner->nextDeadline());
     if (profiles_due_) next = std::min(next, *profiles_due_);
     return next;
 }

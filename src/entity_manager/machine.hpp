@@ -85,6 +85,11 @@ class EntityManagerCore::Machine final : private Turn {
     void perform(Action action, Incident& incident);
     Refusal guard(Event event, Who who, const Header& head) const;
     void settle();
+    /// In this order time passes for them: first whether there is a server at all, then who holds the entity.
+    std::array<Owner*, 5> owners() { return {&presence_, &ownership_, &inputs_, &tasks_, &teamwork_}; }
+    std::array<const Owner*, 5> owners() const {
+        return {&presence_, &ownership_, &inputs_, &tasks_, &teamwork_};
+    }
 
     // The journal.
     void replayJournal();
@@ -101,7 +106,7 @@ class EntityManagerCore::Machine final : private Turn {
     void tellOfProfiles(const Refusal& refusal);
     void readProfile(const proto::ProfileUpload& upload);
     void keepProfile(proto::ProfileUpload& upload);
-    void takeKeptProfiles();
+    void takeKeptProfiles() override;
     void considerProfiles();
     void expireProfiles();
     void takeProfiles();
@@ -115,7 +120,7 @@ class EntityManagerCore::Machine final : private Turn {
     }
     std::string whyNotReady() const;
     void tellStatus();
-    void serverLost(const std::string& reason);
+    void serverLost(const std::string& reason) override;
 
     // Stop.
     void stopApplication(Incident& incident);
@@ -123,8 +128,6 @@ class EntityManagerCore::Machine final : private Turn {
     void deliverStops();
 
     // Who holds it.
-    void passOn();
-    void passTime();
     void granted(Incident& granted) override;
 
     // What the owners see of it.

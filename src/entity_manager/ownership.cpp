@@ -449,6 +449,8 @@ void Ownership::endWaits() {
 }
 
 void Ownership::passOn() {
+    endWaits();
+    turn_.takeKeptProfiles();
     if (turn_.state() == EntityState::IDLE && !waiting_grant_ && !lease_.reservation()) {
         // Who asked for this very lease is before those who wait for any: its end answers the question.
         if (const auto question = hand_over_.take())
@@ -487,6 +489,7 @@ void Ownership::onTimer() {
         tellQuestion(*silent, true);
         decideHandOver(*silent, silent->yield, "it did not answer in time.");
     }
+    passOn();
 }
 
 TimePoint Ownership::nextDeadline() const {

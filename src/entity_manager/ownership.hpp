@@ -24,7 +24,7 @@ namespace axon::entity_manager {
 /// Whatever the way, a check-out ends in grantWhenStanding(): a robot that has not confirmed its last stop is
 /// handed over to nobody. Each check-out is answered once with a grant or a refusal, and meanwhile with its
 /// place. What the end or the loss of a lease means for robot and tasks are rows of the state table.
-class Ownership {
+class Ownership final : public Owner {
   public:
     struct Settings {
         Duration grace;                        ///< for which a lost holder may come back; 0 = none
@@ -64,12 +64,10 @@ class Ownership {
 
     // -- what follows by itself
 
-    /// After each event: a grant that has waited, and a grace that is over.
-    void endWaits();
-    /// After each event: who is next, and who has come nearer.
+    /// After each event: a grant that has waited, a grace that is over, who is next, and who has come nearer.
     void passOn();
-    void onTimer();
-    TimePoint nextDeadline() const;
+    void onTimer() override;
+    TimePoint nextDeadline() const override;
 
   private:
     /// A granted check-out that waits until the robot has confirmed its last stop.
@@ -93,6 +91,7 @@ class Ownership {
     void tellQuestion(const HandOver::Question& question, bool withdrawn);
     void decideHandOver(const HandOver::Question& question, bool accepted, const std::string& said);
     bool mayEndGrace() const;
+    void endWaits();
     /// `kept`: what the holder, who was asked, has said.
     void sendPlace(const Claim& claim, std::size_t place, const std::string& kept = {});
     void sendLeaseEnded(const LeaseBook::Held& held, const Refusal& reason);

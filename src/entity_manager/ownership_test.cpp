@@ -80,12 +80,12 @@ TEST_F(Ownerships, WhatIsFreeIsGrantedAndNobodyElseGetsIt) {
 TEST_F(Ownerships, NothingIsGrantedBeforeTheRobotStands) {
     turn.stopped.standing = false;
     ask("a", proto::TAKE);
-    ownership.endWaits();
+    ownership.passOn();
     EXPECT_EQ(holder(), "");
     ask("b", proto::TAKE);
     EXPECT_EQ(refusedTo("b"), RefusalCode::Reserved) << "meanwhile it is reserved";
     turn.stopped.standing = true;
-    ownership.endWaits();
+    ownership.passOn();
     EXPECT_EQ(holder(), "a");
 }
 
@@ -97,7 +97,7 @@ TEST_F(Ownerships, ARobotThatDoesNotConfirmItsStopIsNotWaitedForLong) {
     ownership.onTimer();
     EXPECT_EQ(refusedTo("a"), RefusalCode::TimedOut);
     turn.stopped.standing = true;
-    ownership.endWaits();
+    ownership.passOn();
     EXPECT_EQ(holder(), "");
 }
 
@@ -125,10 +125,10 @@ TEST_F(Ownerships, ALostHolderKeepsItForItsGraceAndForATaskThatGoesOnAlone) {
     EXPECT_EQ(ownership.nextDeadline(), turn.now() + 10s);
     turn.clock.advance(10s);
     turn.task_finishes_alone = true;
-    ownership.endWaits();
+    ownership.passOn();
     EXPECT_EQ(holder(), "a");
     turn.task_finishes_alone = false;
-    ownership.endWaits();
+    ownership.passOn();
     EXPECT_EQ(turn.fired.back().event, Event::LeaseExpired);
     EXPECT_EQ(turn.fired.back().reason.code, RefusalCode::Expired);
     EXPECT_EQ(holder(), "");

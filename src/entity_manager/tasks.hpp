@@ -30,7 +30,7 @@ namespace axon::entity_manager {
 /// while latched, before the last stop is confirmed, or under another stop generation than the newest. What
 /// goes on while its client is lost is judged here too (ADR 0014); whether a loss stops the robot is a row of
 /// the state table. Threads: the core's strand.
-class Tasks {
+class Tasks final : public Owner {
   public:
     struct Settings {
         std::size_t queue_bound;
@@ -110,8 +110,8 @@ class Tasks {
     /// After every event, and after dispatchNext(): how fast the link has to beat, and what a loss would
     /// mean.
     void settle();
-    void onTimer();
-    TimePoint nextDeadline() const;
+    void onTimer() override;
+    TimePoint nextDeadline() const override;
     void shutDown();
 
   private:

@@ -31,7 +31,7 @@ namespace axon::entity_manager {
 /// being told to the holder. As the master it speaks with its own part as with that of any other entity, only
 /// without the way over the server. What a stop, or the loss of the master, means for the robot are rows of
 /// the state table. Bounded: one run, 64 runs of the past.
-class Teamwork {
+class Teamwork final : public Owner {
   public:
     struct Settings {
         std::string entity;  ///< its UUID
@@ -79,8 +79,8 @@ class Teamwork {
 
     /// What the run wants done, until nothing is left. Call after every event.
     void settle();
-    void onTimer();
-    TimePoint nextDeadline() const;
+    void onTimer() override;
+    TimePoint nextDeadline() const override;
 
   private:
     struct OpenStep {

@@ -95,6 +95,8 @@ class Turn {
     virtual bool toApplication(const proto::EmToEi& message) = 0;
     /// For the operator's log.
     virtual void warn(std::string text) = 0;
+    /// There is no session any more, or one that counts.
+    virtual void serverLost(const std::string& reason) = 0;
     virtual CoreCounters& counters() = 0;
 
     // The journal.
@@ -145,6 +147,19 @@ class Turn {
     virtual void endSpared(const std::string& why) = 0;
     /// Fires CheckOutGranted or LeaseResumed, after which the holder's tasks have their client again.
     virtual void granted(Incident& granted) = 0;
+    /// A profile that was kept while the entity was held, before the next who waits is given the entity.
+    virtual void takeKeptProfiles() = 0;
+};
+
+/// An owner of a part of the state that time changes. The core asks all of them, in one order, so that no
+/// deadline can be forgotten.
+class Owner {
+  public:
+    virtual ~Owner() = default;
+    /// Does what is due now and nothing else; may come early. May fire events.
+    virtual void onTimer() = 0;
+    /// When onTimer() has something to do; TimePoint::max() = not as things are.
+    virtual TimePoint nextDeadline() const = 0;
 };
 
 }  // namespace axon::entity_manager

@@ -76,6 +76,7 @@ struct FakeTurn final : entity_manager::Turn {
         to_application.push_back(message);
         return true;
     }
+    void serverLost(const std::string& reason) override { lost_servers.push_back(reason); }
     void warn(std::string text) override { warnings.push_back(std::move(text)); }
     entity_manager::CoreCounters& counters() override { return counted; }
 
@@ -117,6 +118,7 @@ struct FakeTurn final : entity_manager::Turn {
     void loseHolder(entity_manager::Incident& lost) override { fire(lost); }
     void endSpared(const std::string&) override {}
     void granted(entity_manager::Incident& granted) override { fire(granted); }
+    void takeKeptProfiles() override {}
 
     ManualClock clock;
     EntityState in_state = EntityState::REG;
@@ -139,7 +141,7 @@ struct FakeTurn final : entity_manager::Turn {
     std::vector<ToldPeer> told_peers;
     std::vector<proto::EmToEi> to_application;
     std::vector<entity_manager::JournalRecord> noted;
-    std::vector<std::string> warnings;
+    std::vector<std::string> warnings, lost_servers;
     std::vector<proto::TaskRequest> steps;
     std::vector<entity_manager::Event> controls;
     entity_manager::CoreCounters counted;
