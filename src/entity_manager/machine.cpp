@@ -8,7 +8,6 @@
 #include <utility>
 
 #include "common/planted_bug.hpp"
-#include "common/utf8.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -16,7 +15,6 @@ namespace axon::entity_manager {
 
 namespace {
 
-constexpr std::size_t kActiveTold = 1024;
 constexpr std::size_t kReadOfStrangers = 16 * 1024;
 /// There while nobody has stopped the robot since the last rearm. Its absence is the latch: a file can be
 /// deleted on a full disk, and what is in doubt is latched.
@@ -55,23 +53,6 @@ bool partsAreLost(Storage& storage) {
     const std::array there{storage.load(kUuidKey).has_value(), LeaseBook::isStored(storage),
                            storage.load(kGenerationKey).has_value()};
     return std::count(there.begin(), there.end(), there.front()) != std::ssize(there);
-}
-
-template <class Message>
-std::string errorsOf(const Reading<Message>& reading) {
-    std::string text;
-    for (const auto& finding : reading.findings)
-        if (finding.severity == Finding::Severity::Error)
-            text += (text.empty() ? "" : "\n") + finding.toString();
-    return text;
-}
-
-/// At the end of a line, where it is too long.
-std::string cutReason(std::string text) {
-    if (text.size() <= kReasonMax) return text;
-    const auto line = text.rfind('\n', kReasonMax);
-    text.resize(line == std::string::npos ? kReasonMax : line);
-    return text + "\n… and more";
 }
 
 Event eventOf(const proto::ToEntity& message) {
@@ -131,7 +112,6 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       back_end_(back_end),
       server_(server),
       storage_(storage),
-      store_(resources),
       journal_(journal),
       parts_lost_(partsAreLost(storage)),
       uuid_(loadUuid(storage, random, settings_.uuid)),
@@ -142,6 +122,7 @@ EntityManagerCore::Machine::Machine(CoreSettings settings, const Clock& clock, R
       stops_(*this, storage, stop_gate, back_end),
       tasks_(*this, back_end, resources, stop_gate, random, profiler_, memory_,
              {settings_.task_queue_bound, settings_.answer_within, settings_.lease_grace}),
+      profiles_(*this, resources, profiler_, {uuid_, settings_.application, settings_.profiles_within}),
       teamwork_(*this, storage, random, profiler_, memory_, {uuid_, settings_.server_watchdog_busy}),
       inputs_(*this, storage, resources, profiler_,
               {settings_.answer_within, settings_.resource_bytes_max, settings_.resource_window}) {
@@ -327,18 +308,16 @@ Refusal EntityManagerCore::Machine::guard(Event event, Who who, const Header& he
 void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
     switch (action) {
         case Action::AwaitProfiles:
-            basic_.reset();
-            services_.reset();
-            profiles_due_ = clock_.now() + settings_.profiles_within;
+            profiles_.await();
             break;
         case Action::DeliverStops:
             deliverStops();
             break;
         case Action::ConsiderProfiles:
-            considerProfiles();
+            profiles_.consider();
             break;
         case Action::ReportProfiles:
-            tellOfProfiles({RefusalCode::Malformed, reason_, {}});
+            profiles_.report();
             break;
         case Action::SeekServer:
             seekServer();
@@ -488,7 +467,7 @@ void EntityManagerCore::Machine::onLinkUp() {
     link_up_ = true;
     sought_.clear();
     stops_.linkUp();
-    active_told_.clear();
+    profiles_.linkUp();
     streams_.linkUp();
     tasks_.linkChanged();
     fire(Event::LinkUp);
@@ -501,9 +480,7 @@ void EntityManagerCore::Machine::onLinkDown(const std::string& reason, LinkEnd e
     stops_.linkDown(reason, end);
     link_up_ = false;
     sought_.clear();
-    profiles_due_.reset();
-    kept_profiles_.clear();  // the next link begins with what the application has then
-    located_.reset();
+    profiles_.linkDown();
     reason_ = "the link to the robot application is down: " + reason;
     Incident incident{end == LinkEnd::GoodBye ? Event::LinkEnded : Event::LinkDown};
     incident.cause = StopCause::LinkLost;
@@ -533,18 +510,9 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
         case proto::EiToEm::kStopDone:
             stops_.answered(message.stop_done());
             break;
-        case proto::EiToEm::kProfile: {
-            if (findRow(state_, Event::ProfileUploaded) == nullptr) {
-                keepProfile(*message.mutable_profile());
-                break;
-            }
-            readProfile(message.profile());
-            Incident incident{Event::ProfileUploaded};
-            incident.reason = {
-                RefusalCode::Unavailable, "Its profiles are being read anew. Try again in a moment.", {}};
-            fire(incident);
+        case proto::EiToEm::kProfile:
+            profiles_.uploaded(*message.mutable_profile());
             break;
-        }
         case proto::EiToEm::kAnswer:
             inputs_.answered(message.answer());
             break;
@@ -554,18 +522,9 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
         case proto::EiToEm::kTask:
             tasks_.updated(*message.mutable_task()->mutable_event());
             break;
-        case proto::EiToEm::kActive: {
-            const auto& told = message.active();
-            auto reason = std::string(cutUtf8(told.reason(), kReasonMax));
-            // Kept by name, for profiles that are read anew; the application says it only once.
-            if (active_told_.size() < kActiveTold || active_told_.contains(told.service()))
-                active_told_[told.service()] = {told.active(), reason};
-            if (const auto service = profiler_.setActive(told.service(), told.active(), std::move(reason)))
-                tellServices({service.value()});
-            else
-                ++counters_.unexpected;
+        case proto::EiToEm::kActive:
+            profiles_.activeIs(message.active());
             break;
-        }
         case proto::EiToEm::kStatus:
             tasks_.applicationIs(message.status());
             break;
@@ -609,80 +568,11 @@ void EntityManagerCore::Machine::onLinkMessage(proto::EiToEm& message) {
     settle();
 }
 
-void EntityManagerCore::Machine::tellOfProfiles(const Refusal& refusal) {
-    proto::EmToEi message;
-    *message.mutable_profile_error() = toProto(refusal);
-    back_end_.send(message);
-}
-
-void EntityManagerCore::Machine::readProfile(const proto::ProfileUpload& upload) {
-    if (upload.services()) {
-        services_ = readServicesProfile(upload.xml(), upload.file_name());
-        roots_ = {upload.folder(), {upload.resource_folders().begin(), upload.resource_folders().end()}};
-    } else {
-        basic_ = readBasicProfile(upload.xml(), upload.file_name());
-    }
-}
-
-/// The services that a holder was granted do not change under its hands.
-void EntityManagerCore::Machine::keepProfile(proto::ProfileUpload& upload) {
-    auto refusal = refusalFor(state_, Event::ProfileUploaded);
-    const auto errors = upload.services() ? errorsOf(readServicesProfile(upload.xml(), upload.file_name()))
-                                          : errorsOf(readBasicProfile(upload.xml(), upload.file_name()));
-    if (!errors.empty()) refusal.message += " fix: correct its errors before that.\n" + cutReason(errors);
-    tellOfProfiles(refusal);
-    news_ = upload.file_name() + " has changed while the entity is checked out: kept for its release" +
-            (errors.empty() ? "" : ", and it has errors: " + cutReason(errors));
-    kept_profiles_[upload.services()].Swap(&upload);
-}
-
-/// At the release, before the next who waits is given the entity.
-void EntityManagerCore::Machine::takeKeptProfiles() {
-    if (kept_profiles_.empty() || findRow(state_, Event::KeptProfileTaken) == nullptr) return;
-    std::string names;
-    for (const auto& [services, upload] : std::exchange(kept_profiles_, {})) {
-        names += (names.empty() ? "" : " and ") + upload.file_name();
-        readProfile(upload);
-    }
-    news_ = names + ": the profile that was kept is uploaded now, at the release";
-    tellOfProfiles({RefusalCode::Ok, news_, {}});
-    fire(Event::KeptProfileTaken);
-}
-
-void EntityManagerCore::Machine::considerProfiles() {
-    located_.reset();
-    if (!basic_ || !services_) {
-        if (!profiles_due_) profiles_due_ = clock_.now() + settings_.profiles_within;
-        return;
-    }
-    profiles_due_.reset();
-    if (!basic_->ok() || !services_->ok()) {
-        const auto basic = errorsOf(*basic_);
-        const auto services = errorsOf(*services_);
-        reason_ = cutReason(basic + (basic.empty() || services.empty() ? "" : "\n") + services);
-        fire(Event::ProfilesBad);
-        return;
-    }
-    located_ = store_.locate(roots_, ServiceProfiler::resourcesOf(services_->message));
-    profiles_due_ = clock_.now() + settings_.profiles_within;
-    takeProfiles();
-}
-
-/// They are good, and where the files of the resources lie is known.
-void EntityManagerCore::Machine::takeProfiles() {
-    if (!located_ || !located_->ready()) return;
-    profiles_due_.reset();
-    const auto places = std::exchange(located_, std::nullopt)->value();
-    located_again_.reset();
-    presence_.profileIs(basic_->message);
-    profiler_.load(services_->message, uuid_, places);
+void EntityManagerCore::Machine::profilesAreGood(const proto::BasicProfile& basic) {
+    presence_.profileIs(basic);
     auto amiss = inputs_.restore();
     for (const auto& finding : profiler_.findings()) amiss += (amiss.empty() ? "" : "; ") + finding.message();
     if (!amiss.empty()) warning_ = std::move(amiss);
-    for (const auto& [service, told] : active_told_) {
-        [[maybe_unused]] const auto known =
-            profiler_.setActive(service, told.first, told.second);  // not all are in this profile
-    }
     inputs_.tellConfiguration();
     streams_.tellPresent();
     fire(Event::ProfilesGood);
@@ -691,22 +581,9 @@ void EntityManagerCore::Machine::takeProfiles() {
 /// On a thread of its own a store has done what it was asked for. What waits in the queue for it: settle().
 void EntityManagerCore::Machine::onStored() {
     if (quit_) return;
-    takeProfiles();
-    takeLook();
+    profiles_.onStored();
     inputs_.onStored();
     settle();
-}
-
-/// Files that the robot's owner puts in their places come without a word.
-void EntityManagerCore::Machine::lookAgain() {
-    if (located_ || located_again_ || !profiler_.hasUrls()) return;
-    located_again_ = store_.locate(roots_, profiler_.resources());
-    takeLook();
-}
-
-void EntityManagerCore::Machine::takeLook() {
-    if (!located_again_ || !located_again_->ready()) return;
-    tellServices(profiler_.relocate(std::exchange(located_again_, std::nullopt)->value()));
 }
 
 /// With the records that have changed those of the composites that show what is theirs.
@@ -720,43 +597,6 @@ void EntityManagerCore::Machine::tellServices(const std::vector<int>& services) 
         *message.mutable_service() = profiler_.record(service);
         tell(*holder(), kMsgService, message);
     }
-}
-
-/// What is missing, where an entity would wait in INIT for ever without a word: an application has uploaded
-/// too little, or the disk does not answer.
-void EntityManagerCore::Machine::expireProfiles() {
-    if (!profiles_due_ || clock_.now() < *profiles_due_) return;
-    profiles_due_.reset();
-    if (state_ != EntityState::INIT) return;
-    if (located_) {
-        reason_ = warning_ =
-            "a disk of the robot's machine does not answer, so it is not known whether the files of the "
-            "resources "
-            "are there; fix: see that the state folder and the folders of the urls can be read";
-        tellStatus();
-        return;
-    }
-    std::string missing = "the robot application " + inQuotes(settings_.application) + " has uploaded ";
-    if (!basic_ && !services_)
-        missing +=
-            "no profile; fix: give its Entity Interfacer both (uploadBasicProfile, uploadServiceProfile)";
-    else if (!services_)
-        missing +=
-            "its basic profile and no services profile; fix: give its Entity Interfacer that too "
-            "(uploadServiceProfile)";
-    else
-        missing +=
-            "its services profile and no basic profile; fix: give its Entity Interfacer that too "
-            "(uploadBasicProfile)";
-    const auto errors = basic_ ? errorsOf(*basic_) : services_ ? errorsOf(*services_) : std::string();
-    if (!errors.empty()) {
-        reason_ = cutReason(errors) + "\n" + missing;
-        fire(Event::ProfilesBad);
-        return;
-    }
-    reason_ = warning_ = missing;
-    tellOfProfiles({RefusalCode::Malformed, missing, {}});
-    tellStatus();
 }
 
 // -- the server
@@ -1125,7 +965,7 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
     status.set_reason(whyNotReady());
     status.set_request_id(incident.body->status_request().request_id());
     if (incident.body->status_request().with_services()) {
-        lookAgain();
+        profiles_.lookAgain();
         *status.mutable_services() = profiler_.profile().services();
         for (auto& finding : inputs_.findings()) status.add_findings()->Swap(&finding);
         for (auto& finding : profiler_.findings()) status.add_findings()->Swap(&finding);
@@ -1153,7 +993,6 @@ void EntityManagerCore::Machine::answerStatus(const Incident& incident) {
 void EntityManagerCore::Machine::onTimer() {
     if (quit_) return;
     for (auto* owner : owners()) owner->onTimer();
-    expireProfiles();
     settle();
 }
 
@@ -1161,7 +1000,6 @@ TimePoint EntityManagerCore::Machine::nextDeadline() const {
     auto next = TimePoint::max();
     if (quit_) return next;
     for (const auto* owner : owners()) next = std::min(next, owner->nextDeadline());
-    if (profiles_due_) next = std::min(next, *profiles_due_);
     return next;
 }
 

@@ -21,6 +21,7 @@
 #include "entity_manager/lease_book.hpp"
 #include "entity_manager/ownership.hpp"
 #include "entity_manager/presence.hpp"
+#include "entity_manager/profiles.hpp"
 #include "entity_manager/service_profiler.hpp"
 #include "entity_manager/state_table.hpp"
 #include "entity_manager/stop_ledger.hpp"
@@ -29,7 +30,6 @@
 #include "entity_manager/tasks.hpp"
 #include "entity_manager/teamwork.hpp"
 #include "entity_manager/turn.hpp"
-#include "messages/profile_reader.hpp"
 
 namespace axon::entity_manager {
 
@@ -86,9 +86,11 @@ class EntityManagerCore::Machine final : private Turn {
     Refusal guard(Event event, Who who, const Header& head) const;
     void settle();
     /// In this order time passes for them: first whether there is a server at all, then who holds the entity.
-    std::array<Owner*, 5> owners() { return {&presence_, &ownership_, &inputs_, &tasks_, &teamwork_}; }
-    std::array<const Owner*, 5> owners() const {
-        return {&presence_, &ownership_, &inputs_, &tasks_, &teamwork_};
+    std::array<Owner*, 6> owners() {
+        return {&presence_, &ownership_, &inputs_, &tasks_, &teamwork_, &profiles_};
+    }
+    std::array<const Owner*, 6> owners() const {
+        return {&presence_, &ownership_, &inputs_, &tasks_, &teamwork_, &profiles_};
     }
 
     // The journal.
@@ -102,16 +104,7 @@ class EntityManagerCore::Machine final : private Turn {
     void noteRefusal(const Sender& who, LeaseNumber under, const Refusal& refusal) override;
 
     // States, profiles, server.
-    /// An answer to the robot application's profiles, for its log; OK where nothing is wrong.
-    void tellOfProfiles(const Refusal& refusal);
-    void readProfile(const proto::ProfileUpload& upload);
-    void keepProfile(proto::ProfileUpload& upload);
-    void takeKeptProfiles() override;
-    void considerProfiles();
-    void expireProfiles();
-    void takeProfiles();
-    void lookAgain() override;
-    void takeLook();
+    void profilesAreGood(const proto::BasicProfile& basic) override;
     void tellServices(const std::vector<int>& services) override;
     void seekServer();
     /// A lease that outlived the session with the server is found again.
@@ -119,7 +112,7 @@ class EntityManagerCore::Machine final : private Turn {
         return held() != nullptr && state_ == EntityState::ENVCONN ? Event::ServerReturned : Event::ServerUp;
     }
     std::string whyNotReady() const;
-    void tellStatus();
+    void tellStatus() override;
     void serverLost(const std::string& reason) override;
 
     // Stop.
@@ -140,6 +133,10 @@ class EntityManagerCore::Machine final : private Turn {
     void tellPeer(Lane lane, const std::string& entity, const char* type,
                   const proto::ToEntity& message) override;
     void warn(std::string text) override { warning_ = std::move(text); }
+    void tellNews(std::string text) override { news_ = std::move(text); }
+    void notReady(std::string why) override { reason_ = std::move(why); }
+    void lookAgain() override { profiles_.lookAgain(); }
+    void takeKeptProfiles() override { profiles_.takeKept(); }
     Stops stops() const override {
         return {stops_.generation(), stops_.required(), stops_.allHandled(), stops_.standing()};
     }
@@ -183,7 +180,6 @@ class EntityManagerCore::Machine final : private Turn {
     BackEndPort& back_end_;
     ServerPort& server_;
     Storage& storage_;
-    ResourceStore& store_;
     Journal* const journal_;  ///< null = none is kept
     const bool parts_lost_;   ///< of the state; before the others, which write theirs
     std::string uuid_;
@@ -199,14 +195,6 @@ class EntityManagerCore::Machine final : private Turn {
     std::string reason_;
     std::string sought_;  ///< in UNAV: what the search for the application has found instead
 
-    std::optional<Reading<proto::BasicProfile>> basic_;
-    std::optional<Reading<proto::ServicesProfile>> services_;
-    ResourceRoots roots_;  ///< that came with it
-    /// Where the files of its resources lie: asked before it is used, and again while it is.
-    std::optional<Later<std::vector<ResourcePlace>>> located_, located_again_;
-    std::optional<TimePoint> profiles_due_;  ///< in INIT: what has not been uploaded by then is missing
-    /// Uploaded while the entity was held: by whether it is the services profile.
-    std::map<bool, proto::ProfileUpload> kept_profiles_;
     std::string warning_, news_;
 
     Presence presence_;
@@ -214,10 +202,9 @@ class EntityManagerCore::Machine final : private Turn {
     StopLedger stops_;
 
     ServiceProfiler profiler_;
-    /// By the application since its link is up: on or off, and why.
-    std::map<std::string, std::pair<bool, std::string>, std::less<>> active_told_;
     TaskMemory memory_;
     Tasks tasks_;
+    Profiles profiles_;
     Teamwork teamwork_;
     Inputs inputs_;
     Streams streams_{*this};

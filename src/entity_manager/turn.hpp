@@ -13,6 +13,7 @@
 #include "entity_manager/lease_book.hpp"
 
 namespace axon::proto {
+class BasicProfile;
 class EmToEi;
 class Param;
 class TaskEvent;
@@ -95,6 +96,12 @@ class Turn {
     virtual bool toApplication(const proto::EmToEi& message) = 0;
     /// For the operator's log.
     virtual void warn(std::string text) = 0;
+    /// Likewise, of what is as it should be.
+    virtual void tellNews(std::string text) = 0;
+    /// Why the entity is not ready, for whoever asks while it is in INIT or ERR.
+    virtual void notReady(std::string why) = 0;
+    /// Tells the server how the entity is, where that has changed.
+    virtual void tellStatus() = 0;
     /// There is no session any more, or one that counts.
     virtual void serverLost(const std::string& reason) = 0;
     virtual CoreCounters& counters() = 0;
@@ -128,6 +135,9 @@ class Turn {
     virtual void lookAgain() = 0;
     /// A file that a task had for itself, unless another is being put in its place.
     virtual void removeResource(const std::string& service, const std::string& resource) = 0;
+
+    /// The services of a profile have been loaded: whatever else goes by it is told, and ProfilesGood fired.
+    virtual void profilesAreGood(const proto::BasicProfile& basic) = 0;
 
     // What the services' values mean for their tasks, and for who holds the entity.
     /// TOO_LARGE where a task that has been accepted could not be sent with this value of a service's own

@@ -119,6 +119,13 @@ struct FakeTurn final : entity_manager::Turn {
     void endSpared(const std::string&) override {}
     void granted(entity_manager::Incident& granted) override { fire(granted); }
     void takeKeptProfiles() override {}
+    void tellNews(std::string text) override { news.push_back(std::move(text)); }
+    void notReady(std::string why) override { not_ready = std::move(why); }
+    void tellStatus() override {}
+    void profilesAreGood(const proto::BasicProfile&) override {
+        entity_manager::Incident good{entity_manager::Event::ProfilesGood};
+        fire(good);
+    }
 
     ManualClock clock;
     EntityState in_state = EntityState::REG;
@@ -141,7 +148,8 @@ struct FakeTurn final : entity_manager::Turn {
     std::vector<ToldPeer> told_peers;
     std::vector<proto::EmToEi> to_application;
     std::vector<entity_manager::JournalRecord> noted;
-    std::vector<std::string> warnings, lost_servers;
+    std::vector<std::string> warnings, news, lost_servers;
+    std::string not_ready;
     std::vector<proto::TaskRequest> steps;
     std::vector<entity_manager::Event> controls;
     entity_manager::CoreCounters counted;
