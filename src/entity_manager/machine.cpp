@@ -55,51 +55,16 @@ bool partsAreLost(Storage& storage) {
     return std::count(there.begin(), there.end(), there.front()) != std::ssize(there);
 }
 
-Event eventOf(const proto::ToEntity& message) {
-    switch (message.body_case()) {
-        case proto::ToEntity::kCheckOut:
-            return Event::CheckOut;
-        case proto::ToEntity::kRelease:
-            return Event::Release;
-        case proto::ToEntity::kSetParam:
-            return Event::SetParam;
-        case proto::ToEntity::kTask:
-            return Event::Task;
-        case proto::ToEntity::kResourceOffer:
-        case proto::ToEntity::kResourceChunk:
-            return Event::Resource;
-        case proto::ToEntity::kText:
-            return Event::Text;
-        case proto::ToEntity::kRaw:
-            return Event::Raw;
-        case proto::ToEntity::kRearm:
-            return Event::Rearm;
-        case proto::ToEntity::kStatusRequest:
-            return Event::Status;
-        case proto::ToEntity::kWatch:
-            return Event::Watch;
-        case proto::ToEntity::kTaskControl:
-            if (message.task_control().action() == proto::PAUSE) return Event::Pause;
-            if (message.task_control().action() == proto::RESUME) return Event::Resume;
-            if (message.task_control().action() == proto::CANCEL) return Event::Cancel;
-            break;
-        case proto::ToEntity::kHandOverAnswer:
-        case proto::ToEntity::kHandOverPolicy:
-            return Event::HandOver;
-        case proto::ToEntity::kCollaboration:
-            return Event::CollaborativeTask;
-        case proto::ToEntity::kRunHistory:
-            return Event::RunHistory;
-        case proto::ToEntity::kFromMaster:
-            if (message.from_master().has_invitation()) return Event::CollaborationRequest;
-            break;  // the others are no requests: Teamwork::hear()
-        case proto::ToEntity::kFromSlave:
-        case proto::ToEntity::kGlobalServices:  // of a front-end server
-        case proto::ToEntity::kWay:             // of the direct path, which the core does not know
-        case proto::ToEntity::BODY_NOT_SET:
-            break;
-    }
-    return Event::Quit;  // no client can ask for this one: the caller takes it for "none"
+/// Which request it is. Quit, which no client can ask for: none, such as the messages of a run that are no
+/// requests (Teamwork::hear()), and those of a front-end server or of the direct path.
+Event eventOf(const proto::ToEntity& body) {
+#define AXON_FACT(name)
+#define AXON_REQUEST(name, needs, wish, is, refuse) \
+    if (is) return Event::name;
+#include "entity_manager/events.def"
+#undef AXON_FACT
+#undef AXON_REQUEST
+    return Event::Quit;
 }
 
 }  // namespace
@@ -307,133 +272,38 @@ Refusal EntityManagerCore::Machine::guard(Event event, Who who, const Header& he
 
 void EntityManagerCore::Machine::perform(Action action, Incident& incident) {
     switch (action) {
-        case Action::AwaitProfiles:
-            profiles_.await();
-            break;
-        case Action::DeliverStops:
-            deliverStops();
-            break;
-        case Action::ConsiderProfiles:
-            profiles_.consider();
-            break;
-        case Action::ReportProfiles:
-            profiles_.report();
-            break;
-        case Action::SeekServer:
-            seekServer();
-            break;
-        case Action::Register:
-            presence_.registerEntity();
-            break;
-        case Action::LeaveServer:
-            server_.wantConnection(false);
-            break;
-        case Action::ConsiderCheckOut:
-            ownership_.considerCheckOut(incident);
-            break;
-        case Action::SendGrant:
-            ownership_.sendGrant(incident.phase);
-            streams_.holderBegan();
-            break;
-        case Action::StopApplication:
-            stopApplication(incident);
-            break;
-        case Action::Latch:
-            // The server's stop on behalf of a client that leaves in an orderly way is not a call for help.
-            if (incident.cause == StopCause::Released && holder() != nullptr && incident.head != nullptr &&
-                holder()->id == incident.head->sender.id)
-                break;
-            if (!AXON_PLANTED(LatchForgotten)) latched_ = true;
-            break;
-        case Action::Unlatch:
-            latched_ = false;
-            stops_.rearmed();
-            note({.kind = JournalRecord::Kind::Rearmed, .who = named(incident.head->sender)});
-            reply(incident.head->sender, incident.body->rearm().request_id(), {});
-            break;
-        case Action::Acknowledge:
-            acknowledge(incident);
-            break;
-        case Action::VoidQueue:
-            if (AXON_PLANTED(QueueNotVoided)) break;
-            tasks_.voidQueue(incident);
-            break;
-        case Action::EndTasks:
-            tasks_.end(incident, proto::TASK_STOPPED, true);
-            break;
-        case Action::LoseTasks:
-            tasks_.end(incident, proto::TASK_UNKNOWN, false);
-            break;
-        case Action::SpareTasks:
-            tasks_.spare();
-            break;
-        case Action::HaltTasks:
-            tasks_.halt();
-            break;
-        case Action::DispatchNext:
-            tasks_.dispatchNext();
-            break;
-        case Action::CancelTask:
-        case Action::PauseTask:
-        case Action::ResumeTask:
-            controlTask(incident);
-            break;
-        case Action::AdmitTask:
-            tasks_.consider(incident);
-            break;
-        case Action::AskParameter:
-            inputs_.askParameter(incident);
-            break;
-        case Action::CarryResource:
-            inputs_.carryResource(incident);
-            break;
-        case Action::SuspendUploads:
-            inputs_.suspendUploads(incident.reason);
-            break;
-        case Action::AbandonRequests:
-            inputs_.abandon(incident.reason);
-            break;
-        case Action::OrphanLease:
-            ownership_.orphan(incident);
-            break;
-        case Action::EndLease:
-            ownership_.end(incident);
-            break;
-        case Action::DismissWaiting:
-            ownership_.dismissWaiting(incident);
-            break;
-        case Action::ConsiderHandOver:
-            ownership_.considerHandOver(incident);
-            break;
-        case Action::ConsiderRun:
-            teamwork_.considerRun(incident);
-            break;
-        case Action::ConsiderInvitation:
-            teamwork_.considerInvitation(incident.head->sender, incident.body->from_master());
-            break;
-        case Action::LeaveCollaboration:
-            teamwork_.leave(incident.reason);
-            break;
-        case Action::TellRunHistory:
-            teamwork_.tellHistory(incident);
-            break;
-        case Action::PassText:
-            passText(incident);
-            break;
-        case Action::PassRaw:
-            passRaw(incident);
-            break;
-        case Action::AnswerStatus:
-            answerStatus(incident);
-            break;
-        case Action::NoteWatch:
-            if (const auto taken = streams_.watch(incident.head->sender.id, incident.body->watch()); !taken)
-                refuse(incident, taken.refusal());
-            break;
-        case Action::TellStatus:
-            tellStatus();
-            break;
+#define AXON_ACTION(name, call) \
+    case Action::name:          \
+        call;                   \
+        break;
+#include "entity_manager/actions.def"
+#undef AXON_ACTION
     }
+}
+
+void EntityManagerCore::Machine::latch(const Incident& incident) {
+    // The server's stop on behalf of a client that leaves in an orderly way is not a call for help.
+    if (incident.cause == StopCause::Released && holder() != nullptr && incident.head != nullptr &&
+        holder()->id == incident.head->sender.id)
+        return;
+    if (!AXON_PLANTED(LatchForgotten)) latched_ = true;
+}
+
+void EntityManagerCore::Machine::unlatch(const Incident& incident) {
+    latched_ = false;
+    stops_.rearmed();
+    note({.kind = JournalRecord::Kind::Rearmed, .who = named(incident.head->sender)});
+    reply(incident.head->sender, incident.body->rearm().request_id(), {});
+}
+
+void EntityManagerCore::Machine::sendGrant(const Incident& incident) {
+    ownership_.sendGrant(incident.phase);
+    streams_.holderBegan();
+}
+
+void EntityManagerCore::Machine::noteWatch(const Incident& incident) {
+    if (const auto taken = streams_.watch(incident.head->sender.id, incident.body->watch()); !taken)
+        refuse(incident, taken.refusal());
 }
 
 /// After each event: what follows from the state as a whole.
@@ -889,53 +759,25 @@ void EntityManagerCore::Machine::refuse(const Incident& incident, const Refusal&
     const auto& to = incident.head->sender;
     if (incident.event != Event::CheckOut) noteRefusal(to, incident.head->held, refusal);
     switch (incident.event) {
-        case Event::CheckOut:
-            ownership_.reply(to, incident.body->check_out().request_id(), incident.body->check_out().phase(),
-                             refusal);
-            return;
-        case Event::Task:
-            tasks_.refuse(incident, refusal);
-            return;
-        case Event::CollaborativeTask:
-            teamwork_.refuseRun(incident, refusal);
-            return;
-        case Event::CollaborationRequest:
-            teamwork_.declineInvitation(to, incident.body->from_master(), refusal);
-            return;
-        case Event::SetParam:
-            reply(to, incident.body->set_param().request_id(), refusal);
-            return;
-        case Event::Rearm:
-            reply(to, incident.body->rearm().request_id(), refusal);
-            return;
-        case Event::Status:
-            reply(to, incident.body->status_request().request_id(), refusal);
-            return;
-        case Event::HandOver:
-            reply(to, incident.body->hand_over_answer().request_id(), refusal);
-            return;
-        case Event::Pause:
-        case Event::Resume:
-        case Event::Cancel:
-            reply(to, incident.body->task_control().task_id(), refusal);
-            return;
-        case Event::Resource:
-            inputs_.refuseResource(incident, refusal);
-            return;
-        case Event::Raw:
-            // A stream of raw data is not answered with a stream of refusals.
-            ++counters_.raw_refused;
-            if (clock_.now() < raw_refused_ + kRawRefusalPeriod) return;
-            raw_refused_ = clock_.now();
-            reply(to, {}, refusal);
-            return;
-        case Event::Reset:
-        case Event::Clear:
-            reply(to, to.id + ':' + std::to_string(incident.head->sequence), refusal, Lane::Signal);
-            return;
-        default:
-            reply(to, {}, refusal);
+#define AXON_FACT(name) \
+    case Event::name:   \
+        break;
+#define AXON_REQUEST(name, needs, wish, is, refuse) \
+    case Event::name:                               \
+        refuse;                                     \
+        break;
+#include "entity_manager/events.def"
+#undef AXON_FACT
+#undef AXON_REQUEST
     }
+}
+
+/// A stream of raw data is not answered with a stream of refusals.
+void EntityManagerCore::Machine::refuseRaw(const Sender& to, const Refusal& refusal) {
+    ++counters_.raw_refused;
+    if (clock_.now() < raw_refused_ + kRawRefusalPeriod) return;
+    raw_refused_ = clock_.now();
+    reply(to, {}, refusal);
 }
 
 void EntityManagerCore::Machine::passText(const Incident& incident) {

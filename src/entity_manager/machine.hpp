@@ -34,7 +34,7 @@
 namespace axon::entity_manager {
 
 /// The inside of EntityManagerCore: it finds the row of each event in the state table and has one function
-/// for each Action. Private to the core;
+/// for each Action. Private to the core.
 class EntityManagerCore::Machine final : private Turn {
   public:
     Machine(CoreSettings settings, const Clock& clock, RandomSource& random, BackEndPort& back_end,
@@ -83,6 +83,10 @@ class EntityManagerCore::Machine final : private Turn {
     void fire(Incident& incident) override;
     using Turn::fire;
     void perform(Action action, Incident& incident);
+    void latch(const Incident& incident);
+    void unlatch(const Incident& incident);
+    void sendGrant(const Incident& incident);
+    void noteWatch(const Incident& incident);
     Refusal guard(Event event, Who who, const Header& head) const;
     void settle();
     /// In this order time passes for them: first whether there is a server at all, then who holds the entity.
@@ -170,6 +174,7 @@ class EntityManagerCore::Machine final : private Turn {
         reply(to, request_id, refusal, Lane::Data);
     }
     void refuse(const Incident& incident, const Refusal& refusal) override;
+    void refuseRaw(const Sender& to, const Refusal& refusal);
     void passText(const Incident& incident);
     void passRaw(const Incident& incident);
     void answerStatus(const Incident& incident);

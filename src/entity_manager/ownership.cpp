@@ -588,6 +588,11 @@ void Ownership::sendGrant(proto::CheckOutPhase phase) {
     turn_.tell(held.holder, kMsgCheckOut, message);
 }
 
+void Ownership::refuse(const Incident& incident, const Refusal& refusal) {
+    const auto& request = incident.body->check_out();
+    reply(incident.head->sender, request.request_id(), request.phase(), refusal);
+}
+
 void Ownership::reply(const Sender& to, const std::string& request_id, proto::CheckOutPhase phase,
                       const Refusal& refusal) {
     proto::ToClient message;

@@ -58,6 +58,7 @@ class Ownership final : public Owner {
     void end(const Incident& incident);
     /// What the incident's own client waits for, where it is about one; what anybody waits for.
     void dismissWaiting(const Incident& incident);
+    void refuse(const Incident& incident, const Refusal& refusal);
     /// The answer to a check-out; noted where it is a refusal.
     void reply(const Sender& to, const std::string& request_id, proto::CheckOutPhase phase,
                const Refusal& refusal);

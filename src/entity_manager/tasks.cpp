@@ -386,6 +386,7 @@ void Tasks::leaveService(const Task& task, bool clear) {
 }
 
 void Tasks::voidQueue(const Incident& incident) {
+    if (AXON_PLANTED(QueueNotVoided)) return;
     const auto state = incident.event == Event::Clear ? proto::TASK_CANCELLED
                        : incident.event == Event::LinkDown || incident.event == Event::LinkEnded
                            ? proto::TASK_REFUSED
