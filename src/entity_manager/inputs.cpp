@@ -5,7 +5,7 @@
 #include <chrono>
 #include <utility>
 
-#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/core_settings.hpp"
 #include "entity_manager/message_size.hpp"
 #include "messages/values.hpp"
 
@@ -75,7 +75,7 @@ void Inputs::askParameter(const Incident& incident) {
 void Inputs::answered(const proto::RequestAnswer& answer) {
     const auto at = questions_.find(answer.request());
     if (at == questions_.end()) {
-        ++turn_.counters().unexpected;
+        ++turn_.count().unexpected;
         return;
     }
     const auto question = std::move(at->second);

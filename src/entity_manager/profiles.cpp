@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "common/utf8.hpp"
-#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/core_settings.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -88,7 +88,7 @@ void Profiles::activeIs(const proto::ServiceActive& told) {
     if (const auto service = profiler_.setActive(told.service(), told.active(), std::move(reason)))
         turn_.tellServices({service.value()});
     else
-        ++turn_.counters().unexpected;
+        ++turn_.count().unexpected;
 }
 
 void Profiles::read(const proto::ProfileUpload& upload) {

@@ -10,7 +10,7 @@
 
 #include "common/queue_share.hpp"
 #include "common/utf8.hpp"
-#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/core_settings.hpp"
 #include "messages/values.hpp"
 
 namespace axon::entity_manager {
@@ -221,7 +221,7 @@ void StopLedger::settle() {
 
 void StopLedger::stopDone(const proto::StopDone& done) {
     if (done.stop_generation() > gate_.generation()) {
-        ++turn_.counters().unexpected;
+        ++turn_.count().unexpected;
         return;
     }
     if (done.stop_generation() > generation_) {
@@ -241,7 +241,7 @@ void StopLedger::stopDone(const proto::StopDone& done) {
             continue;
         if (done.stage() == proto::StopReceipt::STANDSTILL &&
             open.receipt.stage() < proto::StopReceipt::CALLBACK_RETURNED) {
-            ++turn_.counters().unexpected;  // it may stand, but its callback has still to say so
+            ++turn_.count().unexpected;  // it may stand, but its callback has still to say so
             continue;
         }
         if (done.stage() == proto::StopReceipt::STANDSTILL && turn_.now() >= open.at + kComesToRest)
@@ -308,7 +308,7 @@ void StopLedger::forgetADrill() {
 
 void StopLedger::drillDone(std::uint32_t number) {
     if (number > gate_.drills()) {
-        ++turn_.counters().unexpected;
+        ++turn_.count().unexpected;
         return;
     }
     if (number > drill_) {  // the answer was faster than the news

@@ -8,7 +8,7 @@
 
 #include "collaboration/collaboration.hpp"
 #include "common/planted_bug.hpp"
-#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/core_settings.hpp"
 #include "entity_manager/journal_record.hpp"
 #include "entity_manager/message_size.hpp"
 #include "messages/text.hpp"
@@ -241,11 +241,11 @@ void Tasks::answered(const proto::TaskAnswer& answer) {
     auto* active = id ? findSent(*id) : nullptr;
     const bool denied = answer.has_refusal() && answer.refusal().code() != proto::OK;
     if (active == nullptr) {
-        if (!(id && denied && lingeringEnded(*id))) ++turn_.counters().unexpected;
+        if (!(id && denied && lingeringEnded(*id))) ++turn_.count().unexpected;
         return;
     }
     if (active->answered) {
-        ++turn_.counters().unexpected;
+        ++turn_.count().unexpected;
         return;
     }
     if (!denied) {
@@ -268,7 +268,7 @@ void Tasks::updated(proto::TaskEvent& update) {
     auto* active = id ? findSent(*id) : nullptr;
     if (active == nullptr) {
         // A task whose end has been told already: it was stopped, and now its handler has returned.
-        if (!(id && isFinal(update.state()) && lingeringEnded(*id))) ++turn_.counters().unexpected;
+        if (!(id && isFinal(update.state()) && lingeringEnded(*id))) ++turn_.count().unexpected;
         return;
     }
     // A part that has succeeded has been granted, and the composite runs.
@@ -551,7 +551,7 @@ void Tasks::applicationIs(const proto::StatusNote& note) {
             text.mutable_text()->set_text(note.text());
             turn_.tell(*turn_.holder(), kMsgText, text);
         } else {
-            ++turn_.counters().undelivered;
+            ++turn_.count().undelivered;
         }
     }
     if (note.busy() == application_busy_) return;

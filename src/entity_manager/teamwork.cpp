@@ -8,7 +8,7 @@
 
 #include "collaboration/sub_lease.hpp"
 #include "common/utf8.hpp"
-#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/core_settings.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -328,7 +328,7 @@ bool Teamwork::hear(const Header& head, proto::ToEntity& message) {
             raw.mutable_raw()->mutable_data()->Swap(message.mutable_raw()->mutable_data());
             raw.mutable_raw()->set_from(from->name());
             raw.mutable_raw()->set_stop_generation(turn_.stops().generation);
-            if (!turn_.toApplication(raw)) ++turn_.counters().undelivered;
+            if (!turn_.toApplication(raw)) ++turn_.count().undelivered;
             return true;
         }
         default:
@@ -610,7 +610,7 @@ void Teamwork::refuseToApplication(const std::string& to, const Refusal& refusal
 void Teamwork::sendRaw(proto::LinkRaw& raw) {
     const auto* to = partner(raw.to());
     if (to == nullptr || !turn_.connected()) {
-        ++turn_.counters().undelivered;
+        ++turn_.count().undelivered;
         refuseToApplication(
             raw.to(),
             !turn_.connected()

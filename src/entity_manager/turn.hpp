@@ -104,7 +104,7 @@ class Turn {
     virtual void tellStatus() = 0;
     /// There is no session any more, or one that counts.
     virtual void serverLost(const std::string& reason) = 0;
-    virtual CoreCounters& counters() = 0;
+    virtual CoreCounters& count() = 0;
 
     // The journal.
     /// Fills in what is empty and every entry has. False: it could not be written.

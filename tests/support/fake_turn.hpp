@@ -9,7 +9,7 @@
 #include <utility>
 #include <vector>
 
-#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/core_settings.hpp"
 #include "entity_manager/incident.hpp"
 #include "entity_manager/journal_record.hpp"
 #include "entity_manager/turn.hpp"
@@ -78,7 +78,7 @@ struct FakeTurn final : entity_manager::Turn {
     }
     void serverLost(const std::string& reason) override { lost_servers.push_back(reason); }
     void warn(std::string text) override { warnings.push_back(std::move(text)); }
-    entity_manager::CoreCounters& counters() override { return counted; }
+    entity_manager::CoreCounters& count() override { return counted; }
 
     bool note(entity_manager::JournalRecord record) override {
         noted.push_back(std::move(record));
