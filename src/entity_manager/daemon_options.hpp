@@ -6,10 +6,10 @@
 #include <string>
 
 #include "entity_manager/back_end_interface.hpp"
+#include "entity_manager/core_settings.hpp"
 #include "entity_manager/datagram_desk.hpp"
 #include "entity_manager/direct_door.hpp"
 #include "entity_manager/entity_communicator.hpp"
-#include "entity_manager/entity_manager_core.hpp"
 
 namespace axon::entity_manager {
 

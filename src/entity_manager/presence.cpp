@@ -82,6 +82,7 @@ void Presence::onTimer() {
                    "; above that the robot stops. The network or one of the two hosts is overloaded");
     }
     if (!watchdog_.expired(now)) sendPosition();
+    if (const auto why = whySilent()) turn_.serverLost(*why);
 }
 
 TimePoint Presence::nextDeadline() const {

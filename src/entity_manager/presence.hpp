@@ -20,9 +20,9 @@ namespace axon::entity_manager {
 /// The entity as the server has it: the session and whether the server is heard, what the entity is
 /// registered as, its position, and which status was told last.
 ///
-/// It judges the server's silence (safety.md, "Watchdogs") and does not act on it: what a lost server means
-/// for the robot is a row of the state table.
-class Presence {
+/// It judges the server's silence (safety.md, "Watchdogs"); what a lost server means for the robot is a row
+/// of the state table.
+class Presence final : public Owner {
   public:
     struct Settings {
         std::string entity;       ///< its UUID
@@ -44,9 +44,9 @@ class Presence {
     void setBusy(bool busy);
     /// For people: how long the server has been silent, once that is too long.
     std::optional<std::string> whySilent();
-    /// Warns of a server that is heard late; sends a position that had to wait.
-    void onTimer();
-    TimePoint nextDeadline() const;
+    /// Gives up a silent server, and warns of one that is heard late; sends a position that had to wait.
+    void onTimer() override;
+    TimePoint nextDeadline() const override;
     /// The longest silence of late; nothing without a session.
     std::optional<HopMargin> margin() const;
 

@@ -67,7 +67,8 @@ TEST_F(Presences, AServerIsSilentAfterTheWatchdogOfWhatTheEntityDoes) {
 TEST_F(Presences, ASessionThatFellSilentIsGivenUpBeforeAnotherIsWanted) {
     presence.up();
     turn.clock.advance(11s);
-    ASSERT_TRUE(presence.whySilent());
+    presence.onTimer();
+    ASSERT_EQ(turn.lost_servers, std::vector<std::string>{"it has been silent for 10000 ms"});
     presence.seek();
     EXPECT_EQ(server.wishes, (std::vector{false, true}));
     presence.seek();

@@ -178,44 +178,27 @@ const Table& table() {
     return kTable;
 }
 
-const char* wish(E event) {
-    switch (event) {
-        case E::CheckOut:
-            return "be checked out";
-        case E::Release:
-            return "be released";
-        case E::HandOver:
-            return "be handed over";
-        case E::SetParam:
-            return "take parameters";
-        case E::Resource:
-            return "take resources";
-        case E::Task:
-            return "take tasks";
-        case E::Pause:
-            return "pause a task";
-        case E::Resume:
-            return "resume a task";
-        case E::Cancel:
-            return "cancel a task";
-        case E::Rearm:
-            return "be rearmed";
-        case E::Text:
-            return "take texts";
-        case E::Raw:
-            return "take raw data";
-        case E::Reset:
-            return "be reset";
-        case E::Clear:
-            return "be cleared";
-        case E::ProfileUploaded:
-            return "take new profiles";
-        case E::CollaborativeTask:
-        case E::CollaborationRequest:
-            return "begin a collaboration";
-        default:
-            return "do that";
-    }
+constexpr Needs kNothing{};
+constexpr Needs kStopSeen{.stop_generation = true};
+constexpr Needs kFree{.not_latched = true};
+constexpr Needs kStopSeenAndFree{.stop_generation = true, .not_latched = true};
+
+struct Description {
+    const char* name;
+    bool request = false;
+    Needs needs = {};
+    const char* wish = "";
+};
+constexpr std::array kDescriptions{
+#define AXON_FACT(name) Description{#name},
+#define AXON_REQUEST(name, needs, wish, is, refuse) Description{#name, true, needs, wish},
+#include "entity_manager/events.def"
+#undef AXON_FACT
+#undef AXON_REQUEST
+};
+
+const Description& describe(E event) {
+    return kDescriptions[static_cast<std::size_t>(event)];
 }
 
 }  // namespace
@@ -230,15 +213,16 @@ const Row* findRow(EntityState state, Event event) {
 
 Refusal refusalFor(EntityState state, Event event, const std::string& reason) {
     const std::string because = reason.empty() ? "" : ": " + reason;
-    const std::string cannot = std::string("The entity cannot ") + wish(event) + " now";
     if (event == E::ProfileUploaded)
         return {RefusalCode::WrongState,
-                cannot + ": it is checked out. The new profile is kept, and uploaded at its release.",
+                "The entity cannot take new profiles now: it is checked out. The new profile is kept, and "
+                "uploaded at its release.",
                 {}};
     if (!isRequest(event))
         return {RefusalCode::WrongState,
                 std::string(toString(event)) + " is not expected in " + toString(state) + ".",
                 {}};
+    const std::string cannot = std::string("The entity cannot ") + describe(event).wish + " now";
     switch (state) {
         case S::UNAV:
             return {RefusalCode::Unavailable,
@@ -277,145 +261,23 @@ Refusal refusalFor(EntityState state, Event event, const std::string& reason) {
 }
 
 Needs needsOf(Event event) {
-    switch (event) {
-        case E::Reset:
-            return {.not_latched = true};
-        case E::SetParam:
-        case E::Rearm:
-            return {.stop_generation = true};
-        case E::Task:
-        case E::Resume:
-        // Raw data may move the robot (a joystick): what a stop has overtaken must not arrive after it.
-        case E::Raw:
-        case E::CollaborativeTask:
-            return {.stop_generation = true, .not_latched = true};
-        default:
-            return {};
-    }
+    return describe(event).needs;
 }
 
 bool isRequest(Event event) {
-    switch (event) {
-        case E::CheckOut:
-        case E::HandOver:
-        case E::Release:
-        case E::SetParam:
-        case E::Resource:
-        case E::Task:
-        case E::Pause:
-        case E::Resume:
-        case E::Cancel:
-        case E::Rearm:
-        case E::Text:
-        case E::Raw:
-        case E::Status:
-        case E::Watch:
-        case E::Stop:
-        case E::Reset:
-        case E::Clear:
-        case E::CollaborativeTask:
-        case E::CollaborationRequest:
-        case E::RunHistory:
-            return true;
-        default:
-            return false;
-    }
+    return describe(event).request;
 }
 
 const char* toString(Event event) {
-    static constexpr std::array<const char*, kEvents> kNames{"LinkUp",
-                                                             "LinkDown",
-                                                             "LinkEnded",
-                                                             "ProfileUploaded",
-                                                             "KeptProfileTaken",
-                                                             "ProfilesGood",
-                                                             "ProfilesBad",
-                                                             "TaskGranted",
-                                                             "TaskEnded",
-                                                             "LastTaskEnded",
-                                                             "ApplicationBusy",
-                                                             "ApplicationReady",
-                                                             "ServerUp",
-                                                             "ServerReturned",
-                                                             "ServerDown",
-                                                             "ClientLost",
-                                                             "ClientSpared",
-                                                             "ClientEnded",
-                                                             "CheckOutGranted",
-                                                             "LeaseResumed",
-                                                             "LeaseExpired",
-                                                             "TakenOver",
-                                                             "CheckOut",
-                                                             "HandOver",
-                                                             "Release",
-                                                             "SetParam",
-                                                             "Resource",
-                                                             "Task",
-                                                             "Pause",
-                                                             "Resume",
-                                                             "Cancel",
-                                                             "Rearm",
-                                                             "Text",
-                                                             "Raw",
-                                                             "Status",
-                                                             "Watch",
-                                                             "Stop",
-                                                             "Reset",
-                                                             "Clear",
-                                                             "CollaborativeTask",
-                                                             "CollaborationBegun",
-                                                             "CollaborationRequest",
-                                                             "CollaborationJoined",
-                                                             "CollaborationEnded",
-                                                             "CollaborationStopped",
-                                                             "MasterLost",
-                                                             "RunHistory",
-                                                             "Quit"};
-    return kNames[static_cast<std::size_t>(event)];
+    return describe(event).name;
 }
 
 const char* toString(Action action) {
-    static constexpr std::array kNames{"AwaitProfiles",
-                                       "DeliverStops",
-                                       "ConsiderProfiles",
-                                       "ReportProfiles",
-                                       "SeekServer",
-                                       "Register",
-                                       "LeaveServer",
-                                       "ConsiderCheckOut",
-                                       "SendGrant",
-                                       "StopApplication",
-                                       "Latch",
-                                       "Unlatch",
-                                       "Acknowledge",
-                                       "VoidQueue",
-                                       "EndTasks",
-                                       "LoseTasks",
-                                       "SpareTasks",
-                                       "HaltTasks",
-                                       "DispatchNext",
-                                       "CancelTask",
-                                       "PauseTask",
-                                       "ResumeTask",
-                                       "AdmitTask",
-                                       "AskParameter",
-                                       "CarryResource",
-                                       "SuspendUploads",
-                                       "AbandonRequests",
-                                       "OrphanLease",
-                                       "EndLease",
-                                       "DismissWaiting",
-                                       "ConsiderHandOver",
-                                       "ConsiderRun",
-                                       "ConsiderInvitation",
-                                       "LeaveCollaboration",
-                                       "TellRunHistory",
-                                       "PassText",
-                                       "PassRaw",
-                                       "AnswerStatus",
-                                       "NoteWatch",
-                                       "TellStatus"};
-    static_assert(kNames.size() == static_cast<std::size_t>(Action::TellStatus) + 1);
+    static constexpr std::array kNames{
+#define AXON_ACTION(name, call) #name,
+#include "entity_manager/actions.def"
+#undef AXON_ACTION
+    };
     return kNames[static_cast<std::size_t>(action)];
 }
 

@@ -11,110 +11,29 @@
 
 namespace axon::entity_manager {
 
-/// All that can happen to an Entity Manager. Facts have happened and change the state; requests are
-/// somebody's wish and are answered. Which is which: isRequest().
+/// All that can happen to an Entity Manager: events.def. Facts have happened and change the state; requests
+/// are somebody's wish and are answered.
 enum class Event : std::uint8_t {
-    // facts of the link to the robot application
-    LinkUp,
-    LinkDown,   ///< without a good-bye: silent, closed, or the application has stopped itself
-    LinkEnded,  ///< in order: the application has stopped its robot and said so
-    ProfileUploaded,
-    KeptProfileTaken,  ///< uploaded while the entity was held, and taken at the release
-    ProfilesGood,
-    ProfilesBad,
-    TaskGranted,
-    TaskEnded,
-    LastTaskEnded,
-    ApplicationBusy,
-    ApplicationReady,
-    // facts of the server and of clients
-    ServerUp,
-    ServerReturned,  ///< while the lease of its client runs on, orphaned
-    ServerDown,
-    ClientLost,
-    ClientSpared,  ///< lost, and all that runs may go on without it for a while
-    ClientEnded,
-    CheckOutGranted,
-    LeaseResumed,  ///< by its holder, in the grace
-    LeaseExpired,  ///< the grace is over
-    TakenOver,     ///< by an administrator, or because the holder hands over
-    // requests
-    CheckOut,
-    HandOver,
-    Release,
-    SetParam,
-    Resource,
-    Task,
-    Pause,
-    Resume,
-    Cancel,
-    Rearm,
-    Text,
-    Raw,
-    Status,
-    Watch,
-    // commands: requests of higher precedence (thesis 3.3.1)
-    Stop,
-    Reset,
-    Clear,
-    // collaboration
-    CollaborativeTask,     ///< a client asks for the run of a global service
-    CollaborationBegun,    ///< this entity is its master
-    CollaborationRequest,  ///< a master invites
-    CollaborationJoined,   ///< this entity is its slave
-    CollaborationEnded,    ///< nothing runs any more
-    CollaborationStopped,  ///< by its master
-    MasterLost,            ///< the master of the run in which it takes part is silent
-    RunHistory,
-    // the operator of the daemon
-    Quit,
+#define AXON_FACT(name) name,
+#define AXON_REQUEST(name, needs, wish, is, refuse) name,
+#include "entity_manager/events.def"
+#undef AXON_FACT
+#undef AXON_REQUEST
 };
-inline constexpr std::size_t kEvents = static_cast<std::size_t>(Event::Quit) + 1;
+inline constexpr std::size_t kEvents = 0
+#define AXON_FACT(name) +1
+#define AXON_REQUEST(name, needs, wish, is, refuse) +1
+#include "entity_manager/events.def"
+#undef AXON_FACT
+#undef AXON_REQUEST
+    ;
 inline constexpr std::size_t kStates = static_cast<std::size_t>(EntityState::ERR) + 1;
 
-/// What the machine does about an event, in the order of the row. EntityManagerCore::Machine has one function
-/// each.
+/// What is done about an event, in the order of the row: actions.def.
 enum class Action : std::uint8_t {
-    AwaitProfiles,
-    DeliverStops,
-    ConsiderProfiles,
-    ReportProfiles,
-    SeekServer,
-    Register,
-    LeaveServer,
-    ConsiderCheckOut,
-    SendGrant,
-    StopApplication,
-    Latch,
-    Unlatch,
-    Acknowledge,
-    VoidQueue,
-    EndTasks,
-    LoseTasks,
-    SpareTasks,
-    HaltTasks,
-    DispatchNext,
-    CancelTask,
-    PauseTask,
-    ResumeTask,
-    AdmitTask,
-    AskParameter,
-    CarryResource,
-    SuspendUploads,
-    AbandonRequests,
-    OrphanLease,
-    EndLease,
-    DismissWaiting,
-    ConsiderHandOver,
-    ConsiderRun,
-    ConsiderInvitation,
-    LeaveCollaboration,
-    TellRunHistory,
-    PassText,
-    PassRaw,
-    AnswerStatus,
-    NoteWatch,
-    TellStatus,
+#define AXON_ACTION(name, call) name,
+#include "entity_manager/actions.def"
+#undef AXON_ACTION
 };
 
 /// Where a row leads.

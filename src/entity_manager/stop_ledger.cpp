@@ -10,7 +10,7 @@
 
 #include "common/queue_share.hpp"
 #include "common/utf8.hpp"
-#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/core_settings.hpp"
 #include "messages/values.hpp"
 
 namespace axon::entity_manager {
@@ -215,7 +215,7 @@ void StopLedger::settle() {
 
 void StopLedger::stopDone(const proto::StopDone& done) {
     if (done.stop_generation() > stop_counter_.generation()) {
-        ++turn_.counters().unexpected;
+        ++turn_.count().unexpected;
         return;
     }
     if (done.stop_generation() > generation_) {
@@ -235,7 +235,7 @@ void StopLedger::stopDone(const proto::StopDone& done) {
             continue;
         if (done.stage() == proto::StopReceipt::STANDSTILL &&
             open.receipt.stage() < proto::StopReceipt::CALLBACK_RETURNED) {
-            ++turn_.counters().unexpected;  // it may stand, but its callback has still to say so
+            ++turn_.count().unexpected;  // it may stand, but its callback has still to say so
             continue;
         }
         if (done.stage() == proto::StopReceipt::STANDSTILL && turn_.now() >= open.at + kComesToRest)
@@ -300,7 +300,7 @@ void StopLedger::forgetADrill() {
 
 void StopLedger::drillDone(std::uint32_t number) {
     if (number > stop_counter_.drills()) {
-        ++turn_.counters().unexpected;
+        ++turn_.count().unexpected;
         return;
     }
     if (number > drill_) {  // the answer was faster than the news

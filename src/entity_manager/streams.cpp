@@ -3,7 +3,7 @@
 
 #include <axon/link.pb.h>
 
-#include "entity_manager/entity_manager_core.hpp"
+#include "entity_manager/core_settings.hpp"
 
 namespace axon::entity_manager {
 
@@ -50,7 +50,7 @@ void Streams::tellApplication(const std::vector<StreamWatches::Switch>& switches
 void Streams::pass(proto::StreamSample& sample) {
     const auto clients = watches_.watchersOf(sample.stream(), holderId());
     if (clients.empty() || !turn_.connected()) {
-        ++turn_.counters().undelivered;
+        ++turn_.count().undelivered;
         return;
     }
     message_.mutable_sample()->Swap(&sample);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
-// What the entity does with others: as the master of a run, as a slave, and as its own participant (ADR
-// 0019).
+#include "entity_manager/teamwork.hpp"
+
 #include <algorithm>
 #include <chrono>
 #include <set>
@@ -8,7 +8,7 @@
 
 #include "collaboration/sub_lease.hpp"
 #include "common/utf8.hpp"
-#include "entity_manager/machine.hpp"
+#include "entity_manager/core_settings.hpp"
 #include "messages/text.hpp"
 #include "messages/values.hpp"
 
@@ -18,11 +18,7 @@ using collaboration::isFinal;
 
 namespace {
 
-constexpr const char* kRunsKey = "runs";
-constexpr int kRunsKept = 32;
-constexpr std::size_t kRunsBytes = 512 * 1024;  ///< together; above it the oldest go
-constexpr std::size_t kRunBytes =
-    128 * 1024;  ///< of one; of a larger one parameters and results are left out
+constexpr std::size_t kPastRuns = 64;
 constexpr auto kReportPeriod = std::chrono::milliseconds{5};
 
 proto::Problem problem(std::int32_t step, const Refusal& refusal) {
@@ -32,40 +28,37 @@ proto::Problem problem(std::int32_t step, const Refusal& refusal) {
     return made;
 }
 
-/// A run as it is told later; of a large one the values are left out.
-proto::RunRecord trimmed(proto::RunRecord record) {
-    if (record.ByteSizeLong() <= kRunBytes) return record;
-    for (auto& step : *record.mutable_steps()) {
-        step.clear_params();
-        step.clear_results();
-        step.clear_feedback();
-    }
-    return record;
-}
-
 }  // namespace
 
-// -- the master
-// ----------------------------------------------------------------------------------------------------------
+Teamwork::Teamwork(Turn& turn, Storage& storage, RandomSource& random, const ServiceProfiler& profiler,
+                   TaskMemory& memory, Settings settings)
+    : turn_(turn),
+      random_(random),
+      profiler_(profiler),
+      memory_(memory),
+      settings_(std::move(settings)),
+      farewells_(settings_.watchdog),
+      records_(storage) {}
 
-void EntityManagerCore::Machine::considerRun(const Incident& incident) {
+void Teamwork::considerRun(const Incident& incident) {
     auto& request = *incident.body->mutable_collaboration();
     const auto id = Id128::fromBytes(request.run_id());
     if (!id || id->isZero()) {
-        refuse(incident, {RefusalCode::Malformed, "run_id must be 16 bytes that are not all zero.", {}});
+        turn_.refuse(incident,
+                     {RefusalCode::Malformed, "run_id must be 16 bytes that are not all zero.", {}});
         return;
     }
     if (const auto again = memory_.whyNotAgain(*id)) {
-        refuse(incident, *again);
+        turn_.refuse(incident, *again);
         return;
     }
-    if (!active_.empty() || !queue_.empty()) {
-        refuse(
+    if (turn_.hasTasks()) {
+        turn_.refuse(
             incident,
             {RefusalCode::WrongState, "The entity has other tasks. Wait for their end, or clear them.", {}});
         return;
     }
-    auto problems = collaboration::Collaboration::problemsOf(request, uuid_, lease_.held()->root);
+    auto problems = collaboration::Collaboration::problemsOf(request, settings_.entity, turn_.held()->root);
     if (!problems.empty()) {
         proto::RunEvent event;
         event.set_run_id(request.run_id());
@@ -76,24 +69,24 @@ void EntityManagerCore::Machine::considerRun(const Incident& incident) {
         tellRun(incident.head->sender, event);
         return;
     }
-    run_.emplace(std::move(request), uuid_, named(*holder()), random_,
-                 collaboration::Pace{.watchdog = settings_.server_watchdog_busy}, clock_.now());
+    run_.emplace(std::move(request), settings_.entity, named(*turn_.holder()), random_,
+                 collaboration::Pace{.watchdog = settings_.watchdog}, turn_.now());
     if (run_->request().check_only()) {
-        run_->begin(clock_.now());
+        run_->begin(turn_.now());
     } else {
         memory_.accept(*id);
-        run_noted_ = noteDispatch({.kind = JournalRecord::Kind::Dispatched,
-                                   .who = named(*holder()),
-                                   .task = *id,
-                                   .service = run_->request().service().name()});
+        run_noted_ = turn_.noteDispatch({.kind = JournalRecord::Kind::Dispatched,
+                                         .who = named(*turn_.holder()),
+                                         .task = *id,
+                                         .service = run_->request().service().name()});
     }
-    fire(Event::CollaborationBegun);
+    turn_.fire(Event::CollaborationBegun);
 }
 
 /// Before its entry is in the journal nobody hears of a run: a next life would let it begin again.
-void EntityManagerCore::Machine::beginRun() {
+void Teamwork::beginRun() {
     if (!run_noted_ || !run_noted_->ready()) return;
-    const bool written = recorded(std::exchange(run_noted_, std::nullopt)->value());
+    const bool written = turn_.recorded(std::exchange(run_noted_, std::nullopt)->value());
     if (!written) {
         run_->abandon(
             proto::RUN_REFUSED,
@@ -101,40 +94,40 @@ void EntityManagerCore::Machine::beginRun() {
              "The Entity Manager cannot write its journal, so it begins no run. Is the disk full? Make "
              "room, then ask again under a new id.",
              {}},
-            clock_.now());
+            turn_.now());
         return;
     }
     memory_.dispatched(*Id128::fromBytes(run_->id()));
-    keepRun(run_->record(clock_.now()));
-    run_->begin(clock_.now());
+    records_.keep(run_->record(turn_.now()));
+    run_->begin(turn_.now());
 }
 
-void EntityManagerCore::Machine::refuseRun(const Incident& incident, const Refusal& refusal) {
+void Teamwork::refuseRun(const Incident& incident, const Refusal& refusal) {
     const auto& to = incident.head->sender;
     const auto& bytes = incident.body->collaboration().run_id();
     const auto id = Id128::fromBytes(bytes);
     // A copy of the request that is being carried out: a refusal would be taken for its end.
-    if (run_ && run_->id() == bytes && holder() != nullptr && holder()->id == to.id) return;
+    if (run_ && run_->id() == bytes && turn_.holder() != nullptr && turn_.holder()->id == to.id) return;
     // This is its end, so a copy that comes later must not begin.
-    if (id && !memory_.whyNotAgain(*id) && lease_.check(to, incident.head->held).ok())
+    if (id && !memory_.whyNotAgain(*id) && turn_.checkLease(to, incident.head->held).ok())
         memory_.ended(*id, proto::TASK_REFUSED);
-    reply(to, bytes, refusal);
+    turn_.reply(to, bytes, refusal);
 }
 
-void EntityManagerCore::Machine::tellRun(const Sender& to, const proto::RunEvent& event) {
+void Teamwork::tellRun(const Sender& to, const proto::RunEvent& event) {
     proto::ToClient message;
     *message.mutable_run() = event;
-    tell(to, kMsgRun, message);
+    turn_.tell(to, kMsgRun, message);
 }
 
-void EntityManagerCore::Machine::attendRun() {
-    if (!run_ || attending_) return;
+void Teamwork::settle() {
+    if (!run_ || settling_) return;
     beginRun();
-    attending_ = true;
+    settling_ = true;
     for (auto orders = run_->takeOrders(); !orders.empty(); orders = run_->takeOrders()) {
         for (auto& order : orders) {
             if (run_->isSelf(order.participant)) {
-                const Sender self{uuid_, presence_.name(), Role::Operator};
+                const Sender self{settings_.entity, turn_.self().name, Role::Operator};
                 if (order.message.has_invitation())
                     considerInvitation(self, order.message);
                 else
@@ -146,71 +139,67 @@ void EntityManagerCore::Machine::attendRun() {
             const bool urgent = message.from_master().has_beat() ||
                                 (message.from_master().has_end() && message.from_master().end().stop());
             const auto& to = run_->participant(order.participant).entity();
-            sendToPeer(urgent ? Lane::Signal : Lane::Data, to, kMsgCollaboration, message);
+            turn_.tellPeer(urgent ? Lane::Signal : Lane::Data, to, kMsgCollaboration, message);
             if (message.from_master().has_end())
-                bidFarewell(to, message.from_master(), run_->beatEvery(order.participant));
+                farewells_.sent(to, message.from_master(), run_->beatEvery(order.participant), turn_.now());
         }
     }
-    attending_ = false;
-    while (const auto event = run_->takeEvent(clock_.now()))
-        if (holder() != nullptr) tellRun(*holder(), *event);
+    settling_ = false;
+    while (const auto event = run_->takeEvent(turn_.now()))
+        if (turn_.holder() != nullptr) tellRun(*turn_.holder(), *event);
     if (run_->over()) endRun();
 }
 
-void EntityManagerCore::Machine::endRun() {
-    const auto record = run_->record(clock_.now());
+void Teamwork::endRun() {
+    const auto record = run_->record(turn_.now());
     const bool kept = !run_->request().check_only();
     run_.reset();
     run_noted_.reset();
     if (kept) {
-        keepRun(record);
+        records_.keep(record);
         const auto id = *Id128::fromBytes(record.run_id());
         const auto state = record.state() == proto::RUN_SUCCEEDED   ? proto::TASK_SUCCEEDED
                            : record.state() == proto::RUN_STOPPED   ? proto::TASK_STOPPED
                            : record.state() == proto::RUN_CANCELLED ? proto::TASK_CANCELLED
                            : record.state() == proto::RUN_REFUSED   ? proto::TASK_REFUSED
                                                                     : proto::TASK_FAILED;
-        note({.kind = JournalRecord::Kind::TaskEnded,
-              .task = id,
-              .service = record.service().name(),
-              .code = proto::TaskState_Name(state),
-              .text = record.reason().message()});
+        turn_.note({.kind = JournalRecord::Kind::TaskEnded,
+                    .task = id,
+                    .service = record.service().name(),
+                    .code = proto::TaskState_Name(state),
+                    .text = record.reason().message()});
         memory_.ended(id, state);
     }
     endPart();
-    if (state_ == EntityState::BUSY) previous_ = EntityState::REG;
-    if (state_ == EntityState::COLLAB || state_ == EntityState::BUSY) fire(Event::CollaborationEnded);
+    const auto state = turn_.state();
+    if (state == EntityState::COLLAB || state == EntityState::BUSY) turn_.fire(Event::CollaborationEnded);
 }
 
 /// Pause, resume and cancel of the run as a whole; false when the id is not that of a run.
-bool EntityManagerCore::Machine::controlRun(const Incident& incident) {
+bool Teamwork::control(const Incident& incident) {
     const auto& id = incident.body->task_control().task_id();
     if (!run_ || run_->id() != id) return false;
-    const auto now = clock_.now();
+    const auto now = turn_.now();
     const auto refusal = incident.event == Event::Pause    ? run_->pause(now)
                          : incident.event == Event::Resume ? run_->resume(now)
                                                            : run_->cancel(now);
     if (refusal.ok())
-        reply(incident.head->sender, id, {});
+        turn_.reply(incident.head->sender, id, {});
     else
-        refuse(incident, refusal);
+        turn_.refuse(incident, refusal);
     return true;
 }
 
-// -- a participant
-// ----------------------------------------------------------------------------------------------------------
-
 /// Whether the holder of this entity has given this master the right over it (ADR 0019).
-Refusal EntityManagerCore::Machine::checkSubLease(const Sender& master,
-                                                  const proto::FromMaster& message) const {
-    if (!lease_.held()) return {RefusalCode::NotHolder, "Nobody has checked the entity out.", {}};
+Refusal Teamwork::checkSubLease(const Sender& master, const proto::FromMaster& message) const {
+    if (turn_.held() == nullptr) return {RefusalCode::NotHolder, "Nobody has checked the entity out.", {}};
     const auto& lease = message.invitation().lease();
-    const auto& held = *lease_.held();
+    const auto& held = *turn_.held();
     const LeaseNumber number{static_cast<std::int32_t>(lease.epoch()),
                              static_cast<std::int32_t>(lease.number())};
-    if (const auto refusal = lease_.check(held.holder, number); !refusal.ok()) return refusal;
+    if (const auto refusal = turn_.checkLease(held.holder, number); !refusal.ok()) return refusal;
     if (lease.root().size() != 16 || lease.root() != held.root ||
-        !collaboration::isSealed(lease, {message.run_id(), master.id, uuid_}, held.key.bytes()))
+        !collaboration::isSealed(lease, {message.run_id(), master.id, settings_.entity}, held.key.bytes()))
         return {RefusalCode::NotHolder,
                 "The master " + inQuotes(master.name) +
                     " has no right over this entity from its holder: both must be checked out by the same "
@@ -220,25 +209,24 @@ Refusal EntityManagerCore::Machine::checkSubLease(const Sender& master,
         return {RefusalCode::Duplicate,
                 "The entity has taken part in this run before, and a run has one beginning. Make a new id.",
                 {}};
-    if (!stops_.allHandled() || lease.stop_generation() < stops_.required())
+    if (!turn_.stops().all_handled || lease.stop_generation() < turn_.stops().required)
         return {RefusalCode::OldGeneration,
                 "The run was asked for before the newest stop of the entity was known. Look at the entity, "
                 "then ask again.",
                 {}};
-    if (latched_)
+    if (turn_.latched())
         return {RefusalCode::Latched,
                 "The entity has been stopped. Rearm it first; that starts nothing by itself.",
                 {}};
     if (member_) return {RefusalCode::WrongState, "The entity takes part in another run.", {}};
-    if (!active_.empty() || !queue_.empty())
+    if (turn_.hasTasks())
         return {
             RefusalCode::WrongState, "The entity has other tasks. Wait for their end, or clear them.", {}};
     return {};
 }
 
 /// All that would make a step fail, so that nothing moves before it is mended.
-void EntityManagerCore::Machine::problemsOf(const proto::Invitation& invitation,
-                                            proto::InvitationAnswer& answer) const {
+void Teamwork::problemsOf(const proto::Invitation& invitation, proto::InvitationAnswer& answer) const {
     int more = 0;
     const auto add = [&](const proto::Problem& found) {
         if (answer.problems_size() < collaboration::kProblemsMax)
@@ -280,12 +268,12 @@ void EntityManagerCore::Machine::problemsOf(const proto::Invitation& invitation,
     if (more > 0) *answer.add_problems() = collaboration::andMore(more);
 }
 
-void EntityManagerCore::Machine::considerInvitation(const Sender& master, const proto::FromMaster& message) {
+void Teamwork::considerInvitation(const Sender& master, const proto::FromMaster& message) {
     if (const auto refusal = checkSubLease(master, message); !refusal.ok()) {
-        noteRefusal(master,
-                    {static_cast<std::int32_t>(message.invitation().lease().epoch()),
-                     static_cast<std::int32_t>(message.invitation().lease().number())},
-                    refusal);
+        turn_.noteRefusal(master,
+                          {static_cast<std::int32_t>(message.invitation().lease().epoch()),
+                           static_cast<std::int32_t>(message.invitation().lease().number())},
+                          refusal);
         declineInvitation(master, message, refusal);
         return;
     }
@@ -294,31 +282,30 @@ void EntityManagerCore::Machine::considerInvitation(const Sender& master, const 
     reply.set_run_id(message.run_id());
     auto& answer = *reply.mutable_answer();
     problemsOf(invitation, answer);
-    answer.set_stop_generation(stops_.generation());
+    answer.set_stop_generation(turn_.stops().generation);
     answer.set_watchdog_ms(static_cast<std::uint32_t>(
-        std::chrono::duration_cast<std::chrono::milliseconds>(settings_.server_watchdog_busy).count()));
+        std::chrono::duration_cast<std::chrono::milliseconds>(settings_.watchdog).count()));
     if (answer.problems_size() == 0 && !invitation.check_only()) {
         member_.emplace();
         member_->run_id = message.run_id();
         member_->master = master;
         member_->participants.assign(invitation.participants().begin(), invitation.participants().end());
-        member_->heard = member_->beat_at = clock_.now();
-        member_->beat_every =
-            collaboration::beatPeriod(settings_.server_watchdog_busy, invitation.watchdog_ms());
-        if (!isMaster(*member_)) fire(Event::CollaborationJoined);
+        member_->heard = member_->beat_at = turn_.now();
+        member_->beat_every = collaboration::beatPeriod(settings_.watchdog, invitation.watchdog_ms());
+        if (!isMaster(*member_)) turn_.fire(Event::CollaborationJoined);
     }
     sendToMaster(Lane::Data, master, reply);
 }
 
-void EntityManagerCore::Machine::declineInvitation(const Sender& master, const proto::FromMaster& message,
-                                                   const Refusal& refusal) {
+void Teamwork::declineInvitation(const Sender& master, const proto::FromMaster& message,
+                                 const Refusal& refusal) {
     proto::FromSlave reply;
     reply.set_run_id(message.run_id());
     *reply.mutable_answer()->add_problems() = problem(-1, refusal);
     sendToMaster(Lane::Data, master, reply);
 }
 
-bool EntityManagerCore::Machine::hearPeer(const Header& head, proto::ToEntity& message) {
+bool Teamwork::hear(const Header& head, proto::ToEntity& message) {
     switch (message.body_case()) {
         case proto::ToEntity::kFromMaster:
             if (message.from_master().has_invitation()) return false;  // a request
@@ -326,21 +313,18 @@ bool EntityManagerCore::Machine::hearPeer(const Header& head, proto::ToEntity& m
             return true;
         case proto::ToEntity::kFromSlave:
             if (message.from_slave().has_departure())
-                std::erase_if(farewells_, [&](const Farewell& farewell) {
-                    return farewell.entity == head.sender.id &&
-                           farewell.message.run_id() == message.from_slave().run_id();
-                });
-            if (run_) run_->hear(head.sender.id, message.from_slave(), clock_.now());
+                farewells_.answered(head.sender.id, message.from_slave().run_id());
+            if (run_) run_->hear(head.sender.id, message.from_slave(), turn_.now());
             return true;
         case proto::ToEntity::kRaw: {
             const auto* from = partner(head.sender.id);
             if (from == nullptr) return false;
-            if (latched_ || !stops_.allHandled()) return true;  // nothing may move it now
+            if (turn_.latched() || !turn_.stops().all_handled) return true;  // nothing may move it now
             proto::EmToEi raw;
             raw.mutable_raw()->mutable_data()->Swap(message.mutable_raw()->mutable_data());
             raw.mutable_raw()->set_from(from->name());
-            raw.mutable_raw()->set_stop_generation(stops_.generation());
-            if (!back_end_.send(raw)) ++counters_.undelivered;
+            raw.mutable_raw()->set_stop_generation(turn_.stops().generation);
+            if (!turn_.toApplication(raw)) ++turn_.count().undelivered;
             return true;
         }
         default:
@@ -348,7 +332,7 @@ bool EntityManagerCore::Machine::hearPeer(const Header& head, proto::ToEntity& m
     }
 }
 
-void EntityManagerCore::Machine::hearMaster(const Sender& master, const proto::FromMaster& message) {
+void Teamwork::hearMaster(const Sender& master, const proto::FromMaster& message) {
     if (!member_ || member_->run_id != message.run_id() || member_->master.id != master.id) {
         // It believes that this entity takes part, or asks whether its end has arrived.
         if (message.body_case() != proto::FromMaster::BODY_NOT_SET) {
@@ -363,7 +347,7 @@ void EntityManagerCore::Machine::hearMaster(const Sender& master, const proto::F
         }
         return;
     }
-    member_->heard = clock_.now();
+    member_->heard = turn_.now();
     member_->led = true;
     switch (message.body_case()) {
         case proto::FromMaster::kOrder:
@@ -382,7 +366,7 @@ void EntityManagerCore::Machine::hearMaster(const Sender& master, const proto::F
     }
 }
 
-void EntityManagerCore::Machine::admitStep(const proto::StepOrder& order) {
+void Teamwork::admitStep(const proto::StepOrder& order) {
     auto task = order.task();
     const auto id = Id128::fromBytes(task.task_id());
     Refusal refusal;
@@ -393,7 +377,7 @@ void EntityManagerCore::Machine::admitStep(const proto::StepOrder& order) {
         task.mutable_params()->Swap(&typed.value());
     const OpenStep step{.number = order.step()};
     if (refusal.ok() && id && member_->steps.emplace(*id, step).second) {
-        refusal = admit(task, 0);
+        refusal = turn_.admitStep(task);
         // Its end, if it has come already, has been told.
         if (refusal.ok()) return;
         if (member_) member_->steps.erase(*id);
@@ -409,7 +393,7 @@ void EntityManagerCore::Machine::admitStep(const proto::StepOrder& order) {
 }
 
 /// As the client's own pause, resume or cancel; what cannot be done now the master sees from the reports.
-void EntityManagerCore::Machine::controlStep(const proto::StepControl& control) {
+void Teamwork::controlStep(const proto::StepControl& control) {
     const auto step = std::find_if(member_->steps.begin(), member_->steps.end(),
                                    [&](const auto& known) { return known.second.number == control.step(); });
     if (step == member_->steps.end()) return;
@@ -421,13 +405,13 @@ void EntityManagerCore::Machine::controlStep(const proto::StepControl& control) 
                       : control.action() == proto::RESUME ? Event::Resume
                                                           : Event::Cancel,
                       &nobody, &body};
-    controlTask(incident);
+    turn_.controlTask(incident);
 }
 
-void EntityManagerCore::Machine::endMembership(const proto::CollaborationEnd& end) {
+void Teamwork::endMembership(const proto::CollaborationEnd& end) {
     const bool master = isMaster(*member_);
     // A step of which the master knows no more would go on without anybody who answers for it.
-    const bool busy = !active_.empty() || !queue_.empty();
+    const bool busy = turn_.hasTasks();
     if (end.stop() || busy) {
         Incident incident{Event::CollaborationStopped};
         incident.cause = StopCause::Requested;
@@ -436,19 +420,32 @@ void EntityManagerCore::Machine::endMembership(const proto::CollaborationEnd& en
                                       : "The run has ended, and a step of it had not.",
                            {}};
         endPart();
-        fire(incident);
+        turn_.fire(incident);
         return;
     }
     endPart();
     if (master) return;  // COLLAB ends with the run: endRun()
-    if (state_ == EntityState::BUSY) previous_ = EntityState::REG;
-    fire(Event::CollaborationEnded);
+    turn_.fire(Event::CollaborationEnded);
 }
 
 /// A short step begins and ends within a few milliseconds: one message then, not two, and each costs the
 /// master. What goes on waits for kReportPeriod; what ends or pauses does not.
-void EntityManagerCore::Machine::tellStep(OpenStep& step, proto::TaskEvent& event) {
-    const auto now = clock_.now();
+bool Teamwork::tellStep(proto::TaskEvent& event) {
+    if (!member_) return false;
+    const auto step = member_->steps.find(*Id128::fromBytes(event.task_id()));
+    if (step == member_->steps.end()) return false;
+    if (!isFinal(event.state())) {
+        tellStep(step->second, event);
+        return true;
+    }
+    auto last = std::move(step->second);
+    member_->steps.erase(step);  // before it is told: the master's own next order may come of it
+    tellStep(last, event);
+    return true;
+}
+
+void Teamwork::tellStep(OpenStep& step, proto::TaskEvent& event) {
+    const auto now = turn_.now();
     if (event.state() == proto::TASK_RUNNING && !step.began) step.began = now;
     if (step.held) {
         // Each event says all that is known, or nothing, of these.
@@ -467,30 +464,29 @@ void EntityManagerCore::Machine::tellStep(OpenStep& step, proto::TaskEvent& even
     reportStep(step, event);
 }
 
-void EntityManagerCore::Machine::reportStep(const OpenStep& step, const proto::TaskEvent& event) {
+void Teamwork::reportStep(const OpenStep& step, const proto::TaskEvent& event) {
     proto::FromSlave message;
     message.set_run_id(member_->run_id);
     auto& report = *message.mutable_report();
     report.set_step(step.number);
     *report.mutable_event() = event;
-    if (step.began) report.set_running_s(std::chrono::duration<double>(clock_.now() - *step.began).count());
+    if (step.began) report.set_running_s(std::chrono::duration<double>(turn_.now() - *step.began).count());
     sendToMaster(Lane::Data, member_->master, message);
 }
 
-void EntityManagerCore::Machine::sendToMaster(Lane lane, const Sender& master,
-                                              const proto::FromSlave& message) {
-    if (master.id == uuid_) {
+void Teamwork::sendToMaster(Lane lane, const Sender& master, const proto::FromSlave& message) {
+    if (master.id == settings_.entity) {
         if (run_)
-            run_->hear(uuid_, message, clock_.now());  // what follows from it: attendRun(), with settle()
+            run_->hear(settings_.entity, message,
+                       turn_.now());  // what follows from it: settle(), with settle()
         return;
     }
     proto::ToEntity body;
     *body.mutable_from_slave() = message;
-    sendToPeer(lane, master.id, kMsgCollaboration, body);
+    turn_.tellPeer(lane, master.id, kMsgCollaboration, body);
 }
 
-void EntityManagerCore::Machine::depart(const Sender& master, const std::string& run_id,
-                                        const Refusal& reason) {
+void Teamwork::depart(const Sender& master, const std::string& run_id, const Refusal& reason) {
     proto::FromSlave message;
     message.set_run_id(run_id);
     *message.mutable_departure()->mutable_reason() = toProto(reason);
@@ -498,85 +494,46 @@ void EntityManagerCore::Machine::depart(const Sender& master, const std::string&
 }
 
 /// This entity has been stopped, released, lost: it stops by another way already, and the others must.
-void EntityManagerCore::Machine::leaveCollaboration(const Refusal& reason) {
+void Teamwork::leave(const Refusal& reason) {
     if (run_ && !run_->over()) {
         run_->abandon(collaboration::isStop(reason) ? proto::RUN_STOPPED : proto::RUN_FAILED,
-                      {reason.code, presence_.name() + ": " + reason.message, {}}, clock_.now());
-        attendRun();  // now: what follows may take the lease, or the server, from those who are to be told
+                      {reason.code, turn_.self().name + ": " + reason.message, {}}, turn_.now());
+        settle();  // now: what follows may take the lease, or the server, from those who are to be told
     }
     if (!member_) return;
     if (!isMaster(*member_)) depart(member_->master, member_->run_id, reason);
     endPart(reason);
 }
 
-void EntityManagerCore::Machine::endPart(const Refusal& reason) {
+void Teamwork::endPart(const Refusal& reason) {
     if (!member_) return;
     past_runs_.push_back({member_->run_id, member_->master.id, reason});
     if (past_runs_.size() > kPastRuns) past_runs_.pop_front();
     member_.reset();
 }
 
-const EntityManagerCore::Machine::PastRun* EntityManagerCore::Machine::pastRun(
-    const std::string& run_id) const {
+const Teamwork::PastRun* Teamwork::pastRun(const std::string& run_id) const {
     const auto found = std::find_if(past_runs_.begin(), past_runs_.end(),
                                     [&](const PastRun& past) { return past.run_id == run_id; });
     return found != past_runs_.end() ? &*found : nullptr;
 }
 
 /// A master beats to those whose answers it has; before, nothing moves.
-TimePoint EntityManagerCore::Machine::masterLostAt() const {
-    return member_->heard +
-           (member_->led ? settings_.server_watchdog_busy : collaboration::Pace{}.answer_within);
+TimePoint Teamwork::masterLostAt() const {
+    return member_->heard + (member_->led ? settings_.watchdog : collaboration::Pace{}.answer_within);
 }
 
-/// An end waits with the data before it, and a stop's may find no room. Beats, or the stop again, until it is
-/// answered: a participant that has finished must not miss its master.
-void EntityManagerCore::Machine::bidFarewell(const std::string& entity, const proto::FromMaster& end,
-                                             Duration beat_every) {
-    if (farewells_.size() == kFarewells) return;
-    Farewell farewell{.entity = entity};
-    const auto now = clock_.now();
-    const auto watchdog = settings_.server_watchdog_busy;
-    farewell.every = beat_every;
-    farewell.again = now + farewell.every;
-    // Who does not hear a stop misses the beats.
-    farewell.until = now + (end.end().stop() ? 2 * watchdog : collaboration::Pace{}.answer_within);
-    farewell.message.set_run_id(end.run_id());
-    if (end.end().stop())
-        farewell.message = end;
-    else
-        farewell.message.mutable_beat();
-    farewells_.push_back(std::move(farewell));
-}
-
-void EntityManagerCore::Machine::repeatFarewells() {
-    const auto now = clock_.now();
-    std::erase_if(farewells_, [&](const Farewell& farewell) { return now >= farewell.until; });
-    for (auto& farewell : farewells_) {
-        if (now < farewell.again) continue;
-        farewell.again = now + farewell.every;
+void Teamwork::onTimer() {
+    const auto now = turn_.now();
+    for (auto& [entity, said] : farewells_.takeDue(now)) {
         proto::ToEntity message;
-        *message.mutable_from_master() = farewell.message;
-        sendToPeer(Lane::Signal, farewell.entity, kMsgCollaboration, message);
+        message.mutable_from_master()->Swap(&said);
+        turn_.tellPeer(Lane::Signal, entity, kMsgCollaboration, message);
     }
-}
-
-void EntityManagerCore::Machine::expireCollaboration() {
-    const auto now = clock_.now();
-    repeatFarewells();
     if (run_) run_->onTimer(now);
     if (!member_ || isMaster(*member_)) return;
     if (now >= masterLostAt()) {
-        const auto silence = std::chrono::duration_cast<std::chrono::milliseconds>(now - member_->heard);
-        Incident incident{Event::MasterLost};
-        incident.cause = StopCause::ServerLost;
-        incident.reason = {RefusalCode::TimedOut,
-                           "The master " + inQuotes(member_->master.name) + " has been silent for " +
-                               std::to_string(silence.count()) + " ms.",
-                           {}};
-        depart(member_->master, member_->run_id, incident.reason);
-        endPart(incident.reason);
-        fire(incident);
+        masterLost();
         return;
     }
     for (auto& [id, step] : member_->steps) {
@@ -592,31 +549,41 @@ void EntityManagerCore::Machine::expireCollaboration() {
     sendToMaster(Lane::Signal, member_->master, message);
 }
 
-void EntityManagerCore::Machine::onPeerRefusal(const Header& head, const Refusal& refusal) {
-    if (quit_) return;
-    ++counters_.peer_refusals;
-    std::erase_if(farewells_, [&](const Farewell& farewell) { return farewell.entity == head.entity; });
-    if (run_) run_->lose(head.entity, refusal, clock_.now());
-    settle();
+void Teamwork::masterLost() {
+    const auto silence = std::chrono::duration_cast<std::chrono::milliseconds>(turn_.now() - member_->heard);
+    Incident incident{Event::MasterLost};
+    incident.cause = StopCause::ServerLost;
+    incident.reason = {RefusalCode::TimedOut,
+                       "The master " + inQuotes(member_->master.name) + " has been silent for " +
+                           std::to_string(silence.count()) + " ms.",
+                       {}};
+    depart(member_->master, member_->run_id, incident.reason);
+    endPart(incident.reason);
+    turn_.fire(incident);
 }
 
-// -- from robot to robot
-// ----------------------------------------------------------------------------------------------------------
+TimePoint Teamwork::nextDeadline() const {
+    auto next = farewells_.nextDeadline();
+    if (run_) next = std::min(next, run_->nextDeadline());
+    if (member_ && !isMaster(*member_)) {
+        next = std::min({next, member_->beat_at, masterLostAt()});
+        for (const auto& [id, step] : member_->steps)
+            if (step.held) next = std::min(next, step.due);
+    }
+    return next;
+}
 
-void EntityManagerCore::Machine::sendToPeer(Lane lane, const std::string& entity, const char* type,
-                                            const proto::ToEntity& message) {
-    if (!connected()) return;
-    auto head = headFor({uuid_, presence_.name(), Role::Operator}, type);
-    head.entity = entity;
-    server_.sendToPeer(lane, head, message);
+void Teamwork::unreachable(const std::string& entity, const Refusal& refusal) {
+    farewells_.unreachable(entity);
+    if (run_) run_->lose(entity, refusal, turn_.now());
 }
 
 /// Another participant by UUID, by name where only one has it, or by role.
-const proto::Participant* EntityManagerCore::Machine::partner(std::string_view name) const {
+const proto::Participant* Teamwork::partner(std::string_view name) const {
     if (!member_) return nullptr;
     const proto::Participant* found = nullptr;
     for (const auto& participant : member_->participants) {
-        if (participant.entity() == uuid_) continue;
+        if (participant.entity() == settings_.entity) continue;
         if (participant.entity() == name || std::to_string(participant.role()) == name) return &participant;
         if (participant.name() != name) continue;
         if (found != nullptr) return nullptr;
@@ -625,87 +592,46 @@ const proto::Participant* EntityManagerCore::Machine::partner(std::string_view n
     return found;
 }
 
-void EntityManagerCore::Machine::refuseToApplication(const std::string& to, const Refusal& refusal) {
-    if (clock_.now() < not_sent_told_ + kRawRefusalPeriod) return;
-    not_sent_told_ = clock_.now();
+void Teamwork::refuseToApplication(const std::string& to, const Refusal& refusal) {
+    if (turn_.now() < not_sent_told_ + kRawRefusalPeriod) return;
+    not_sent_told_ = turn_.now();
     proto::EmToEi message;
     message.mutable_not_sent()->set_to(std::string(cutUtf8(to, 255)));
     *message.mutable_not_sent()->mutable_reason() = toProto(refusal);
-    back_end_.send(message);
+    turn_.toApplication(message);
 }
 
-void EntityManagerCore::Machine::sendRawToPartner(proto::LinkRaw& raw) {
+void Teamwork::sendRaw(proto::LinkRaw& raw) {
     const auto* to = partner(raw.to());
-    if (to == nullptr || !connected()) {
-        ++counters_.undelivered;
+    if (to == nullptr || !turn_.connected()) {
+        ++turn_.count().undelivered;
         refuseToApplication(
             raw.to(),
-            !connected() ? Refusal{RefusalCode::NotConnected, "There is no session with the server.", {}}
-            : !member_   ? Refusal{RefusalCode::WrongState,
+            !turn_.connected()
+                ? Refusal{RefusalCode::NotConnected, "There is no session with the server.", {}}
+            : !member_ ? Refusal{RefusalCode::WrongState,
                                  "Robots talk to each other within a run of a global service, and this one "
-                                   "takes part in none. Send it from a task that is a step of a run.",
+                                 "takes part in none. Send it from a task that is a step of a run.",
                                  {}}
-                         : Refusal{RefusalCode::UnknownEntity,
+                       : Refusal{RefusalCode::UnknownEntity,
                                  "No other participant of this run is called so, by name (of which there "
-                                   "may be one only), UUID or role.",
+                                 "may be one only), UUID or role.",
                                  {}});
         return;
     }
     proto::ToEntity message;
     message.mutable_raw()->mutable_data()->Swap(raw.mutable_data());
-    sendToPeer(Lane::Data, to->entity(), kMsgRaw, message);
+    turn_.tellPeer(Lane::Data, to->entity(), kMsgRaw, message);
 }
 
-// -- the record
-// ----------------------------------------------------------------------------------------------------------
-
-void EntityManagerCore::Machine::loadRuns() {
-    const auto kept = storage_.load(kRunsKey);
-    if (!kept || !runs_.ParseFromString(*kept)) {
-        runs_.Clear();
-        return;
-    }
-    for (auto& run : *runs_.mutable_runs()) {
-        if (run.state() >= proto::RUN_SUCCEEDED) continue;
-        run.set_state(proto::RUN_UNKNOWN);
-        *run.mutable_reason() = toProto(Refusal{
-            RefusalCode::OutcomeUnknown,
-            "The Entity Manager of the master ended while it ran. The others have stopped by themselves.",
-            {}});
-        for (auto& step : *run.mutable_steps())
-            if (step.state() != proto::TASK_UNSPECIFIED && step.state() < proto::TASK_SUCCEEDED)
-                step.set_state(proto::TASK_UNKNOWN);
-    }
-}
-
-/// In the place of what was kept of the same run.
-void EntityManagerCore::Machine::keepRun(const proto::RunRecord& record) {
-    proto::RunHistory next;
-    auto& newest = *next.add_runs();
-    newest = trimmed(record);
-    auto bytes = newest.ByteSizeLong();
-    for (auto& run : *runs_.mutable_runs()) {
-        if (run.run_id() == record.run_id()) continue;
-        bytes += run.ByteSizeLong();
-        if (next.runs_size() == kRunsKept || bytes > kRunsBytes) break;
-        next.add_runs()->Swap(&run);
-    }
-    runs_.Swap(&next);
-    storage_.keep(kRunsKey, runs_.SerializeAsString());
-}
-
-void EntityManagerCore::Machine::tellRunHistory(const Incident& incident) {
+void Teamwork::tellHistory(const Incident& incident) {
     const auto& request = incident.body->run_history();
+    const auto present = run_ ? std::optional(run_->record(turn_.now())) : std::nullopt;
     proto::ToClient message;
     auto& history = *message.mutable_run_history();
-    history = runs_;
+    history = records_.history(present ? &*present : nullptr, request.most());
     history.set_request_id(request.request_id());
-    if (run_ && history.runs_size() > 0 && history.runs(0).run_id() == run_->id())
-        *history.mutable_runs(0) = trimmed(run_->record(clock_.now()));
-    if (request.most() > 0)
-        while (static_cast<std::uint32_t>(history.runs_size()) > request.most())
-            history.mutable_runs()->RemoveLast();
-    tell(incident.head->sender, kMsgRun, message);
+    turn_.tell(incident.head->sender, kMsgRun, message);
 }
 
 }  // namespace axon::entity_manager

@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: GPL-2.0-or-later
+#include "entity_manager/ownership.hpp"
+
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -6,7 +8,8 @@
 
 #include "common/planted_bug.hpp"
 #include "common/utf8.hpp"
-#include "entity_manager/machine.hpp"
+#include "entity_manager/journal_record.hpp"
+#include "entity_manager/state_table.hpp"
 #include "messages/values.hpp"
 
 namespace axon::entity_manager {
@@ -58,15 +61,16 @@ std::string because(const std::string& reason) {
 
 }  // namespace
 
-// -- check-out
-// ------------------------------------------------------------------------------------------------------
+Ownership::Ownership(Turn& turn, Storage& storage, RandomSource& random, const ServiceProfiler& profiler,
+                     const Settings& settings)
+    : turn_(turn), profiler_(profiler), settings_(settings), lease_(storage, random) {}
 
-void EntityManagerCore::Machine::considerCheckOut(const Incident& incident) {
+void Ownership::considerCheckOut(const Incident& incident) {
     const auto& request = incident.body->check_out();
     const auto& sender = incident.head->sender;
     const auto phase = request.phase();
     const auto refuseWith = [&](const Refusal& refusal) {
-        replyCheckOut(sender, request.request_id(), phase, refusal);
+        reply(sender, request.request_id(), phase, refusal);
     };
     if (!Id128::fromBytes(request.request_id())) {
         refuseWith({RefusalCode::Malformed, "request_id must be 16 bytes.", {}});
@@ -95,10 +99,10 @@ void EntityManagerCore::Machine::considerCheckOut(const Incident& incident) {
             commit(incident, claim.value());
             return;
         case proto::ABORT:
-            abortCheckOut(incident);
+            abort(incident);
             return;
         case proto::RESUME_LEASE:
-            resumeLease(incident);
+            resume(incident);
             return;
         default:
             refuseWith({RefusalCode::Malformed,
@@ -108,19 +112,18 @@ void EntityManagerCore::Machine::considerCheckOut(const Incident& incident) {
 }
 
 /// Whether this check-out has been granted already and waits for the robot; then there is nothing more to do.
-bool EntityManagerCore::Machine::waitsForStandstill(const Claim& claim, proto::CheckOutPhase phase) {
+bool Ownership::waitsForStandstill(const Claim& claim, proto::CheckOutPhase phase) {
     if (!waiting_grant_ || waiting_grant_->claim.client.id != claim.client.id ||
         waiting_grant_->claim.request_id != claim.request_id)
         return false;
     // Asked again: the one answer is still to come.
     if (waiting_grant_->phase != phase)
-        replyCheckOut(
-            claim.client, claim.request_id, phase,
-            {RefusalCode::WrongState, "This check-out waits already until the robot stands still.", {}});
+        reply(claim.client, claim.request_id, phase,
+              {RefusalCode::WrongState, "This check-out waits already until the robot stands still.", {}});
     return true;
 }
 
-Refusal EntityManagerCore::Machine::mayTake(const Claim& claim) const {
+Refusal Ownership::mayTake(const Claim& claim) const {
     auto refusal = lease_.mayTake(claim.client, claim.request_id);
     // Free, and the first of the list gets it as soon as the robot stands still.
     if (refusal.ok() && !wait_list_.empty() && !lease_.reservedFor(claim.client, claim.request_id))
@@ -132,7 +135,7 @@ Refusal EntityManagerCore::Machine::mayTake(const Claim& claim) const {
     return refusal;
 }
 
-void EntityManagerCore::Machine::take(const Incident& incident, Claim claim) {
+void Ownership::take(const Incident& incident, Claim claim) {
     const auto& request = incident.body->check_out();
     if (waitsForStandstill(claim, proto::TAKE)) return;
     const bool holds = holder() != nullptr && holder()->id == claim.client.id && !lease_.orphaned();
@@ -172,15 +175,15 @@ void EntityManagerCore::Machine::take(const Incident& incident, Claim claim) {
     if (held_back && (request.wait() || in_list)) {
         refusal = wait_list_.mayJoin(claim.client, claim.request_id);
         if (refusal.ok()) {
-            const auto place = wait_list_.join(claim, clock_.now());
+            const auto place = wait_list_.join(claim, turn_.now());
             sendPlace(claim, place);
             return;
         }
     }
-    replyCheckOut(claim.client, claim.request_id, proto::TAKE, refusal);
+    reply(claim.client, claim.request_id, proto::TAKE, refusal);
 }
 
-void EntityManagerCore::Machine::reserve(const Incident& incident, const Claim& claim) {
+void Ownership::reserve(const Incident& incident, const Claim& claim) {
     const auto& request = incident.body->check_out();
     if (waitsForStandstill(claim, proto::RESERVE)) return;
     auto refusal = mayTake(claim);
@@ -199,12 +202,12 @@ void EntityManagerCore::Machine::reserve(const Incident& incident, const Claim& 
         if (asked > 0)
             time = asked >= std::chrono::duration<double>(kReserveMax).count() ? kReserveMax
                                                                                : fromSeconds(asked);
-        lease_.reserve(claim.client, claim.request_id, clock_.now() + time);
+        lease_.reserve(claim.client, claim.request_id, turn_.now() + time);
     }
-    replyCheckOut(claim.client, claim.request_id, proto::RESERVE, refusal);
+    reply(claim.client, claim.request_id, proto::RESERVE, refusal);
 }
 
-void EntityManagerCore::Machine::commit(const Incident& incident, const Claim& claim) {
+void Ownership::commit(const Incident& incident, const Claim& claim) {
     if (waitsForStandstill(claim, proto::COMMIT)) return;
     if (holder() != nullptr && holder()->id == claim.client.id && !lease_.orphaned() &&
         lease_.held()->request_id == claim.request_id) {
@@ -212,7 +215,7 @@ void EntityManagerCore::Machine::commit(const Incident& incident, const Claim& c
         return;
     }
     if (const auto refusal = lease_.mayCommit(claim.client, claim.request_id); !refusal.ok()) {
-        replyCheckOut(claim.client, claim.request_id, proto::COMMIT, refusal);
+        reply(claim.client, claim.request_id, proto::COMMIT, refusal);
         return;
     }
     if (lease_.held()) {
@@ -227,7 +230,7 @@ void EntityManagerCore::Machine::commit(const Incident& incident, const Claim& c
 
 /// Of a lease, a reservation, a place or a question of exactly this request. What is not there is aborted
 /// already.
-void EntityManagerCore::Machine::abortCheckOut(const Incident& incident) {
+void Ownership::abort(const Incident& incident) {
     const auto& sender = incident.head->sender;
     const auto& id = incident.body->check_out().request_id();
     const Refusal aborted{RefusalCode::Cancelled, "The check-out was aborted.", {}};
@@ -236,27 +239,27 @@ void EntityManagerCore::Machine::abortCheckOut(const Incident& incident) {
         Incident ended{Event::ClientEnded, incident.head};
         ended.cause = StopCause::Released;
         ended.reason = {RefusalCode::Stopped, "The check-out was aborted.", {}};
-        fire(ended);
+        turn_.fire(ended);
     }
     if (lease_.reservedFor(sender, id)) lease_.dropReservation();
     if (waiting_grant_ && waiting_grant_->claim.client.id == sender.id &&
         waiting_grant_->claim.request_id == id)
         dropWaitingGrant(aborted);
-    if (wait_list_.leave(sender, id)) replyCheckOut(sender, id, proto::TAKE, aborted);
+    if (wait_list_.leave(sender, id)) reply(sender, id, proto::TAKE, aborted);
     if (hand_over_.isOpenFor(sender, id)) {
         tellQuestion(*hand_over_.take(), true);
-        replyCheckOut(sender, id, proto::TAKE, aborted);
+        reply(sender, id, proto::TAKE, aborted);
     }
-    replyCheckOut(sender, id, proto::ABORT, {});
+    reply(sender, id, proto::ABORT, {});
 }
 
 /// The key alone proves it: the holder has lost its session, and this is another one.
-void EntityManagerCore::Machine::resumeLease(const Incident& incident) {
+void Ownership::resume(const Incident& incident) {
     const auto& request = incident.body->check_out();
     const auto& sender = incident.head->sender;
     const Claim claim{sender, request.request_id(), {}};
     const auto refuseWith = [&](const Refusal& refusal) {
-        replyCheckOut(sender, claim.request_id, proto::RESUME_LEASE, refusal);
+        reply(sender, claim.request_id, proto::RESUME_LEASE, refusal);
     };
     if (request.resume().key().size() != kKeySize) {
         refuseWith({RefusalCode::Malformed,
@@ -278,7 +281,7 @@ void EntityManagerCore::Machine::resumeLease(const Incident& incident) {
             sendGrant(proto::RESUME_LEASE);
             return;
         }
-        if (settings_.lease_grace == Duration::zero()) {
+        if (settings_.grace == Duration::zero()) {
             refuseWith({RefusalCode::NotSupported,
                         "No lease outlives its session here (Axon.LeaseGrace is 0). Check it out anew.",
                         named(before.holder)});
@@ -288,7 +291,7 @@ void EntityManagerCore::Machine::resumeLease(const Incident& incident) {
         Incident lost{Event::ClientLost};
         lost.cause = StopCause::ClientLost;
         lost.reason = {RefusalCode::ClientLost, named(before.holder) + " has connected anew.", {}};
-        loseHolder(lost);
+        turn_.loseHolder(lost);
         sendLeaseEnded(before,
                        {RefusalCode::RevokedLease,
                         named(sender) + " has resumed the lease from another session.", named(sender)});
@@ -296,12 +299,12 @@ void EntityManagerCore::Machine::resumeLease(const Incident& incident) {
     grantWhenStanding(claim, proto::RESUME_LEASE);
 }
 
-void EntityManagerCore::Machine::grantWhenStanding(Claim claim, proto::CheckOutPhase phase) {
+void Ownership::grantWhenStanding(Claim claim, proto::CheckOutPhase phase) {
     const bool resumes = phase == proto::RESUME_LEASE;
     if (!resumes) wait_list_.leave(claim.client, claim.request_id);
-    if (!stops_.standing() && !AXON_PLANTED(GrantBeforeStandstill)) {
+    if (!turn_.stops().standing && !AXON_PLANTED(GrantBeforeStandstill)) {
         // Never hand over a robot that has not confirmed its last stop. Meanwhile it is reserved.
-        auto until = clock_.now() + kStandstillWait;
+        auto until = turn_.now() + kStandstillWait;
         if (waiting_grant_) {  // of a holder that has come back twice the later session counts
             until = waiting_grant_->until;
             dropWaitingGrant({RefusalCode::RevokedLease,
@@ -315,14 +318,13 @@ void EntityManagerCore::Machine::grantWhenStanding(Claim claim, proto::CheckOutP
     // Who gets it waits for it no longer.
     for (const auto& other : wait_list_.forget(claim.client.id))
         if (other.request_id != claim.request_id)
-            replyCheckOut(
+            reply(
                 other.client, other.request_id, proto::TAKE,
                 {RefusalCode::AlreadyHeld, "You hold it already, by another request.", named(claim.client)});
     if (hand_over_.open() && hand_over_.open()->claim.client.id == claim.client.id) {
         const auto question = *hand_over_.take();
-        replyCheckOut(
-            question.claim.client, question.claim.request_id, proto::TAKE,
-            {RefusalCode::AlreadyHeld, "You hold it already, by another request.", named(claim.client)});
+        reply(question.claim.client, question.claim.request_id, proto::TAKE,
+              {RefusalCode::AlreadyHeld, "You hold it already, by another request.", named(claim.client)});
     }
     Incident granted{resumes ? Event::LeaseResumed : Event::CheckOutGranted};
     granted.phase = phase;
@@ -331,83 +333,73 @@ void EntityManagerCore::Machine::grantWhenStanding(Claim claim, proto::CheckOutP
     else
         lease_.grant(claim);
     taken_.clear();
-    note({.kind = resumes ? JournalRecord::Kind::Resumed : JournalRecord::Kind::Granted,
-          .who = named(claim.client)});
-    if (resumes) attendTasks();
-    fire(granted);
-    if (resumes) {
-        tellFinals();
-        if (hand_over_.open()) tellQuestion(*hand_over_.open(), false);
-    } else if (application_busy_) {
-        fire(Event::ApplicationBusy);
-    }
+    turn_.note({.kind = resumes ? JournalRecord::Kind::Resumed : JournalRecord::Kind::Granted,
+                .who = named(claim.client)});
+    turn_.granted(granted);
+    if (resumes && hand_over_.open()) tellQuestion(*hand_over_.open(), false);
 }
 
 /// Who held it is told at once; who takes it gets it when the robot stands still.
-void EntityManagerCore::Machine::takeOver(const Claim& claim, proto::CheckOutPhase phase,
-                                          const Refusal& why) {
+void Ownership::takeOver(const Claim& claim, proto::CheckOutPhase phase, const Refusal& why) {
     if (const auto question = hand_over_.take())
-        replyCheckOut(question->claim.client, question->claim.request_id, proto::TAKE,
-                      {RefusalCode::AlreadyHeld, why.message, why.holder});
+        reply(question->claim.client, question->claim.request_id, proto::TAKE,
+              {RefusalCode::AlreadyHeld, why.message, why.holder});
     if (waiting_grant_) dropWaitingGrant({RefusalCode::Reserved, why.message, why.holder});
     lease_.dropReservation();
     if (lease_.held()) {
         Incident taken{Event::TakenOver};
         taken.cause = StopCause::Released;
         taken.reason = why;
-        note({.kind = JournalRecord::Kind::TakenOver,
-              .who = named(claim.client),
-              .code = std::string(refusalName(why.code)),
-              .text = why.message});
+        turn_.note({.kind = JournalRecord::Kind::TakenOver,
+                    .who = named(claim.client),
+                    .code = std::string(refusalName(why.code)),
+                    .text = why.message});
         taken_ = why.message;
-        fire(taken);
+        turn_.fire(taken);
     }
     grantWhenStanding(claim, phase);
 }
 
-// -- ask first
-// ------------------------------------------------------------------------------------------------------
-
-void EntityManagerCore::Machine::askHolder(const Claim& claim, bool waits, const std::string& reason) {
+void Ownership::askHolder(const Claim& claim, bool waits, const std::string& reason) {
     const auto& question = hand_over_.ask(claim, waits, std::string(cutUtf8(reason, kWhyMax)),
-                                          lease_.held()->hand_over, clock_.now());
+                                          lease_.held()->hand_over, turn_.now());
     tellQuestion(question, false);
     sendPlace(claim, 1);
 }
 
-void EntityManagerCore::Machine::tellQuestion(const HandOver::Question& question, bool withdrawn) {
+void Ownership::tellQuestion(const HandOver::Question& question, bool withdrawn) {
     if (holder() == nullptr) return;
     proto::ToClient message;
     auto& request = *message.mutable_hand_over();
     request.set_request_id(question.claim.request_id);
     request.set_by(named(question.claim.client));
     request.set_reason(question.reason);
-    const std::chrono::duration<double> left = question.until - clock_.now();
+    const std::chrono::duration<double> left = question.until - turn_.now();
     request.set_answer_within_s(std::max(0.0, left.count()));
     request.set_yield(question.yield);
     request.set_withdrawn(withdrawn);
-    tell(*holder(), kMsgHandOver, message);
+    turn_.tell(*holder(), kMsgHandOver, message);
 }
 
-void EntityManagerCore::Machine::considerHandOver(const Incident& incident) {
+void Ownership::considerHandOver(const Incident& incident) {
     if (incident.body->has_hand_over_policy()) {
         const auto policy = policyOf(incident.body->hand_over_policy());
         if (policy)
             lease_.setHandOver(policy.value());
         else
-            refuse(incident, policy.refusal());
+            turn_.refuse(incident, policy.refusal());
         return;
     }
     const auto& said = incident.body->hand_over_answer();
     if (!hand_over_.open() || hand_over_.open()->claim.request_id != said.request_id()) {
-        refuse(incident, {RefusalCode::Expired, "Nobody asks for it with this request (any more).", {}});
+        turn_.refuse(incident,
+                     {RefusalCode::Expired, "Nobody asks for it with this request (any more).", {}});
         return;
     }
     decideHandOver(*hand_over_.take(), said.accept(), said.reason());
 }
 
-void EntityManagerCore::Machine::decideHandOver(const HandOver::Question& question, bool accepted,
-                                                const std::string& said) {
+void Ownership::decideHandOver(const HandOver::Question& question, bool accepted, const std::string& said) {
     const auto& claim = question.claim;
     const auto whose = holder() != nullptr ? named(*holder()) : std::string("Its holder");
     // An administrator's reservation, or a holder that has just come back, is before it.
@@ -419,46 +411,45 @@ void EntityManagerCore::Machine::decideHandOver(const HandOver::Question& questi
     }
     const auto kept = whose + " keeps it" + because(accepted ? std::string() : said);
     if (question.waits && wait_list_.mayJoin(claim.client, claim.request_id).ok()) {
-        const auto place = wait_list_.join(claim, clock_.now());
+        const auto place = wait_list_.join(claim, turn_.now());
         sendPlace(claim, place, kept);
         return;
     }
-    replyCheckOut(claim.client, claim.request_id, proto::TAKE, {RefusalCode::HandOverRefused, kept, whose});
+    reply(claim.client, claim.request_id, proto::TAKE, {RefusalCode::HandOverRefused, kept, whose});
 }
 
-// -- what follows by itself
-// -----------------------------------------------------------------------------------------
-
-/// After each event: who is next.
-void EntityManagerCore::Machine::passOn() {
+void Ownership::endWaits() {
     const auto grants = [this](proto::CheckOutPhase phase) {
-        return findRow(state_, phase == proto::RESUME_LEASE ? Event::LeaseResumed : Event::CheckOutGranted) !=
-               nullptr;
+        return findRow(turn_.state(), phase == proto::RESUME_LEASE ? Event::LeaseResumed
+                                                                   : Event::CheckOutGranted) != nullptr;
     };
-    if (waiting_grant_ && stops_.standing() && grants(waiting_grant_->phase)) {
+    if (waiting_grant_ && turn_.stops().standing && grants(waiting_grant_->phase)) {
         auto waiting = *std::exchange(waiting_grant_, std::nullopt);
         grantWhenStanding(std::move(waiting.claim), waiting.phase);
     }
-    if (mayEndGrace() && clock_.now() >= *lease_.held()->grace_until) {
-        if (!active_.empty())
-            endSpared(orphan_reason_.message);  // held for as long as somebody could come back
+    if (mayEndGrace() && turn_.now() >= *lease_.held()->grace_until) {
+        turn_.endSpared(orphan_reason_.message);  // held for as long as somebody could come back
         Incident expired{Event::LeaseExpired};
         expired.cause = StopCause::Released;  // the loss itself has stopped and latched; this ends the lease
         expired.reason = orphan_reason_;
-        if (settings_.lease_grace > Duration::zero()) {
+        if (settings_.grace > Duration::zero()) {
             auto& text = expired.reason.message;
             if (text.ends_with('.')) text.pop_back();
-            text += "; nobody resumed the lease within " + inWords(settings_.lease_grace) + '.';
+            text += "; nobody resumed the lease within " + inWords(settings_.grace) + '.';
             expired.reason.code = RefusalCode::Expired;
         }
-        fire(expired);
+        turn_.fire(expired);
     }
-    takeKeptProfiles();
-    if (state_ == EntityState::IDLE && !waiting_grant_ && !lease_.reservation()) {
+}
+
+void Ownership::passOn() {
+    endWaits();
+    turn_.takeKeptProfiles();
+    if (turn_.state() == EntityState::IDLE && !waiting_grant_ && !lease_.reservation()) {
         // Who asked for this very lease is before those who wait for any: its end answers the question.
         if (const auto question = hand_over_.take())
             grantWhenStanding(question->claim, proto::TAKE);
-        else if (!wait_list_.empty() && stops_.standing())
+        else if (!wait_list_.empty() && turn_.stops().standing)
             grantWhenStanding(wait_list_.pop(), proto::TAKE);
     }
     for (const auto& [claim, place] : wait_list_.takeChanges()) sendPlace(claim, place);
@@ -466,13 +457,13 @@ void EntityManagerCore::Machine::passOn() {
 
 /// Tasks that outlive the loss of their client hold up the end of its lease, and so does a holder that is
 /// back and waits for the robot to stand still.
-bool EntityManagerCore::Machine::mayEndGrace() const {
-    return lease_.orphaned() && !finishesAlone() &&
+bool Ownership::mayEndGrace() const {
+    return lease_.orphaned() && !turn_.finishesAlone() &&
            !(waiting_grant_ && waiting_grant_->phase == proto::RESUME_LEASE);
 }
 
-void EntityManagerCore::Machine::passTime() {
-    const auto now = clock_.now();
+void Ownership::onTimer() {
+    const auto now = turn_.now();
     if (waiting_grant_ && now >= waiting_grant_->until)
         dropWaitingGrant(
             {RefusalCode::TimedOut,
@@ -480,11 +471,11 @@ void EntityManagerCore::Machine::passTime() {
              {}});
     lease_.expire(now);
     for (const auto& claim : wait_list_.expire(now))
-        replyCheckOut(claim.client, claim.request_id, proto::TAKE,
-                      {RefusalCode::Expired,
-                       "The place was given up: the request was not sent again within " +
-                           inWords(WaitList::kRefreshWithin) + '.',
-                       {}});
+        reply(claim.client, claim.request_id, proto::TAKE,
+              {RefusalCode::Expired,
+               "The place was given up: the request was not sent again within " +
+                   inWords(WaitList::kRefreshWithin) + '.',
+               {}});
     // A holder that is lost cannot answer: its silence is no consent. The end of the lease answers, or it is
     // asked anew.
     const auto silent = lease_.orphaned() ? std::nullopt : hand_over_.expire(now);
@@ -495,20 +486,27 @@ void EntityManagerCore::Machine::passTime() {
     passOn();
 }
 
-// -- the end of a lease
-// ---------------------------------------------------------------------------------------------
-
-void EntityManagerCore::Machine::orphanLease(const Incident& incident) {
-    if (!lease_.held() || lease_.orphaned()) return;
-    orphan_reason_ = incident.reason;
-    lost_at_ = clock_.now();
-    lease_.orphan(clock_.now() + settings_.lease_grace);
-    note({.kind = JournalRecord::Kind::Lost,
-          .who = named(lease_.held()->holder),
-          .text = incident.reason.message});
+TimePoint Ownership::nextDeadline() const {
+    auto next = TimePoint::max();
+    if (lease_.reservation()) next = std::min(next, lease_.reservation()->until);
+    if (waiting_grant_) next = std::min(next, waiting_grant_->until);
+    if (mayEndGrace()) next = std::min(next, *lease_.held()->grace_until);
+    if (const auto expiry = wait_list_.nextExpiry()) next = std::min(next, *expiry);
+    if (hand_over_.open() && !lease_.orphaned()) next = std::min(next, hand_over_.open()->until);
+    return next;
 }
 
-void EntityManagerCore::Machine::endLease(const Incident& incident) {
+void Ownership::orphan(const Incident& incident) {
+    if (!lease_.held() || lease_.orphaned()) return;
+    orphan_reason_ = incident.reason;
+    lost_at_ = turn_.now();
+    lease_.orphan(turn_.now() + settings_.grace);
+    turn_.note({.kind = JournalRecord::Kind::Lost,
+                .who = named(lease_.held()->holder),
+                .text = incident.reason.message});
+}
+
+void Ownership::end(const Incident& incident) {
     if (!lease_.held()) return;
     const auto held = *lease_.held();
     const bool own_wish = incident.event == Event::Release || incident.event == Event::ClientEnded;
@@ -519,71 +517,46 @@ void EntityManagerCore::Machine::endLease(const Incident& incident) {
                              : incident.reason);
     const auto reason = own_wish ? Refusal{RefusalCode::Ok, "Released.", {}} : incident.reason;
     if (!AXON_PLANTED(LoserNotTold) || incident.event != Event::TakenOver) sendLeaseEnded(held, reason);
-    note({.kind = JournalRecord::Kind::LeaseEnded,
-          .who = named(held.holder),
-          .code = std::string(refusalName(reason.code)),
-          .text = reason.message});
+    turn_.note({.kind = JournalRecord::Kind::LeaseEnded,
+                .who = named(held.holder),
+                .code = std::string(refusalName(reason.code)),
+                .text = reason.message});
     lease_.end(own_wish                                       ? RefusalCode::NotHolder
                : incident.reason.code == RefusalCode::Expired ? RefusalCode::Expired
                                                               : RefusalCode::RevokedLease,
                own_wish ? "it was released." : incident.reason.message);
 }
 
-void EntityManagerCore::Machine::sendLeaseEnded(const LeaseBook::Held& held, const Refusal& reason) {
+void Ownership::sendLeaseEnded(const LeaseBook::Held& held, const Refusal& reason) {
     proto::ToClient message;
     auto& ended = *message.mutable_lease_ended();
     ended.mutable_lease()->set_epoch(static_cast<std::uint32_t>(held.number.epoch));
     ended.mutable_lease()->set_number(static_cast<std::uint32_t>(held.number.number));
     *ended.mutable_reason() = toProto(reason);
-    tell(held.holder, kMsgRelease, message);
+    turn_.tell(held.holder, kMsgRelease, message);
 }
 
-/// What the incident's own client waits for, where it is about one; what anybody waits for.
-void EntityManagerCore::Machine::dismissWaiting(const Incident& incident) {
+void Ownership::dismissWaiting(const Incident& incident) {
     const auto* client = incident.head != nullptr ? &incident.head->sender.id : nullptr;
     const auto concerns = [client](const std::string& id) { return client == nullptr || id == *client; };
     if (lease_.reservation() && concerns(lease_.reservation()->by.id)) lease_.dropReservation();
     if (waiting_grant_ && concerns(waiting_grant_->claim.client.id)) dropWaitingGrant(incident.reason);
     for (const auto& claim : client != nullptr ? wait_list_.forget(*client) : wait_list_.clear())
-        replyCheckOut(claim.client, claim.request_id, proto::TAKE, incident.reason);
+        reply(claim.client, claim.request_id, proto::TAKE, incident.reason);
     if (hand_over_.open() && concerns(hand_over_.open()->claim.client.id)) {
         const auto question = *hand_over_.take();
         tellQuestion(question, true);
-        replyCheckOut(question.claim.client, question.claim.request_id, proto::TAKE, incident.reason);
+        reply(question.claim.client, question.claim.request_id, proto::TAKE, incident.reason);
     }
 }
 
-void EntityManagerCore::Machine::dropWaitingGrant(const Refusal& reason) {
+void Ownership::dropWaitingGrant(const Refusal& reason) {
     const auto waiting = *std::exchange(waiting_grant_, std::nullopt);
     if (lease_.reservedFor(waiting.claim.client, waiting.claim.request_id)) lease_.dropReservation();
-    replyCheckOut(waiting.claim.client, waiting.claim.request_id, waiting.phase, reason);
+    reply(waiting.claim.client, waiting.claim.request_id, waiting.phase, reason);
 }
 
-void EntityManagerCore::Machine::onClientUpdate(const Header& head, ClientChange change) {
-    if (quit_) return;
-    const bool lost = change == ClientChange::Lost;
-    Incident incident{lost ? Event::ClientLost : Event::ClientEnded, &head};
-    incident.cause = lost ? StopCause::ClientLost : StopCause::Released;
-    incident.reason = {lost ? RefusalCode::ClientLost : RefusalCode::Stopped,
-                       named(head.sender) + (lost ? " was lost." : " has left."),
-                       {}};
-    streams_.forget(head.sender.id);
-    if (holder() != nullptr && holder()->id != head.sender.id) {
-        // Of a client that is not the holder, or no longer is, only what it waits for is left to end.
-        dismissWaiting(incident);
-    } else if (lost && holder() != nullptr) {
-        // Of tasks that go on without it the loss is known.
-        if (!lease_.orphaned() || !survivesClientLoss()) loseHolder(incident);
-    } else {
-        fire(incident);
-    }
-    settle();
-}
-
-// -- answers
-// ----------------------------------------------------------------------------------------------------------
-
-void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
+void Ownership::sendGrant(proto::CheckOutPhase phase) {
     const auto& held = *lease_.held();
     proto::ToClient message;
     auto& reply = *message.mutable_check_out();
@@ -594,42 +567,46 @@ void EntityManagerCore::Machine::sendGrant(proto::CheckOutPhase phase) {
     reply.mutable_lease()->set_key(held.key.bytes());
     reply.mutable_lease()->set_root(held.root);
     reply.set_grace_ms(static_cast<std::uint32_t>(
-        std::chrono::duration_cast<std::chrono::milliseconds>(settings_.lease_grace).count()));
-    reply.set_stop_generation(stops_.generation());
-    reply.set_latched(latched_);
+        std::chrono::duration_cast<std::chrono::milliseconds>(settings_.grace).count()));
+    reply.set_stop_generation(turn_.stops().generation);
+    reply.set_latched(turn_.latched());
     *reply.mutable_services() = profiler_.profile();
     reply.set_datagram_endpoint(datagram_endpoint_);
     reply.set_resource_bytes_max(settings_.resource_bytes_max);
     reply.set_direct_endpoint(direct_endpoint_);
     reply.set_direct_signal_endpoint(direct_signal_endpoint_);
-    tell(held.holder, kMsgCheckOut, message);
-    streams_.holderBegan();
+    turn_.tell(held.holder, kMsgCheckOut, message);
 }
 
-void EntityManagerCore::Machine::replyCheckOut(const Sender& to, const std::string& request_id,
-                                               proto::CheckOutPhase phase, const Refusal& refusal) {
+void Ownership::refuse(const Incident& incident, const Refusal& refusal) {
+    const auto& request = incident.body->check_out();
+    reply(incident.head->sender, request.request_id(), request.phase(), refusal);
+}
+
+void Ownership::reply(const Sender& to, const std::string& request_id, proto::CheckOutPhase phase,
+                      const Refusal& refusal) {
     proto::ToClient message;
     auto& reply = *message.mutable_check_out();
     reply.set_request_id(request_id);
     reply.set_phase(phase);
     if (!refusal.ok()) *reply.mutable_refusal() = toProto(refusal);
-    reply.set_stop_generation(stops_.generation());
-    reply.set_latched(latched_);
-    tell(to, kMsgCheckOut, message);
-    noteRefusal(to, {}, refusal);
+    reply.set_stop_generation(turn_.stops().generation);
+    reply.set_latched(turn_.latched());
+    turn_.tell(to, kMsgCheckOut, message);
+    turn_.noteRefusal(to, {}, refusal);
 }
 
 /// Neither granted nor refused: waiting, or the holder has been asked.
-void EntityManagerCore::Machine::sendPlace(const Claim& claim, std::size_t place, const std::string& kept) {
+void Ownership::sendPlace(const Claim& claim, std::size_t place, const std::string& kept) {
     proto::ToClient message;
     auto& reply = *message.mutable_check_out();
     reply.set_request_id(claim.request_id);
     reply.set_phase(proto::TAKE);
     reply.set_place(static_cast<std::uint32_t>(place));
     reply.set_kept(kept);
-    reply.set_stop_generation(stops_.generation());
-    reply.set_latched(latched_);
-    tell(claim.client, kMsgCheckOut, message);
+    reply.set_stop_generation(turn_.stops().generation);
+    reply.set_latched(turn_.latched());
+    turn_.tell(claim.client, kMsgCheckOut, message);
 }
 
 }  // namespace axon::entity_manager
