@@ -117,6 +117,7 @@ Driving::Driving(const Request& request, const RobotState& start, TimePoint now)
       start_heading_rad_(start.heading_deg * kDegree),
       front_bumpers_at_start_(start.front_bumpers),
       rear_bumpers_at_start_(start.rear_bumpers),
+      begun_(now),
       standstill_(10, now),
       latency_(kAcceleration_mm_s2, !start.moving) {}
 
@@ -128,7 +129,7 @@ MotionStep Driving::fail(std::string reason) const {
     return {.outcome = MotionStep::Outcome::Failed, .progress = progress(), .reason = std::move(reason)};
 }
 
-std::optional<std::string> Driving::obstacle(const RobotState& robot, TimePoint now) const {
+std::optional<std::string> Driving::obstacle(const RobotState& robot, TimePoint now) {
     const unsigned ahead = direction_ > 0 ? robot.front_bumpers : robot.rear_bumpers;
     // A bumper behind may be the reason for this very motion; it only counts when it is hit on the way.
     const unsigned behind = direction_ > 0 ? robot.rear_bumpers & ~rear_bumpers_at_start_
@@ -163,7 +164,8 @@ std::optional<std::string> Driving::obstacle(const RobotState& robot, TimePoint 
             }
         }
     }
-    if (!heard)
+    sensed_ = sensed_ || heard;
+    if (!heard && (sensed_ || now - begun_ > kSonarSilence))
         return "no sonar in the direction of travel was heard for a second: are the sonars switched on?";
     return std::nullopt;
 }
@@ -179,6 +181,10 @@ MotionStep Driving::step(const RobotState& robot, TimePoint now) {
         if (auto reason = obstacle(robot, now)) return fail(std::move(*reason));
     }
     if (auto reason = stall(robot)) return fail(std::move(*reason));
+    if (request_.range_threshold_mm > 0 && !sensed_) {  // as just after the connection
+        standstill_.restart(now);
+        return {.progress = progress()};
+    }
 
     latency_.seen(speed, now);
     const double rest = request_.distance_mm - travelled_;

@@ -72,6 +72,7 @@ class LatencyWatch {
 /// States: driving → settling (the way is made, the robot comes to rest) → done; from both of the first →
 /// failed. Fails with the reason on a near reading, a bumper on the side of travel (or one newly pressed on
 /// the other), a stall of the motors, sonars that are silent for a second, and a robot that does not move.
+/// It stands until the first sonar is heard.
 /// Whoever calls sends the robot to a full stop on every end. I/O-free, not thread-safe: what the robot says
 /// comes in, a velocity comes out.
 class Driving {
@@ -100,7 +101,7 @@ class Driving {
     double remaining_mm() const { return std::max(0.0, request_.distance_mm - travelled_); }
 
   private:
-    std::optional<std::string> obstacle(const arcos::RobotState& robot, TimePoint now) const;
+    std::optional<std::string> obstacle(const arcos::RobotState& robot, TimePoint now);
     MotionStep fail(std::string reason) const;
     double progress() const;
 
@@ -111,6 +112,8 @@ class Driving {
     const double start_heading_rad_;
     const unsigned front_bumpers_at_start_;
     const unsigned rear_bumpers_at_start_;
+    const TimePoint begun_;
+    bool sensed_ = false;  // by a sonar or the laser that looks ahead, since it began
     StandstillWatch standstill_;
     LatencyWatch latency_;
     double ordered_ = 0;

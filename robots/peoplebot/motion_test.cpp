@@ -155,6 +155,26 @@ TEST_F(DrivingTest, AReadingBelowTheThresholdStopsAndIsNamed) {
     EXPECT_EQ(end.forward_mm_s, 0);
 }
 
+TEST_F(DrivingTest, SonarsThatHaveNotBeenHeardYetAreWaitedForASecond) {
+    robot_.state.sonars = {};
+    robot_.deaf = true;
+    auto motion = begin({.distance_mm = 1000, .velocity_mm_s = 300});
+    EXPECT_EQ(robot_.run(motion, 9).outcome, Outcome::Running);
+    EXPECT_EQ(robot_.fastest, 0) << "nobody knows what is in the way";
+    robot_.deaf = false;
+    robot_.hear(5000);
+    EXPECT_EQ(robot_.run(motion).outcome, Outcome::Done);
+
+    robot_.state.sonars = {};
+    robot_.deaf = true;
+    robot_.fastest = 0;
+    auto deaf = begin({.distance_mm = 1000, .velocity_mm_s = 300});
+    const auto end = robot_.run(deaf, 12);
+    EXPECT_EQ(end.outcome, Outcome::Failed);
+    EXPECT_THAT(end.reason, HasSubstr("no sonar in the direction of travel"));
+    EXPECT_EQ(robot_.fastest, 0);
+}
+
 TEST_F(DrivingTest, AReadingAtTheThresholdIsFarEnough) {
     auto motion = begin({.distance_mm = 3000, .velocity_mm_s = 300, .range_threshold_mm = 412});
     robot_.state.sonars[3].range_mm = 412;
@@ -218,9 +238,10 @@ TEST_F(DrivingTest, ADazzledLaserDoesNotStandInForSilentSonars) {
     robot_.state.laser = laser(8000);
     auto seeing = begin({.distance_mm = 1000});
     EXPECT_EQ(robot_.run(seeing, 1).outcome, Outcome::Running);
-    robot_.state.laser = laser(arcos::LaserPacket::kNothing_mm);
     auto dazzled = begin({.distance_mm = 1000});
-    EXPECT_THAT(robot_.run(dazzled, 1).reason, HasSubstr("was heard"));
+    const auto end =
+        robot_.run(dazzled, 12, [&] { robot_.state.laser = laser(arcos::LaserPacket::kNothing_mm); });
+    EXPECT_THAT(end.reason, HasSubstr("was heard"));
 }
 
 TEST_F(DrivingTest, SilentSonarsAreAFailureUnlessTheyAreNotWanted) {
