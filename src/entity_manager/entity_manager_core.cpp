@@ -811,14 +811,14 @@ void EntityManagerCore::answerStatus(const Incident& incident) {
 
 void EntityManagerCore::onTimer() {
     if (quit_) return;
-    for (auto* owner : owners()) owner->onTimer();
+    eachOwner(*this, [](Owner& owner) { owner.onTimer(); });
     settle();
 }
 
 TimePoint EntityManagerCore::nextDeadline() const {
     auto next = TimePoint::max();
     if (quit_) return next;
-    for (const auto* owner : owners()) next = std::min(next, owner->nextDeadline());
+    eachOwner(*this, [&](const Owner& owner) { next = std::min(next, owner.nextDeadline()); });
     return next;
 }
 

@@ -144,11 +144,10 @@ class EntityManagerCore final : private Turn {
     Refusal guard(Event event, Who who, const Header& head) const;
     void settle();
     /// In this order time passes for them: first whether there is a server at all, then who holds the entity.
-    std::array<Owner*, 6> owners() {
-        return {&presence_, &ownership_, &inputs_, &tasks_, &teamwork_, &profiles_};
-    }
-    std::array<const Owner*, 6> owners() const {
-        return {&presence_, &ownership_, &inputs_, &tasks_, &teamwork_, &profiles_};
+    template <class Use>
+    static void eachOwner(auto& core, Use use) {
+        use(core.presence_), use(core.ownership_), use(core.inputs_), use(core.tasks_), use(core.teamwork_),
+            use(core.profiles_);
     }
 
     // The journal.

@@ -34,7 +34,7 @@ class Inputs final : public Owner {
     };
     Inputs(Turn& turn, Storage& storage, ResourceStore& store, ServiceProfiler& profiler, Settings settings);
 
-    // -- rows
+    // Actions of the state table.
 
     void askParameter(const Incident& incident);
     void carryResource(const Incident& incident);
@@ -44,7 +44,7 @@ class Inputs final : public Owner {
     /// What has arrived is kept for a later offer of the same file.
     void suspendUploads(const Refusal& reason);
 
-    // -- the application and the profile
+    // The application and the profile.
 
     void answered(const proto::RequestAnswer& answer);
     /// Gives the profile that has been loaded the values that were saved; why not all of them.
@@ -56,7 +56,7 @@ class Inputs final : public Owner {
     /// A file that its task had for itself, unless another is being put in its place.
     void remove(const std::string& service, const std::string& resource);
 
-    // -- time
+    // Time.
 
     /// The store has done what it was asked for.
     void onStored();

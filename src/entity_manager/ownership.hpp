@@ -47,7 +47,7 @@ class Ownership final : public Owner {
         direct_signal_endpoint_ = std::move(signal);
     }
 
-    // -- rows
+    // Actions of the state table.
 
     void considerCheckOut(const Incident& incident);
     void considerHandOver(const Incident& incident);
@@ -63,7 +63,7 @@ class Ownership final : public Owner {
     void reply(const Sender& to, const std::string& request_id, proto::CheckOutPhase phase,
                const Refusal& refusal);
 
-    // -- what follows by itself
+    // What follows by itself.
 
     /// After each event: a grant that has waited, a grace that is over, who is next, and who has come nearer.
     void passOn();

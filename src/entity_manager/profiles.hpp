@@ -34,7 +34,7 @@ class Profiles final : public Owner {
     };
     Profiles(Turn& turn, ResourceStore& store, ServiceProfiler& profiler, Settings settings);
 
-    // -- rows
+    // Actions of the state table.
 
     /// A link begins without profiles.
     void await();
@@ -43,7 +43,7 @@ class Profiles final : public Owner {
     /// What is wrong, to the application.
     void report();
 
-    // -- the application
+    // The application.
 
     void linkUp() { active_told_.clear(); }
     void linkDown();
@@ -52,7 +52,7 @@ class Profiles final : public Owner {
     /// What was kept, where the state admits it.
     void takeKept();
 
-    // -- the store
+    // The store.
 
     /// Files that the robot's owner puts in their places come without a word.
     void lookAgain();

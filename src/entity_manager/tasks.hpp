@@ -40,7 +40,7 @@ class Tasks final : public Owner {
     Tasks(Turn& turn, BackEndPort& back_end, ResourceStore& store, StopCounter& stop_counter,
           RandomSource& random, ServiceProfiler& profiler, TaskMemory& memory, Settings settings);
 
-    // -- rows
+    // Actions of the state table.
 
     /// A client's task.
     void consider(const Incident& incident);
@@ -59,7 +59,7 @@ class Tasks final : public Owner {
     /// The client is lost, and what has begun goes on without it.
     void spare();
 
-    // -- the robot application
+    // The robot application.
 
     void answered(const proto::TaskAnswer& answer);
     void updated(proto::TaskEvent& update);
@@ -75,7 +75,7 @@ class Tasks final : public Owner {
     /// It has not been told yet whether the robot is busy.
     void linkIsNew() { busy_told_ = false; }
 
-    // -- a stop, and the client
+    // A stop, and the client.
 
     /// What waits is valid after a stop that does not void it; unless one is under way that does.
     void restamp();
@@ -95,7 +95,7 @@ class Tasks final : public Owner {
     /// To a holder that was away since `lost_at`: how the tasks of its lease have ended, again.
     void tellFinals(TimePoint lost_at);
 
-    // -- what is
+    // What is.
 
     std::size_t begun() const { return active_.size(); }
     std::size_t waiting() const { return queue_.size(); }
@@ -105,7 +105,7 @@ class Tasks final : public Owner {
     bool robotMoves() const { return busy_told_; }
     void describe(proto::EntityStatus& status) const;
 
-    // -- time
+    // Time.
 
     /// After every event, and after dispatchNext(): how fast the link has to beat, and what a loss would
     /// mean.

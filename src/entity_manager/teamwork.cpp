@@ -428,23 +428,23 @@ void Teamwork::endMembership(const proto::CollaborationEnd& end) {
     turn_.fire(Event::CollaborationEnded);
 }
 
-/// A short step begins and ends within a few milliseconds: one message then, not two, and each costs the
-/// master. What goes on waits for kReportPeriod; what ends or pauses does not.
 bool Teamwork::tellStep(proto::TaskEvent& event) {
     if (!member_) return false;
     const auto step = member_->steps.find(*Id128::fromBytes(event.task_id()));
     if (step == member_->steps.end()) return false;
     if (!isFinal(event.state())) {
-        tellStep(step->second, event);
+        holdOrTell(step->second, event);
         return true;
     }
     auto last = std::move(step->second);
     member_->steps.erase(step);  // before it is told: the master's own next order may come of it
-    tellStep(last, event);
+    holdOrTell(last, event);
     return true;
 }
 
-void Teamwork::tellStep(OpenStep& step, proto::TaskEvent& event) {
+/// A short step begins and ends within a few milliseconds: one message then, not two, and each costs the
+/// master. What goes on waits for kReportPeriod; what ends or pauses does not.
+void Teamwork::holdOrTell(OpenStep& step, proto::TaskEvent& event) {
     const auto now = turn_.now();
     if (event.state() == proto::TASK_RUNNING && !step.began) step.began = now;
     if (step.held) {
@@ -476,9 +476,7 @@ void Teamwork::reportStep(const OpenStep& step, const proto::TaskEvent& event) {
 
 void Teamwork::sendToMaster(Lane lane, const Sender& master, const proto::FromSlave& message) {
     if (master.id == settings_.entity) {
-        if (run_)
-            run_->hear(settings_.entity, message,
-                       turn_.now());  // what follows from it: settle(), with settle()
+        if (run_) run_->hear(settings_.entity, message, turn_.now());  // what follows from it: settle()
         return;
     }
     proto::ToEntity body;

@@ -41,7 +41,7 @@ class Teamwork final : public Owner {
     Teamwork(Turn& turn, Storage& storage, RandomSource& random, const ServiceProfiler& profiler,
              TaskMemory& memory, Settings settings);
 
-    // -- rows
+    // Actions of the state table.
 
     /// A client asks for a run.
     void considerRun(const Incident& incident);
@@ -55,7 +55,7 @@ class Teamwork final : public Owner {
     void leave(const Refusal& reason);
     void tellHistory(const Incident& incident);
 
-    // -- messages
+    // Messages.
 
     /// Messages of master and slaves that are no requests. False when it is something else.
     bool hear(const Header& head, proto::ToEntity& message);
@@ -66,7 +66,7 @@ class Teamwork final : public Owner {
     /// Raw data of the robot application to another participant.
     void sendRaw(proto::LinkRaw& raw);
 
-    // -- tasks
+    // Tasks.
 
     /// Whether the entity takes part in a run.
     bool takesPart() const { return member_.has_value(); }
@@ -75,7 +75,7 @@ class Teamwork final : public Owner {
     /// What a task tells. True: it was a step, and its master has been told, or will be.
     bool tellStep(proto::TaskEvent& event);
 
-    // -- time
+    // Time.
 
     /// What the run wants done, until nothing is left. Call after every event.
     void settle();
@@ -119,7 +119,7 @@ class Teamwork final : public Owner {
     void controlStep(const proto::StepControl& control);
     void endMembership(const proto::CollaborationEnd& end);
     void sendToMaster(Lane lane, const Sender& master, const proto::FromSlave& message);
-    void tellStep(OpenStep& step, proto::TaskEvent& event);
+    void holdOrTell(OpenStep& step, proto::TaskEvent& event);
     void reportStep(const OpenStep& step, const proto::TaskEvent& event);
     void depart(const Sender& master, const std::string& run_id, const Refusal& reason);
     /// Its part is over; why is told again to a master that does not know it.
