@@ -63,6 +63,7 @@ CORES = (
     "src/client/requests.*",
     "src/client/runs.*",
     "src/client/server_watch.*",
+    "src/client/task_control.*",
     "src/client/tasks.*",
     "src/client/watches.*",
     "src/entity_manager/inbox.*",
@@ -216,26 +217,24 @@ def rule_servers_without_protobuf(tree):
                     yield path, number, "1 a server links protobuf code", "take the library out of the LINK list"
 
 
-def rule_entity_interfacer_headers(tree):
+def public_headers(tree, headers, whose, remedy):
     for path in tree.code():
-        if not matches(path, EI_PUBLIC):
+        if not matches(path, headers):
             continue
         for line, header, quoted in tree.includes(path):
             own = (tree.resolve(path, header) or "") if quoted else ""
-            if header not in STANDARD_HEADERS and not matches(own, EI_PUBLIC):
-                yield path, line, f"2 a public header of the Entity Interfacer includes {header}", \
-                    "move it behind the pimpl; only the C++ standard library and the EI's own public headers may be seen"
+            if header not in STANDARD_HEADERS and not matches(own, headers):
+                yield path, line, f"2 a public header of {whose} includes {header}", remedy
+
+
+def rule_entity_interfacer_headers(tree):
+    yield from public_headers(tree, EI_PUBLIC, "the Entity Interfacer",
+        "move it behind the pimpl; only the C++ standard library and the EI's own public headers may be seen")
 
 
 def rule_client_headers(tree):
-    for path in tree.code():
-        if not matches(path, CLIENT_PUBLIC):
-            continue
-        for line, header, quoted in tree.includes(path):
-            own = (tree.resolve(path, header) or "") if quoted else ""
-            if header not in STANDARD_HEADERS and not matches(own, CLIENT_PUBLIC):
-                yield path, line, f"2 a public header of the client library includes {header}", \
-                    "say it with a type of axon/types.hpp, or keep it behind Shared and Session; only the C++ standard library and axon/*.hpp may be seen"
+    yield from public_headers(tree, CLIENT_PUBLIC, "the client library",
+        "say it with a type of axon/types.hpp, or keep it behind Shared and Session; only the C++ standard library and axon/*.hpp may be seen")
 
 
 def rule_no_sleep_in_tests(tree):

@@ -10,6 +10,7 @@
 #include "client/entities.hpp"
 #include "client/leases.hpp"
 #include "client/server_watch.hpp"
+#include "client/task_control.hpp"
 #include "collaboration/sub_lease.hpp"
 #include "messages/values.hpp"
 
@@ -240,7 +241,7 @@ void Runs::onEvent(const std::string& entity, const proto::RunEvent& event) {
     if (isFinal(report.state)) {
         // Given up here, alive there: a run whose outcome this client has called unknown must not go on.
         if (report.state == RunState::Unknown && !isFinal(*state) && parts_.leases.holds(entry.master))
-            sendControl(*id, entry.master, proto::CANCEL);
+            sendControl(parts_.context, *id, entry.master, proto::CANCEL);
         return;
     }
     // It lives: nobody need be asked after it.
@@ -297,7 +298,7 @@ void Runs::tell(Id128 id) {
     }
     // The report first: whoever waited for the pause finds the run paused.
     parts_.context.observer.onRun(report);
-    settleControl(id, report.state);
+    settleControl(parts_.requests, id, report.state, "run");
     parts_.server.pace();
 }
 
@@ -334,7 +335,7 @@ void Runs::onRefused(Id128 id, const std::string& entity, const Refusal& why) {
 
 void Runs::onDue(Id128 id) {
     const auto master = runs_.at(id).master;
-    if (parts_.leases.ready(master).ok()) sendControl(id, master, proto::CANCEL);
+    if (parts_.leases.ready(master).ok()) sendControl(parts_.context, id, master, proto::CANCEL);
     finish(id, RunState::Unknown,
            {RefusalCode::OutcomeUnknown,
             parts_.entities.label(master.entity) + ", its master, has not answered the request in time.",
@@ -346,33 +347,7 @@ void Runs::control(const Id128& run, proto::TaskAction action, Done done) {
     if (found == runs_.end())
         return done(Refusal{RefusalCode::UnknownTask, "This client knows no such run (any more).", {}});
     const auto& entry = found->second;
-    if (isFinal(entry.report.state)) {
-        return done(Refusal{RefusalCode::WrongState,
-                            std::string("The run has ended already: ") + toString(entry.report.state) + ".",
-                            {}});
-    }
-    if (const auto refusal = parts_.leases.ready(entry.master); !refusal.ok()) return done(refusal);
-    parts_.requests.settle<request::Control>(
-        run, Refusal{RefusalCode::Cancelled, "A newer request for the same run took its place.", {}});
-    const auto sequence = sendControl(run, entry.master, action);
-    parts_.requests.await(run, {.entity = entry.master.entity,
-                                .lease = entry.master.lease,
-                                .sequence = sequence,
-                                .what = request::Control{{std::move(done)}, action}});
-}
-
-std::int64_t Runs::sendControl(Id128 run, const Held& master, proto::TaskAction action) {
-    proto::ToEntity body;
-    body.mutable_task_control()->set_task_id(run.bytes());
-    body.mutable_task_control()->set_action(action);
-    return parts_.context.send(master.entity, kMsgTaskControl, master.lease, body);
-}
-
-void Runs::settleControl(Id128 run, RunState state) {
-    auto* pending = parts_.requests.find<request::Control>(run);
-    if (pending == nullptr) return;
-    if (const auto answer = pending->as<request::Control>().answerTo(state, "run"))
-        parts_.requests.settle<request::Control>(run, *answer);
+    requestControl(parts_, run, entry.master, entry.report.state, action, "run", std::move(done));
 }
 
 void Runs::fetchRecords(const std::string& entity, int most, RunRecordsDone done) {

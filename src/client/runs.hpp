@@ -88,8 +88,6 @@ class Runs {
     void awaitEnd(Id128 run);
     /// What is new of it, to the observer and to who waits for its state.
     void tell(Id128 run);
-    void settleControl(Id128 run, RunState state);
-    std::int64_t sendControl(Id128 run, const Held& master, proto::TaskAction action);
     void sendHistoryRequest(Id128 request, const Held& master);
 
     const CoreParts& parts_;

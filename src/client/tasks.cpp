@@ -10,6 +10,7 @@
 #include "client/entities.hpp"
 #include "client/leases.hpp"
 #include "client/server_watch.hpp"
+#include "client/task_control.hpp"
 #include "messages/values.hpp"
 
 namespace axon::client {
@@ -86,7 +87,7 @@ void Tasks::onEvent(const std::string& entity, const proto::TaskEvent& event) {
     if (isFinal(report.state)) {
         // Given up here, alive there: a task whose outcome this client has called unknown must not go on.
         if (report.state == TaskState::Unknown && !isFinal(*state) && parts_.leases.holds(entry.held))
-            sendControl(*id, entry.held, proto::CANCEL);
+            sendControl(parts_.context, *id, entry.held, proto::CANCEL);
         return;
     }
     if (!follows(report.state, *state)) return;
@@ -111,7 +112,7 @@ void Tasks::onEvent(const std::string& entity, const proto::TaskEvent& event) {
     }
     // The report first: whoever waited for the pause finds the task paused.
     parts_.context.observer.onTask(told);
-    settleControl(*id, told.state);
+    settleControl(parts_.requests, *id, told.state, "task");
     if (*state == TaskState::Refused) parts_.leases.onRefusal(entity, under, told.reason);
     parts_.server.pace();
 }
@@ -136,7 +137,7 @@ void Tasks::finish(Id128 task, TaskState state, const Refusal& why) {
     const auto report = found->second.report;
     noteFinal(task);
     parts_.context.observer.onTask(report);
-    settleControl(task, report.state);
+    settleControl(parts_.requests, task, report.state, "task");
     parts_.server.pace();
 }
 
@@ -173,7 +174,7 @@ void Tasks::noteFinal(Id128 task) {
 void Tasks::onDue(Id128 task) {
     // It may or may not run: say so, and make an end of it if it does.
     const auto held = tasks_.at(task).held;
-    if (parts_.leases.ready(held).ok()) sendControl(task, held, proto::CANCEL);
+    if (parts_.leases.ready(held).ok()) sendControl(parts_.context, task, held, proto::CANCEL);
     finish(task, TaskState::Unknown,
            {RefusalCode::OutcomeUnknown,
             parts_.entities.label(held.entity) + " has not answered the request in time.",
@@ -220,40 +221,12 @@ void Tasks::onAskAfterDue(Id128 request) {
     }
 }
 
-std::int64_t Tasks::sendControl(Id128 task, const Held& held, proto::TaskAction action) {
-    proto::ToEntity body;
-    body.mutable_task_control()->set_task_id(task.bytes());
-    body.mutable_task_control()->set_action(action);
-    return parts_.context.send(held.entity, kMsgTaskControl, held.lease, body);
-}
-
-void Tasks::settleControl(Id128 task, TaskState state) {
-    auto* pending = parts_.requests.find<request::Control>(task);
-    if (pending == nullptr) return;
-    if (const auto answer = pending->as<request::Control>().answerTo(state, "task"))
-        parts_.requests.settle<request::Control>(task, *answer);
-}
-
 void Tasks::control(const Id128& task, proto::TaskAction action, Done done) {
     const auto found = tasks_.find(task);
-    if (found == tasks_.end()) {
+    if (found == tasks_.end())
         return done(Refusal{RefusalCode::UnknownTask, "This client knows no such task (any more).", {}});
-    }
     const auto& entry = found->second;
-    if (isFinal(entry.report.state)) {
-        return done(Refusal{RefusalCode::WrongState,
-                            std::string("The task has ended already: ") + toString(entry.report.state) + ".",
-                            {}});
-    }
-    const auto refusal = parts_.leases.ready(entry.held);
-    if (!refusal.ok()) return done(refusal);
-    parts_.requests.settle<request::Control>(
-        task, Refusal{RefusalCode::Cancelled, "A newer request for the same task took its place.", {}});
-    const auto sequence = sendControl(task, entry.held, action);
-    parts_.requests.await(task, {.entity = entry.held.entity,
-                                 .lease = entry.held.lease,
-                                 .sequence = sequence,
-                                 .what = request::Control{{std::move(done)}, action}});
+    requestControl(parts_, task, entry.held, entry.report.state, action, "task", std::move(done));
 }
 
 }  // namespace axon::client

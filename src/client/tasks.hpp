@@ -70,8 +70,6 @@ class Tasks {
     };
     void awaitEnd(Id128 task, const Entry& entry);
     void noteFinal(Id128 task);
-    void settleControl(Id128 task, TaskState state);
-    std::int64_t sendControl(Id128 task, const Held& held, proto::TaskAction action);
 
     const CoreParts& parts_;
     std::unordered_map<Id128, Entry> tasks_;
