@@ -10,6 +10,7 @@
 
 #include "client/datagram_sender.hpp"
 #include "component/memory_robot.hpp"
+#include "component/raw_check_out.hpp"
 #include "component/raw_peers.hpp"
 #include "entity_manager/entity_manager.hpp"
 #include "entity_manager/server_communicators.hpp"
@@ -123,26 +124,6 @@ class DatagramsTest : public ::testing::Test {
         executor_.join();
         manager_.reset();
     }
-    /// What the check-out by a client without our library is granted.
-    proto::CheckOutReply take(RawClient& client) {
-        proto::ToEntity body;
-        body.mutable_check_out()->set_request_id(Id128::random(random_).bytes());
-        body.mutable_check_out()->set_phase(proto::TAKE);
-        auto head = client.headTo(manager_->uuid());
-        head.msg_type = kMsgCheckOut;
-        const auto bytes = body.SerializeAsString();
-        client.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
-        const auto beginning = "data msg " + manager_->uuid() + " ";
-        proto::ToClient message;
-        EXPECT_TRUE(waitUntil([&] {
-            for (const auto& line : client.log.lines())
-                if (line.starts_with(beginning) && message.ParseFromString(line.substr(beginning.size())) &&
-                    message.has_check_out() && message.check_out().has_lease())
-                    return true;
-            return false;
-        }));
-        return message.check_out();
-    }
     static LeaseNumber numberOf(const proto::CheckOutReply& reply) {
         return {static_cast<std::int32_t>(reply.lease().epoch()),
                 static_cast<std::int32_t>(reply.lease().number())};
@@ -162,7 +143,7 @@ class DatagramsTest : public ::testing::Test {
 
 TEST_F(DatagramsTest, AStopArrivesByDatagramAloneThoughHalfOfThemAreLost) {
     RawClient raw(server_->clientAddress(Lane::Data));
-    const auto granted = take(raw);
+    const auto granted = test::checkOut(raw, manager_->uuid(), random_);
     const auto to = Endpoint::parse(granted.datagram_endpoint());
     ASSERT_TRUE(to) << granted.datagram_endpoint();
     EXPECT_EQ(to->address, datagrams::parseAddress("127.0.0.1")) << "the way to the server begins there";
@@ -195,7 +176,7 @@ TEST_F(DatagramsTest, AStopArrivesByDatagramAloneThoughHalfOfThemAreLost) {
 
 TEST_F(DatagramsTest, ReplayedForgedAndForeignDatagramsAreNotExecuted) {
     RawClient raw(server_->clientAddress(Lane::Data));
-    const auto granted = take(raw);
+    const auto granted = test::checkOut(raw, manager_->uuid(), random_);
     const auto to = Endpoint::parse(granted.datagram_endpoint()).value();
     Relay relay(to, to.address, 0);
     std::atomic<int> acknowledged{0};
@@ -259,7 +240,7 @@ TEST_F(DatagramsTest, ReplayedForgedAndForeignDatagramsAreNotExecuted) {
 
 TEST_F(DatagramsTest, TheEndOfTheLeaseEndsItsDatagrams) {
     RawClient raw(server_->clientAddress(Lane::Data));
-    const auto granted = take(raw);
+    const auto granted = test::checkOut(raw, manager_->uuid(), random_);
     const auto to = Endpoint::parse(granted.datagram_endpoint()).value();
     proto::ToEntity body;
     body.mutable_release();

@@ -10,6 +10,7 @@
 #include <axon/client.hpp>
 
 #include "component/memory_robot.hpp"
+#include "component/raw_check_out.hpp"
 #include "component/raw_peers.hpp"
 #include "direct/proof.hpp"
 #include "entity_manager/entity_manager.hpp"
@@ -97,26 +98,6 @@ class DirectPathTest : public ::testing::Test {
     std::uint64_t directBytes() const { return valves_.at(0)->bytes(); }
     void send(const CheckOut& held, const std::string& text) {
         ASSERT_TRUE(waitUntil([&] { return held.sendText(text).ok(); }));
-    }
-    /// The proof of a check-out by a client without our library.
-    proto::CheckOutReply takeRaw(RawClient& client) {
-        proto::ToEntity body;
-        body.mutable_check_out()->set_request_id(Id128::random(random_).bytes());
-        body.mutable_check_out()->set_phase(proto::TAKE);
-        auto head = client.headTo(manager_->uuid());
-        head.msg_type = kMsgCheckOut;
-        const auto bytes = body.SerializeAsString();
-        client.data()->sendToEntity(transport::toIce(head), transport::toRange(bytes));
-        const auto beginning = "data msg " + manager_->uuid() + " ";
-        proto::ToClient message;
-        EXPECT_TRUE(waitUntil([&] {
-            for (const auto& line : client.log.lines())
-                if (line.starts_with(beginning) && message.ParseFromString(line.substr(beginning.size())) &&
-                    message.has_check_out() && message.check_out().has_lease())
-                    return true;
-            return false;
-        }));
-        return message.check_out();
     }
 
     SteadyClock clock_;
@@ -506,7 +487,7 @@ class Stranger {
 TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
     startManager(true, false);
     RawClient raw(server_->clientAddress(Lane::Data));
-    const auto granted = takeRaw(raw);
+    const auto granted = test::checkOut(raw, manager_->uuid(), random_);
     ASSERT_FALSE(granted.direct_endpoint().empty());
     ASSERT_NE(granted.direct_endpoint(), granted.direct_signal_endpoint());
     const auto key = granted.lease().key();
@@ -583,7 +564,7 @@ TEST_F(DirectPathTest, OnlyTheHolderWithTheKeyIsLetIn) {
 TEST_F(DirectPathTest, ARearmEndsThePathThatBringsIt) {
     startManager(true, false);
     RawClient raw(server_->clientAddress(Lane::Data));
-    const auto granted = takeRaw(raw);
+    const auto granted = test::checkOut(raw, manager_->uuid(), random_);
     Stranger data(granted.direct_endpoint()), signals(granted.direct_signal_endpoint());
     const auto path = Id128::random(random_);
     for (auto* lane : {&data, &signals}) {
