@@ -598,7 +598,7 @@ void EntityManagerCore::onClientUpdate(const Header& head, ClientChange change) 
         ownership_.dismissWaiting(incident);
     } else if (lost && holder() != nullptr) {
         // Of tasks that go on without it the loss is known.
-        if (!orphaned() || !tasks_.surviveClientLoss()) loseHolder(incident);
+        if (!orphaned() || !tasks_.survivesClientLoss()) loseHolder(incident);
     } else {
         fire(incident);
     }
@@ -606,7 +606,7 @@ void EntityManagerCore::onClientUpdate(const Header& head, ClientChange change) 
 }
 
 void EntityManagerCore::loseHolder(Incident& lost) {
-    lost.event = tasks_.surviveClientLoss() ? Event::ClientSpared : Event::ClientLost;
+    lost.event = tasks_.survivesClientLoss() ? Event::ClientSpared : Event::ClientLost;
     fire(lost);
 }
 

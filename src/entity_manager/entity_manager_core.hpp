@@ -213,10 +213,10 @@ class EntityManagerCore final : private Turn {
         inputs_.remove(service, resource);
     }
     Refusal leavesRoom(int service, const proto::Param& param) const override {
-        return tasks_.leaveRoom(service, param);
+        return tasks_.leavesRoom(service, param);
     }
     void reconfigure(int service, const proto::Param& param) override { tasks_.reconfigure(service, param); }
-    bool finishesAlone() const override { return tasks_.finishAlone(); }
+    bool finishesAlone() const override { return tasks_.finishesAlone(); }
     void loseHolder(Incident& lost) override;
     void endSpared(const std::string& why) override { tasks_.endSpared(why); }
     void controlTask(const Incident& incident) override;

@@ -568,7 +568,7 @@ void Tasks::settle() {
         busy_told_ = occupied;
         back_end_.setBusy(occupied);  // without a link too: the next one begins with what was said last
     }
-    stop_counter_.spareClientLoss(surviveClientLoss());
+    stop_counter_.spareClientLoss(survivesClientLoss());
 }
 
 void Tasks::shutDown() {

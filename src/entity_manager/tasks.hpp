@@ -82,12 +82,12 @@ class Tasks final : public Owner {
     /// A new value of a CONFIG parameter, to the application and to all that has been accepted.
     void reconfigure(int service, const proto::Param& param);
     /// TOO_LARGE where what has been accepted could not be sent with it.
-    Refusal leaveRoom(int service, const proto::Param& param) const;
+    Refusal leavesRoom(int service, const proto::Param& param) const;
     /// Whether all that has begun may go on without its client. Of several that run side by side the
     /// strictest counts: a stop cannot leave one of them out.
-    bool surviveClientLoss() const;
+    bool survivesClientLoss() const;
     /// Whether one goes on to its end while its client is lost.
-    bool finishAlone() const;
+    bool finishesAlone() const;
     /// The loss of the client, as late as the policy of the tasks has allowed.
     void endSpared(const std::string& why);
     /// Its client is back and answers for them again. What was held stays paused until the client resumes it.

@@ -16,8 +16,7 @@ constexpr Duration kPauseWithin = std::chrono::seconds{1};
 
 }  // namespace
 
-/// Of several that run side by side the strictest counts: a stop cannot leave one of them out.
-bool Tasks::surviveClientLoss() const {
+bool Tasks::survivesClientLoss() const {
     // A step of a run is of more than one robot: nobody would tell the others.
     return turn_.state() == EntityState::BUSY && !turn_.takesPart() && turn_.linked() && turn_.connected() &&
            !turn_.latched() && !application_busy_ && !active_.empty() && turn_.stops().all_handled &&
@@ -44,7 +43,6 @@ void Tasks::spare() {
     }
 }
 
-/// Its client is back and answers for it again. What was held stays paused until the client resumes it.
 void Tasks::attend() {
     for (auto& active : active_) {
         active.alone_until.reset();
@@ -61,13 +59,12 @@ void Tasks::watchHeld(ActiveTask& active) {
         active.alone_until = turn_.now() + kPauseWithin;
 }
 
-bool Tasks::finishAlone() const {
+bool Tasks::finishesAlone() const {
     return std::any_of(active_.begin(), active_.end(), [this](const ActiveTask& active) {
         return active.alone_until && !active.halted && lossPolicyOfParts(active) == proto::FINISH_TASK;
     });
 }
 
-/// The loss of the client, as late as the policy of the task has allowed.
 void Tasks::endSpared(const std::string& why) {
     if (active_.empty()) return;
     Incident lost{Event::ClientLost};

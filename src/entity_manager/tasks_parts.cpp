@@ -169,7 +169,7 @@ void Tasks::controlBetweenParts(ActiveTask& active) {
 }
 
 /// What has been accepted can still be sent with it.
-Refusal Tasks::leaveRoom(int service, const proto::Param& param) const {
+Refusal Tasks::leavesRoom(int service, const proto::Param& param) const {
     const auto fits = [&](const ServiceProfiler::Plan& plan, std::size_t from) {
         const auto more = profiler_.growth(plan, from, service, param);
         return more <= 0 || checkSize(dispatchBytes(plan, from) + static_cast<std::size_t>(more)).ok();

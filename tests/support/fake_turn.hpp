@@ -95,20 +95,13 @@ struct FakeTurn final : entity_manager::Turn {
         steps.push_back(request);
         return {};
     }
-    void controlTask(const entity_manager::Incident& incident) override {
-        controls.push_back(incident.event);
-    }
+    void controlTask(const entity_manager::Incident&) override {}
 
-    bool takesPart() const override { return in_run; }
-    bool isReserved() const override { return in_run; }
-    bool tellStep(proto::TaskEvent& event) override {
-        if (in_run) told_steps.push_back(event);
-        return in_run;
-    }
+    bool takesPart() const override { return false; }
+    bool isReserved() const override { return false; }
+    bool tellStep(proto::TaskEvent&) override { return false; }
     void lookAgain() override {}
-    void removeResource(const std::string&, const std::string& resource) override {
-        removed.push_back(resource);
-    }
+    void removeResource(const std::string&, const std::string&) override {}
 
     Refusal leavesRoom(int, const proto::Param&) const override { return room; }
     void reconfigure(int, const proto::Param& param) override { reconfigured.push_back(param); }
@@ -119,7 +112,7 @@ struct FakeTurn final : entity_manager::Turn {
     void endSpared(const std::string&) override {}
     void granted(entity_manager::Incident& granted) override { fire(granted); }
     void takeKeptProfiles() override {}
-    void tellNews(std::string text) override { news.push_back(std::move(text)); }
+    void tellNews(std::string) override {}
     void notReady(std::string why) override { not_ready = std::move(why); }
     void tellStatus() override {}
     void profilesAreGood(const proto::BasicProfile&) override {
@@ -134,7 +127,6 @@ struct FakeTurn final : entity_manager::Turn {
     bool latch = false;
     bool link = true;
     bool session = true;
-    bool in_run = false;
     bool task_finishes_alone = false;
     std::function<void(entity_manager::Incident&)> on_fire;  ///< what the state table would do
     std::vector<Fired> fired;
@@ -142,16 +134,13 @@ struct FakeTurn final : entity_manager::Turn {
     Refusal room;  ///< what leavesRoom() says
     std::vector<proto::Param> reconfigured;
     std::vector<std::vector<int>> told_services;
-    std::vector<proto::TaskEvent> told_steps;
-    std::vector<std::string> removed;
     std::vector<Told> told;
     std::vector<ToldPeer> told_peers;
     std::vector<proto::EmToEi> to_application;
     std::vector<entity_manager::JournalRecord> noted;
-    std::vector<std::string> warnings, news, lost_servers;
+    std::vector<std::string> warnings, lost_servers;
     std::string not_ready;
     std::vector<proto::TaskRequest> steps;
-    std::vector<entity_manager::Event> controls;
     entity_manager::CoreCounters counted;
 };
 
